@@ -45,7 +45,14 @@ def _check_rocks(thing: Node) -> Iterator[Finding]:
             f"rocks of the family {shown(family)} have no {key}: expected {other}", key
         )
     usual = "normal" if family in LYING else "random"
-    if "lean_deg" in thing and (thing["orientation"] or usual) == "random":
+    turned_at_random = (thing["orientation"] or usual) == "random"
+    if "coatings" in thing and turned_at_random:
+        yield thing.key_fault(
+            "what is turned at random has no top that a coating could lie on: expected the "
+            'orientation "upright" or "normal"',
+            "coatings",
+        )
+    if "lean_deg" in thing and turned_at_random:
         yield thing.key_fault(
             'what is turned at random has no axis that leans: expected the orientation "upright" '
             'or "normal"',

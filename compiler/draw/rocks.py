@@ -10,6 +10,7 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.scatter import draw_scattered, uniforms
+from scenec.compiler.objects.coatings import CoatingPlan
 from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.bedded import draw_bedded
 from scenec.compiler.objects.families.breccia import draw_breccia
@@ -79,7 +80,11 @@ def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting)
         labels,
         setting,
         source=RockShapes(
-            tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
+            tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes)),
+            tuple(
+                CoatingPlan(**own, key=streams.key(f"{path}/coatings/{i}"))
+                for i, own in enumerate(node["coatings"])
+            ),
         ),
         weights=[1.0] * prototypes,
         orientation="normal" if cfg["family"] in LYING else "random",
