@@ -100,9 +100,10 @@ FAMILIES = {
 }
 _SIZE = (360, 240)
 _GAP = 6
-#: Stones of a contact sheet, and pixels of the side of each one's square.
+#: Stones of a contact sheet, the width of each one's place, and the height of all, in pixels.
 _STONES = 4
 _STONE_PX = 400
+_SHEET_PX = 300
 #: Of the picture of coatings, one a stone: name, the coating's keys, its material.
 COATINGS: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
     ("none", {}, {}),
@@ -111,7 +112,7 @@ COATINGS: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
     (
         "wet foot",
         {"tops": 0, "hollows": 0, "foot_height": 0.25},
-        {"base_color": [0.035, 0.03, 0.027], "specular": 0.04, "roughness": 0.35},
+        {"base_color": [0.035, 0.03, 0.027], "specular": 0.03, "roughness": 0.45},
     ),
 )
 
@@ -233,7 +234,7 @@ def sheet_cfg(family: str, surface: dict[str, Any] | None, subdivisions: int = 6
             "sky": {"type": "clear", "irradiance": 90},
         },
         "rigs": {"camera": {"pose": pose, "sensors": {"eye": {
-            "resolution": [_STONES * _STONE_PX, _STONE_PX], "fov_deg": fov,
+            "resolution": [_STONES * _STONE_PX, _SHEET_PX], "fov_deg": fov,
         }}}},
     }  # fmt: skip
 
@@ -248,7 +249,7 @@ def shot(page: Page, content: dict[str, Any], spp: int) -> tuple[Image.Image, di
 
 def keep(page: Page, picture: Image.Image, name: str) -> str:
     """Writes a picture small; returns the Markdown that shows it."""
-    small = picture.quantize(128, kmeans=2, dither=Image.Dither.NONE)
+    small = picture.quantize(64, kmeans=2, dither=Image.Dither.NONE)
     small.save(page.picture(name), optimize=True)
     return page.shown(name)
 
