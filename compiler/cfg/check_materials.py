@@ -21,12 +21,21 @@ def check_materials(cfg: Node) -> Iterator[Finding]:
     objects = cfg.each("objects", "*")
     worn = {
         (*node.path, "material"): node["material"]
-        for node in (*objects, *cfg.each("objects", "*", "parts", "*"))
+        for node in (
+            *objects,
+            *cfg.each("objects", "*", "parts", "*"),
+            *cfg.each("objects", "*", "coatings", "*"),
+        )
         if node["material"] is not None
     }
     users = {
         "ground": {layer["material"] for layer in cfg.each("terrain", "ground", "*")},
-        "rocks": {thing["material"] for thing in objects if thing["type"] == "rocks"},
+        "rocks": {
+            user["material"]
+            for thing in objects
+            if thing["type"] == "rocks"
+            for user in (thing, *thing.each("coatings", "*"))
+        },
     }
     displaced: dict[str, str] = {}
     for material in cfg.each("materials", "*"):

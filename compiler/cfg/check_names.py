@@ -23,7 +23,8 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
     # A part of a model has labels on any levels, and the class's on the others.
     users = [*whole, *cfg.each("objects", "*", "parts", "*")]
     materials, levels = cfg.at("materials"), cfg.at("labels")
-    for user in users:
+    coatings = cfg.each("objects", "*", "coatings", "*")
+    for user in (*users, *coatings):
         name = user["material"]
         if materials and name is not None and name not in materials:
             yield user.fault(unknown("material", name, materials.entries), "material")
@@ -34,7 +35,8 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
             yield from _check_label_outputs(cfg)
     for level in levels.each("*"):
         yield from _check_ids(level)
-    yield from _check_unused(cfg, users, frozenset() if sound else _all_words(cfg))
+    made_of = [user["material"] for user in (*users, *coatings)]
+    yield from _check_unused(cfg, users, made_of, frozenset() if sound else _all_words(cfg))
 
 
 def _check_choice(levels: Node, chosen: Node) -> Iterator[Finding]:
@@ -76,9 +78,11 @@ def _check_ids(level: Node) -> Iterator[Finding]:
             first.setdefault(number, name)
 
 
-def _check_unused(cfg: Node, users: list[Node], words: frozenset[str]) -> Iterator[Finding]:
+def _check_unused(
+    cfg: Node, users: list[Node], made_of: list[str | None], words: frozenset[str]
+) -> Iterator[Finding]:
     materials, levels = cfg.at("materials"), cfg.at("labels")
-    used = _meant([user["material"] for user in users], materials)
+    used = _meant(made_of, materials)
     for name in materials.entries:
         if name not in used | words:
             yield materials.key_fault(

@@ -12,7 +12,11 @@ from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
 #: Families of rocks that this package has; others say themselves which keys they read.
-FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
+FAMILIES = (
+    "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
+)  # fmt: skip
+#: Those that lie as they have formed or broken, where the cfg does not say otherwise.
+LYING = ("slab", "ventifact", "bedded")
 
 
 def check_objects(cfg: Node) -> Iterator[Finding]:
@@ -40,8 +44,15 @@ def _check_rocks(thing: Node) -> Iterator[Finding]:
         yield thing.key_fault(
             f"rocks of the family {shown(family)} have no {key}: expected {other}", key
         )
-    usual = "normal" if family == "slab" else "random"
-    if "lean_deg" in thing and (thing["orientation"] or usual) == "random":
+    usual = "normal" if family in LYING else "random"
+    turned_at_random = (thing["orientation"] or usual) == "random"
+    if "coatings" in thing and turned_at_random:
+        yield thing.key_fault(
+            "what is turned at random has no top that a coating could lie on: expected the "
+            'orientation "upright" or "normal"',
+            "coatings",
+        )
+    if "lean_deg" in thing and turned_at_random:
         yield thing.key_fault(
             'what is turned at random has no axis that leans: expected the orientation "upright" '
             'or "normal"',

@@ -38,6 +38,7 @@ def _worn(objects: dict[str, Any]) -> set[str]:
     users = [
         *objects.values(),
         *(p for o in objects.values() for p in (o.get("parts") or {}).values()),
+        *(coating for o in objects.values() for coating in o.get("coatings") or ()),
     ]
     return {user["material"] for user in users if user.get("material")}
 

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from scenec.compiler.cfg.check_objects import LYING
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.scatter import draw_scattered, uniforms
+from scenec.compiler.objects.coatings import CoatingPlan
 from scenec.compiler.objects.families.angular import draw_angular
+from scenec.compiler.objects.families.bedded import draw_bedded
+from scenec.compiler.objects.families.breccia import draw_breccia
 from scenec.compiler.objects.families.rounded import draw_rounded
 from scenec.compiler.objects.families.shape import Common, Shape, unit_vectors
 from scenec.compiler.objects.families.slab import draw_slab
+from scenec.compiler.objects.families.ventifact import draw_ventifact
 from scenec.compiler.objects.families.vesicular import draw_vesicular
 from scenec.compiler.objects.families.weathered import Weathered
 from scenec.compiler.scene.plan import RockShapes, ScatterPlan
@@ -27,6 +32,9 @@ _FAMILIES: dict[str, Callable[..., Shape]] = {
     "rounded": draw_rounded,
     "slab": draw_slab,
     "vesicular": draw_vesicular,
+    "ventifact": draw_ventifact,
+    "bedded": draw_bedded,
+    "breccia": draw_breccia,
 }
 
 
@@ -52,6 +60,9 @@ _USUAL = {
     "rounded": _Usual(0.22, 0.45, 0.7),
     "slab": _Usual(0.25, 0.8, 0.15),
     "vesicular": _Usual(0.2, 0.35, 0.4),
+    "ventifact": _Usual(0.28, 0.5, 0.12),
+    "bedded": _Usual(0.25, 0.45, 0.35),
+    "breccia": _Usual(0.22, 0.4, 0.4),
 }
 #: 1 - c/a of weathered rocks.
 _FLATNESS = 0.35
@@ -69,11 +80,14 @@ def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting)
         labels,
         setting,
         source=RockShapes(
-            tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes))
+            tuple(_shape(f"{path}/prototypes/{i}", node, streams) for i in range(prototypes)),
+            tuple(
+                CoatingPlan(**own, key=streams.key(f"{path}/coatings/{i}"))
+                for i, own in enumerate(node["coatings"])
+            ),
         ),
         weights=[1.0] * prototypes,
-        # Plates lie.
-        orientation="normal" if cfg["family"] == "slab" else "random",
+        orientation="normal" if cfg["family"] in LYING else "random",
         size_key="size_m",
     )
 

@@ -12,8 +12,10 @@ from scenec.compiler.emit.layer import TYPES, Appearance, label, label_names
 from scenec.compiler.emit.terrain import (
     bind,
     face_subset,
+    merged_color,
     varied_color,
     write_display_color,
+    write_layers,
     write_triangles,
     write_vertex_floats,
 )
@@ -56,6 +58,7 @@ def _write_appearance(
 ) -> None:
     used = {part.material for part in prototype.parts if part.material is not None}
     used |= {material} if material is not None else set()
+    used |= {coating.material for coating in prototype.coatings}
     if any(materials[name].varies for name in used):
         write_vertex_floats(UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, prototype.variation)
     if prototype.uv is not None and any(materials[name].needs_uv for name in used):
@@ -65,7 +68,12 @@ def _write_appearance(
         primvar.Set(Vt.Vec2fArray.FromNumpy(prototype.uv.reshape(-1, 2)))
     if not any(part.material for part in prototype.parts):
         if material is not None:
-            write_display_color(prim, varied_color(materials[material], prototype.variation))
+            layers = [material, *(coating.material for coating in prototype.coatings)]
+            weights = [coating.weights for coating in prototype.coatings]
+            if weights:
+                write_layers(prim, layers, weights)
+            merged = [materials[name] for name in layers]
+            write_display_color(prim, merged_color(merged, weights, prototype.variation))
         return
     # Parts meet in vertices: one color a face.
     color = np.full((len(prototype.faces), 3), 0.18)

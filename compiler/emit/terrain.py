@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -59,17 +60,24 @@ def _write_tile(
 def _write_appearance(
     prim: Usd.Prim, tile: Tile, ground: Ground, materials: dict[str, Material]
 ) -> None:
-    targets = [Sdf.Path(look_path(layer.material)) for layer in ground.layers]
-    prim.CreateRelationship(names.REL_LAYERS, custom=True).SetTargets(targets)
+    write_layers(prim, [layer.material for layer in ground.layers], tile.weights)
     blends = [layer.height_blend for layer in ground.layers[1:]]
     if any(blends):
         custom(prim, names.ATTR_HEIGHT_BLENDS, TYPES.FloatArray).Set(Vt.FloatArray(blends))
     primvars = UsdGeom.PrimvarsAPI(prim)
-    for merge, weight in enumerate(tile.weights, start=1):
-        write_vertex_floats(primvars, names.weight_primvar(merge), weight)
     if any(materials[layer.material].varies for layer in ground.layers):
         write_vertex_floats(primvars, names.PRIMVAR_VARIATION, tile.variation)
     write_display_color(prim, blended_color(tile, ground, materials))
+
+
+def write_layers(
+    prim: Usd.Prim, materials: Sequence[str], weights: Iterable[NDArray[np.float32]]
+) -> None:
+    """The materials that a mesh is merged of, from the base up, and each merge's weight."""
+    targets = [Sdf.Path(look_path(name)) for name in materials]
+    prim.CreateRelationship(names.REL_LAYERS, custom=True).SetTargets(targets)
+    for merge, weight in enumerate(weights, start=1):
+        write_vertex_floats(UsdGeom.PrimvarsAPI(prim), names.weight_primvar(merge), weight)
 
 
 def blended_color(
@@ -77,10 +85,19 @@ def blended_color(
 ) -> NDArray[np.float64]:
     """Albedo at the vertices: the merges of the varied base colors, float64 [n, 3]."""
     layers = [materials[layer.material] for layer in ground.layers]
-    color = varied_color(layers[0], tile.variation)
-    for material, weight in zip(layers[1:], tile.weights.astype(np.float64), strict=True):
-        alpha = weight[:, None]
-        color = alpha * varied_color(material, tile.variation) + (1.0 - alpha) * color
+    return merged_color(layers, tile.weights, tile.variation)
+
+
+def merged_color(
+    layers: Sequence[Material],
+    weights: Iterable[NDArray[np.float32]],
+    variation: NDArray[np.float32],
+) -> NDArray[np.float64]:
+    """The varied average colors of layers, merged from the base up, float64 [n, 3]."""
+    color = varied_color(layers[0], variation)
+    for material, weight in zip(layers[1:], weights, strict=True):
+        alpha = weight.astype(np.float64)[:, None]
+        color = alpha * varied_color(material, variation) + (1.0 - alpha) * color
     return color
 
 

@@ -228,7 +228,8 @@ def _areas(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.f
 
 def _faces_of(name: str, one: Scatter | Placed, prototype: Prototype) -> NDArray[np.int64]:
     """Faces of a prototype that have a material."""
-    own = np.full(len(prototype.faces), one.material == name)
+    coats = any(coating.material == name for coating in prototype.coatings)
+    own = np.full(len(prototype.faces), coats or one.material == name)
     for part in _parts(prototype):
         own[part[0]] = part[1] == name if part[1] is not None else own[part[0]]
     return np.flatnonzero(own)

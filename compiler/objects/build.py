@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import cached_model
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.objects.coatings import coat
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
 from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype
@@ -150,7 +151,10 @@ def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tu
     if isinstance(plan.source, ModelSource):
         return tuple((model,) for model in _prototypes(plan, plan.source, looks, facts))
     # A tolerance of 0 asks for the finest level only.
-    return build_chains(plan.source.shapes, coarser=plan.lod_px > 0.0)
+    chains = build_chains(plan.source.shapes, coarser=plan.lod_px > 0.0)
+    if looks is None or not plan.source.coatings or not len(plan.embed):
+        return chains
+    return coat(chains, plan.source.coatings, float(plan.embed.mean()))
 
 
 def _prototypes(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from scenec.compiler.cameras.paths.motion import Motion
     from scenec.compiler.mesh.merge import Merge
     from scenec.compiler.mesh.mesh import Meshing
+    from scenec.compiler.objects.coatings import CoatingPlan
     from scenec.compiler.objects.conditions import PlacementCondition
     from scenec.compiler.objects.density import Density
     from scenec.compiler.objects.families.shape import Shape
@@ -61,9 +62,11 @@ class RockShapes:
 
     Attributes:
         shapes: One for each prototype.
+        coatings: What lies on them, the lowest first.
     """
 
     shapes: tuple[Shape, ...]
+    coatings: tuple[CoatingPlan, ...] = ()
     #: They are let down until a vertex touches the ground.
     touch: ClassVar[bool] = True
 

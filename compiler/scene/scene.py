@@ -238,6 +238,18 @@ class MeshPart:
 
 
 @dataclass(frozen=True)
+class Coating:
+    """A material that lies over a prototype's own.
+
+    Attributes:
+        weights: Its share at the vertices, over what is below it, float32 [n].
+    """
+
+    material: str
+    weights: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Prototype:
     """A mesh that instances share; arrays as in ``Tile``.
 
@@ -248,6 +260,7 @@ class Prototype:
             are in meters.
         uv: Texture coordinates of the faces' corners, float32 [m, 3, 2], or None.
         parts: What differs from the class; empty where nothing does.
+        coatings: What lies over the class's material, the lowest first; only without parts.
     """
 
     name: str
@@ -259,6 +272,7 @@ class Prototype:
     radius: float = 0.5
     uv: NDArray[np.float32] | None = None
     parts: tuple[MeshPart, ...] = ()
+    coatings: tuple[Coating, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -293,6 +307,7 @@ class ObjectClass:
         if not self.prototypes:
             return set()
         own = {part.material for mesh in self.prototypes for part in mesh.parts}
+        own |= {coating.material for mesh in self.prototypes for coating in mesh.coatings}
         return {name for name in (self.material, *own) if name is not None}
 
 

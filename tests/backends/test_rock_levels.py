@@ -12,7 +12,9 @@ from scenec.schemas.frames import Frame, read_frame
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
-FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
+FAMILIES = (
+    "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
+)  # fmt: skip
 _WIDTH = 240
 _FOV_DEG = 70
 

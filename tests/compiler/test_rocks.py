@@ -28,7 +28,9 @@ from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.views.resolution import NO_VIEWS, Views, views_of
 from scenec.schemas.errors import SceneError
 
-FAMILIES = ("weathered", "angular", "rounded", "slab", "vesicular")
+FAMILIES = (
+    "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
+)  # fmt: skip
 
 
 def plan(seed: int = 1, **change) -> ScatterPlan:
@@ -146,6 +148,9 @@ def test_meshes_fit_the_ball_of_diameter_1_and_the_finest_fills_it(family):
     ("rounded", 0.22, 0.45),
     ("slab", 0.25, 0.8),
     ("vesicular", 0.2, 0.35),
+    ("ventifact", 0.28, 0.5),
+    ("bedded", 0.25, 0.45),
+    ("breccia", 0.22, 0.4),
 ])  # fmt: skip
 def test_axis_ratios_are_on_average_those_of_the_family(family, elongation, flatness):
     many = build_prototypes(shapes(family, prototypes=64, subdivisions=1))
@@ -168,7 +173,7 @@ def test_elongation_and_flatness_of_the_cfg_count(family):
     assert ratios(flatness=0.8, elongation=0.1)[2] < 0.5 * ratios(flatness=0.1, elongation=0.1)[2]
 
 
-@pytest.mark.parametrize("family", ["angular", "rounded", "slab", "vesicular"])
+@pytest.mark.parametrize("family", FAMILIES[1:])
 def test_wear_takes_from_edges_and_adds_nowhere(family):
     directions, _ = icosphere(4)
 

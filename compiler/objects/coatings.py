@@ -1,0 +1,140 @@
+"""Covers stones with what has settled on them or seeped up: dust, snow, moss, a wet foot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.geometry.icosphere import EDGE
+from scenec.compiler.noise.perlin import fbm3
+from scenec.compiler.objects.rocks import Chain
+from scenec.compiler.scene.scene import Coating, Prototype
+from scenec.schemas.kernels import kernel
+
+#: Slopes over which a coating thins out at its steepest, degrees to either side.
+_SOFT_DEG = 12.0
+#: Width of the hollows that count, in radians seen from a stone's middle.
+_REACH = 0.2
+#: What lies so far below its surroundings is a hollow, so far above a ridge, in a stone's size.
+_DEEP = 0.012
+#: How far a coating's border wanders, in parts of what it thins out over.
+_RAGGED = 0.9
+#: Frequency of that, in waves a size.
+_WAVES = 7.0
+
+
+@dataclass(frozen=True)
+class CoatingPlan:
+    """One layer on all stones of a class, as they rest.
+
+    Attributes:
+        material: Name.
+        tops: Share of what faces up that it covers, but for ridges, which wind and rain sweep.
+        max_slope_deg: Steepest slope that it lies on.
+        hollows: Share of what it covers in hollows, however steep, unless they face down.
+        foot: Share of what it covers next to the ground.
+        foot_height: How far up from the ground that reaches, in parts of a stone's height.
+        key: Of the noise that makes its borders ragged.
+    """
+
+    material: str
+    tops: float
+    max_slope_deg: float
+    hollows: float
+    foot: float
+    foot_height: float
+    key: int
+
+
+def coat(chains: Sequence[Chain], plans: Sequence[CoatingPlan], embed: float) -> tuple[Chain, ...]:
+    """All levels of stones with their coatings.
+
+    Args:
+        embed: Part of a stone's height below ground, the same for all instances of a prototype.
+    """
+    return tuple(tuple(_coated(mesh, plans, embed) for mesh in chain) for chain in chains)
+
+
+def _coated(mesh: Prototype, plans: Sequence[CoatingPlan], embed: float) -> Prototype:
+    points, normals = mesh.points.astype(np.float64), mesh.normals.astype(np.float64)
+    # Of an icosphere: 10 * 4^n + 2 points.
+    spacing = EDGE / np.sqrt(0.1 * (len(points) - 2.0))
+    below = _depths(points, normals, mesh.faces, max(1, round((_REACH / spacing) ** 2)))
+    low, high = points[:, 2].min(), points[:, 2].max()
+    above = (points[:, 2] - low) / (high - low) - embed
+    return replace(
+        mesh,
+        coatings=tuple(
+            Coating(plan.material, _weights(plan, points, normals, below / _DEEP, above))
+            for plan in plans
+        ),
+    )
+
+
+def _weights(
+    plan: CoatingPlan,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    hollow: NDArray[np.float64],
+    above: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Share of the surface that a coating covers at each vertex, float32 [n]."""
+    ragged = _RAGGED * _noise(np.uint64(plan.key), points)
+    up = normals[:, 2]
+    steepest, flattest = (
+        elementary.cos(elementary.PI / 180.0 * min(max(plan.max_slope_deg + side, 0.0), 180.0))
+        for side in (_SOFT_DEG, -_SOFT_DEG)
+    )
+    lies = _smooth((up - steepest) / (flattest - steepest) + 0.5 * ragged)
+    swept = _smooth(-hollow - 0.5 + 0.5 * ragged)
+    kept = _smooth(hollow + 0.5 * ragged) * _smooth((up + 0.5) / 0.5)
+    near = 1.0 - _smooth(above / plan.foot_height + ragged)
+    bare = (
+        (1.0 - plan.tops * lies * (1.0 - swept))
+        * (1.0 - plan.hollows * kept)
+        * (1.0 - plan.foot * near)
+    )
+    return (1.0 - bare).astype(np.float32)
+
+
+def _smooth(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    t = np.minimum(np.maximum(t, 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@kernel
+def _noise(key, points):  # type: ignore[no-untyped-def]
+    out = np.empty(len(points))
+    for n in range(len(points)):
+        x, y, z = points[n]
+        out[n] = fbm3(key, _WAVES * x, _WAVES * y, _WAVES * z, 3, 0.6)
+    return out
+
+
+@kernel
+def _depths(points, normals, faces, steps):  # type: ignore[no-untyped-def]
+    """How far each vertex lies below a surface that diffusion has smoothed, along its normal."""
+    smooth = points.copy()
+    for _step in range(steps):
+        total = np.zeros(points.shape)
+        count = np.zeros(len(points))
+        for f in range(len(faces)):
+            for k in range(3):
+                a, b = faces[f, k], faces[f, (k + 1) % 3]
+                count[a] += 1.0
+                for i in range(3):
+                    total[a, i] += smooth[b, i]
+        for n in range(len(points)):
+            for i in range(3):
+                smooth[n, i] = 0.5 * (smooth[n, i] + total[n, i] / count[n])
+    out = np.empty(len(points))
+    for n in range(len(points)):
+        out[n] = 0.0
+        for i in range(3):
+            out[n] += (smooth[n, i] - points[n, i]) * normals[n, i]
+    # A smoothed ball is smaller: what is convex all over is no ridge.
+    return out - np.mean(out)
