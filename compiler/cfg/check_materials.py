@@ -24,8 +24,9 @@ def check_materials(cfg: Node) -> Iterator[Finding]:
         for node in (*objects, *cfg.each("objects", "*", "parts", "*"))
         if node["material"] is not None
     }
+    ground = (*cfg.each("terrain", "ground", "*"), *cfg.each("terrain", "horizon"))
     users = {
-        "ground": {layer["material"] for layer in cfg.each("terrain", "ground", "*")},
+        "ground": {layer["material"] for layer in ground},
         "rocks": {thing["material"] for thing in objects if thing["type"] == "rocks"},
     }
     displaced: dict[str, str] = {}
