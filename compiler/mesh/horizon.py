@@ -30,8 +30,6 @@ NAME = "horizon"
 #: Columns to a side of the rectangles are so many times this; a column is this wide in the view
 #: that shows it largest, pixels, where so many columns suffice.
 _SIDE, _CELL_PX, _MOST_SIDES = adaptive.ROOT_CELLS, 4.0, 4
-#: Cells are longer than wide by this: they are seen from near the ground.
-_LENGTH = 2.0
 #: Samples along both sides of blocks that share a number of pixels.
 _BLOCK = 8
 #: Pixels a radian of a batch without cameras.
@@ -193,7 +191,7 @@ def _distances(half: tuple[float, float], reach_m: float, columns: int) -> NDArr
     middle = 0.5 * (half[0] + half[1])
     first = min(2.0 * elementary.PI / columns * middle, 0.5 * reach_m)
     span = elementary.log((middle + reach_m) / (middle + first))
-    roots = int(np.ceil(span * columns / (2.0 * elementary.PI * _LENGTH * _SIDE)))
+    roots = int(np.ceil(span * columns / (2.0 * elementary.PI * _SIDE)))
     t = np.arange(roots * _SIDE + 1) / (roots * _SIDE)
     out: NDArray[np.float64] = (middle + first) * elementary.exp_array(t * span) - middle
     return out
