@@ -22,22 +22,25 @@ from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.mesh.cover import lay
+from scenec.compiler.mesh.horizon import build_horizon
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import Plan
+from scenec.compiler.scene.plan import HorizonPlan, Plan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import (
     Georeference,
     Ground,
+    Horizon,
     Material,
     Placed,
     Scatter,
     Scene,
     SkyLight,
+    Tile,
 )
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import Relief, run
@@ -140,10 +143,14 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             color=color,
             cut_labels=labels,
             samples=samples,
+            border_exact=plan.terrain.horizon is not None,
         )
         del samples
         log.facts["ground"] = meshed
         ground = Ground(plan.terrain.layers, tiles)
+        if plan.terrain.horizon is not None:
+            around = _horizon(plan, plan.terrain.horizon, surface, tiles, views, color, log)
+            ground = replace(ground, horizon=around)
     _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
     with log.timed("outputs"):
         used = needed.without_unused(looks.materials if looks else {}, ground, objects, needs)
@@ -253,6 +260,34 @@ def build_relief(plan: Plan, samples: Samples, log: BuildLog) -> Relief:
         relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles, samples)
     log.facts["relief"] = relief.steps
     return relief
+
+
+def _horizon(
+    plan: Plan,
+    horizon: HorizonPlan,
+    terrain: Surface,
+    tiles: tuple[Tile, ...],
+    views: Views,
+    color: bool,
+    log: BuildLog,
+) -> Horizon:
+    """What lies around the terrain."""
+    east, north = (size + 2.0 * horizon.reach_m for size in plan.terrain.size_m)
+    relief = run(horizon.relief, Grid.with_spacing((east, north), horizon.spacing_m))
+    made, facts = build_horizon(
+        terrain,
+        Surface(relief.field, details=relief.details),
+        tiles,
+        horizon.layer,
+        horizon.reach_m,
+        horizon.blend_m,
+        plan.terrain.variation_key,
+        plan.terrain.meshing,
+        views,
+        color=color,
+    )
+    log.facts["horizon"] = {**facts, "relief": relief.steps}
+    return made
 
 
 def lay_ground(plan: Plan, relief: Relief, samples: Samples, log: BuildLog) -> Surface:

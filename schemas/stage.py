@@ -184,6 +184,8 @@ REL_PARTNER = "scenec:stereo:partner"
 HALF_TURN = (1.0, -1.0, -1.0)
 
 ROOT = "/World"
+#: Mesh of the land beyond the terrain's border.
+HORIZON = f"{ROOT}/Terrain/horizon"
 SKY_PRIM = "/World/Sky"
 RENDER_SCOPE = "/Render"
 

@@ -16,6 +16,7 @@ from scenec.backends.model.colors import mean_color, surfaces_of, vertex_colors
 from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.scene import Mesh, Reading, RenderScene, Surface
 from scenec.backends.surface.pictures import has_maps
+from scenec.schemas import stage as names
 from scenec.schemas.model import Look, Model, Part, Placement, View
 
 #: Triangles that a prototype keeps however little room there is.
@@ -184,8 +185,12 @@ def _still(owner: str, parts: tuple[int, ...]) -> Placement:
 
 
 def _ground(scene: RenderScene) -> NDArray[np.bool_]:
-    """Which rows are ground: no instances, nor of classes that have no ids, nor placed often."""
-    classes = tuple(f"{path}/" for path in scene.instance_paths)
+    """Which rows are ground: no instances, nor of classes that have no ids, nor placed often.
+
+    A horizon counts as an object: what is finest where cameras are, and pictures from above, would
+    be lost on its kilometers.
+    """
+    classes = (*(f"{path}/" for path in scene.instance_paths), f"{names.HORIZON}/")
     objects = [f"{mesh.path}/".startswith(classes) for mesh in scene.meshes]
     often = np.bincount(scene.rows.mesh, minlength=len(scene.meshes)) > 1
     return (scene.rows.instance_id == 0) & ~(np.array(objects, bool) | often)[scene.rows.mesh]

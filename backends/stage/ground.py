@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas import stage as names
 from scenec.schemas.kernels import kernel
 
 
@@ -62,7 +63,8 @@ def relief(
     for row in rows.tolist():
         mesh = scene.meshes[scene.rows.mesh[row]]
         matrix = scene.rows.to_world[row]
-        if len(mesh.faces):
+        # No camera stands beyond the terrain's border.
+        if len(mesh.faces) and mesh.path != names.HORIZON:
             # No BLAS: threads of its own in each of several processes would only be in the way.
             points = mesh.points.astype(np.float64)
             world = (points[:, None, :] * matrix[None, :, :3]).sum(axis=2) + matrix[:, 3]

@@ -28,8 +28,9 @@ def check_materials(cfg: Node) -> Iterator[Finding]:
         )
         if node["material"] is not None
     }
+    ground = (*cfg.each("terrain", "ground", "*"), *cfg.each("terrain", "horizon"))
     users = {
-        "ground": {layer["material"] for layer in cfg.each("terrain", "ground", "*")},
+        "ground": {layer["material"] for layer in ground},
         "rocks": {
             user["material"]
             for thing in objects

@@ -19,7 +19,11 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
         sound: Whether the schemas found no fault. Where they did, a name counts as used as soon as
             it stands anywhere: its user may have been misspelled.
     """
-    whole = [*cfg.each("terrain", "ground", "*"), *cfg.each("objects", "*")]
+    whole = [
+        *cfg.each("terrain", "ground", "*"),
+        *cfg.each("terrain", "horizon"),
+        *cfg.each("objects", "*"),
+    ]
     # A part of a model has labels on any levels, and the class's on the others.
     users = [*whole, *cfg.each("objects", "*", "parts", "*")]
     materials, levels = cfg.at("materials"), cfg.at("labels")

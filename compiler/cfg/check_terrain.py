@@ -17,7 +17,8 @@ _BASES = ("plane", "dem", "mesh")
 
 def check_terrain(cfg: Node) -> Iterator[Finding]:
     """Findings on the terrain, and on conditions wherever they stand."""
-    for operator in cfg.each("terrain", "relief", "*"):
+    reliefs = ("terrain", "relief", "*"), ("terrain", "horizon", "relief", "*")
+    for operator in (operator for relief in reliefs for operator in cfg.each(*relief)):
         if operator.path[-1] == 0 and operator["type"] not in (None, *_BASES):
             yield operator.fault(
                 f"{shown(operator['type'])}: the first operator is the base: expected one of "
@@ -32,14 +33,43 @@ def check_terrain(cfg: Node) -> Iterator[Finding]:
                 f"{low[1]:g} m can be above max_diameter_m ({high[0]:g} m): expected it below",
                 "min_diameter_m",
             )
-    for pattern in (("terrain", "relief", "*", "mask"), ("terrain", "ground", "*", "where"),
-                    ("objects", "*", "where")):  # fmt: skip
+    masks = ((*relief, "mask") for relief in reliefs)
+    for pattern in (*masks, ("terrain", "ground", "*", "where"), ("objects", "*", "where")):
         for condition in cfg.each(*pattern, "*"):
             yield from _check_condition(cfg, condition)
     for layer in cfg.each("terrain", "ground", "*"):
         if layer.path[-1] != 0:
             yield from _check_layer(layer)
     yield from _check_samples(cfg.at("terrain"))
+    if "horizon" in cfg.at("terrain"):
+        yield from _check_horizon(cfg.at("terrain"))
+
+
+def _check_horizon(terrain: Node) -> Iterator[Finding]:
+    """Both sides of the border are height fields, and the farther one has not too many samples."""
+    horizon = terrain.at("horizon")
+    if any(operator["surface"] == "mesh" for operator in terrain.each("relief", "*")):
+        yield terrain.key_fault(
+            "it begins at the terrain's border, and a mesh that is kept has none: take it away, "
+            'or say "surface": "heights" of the mesh',
+            "horizon",
+        )
+    for operator in horizon.each("relief", "*"):
+        if operator["type"] == "mesh" and operator["surface"] == "mesh":
+            yield operator.fault('a horizon keeps no mesh: expected "surface": "heights"')
+    spacing, reach = horizon.span("spacing_m"), horizon.span("reach_m")
+    sizes = [terrain.at("size_m").span(axis) for axis in (0, 1)]
+    if spacing is None or reach is None or None in sizes:
+        return
+    counts = [(size[1] + 2.0 * reach[1]) / spacing[0] + 2.0 for size in sizes if size]
+    if counts[0] * counts[1] > MAX_HEIGHT_SAMPLES:
+        enough = spacing[0] * math.sqrt(counts[0] * counts[1] / MAX_HEIGHT_SAMPLES)
+        yield horizon.fault(
+            f"{spacing[0]:g} m up to {reach[1]:g} m beyond the border makes "
+            f"{counts[0] * counts[1]:.3g} height samples, at most {MAX_HEIGHT_SAMPLES:.3g} are "
+            f"taken: expected a spacing of {1.01 * enough:.3g} m or more",
+            "spacing_m",
+        )
 
 
 def _check_mesh(operator: Node) -> Iterator[Finding]:
@@ -72,10 +102,11 @@ def _check_condition(cfg: Node, condition: Node) -> Iterator[Finding]:
         return
     if kind == "crater_freshness":
         # Only craters leave fresh ground; a mask sees those laid before it.
-        masks = condition.path[:2] == ("terrain", "relief")
-        laid = cfg.each("terrain", "relief", "*")
+        masks = condition.path[0] == "terrain" and "relief" in condition.path
+        of = condition.path[: condition.path.index("relief")] if masks else ("terrain",)
+        laid = cfg.at(*of).each("relief", "*")
         if masks:
-            laid = [operator for operator in laid if operator.path < condition.path[:3]]
+            laid = [one for one in laid if one.path < condition.path[: len(one.path)]]
         if "craters" not in [operator.entries.get("type") for operator in laid]:
             where = " before this one" if masks else ""
             yield condition.fault(

@@ -31,6 +31,7 @@ class Terrain(TypedDict):
     relief: list[Kind]
     ground: list[Kind]
     mesh: Mesh
+    horizon: NotRequired[Kind]
 
 
 class Light(TypedDict):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cfg.load import Spec
@@ -22,7 +23,7 @@ from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.objects.placed import PlacedPlan
-from scenec.compiler.scene.plan import Plan, RigPlan, ScatterPlan, TerrainPlan
+from scenec.compiler.scene.plan import HorizonPlan, Plan, RigPlan, ScatterPlan, TerrainPlan
 from scenec.compiler.scene.scene import GroundLayer, Labels, Material, MaterialMaps
 from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.mask import Masked
@@ -35,6 +36,8 @@ _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
     "barchans": draw_barchans,
     "craters": draw_craters,
 }
+#: Samples across the relief of a horizon that says nothing of them.
+HORIZON_SAMPLES = 256
 #: How each kind of objects is drawn.
 _CLASSES: dict[str, Callable[..., ScatterPlan | PlacedPlan]] = {
     "rocks": draw_rocks,
@@ -104,8 +107,8 @@ def _terrain(
     size_m = (node["size_m"][0], node["size_m"][1])
     setting = Setting(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
     relief: tuple[ReliefOperator, ...] = ()
-    for i in range(len(cfg["relief"])):
-        relief = (*relief, _relief(spec, i, setting))
+    for i, operator in enumerate(cfg["relief"]):
+        relief = (*relief, _relief(operator, f"terrain/relief/{i}", setting))
         setting = replace(setting, relief=relief)
     merges, coverage = draw_merges(setting)
     plan = TerrainPlan(
@@ -127,8 +130,28 @@ def _terrain(
             _displacement(spec, layer["material"], materials[layer["material"]].maps, setting)
             for layer in node["ground"]
         ),
+        horizon=_horizon(spec, setting) if "horizon" in cfg else None,
     )
     return plan, setting
+
+
+def _horizon(spec: Spec, setting: Setting) -> HorizonPlan:
+    """What lies around the terrain; its relief is as wide as it."""
+    cfg, path = spec.cfg["terrain"]["horizon"], "terrain/horizon"
+    node = resolve({k: v for k, v in cfg.items() if k != "relief"}, setting.streams, path)
+    east, north = (size + 2.0 * node["reach_m"] for size in setting.size_m)
+    setting = replace(setting, size_m=(east, north), relief=())
+    relief: tuple[ReliefOperator, ...] = ()
+    for i, operator in enumerate(cfg["relief"]):
+        relief = (*relief, _relief(operator, f"{path}/relief/{i}", setting))
+        setting = replace(setting, relief=relief)
+    return HorizonPlan(
+        node["reach_m"],
+        node["spacing_m"] or max(east, north) / HORIZON_SAMPLES,
+        node["blend_m"],
+        relief,
+        GroundLayer(node["material"], label_ids(spec.cfg, node["labels"])),
+    )
 
 
 def _displacement(
@@ -146,10 +169,9 @@ def _displacement(
     return Sum(tuple(parts)) if parts else None
 
 
-def _relief(spec: Spec, index: int, setting: Setting) -> ReliefOperator:
+def _relief(cfg: Mapping[str, Any], path: str, setting: Setting) -> ReliefOperator:
     """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
-    streams, path = setting.streams, f"terrain/relief/{index}"
-    cfg = dict(spec.cfg["terrain"]["relief"][index])
+    streams, cfg = setting.streams, dict(cfg)
     mask = cfg.pop("mask")
     operator: ReliefOperator
     if cfg["type"] in _SCATTERED:

@@ -45,8 +45,9 @@ def write_batch(folder: Path, scene: Scene) -> None:
     for name in (*scene.materials, *(objects.name for objects in scene.objects)):
         inside(folder, name)
     table = scene.label_table
-    layer_names = [label_names(table, layer.labels) for layer in scene.ground.layers]
-    used = [layer.material for layer in scene.ground.layers]
+    layers = scene.ground.parts[-1].layers
+    layer_names = [label_names(table, layer.labels) for layer in layers]
+    used = [layer.material for layer in layers]
     shown = _only(scene.materials, used)
     write_terrain(folder / "terrain.usdc", scene.ground, shown, layer_names)
     classes = []
@@ -135,13 +136,13 @@ def _write_root(path: Path, scene: Scene, sublayers: list[str]) -> None:
             # Of all there was: what was pruned must not move it.
             sky = stage.OverridePrim(names.SKY_PRIM)
             floor = custom(sky, names.ATTR_HAZE_FLOOR, TYPES.Double)
-            floor.Set(float(scene.bounds[0, 2]))
+            floor.Set(float(scene.reach[0, 2]))
         _write_georeference(world, scene)
         _write_instance_bases(stage, scene)
         for rig in scene.rigs:
             for sensor in rig.sensors:
                 camera = UsdGeom.Camera(stage.OverridePrim(camera_path(rig, sensor)))
-                camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.bounds))
+                camera.CreateClippingRangeAttr(clipping_range(rig, sensor, scene.reach))
     # On the layer alone: a stage is composed anew with each of them, and there is one a class.
     layer = Sdf.Layer.FindOrOpen(str(path))
     del stage

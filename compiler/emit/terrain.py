@@ -27,12 +27,14 @@ def write_terrain(
 
     Args:
         materials: By name; empty where no color is asked for.
-        label_names: For each ground layer, label name per level; empty where none are asked for.
+        label_names: For each ground layer, and for the horizon's, label name per level; empty
+            where none are asked for.
     """
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, TERRAIN)
-        for tile in ground.tiles:
-            _write_tile(stage, tile, ground, materials, label_names)
+        for part in ground.parts:
+            for tile in part.tiles:
+                _write_tile(stage, tile, part, materials, label_names)
 
 
 def _write_tile(

@@ -54,11 +54,11 @@ def footprints(
     """
     found: dict[str, Footprint] = {}
     names = tuple(name for name, material in materials.items() if material.maps is not None)
-    of_ground = _of_ground(names, ground, views[0])
+    of_parts = [_of_ground(names, part, views[0]) for part in ground.parts]
     for name in names:
         material = materials[name]
         assert material.maps is not None
-        seen, possible = of_ground[name]
+        seen, possible = (max(each) for each in zip(*(of[name] for of in of_parts), strict=True))
         seen, possible = seen * material.maps.size_m, possible * material.maps.size_m
         for one in objects:
             own = _of_objects(name, material, one, views[1])

@@ -52,6 +52,7 @@ def build_tiles(
     color: bool = True,
     cut_labels: bool = True,
     samples: Samples | None = None,
+    border_exact: bool = False,
 ) -> tuple[tuple[Tile, ...], dict[str, Any]]:
     """The terrain's tiles.
 
@@ -63,6 +64,7 @@ def build_tiles(
         color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.
         samples: The grid's, with noises that are known there.
+        border_exact: Whether float32 shall hold the border's positions in the world, too.
 
     Returns:
         Tiles in row order, and the report: errors of the mesh, of the cuts and of float32.
@@ -83,7 +85,7 @@ def build_tiles(
         mesh = grid_mesh(field)
     else:
         # The same whatever the outputs: what is left out must not move what stays.
-        varied = _variation(variation_key, *field.grid.points())
+        varied = albedo_variation(variation_key, *field.grid.points())
         appearance = Appearance(sides, varied.reshape(field.grid.shape))
         mesh, known, report["mesh"] = adaptive_mesh(
             surface, appearance, pixels_per_m, views, meshing
@@ -110,12 +112,14 @@ def build_tiles(
         weights[i] = merges[i].weight_of_side(side)
     variation = np.zeros(len(mesh.points), np.float32)
     if color:
-        variation[:] = _at_all(partial(_variation, variation_key), known.variation, mesh)
+        variation[:] = _at_all(partial(albedo_variation, variation_key), known.variation, mesh)
 
     normals = _vertex_normals(mesh)
     cells = (field.grid.shape[1] - 1, field.grid.shape[0] - 1)
     tile_of_face, tile_counts = _tile_of(mesh.cell, cells)
     span = _largest_span(mesh, tile_of_face)
+    if border_exact:
+        span = max(span, 2.0 * float(np.abs(mesh.points).max()))
     # Half the span is below 2**exponent, so 24 bits of mantissa hold it in steps of the quantum.
     quantum = math.ldexp(1.0, math.frexp(0.5 * span)[1] - 24)
     spacing = min(field.grid.spacing_m)
@@ -146,7 +150,9 @@ def _at_all(field: Field, known: NDArray[np.float64], mesh: CutMesh) -> NDArray[
     return np.concatenate([known, field(x, y)]) if len(x) else known
 
 
-def _variation(key: int, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+def albedo_variation(
+    key: int, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Albedo variation at points, in [-1, 1]."""
     noise = fbm2_points(
         np.uint64(key), x, y, _VARIATION_SCALE_M, _VARIATION_OCTAVES, _VARIATION_GAIN, 2.0, 0.4

@@ -34,6 +34,24 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class HorizonPlan:
+    """The land beyond the terrain's border.
+
+    Attributes:
+        reach_m: How far beyond the border it goes.
+        spacing_m: Of the grid of its relief.
+        blend_m: Width over which the border's heights and materials give way to its own.
+        layer: What it is.
+    """
+
+    reach_m: float
+    spacing_m: float
+    blend_m: float
+    relief: tuple[ReliefOperator, ...]
+    layer: GroundLayer
+
+
+@dataclass(frozen=True)
 class TerrainPlan:
     """Relief program and ground.
 
@@ -43,6 +61,7 @@ class TerrainPlan:
         coverage: For each merge, the fraction it shall cover, or None (its center is given).
         variation_key: Noise key of the albedo variation.
         displacements: Of each layer's material, or None.
+        horizon: What lies around it, or None.
     """
 
     size_m: tuple[float, float]
@@ -54,6 +73,7 @@ class TerrainPlan:
     variation_key: int
     meshing: Meshing
     displacements: tuple[Detail | None, ...] = ()
+    horizon: HorizonPlan | None = None
 
 
 @dataclass(frozen=True)

@@ -213,11 +213,42 @@ class Tile:
 
 
 @dataclass(frozen=True)
+class Horizon:
+    """The land beyond the terrain's border.
+
+    Attributes:
+        layer: Its own, above all the terrain's.
+        tile: Its mesh; weights are of the terrain's merges and, last, of its own layer.
+    """
+
+    layer: GroundLayer
+    tile: Tile
+
+
+@dataclass(frozen=True)
 class Ground:
-    """The terrain: layers from the base up, and tiles that are cut along their label lines."""
+    """The terrain: layers from the base up, and tiles that are cut along their label lines.
+
+    Attributes:
+        horizon: What lies around it, or None.
+    """
 
     layers: tuple[GroundLayer, ...]
     tiles: tuple[Tile, ...]
+    horizon: Horizon | None = None
+
+    @property
+    def parts(self) -> tuple[Ground, ...]:
+        """Layers with what tiles are made of them: the terrain, and what lies around it."""
+        own = Ground(self.layers, self.tiles)
+        if self.horizon is None:
+            return (own,)
+        return own, Ground((*self.layers, self.horizon.layer), (self.horizon.tile,))
+
+    @property
+    def meshes(self) -> tuple[Tile, ...]:
+        """All tiles, and the horizon's."""
+        return tuple(tile for part in self.parts for tile in part.tiles)
 
 
 @dataclass(frozen=True)
@@ -499,7 +530,7 @@ class Scene:
         more_suns: Further distant discs by prim name: earthshine, a second sun.
         sky_label_maps: Labels of a panorama, or None.
         outputs: Union of all sensors' outputs.
-        bounds: World bounds of the geometry, float64 [2, 3].
+        bounds: World bounds of the geometry but for the horizon, float64 [2, 3].
         georeference: Of the first DEM that has one; None without.
     """
 
@@ -521,3 +552,12 @@ class Scene:
     lamps: tuple[Lamp, ...] = ()
     haze: Haze | None = None
     sky_label_maps: SkyLabelMaps | None = None
+
+    @property
+    def reach(self) -> NDArray[np.float64]:
+        """World bounds of all geometry, float64 [2, 3]."""
+        if self.ground.horizon is None:
+            return self.bounds
+        tile = self.ground.horizon.tile
+        low, high = (tile.translate + pick(tile.points, axis=0) for pick in (np.min, np.max))
+        return np.stack([np.minimum(self.bounds[0], low), np.maximum(self.bounds[1], high)])

@@ -10,6 +10,7 @@ from scenec.compiler.terrain.operators.barchans import Barchans
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
 from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 from scenec.compiler.terrain.operators.terraces import Terraces
@@ -30,6 +31,7 @@ OPERATORS: Kinds[type[Any]] = Kinds(
         "mesh": MeshBase,
         "multifractal": Multifractal,
         "worley": Worley,
+        "polygons": Polygons,
         "craters": Craters,
         "dunes": Dunes,
         "barchans": Barchans,

@@ -69,6 +69,7 @@ def seen_blocks(
     views: Views,
     middles: NDArray[np.float64],
     radii: NDArray[np.float64],
+    beyond: bool = False,
 ) -> Seen:
     """Where what some views see stands.
 
@@ -77,6 +78,8 @@ def seen_blocks(
         bounds: x, y and z of that, float64 [2, 3].
         views: Those that show color.
         middles, radii: Balls around the objects that are seen, float64 [n, 3] and [n].
+        beyond: Whether more than that may be seen beyond the border: a horizon. Blocks there then
+            count as seen up to any height.
     """
     j, i = np.nonzero(relief.low <= relief.high)
     low, high = relief.low[j, i], relief.high[j, i]
@@ -88,6 +91,8 @@ def seen_blocks(
     top = np.full(relief.low.shape, -np.inf)
     top[j[shown], i[shown]] = high[shown]
     _mark(middles, radii, relief.frame, top)
+    if beyond:
+        top[[0, -1]] = top[:, [0, -1]] = np.inf
     # Points of two blocks are nearer than their middles by up to a diagonal.
     distance = width * np.maximum(np.sqrt(squared_distances(top)) - np.sqrt(2.0), 0.0)
     ground = np.where(relief.whole, relief.low, -np.inf)

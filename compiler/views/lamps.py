@@ -41,10 +41,10 @@ def without_idle(
 
 
 def _ball_of_tiles(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    boxes = [(tile.points.min(axis=0), tile.points.max(axis=0)) for tile in ground.tiles]
+    boxes = [(tile.points.min(axis=0), tile.points.max(axis=0)) for tile in ground.meshes]
     low, high = (np.array([box[end] for box in boxes], np.float64) for end in (0, 1))
     half = 0.5 * (high - low)
-    middles = np.array([tile.translate for tile in ground.tiles]) + low + half
+    middles = np.array([tile.translate for tile in ground.meshes]) + low + half
     return middles, np.sqrt((half * half).sum(axis=1))
 
 

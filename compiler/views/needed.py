@@ -131,7 +131,7 @@ def without_unused(
     kept = [_without_unused_prototypes(one, left_out) for one in objects]
     if needs.color:
         ground = _without_hidden_layers(ground, left_out)
-    used = {layer.material for layer in ground.layers}
+    used = {layer.material for layer in ground.parts[-1].layers}
     used = used.union(*(one.materials for one in kept))
     why = "nothing in the stage is made of it"
     left_out += [entry(PASS, f"materials/{name}", why) for name in materials if name not in used]
@@ -186,7 +186,8 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
     """
     layers = ground.layers
     shown = [
-        i == 0 or any(tile.weights[i - 1].any() or (tile.layer == i).any() for tile in ground.tiles)
+        i == 0
+        or any(tile.weights[i - 1].any() or (tile.layer == i).any() for tile in ground.meshes)
         for i in range(len(layers))
     ]
     if all(shown):
@@ -198,21 +199,23 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
                     PASS,
                     f"terrain/ground/{i}: the layer of {layer.material}",
                     "it shows nowhere on the terrain",
-                    size=sum(tile.weights[i - 1].nbytes for tile in ground.tiles),
+                    size=sum(tile.weights[i - 1].nbytes for tile in ground.meshes),
                 )
             )
-    number = np.cumsum(shown, dtype=np.int32) - 1
+    horizon = ground.horizon
+    # A horizon's own layer is above all of them.
+    number = np.cumsum([*shown, True], dtype=np.int32) - 1
     rows = np.flatnonzero(shown[1:])
-    tiles = tuple(
-        replace(
-            tile,
-            layer=number[tile.layer].astype(np.int32),
-            weights=np.ascontiguousarray(tile.weights[rows]),
-        )
-        for tile in ground.tiles
+
+    def renumbered(tile: Tile, own: int) -> Tile:
+        weights = np.concatenate([tile.weights[rows], tile.weights[len(tile.weights) - own :]])
+        return replace(tile, layer=number[tile.layer].astype(np.int32), weights=weights)
+
+    return Ground(
+        tuple(layer for layer, is_shown in zip(layers, shown, strict=True) if is_shown),
+        tuple(renumbered(tile, 0) for tile in ground.tiles),
+        None if horizon is None else replace(horizon, tile=renumbered(horizon.tile, 1)),
     )
-    return Ground(tuple(layer for layer, is_shown in zip(layers, shown, strict=True) if is_shown),
-                  tiles)  # fmt: skip
 
 
 def note_outputs(
@@ -220,12 +223,12 @@ def note_outputs(
 ) -> list[dict[str, Any]]:
     """Entries about what no output shows, with the bytes of the arrays that it would take."""
     meshes: list[Tile | Prototype] = [
-        *ground.tiles,
+        *ground.meshes,
         *(mesh for one in objects for mesh in one.prototypes),
     ]
     found = []
     if not needs.color:
-        on_ground = sum(len(tile.points) for tile in ground.tiles)
+        on_ground = sum(len(tile.points) for tile in ground.meshes)
         size = _SHADING * sum(len(mesh.points) for mesh in meshes)
         # Weights of merges, and the variation.
         size += _NUMBER * len(plan.terrain.layers) * on_ground
@@ -241,7 +244,7 @@ def note_outputs(
         if plan.light.sun is not None or plan.light.sky is not None or plan.light.lamps:
             found.append(entry(PASS, "light: sun, sky, lamps, haze", _NO_RGB))
     if not needs.labels and plan.label_table:
-        faces = sum(len(tile.faces) for tile in ground.tiles)
+        faces = sum(len(tile.faces) for tile in ground.meshes)
         found.append(
             entry(
                 PASS,

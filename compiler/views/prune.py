@@ -182,7 +182,8 @@ def _mark_lit(
     shown = [balls.of(balls.reason == _CODE[Reason.SEEN]) for balls in classes]
     none = np.zeros((0, 3)), np.zeros(0)
     middles, radii = (np.concatenate(part) for part in zip(none, *shown, strict=True))
-    seen = seen_blocks(relief, scene.bounds, showing, middles, radii)
+    beyond = scene.ground.horizon is not None
+    seen = seen_blocks(relief, scene.bounds, showing, middles, radii, beyond)
     for one, balls in zip(scene.objects, classes, strict=True):
         if everywhere or _shines(one, scene):
             balls.reason[balls.open] = _CODE[Reason.LIGHT]

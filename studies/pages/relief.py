@@ -13,6 +13,7 @@ from scenec.studies.pages import (
     relief_diffusion,
     relief_erosion,
     relief_forms,
+    relief_horizon,
     relief_ranges,
     relief_steps,
 )
@@ -44,7 +45,8 @@ def main(page: Page) -> None:
         relief_diffusion.convergence, relief_erosion.rivers, relief_steps.river_steps,
         relief_steps.hillslopes, relief_erosion.slides, relief_steps.iterations,
         relief_steps.inventory, relief_ranges.noises, relief_ranges.extents,
-        relief_ranges.origins, relief_ranges.dems, relief_forms.craters, speed,
+        relief_ranges.origins, relief_ranges.dems, relief_forms.craters, relief_horizon.horizon,
+        speed,
     ])  # fmt: skip
 
 

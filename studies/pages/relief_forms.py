@@ -20,6 +20,7 @@ from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.drainage import SIDES
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
 from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 from scenec.compiler.terrain.operators.terraces import Terraces
@@ -68,6 +69,7 @@ def gallery(page: Page) -> str:
 
     six = Grid((6.0, 6.0), (n, n))
     cracks = Worley(3, 2.0, 16.0, "f2-f1", 0.8, 1, 2.0, 0.5)
+    ice = Polygons(3, 6.0, 0.3, 1.0, 0.06, 0.6)
     sand = Dunes(8, 2.2, 24.0, 15.0, 33.0, 0.25)
     waves = Ripples(8, 0.018, 0.24, 15.0, 28.0, 0.35)
     rover = Tracks(page.scratch / "path.csv", 2.0, 0.4, 0.05, 0.18, 0.02, "chevrons")
@@ -85,6 +87,7 @@ def gallery(page: Page) -> str:
         ("fbm, warped", fractal("fbm", 0.7, 7.0, 0.5), grid),
         ("worley f1", Worley(3, 5.0, 30.0, "f1", 1.0, 2, 2.2, 0.4).apply(grid, base)[0], grid),
         ("worley f2-f1", cracks.apply(grid, base)[0], grid),
+        ("polygons", ice.apply(wide, 0.4 * grain)[0], wide),
         ("craters in equilibrium",
          draw_craters(pits, streams, "c", (size, size)).apply(grid, base)[0], grid),
         ("stream power, uplift, creep", rivers.apply(large, uplands)[0], large),

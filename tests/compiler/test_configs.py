@@ -68,10 +68,11 @@ def test_a_shipped_cfg_builds_a_finite_scene_with_all_of_its_labels(file, tmp_pa
     scene = scene_of(file, tmp_path, seed=5)
     cfg = json.loads(file.read_text())
     seen = [scene.sky_labels]
-    for tile in scene.ground.tiles:
-        for array in (tile.translate, tile.points, tile.normals, tile.weights, tile.variation):
-            assert np.isfinite(array).all()
-        seen += [scene.ground.layers[i].labels for i in np.unique(tile.layer).tolist()]
+    for part in scene.ground.parts:
+        for tile in part.tiles:
+            for array in (tile.translate, tile.points, tile.normals, tile.weights, tile.variation):
+                assert np.isfinite(array).all()
+            seen += [part.layers[i].labels for i in np.unique(tile.layer).tolist()]
     for objects in scene.objects:
         middles, radii = objects.balls()
         assert np.isfinite(middles).all()

@@ -18,6 +18,7 @@ from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.drainage import SIDES
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
 from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 from scenec.compiler.terrain.operators.terraces import Terraces
@@ -46,6 +47,7 @@ def operators(size: float, folder) -> list:
         Plane(size, (0.3, -1e6)),
         Multifractal(1, 0.1 * size, 0.3 * size, 24, 2.0, 2.0, "hybrid", 0.7, 2.0),
         Worley(2, -size, 0.2 * size, "f2-f1", 1.0, 4, 2.0, 0.5),
+        Polygons(2, 0.3 * size, 0.02 * size, 0.1 * size, 0.01 * size, 1.0),
         draw_craters(pits, streams, "craters", (size, 0.7 * size)),
         Dunes(3, 0.01 * size, 0.2 * size, 70.0, 33.0, 0.2),
         draw_barchans(heaps, streams, "barchans", (size, 0.7 * size)),
@@ -103,8 +105,8 @@ def test_every_operator_is_the_same_at_every_extent(size, tmp_path):
 
 
 #: Operators without a physical constant of their own, and whose draws do not depend on a scale.
-SCALE_FREE = ("multifractal", "worley", "dunes", "barchans", "ripples", "terraces", "thermal",
-              "smooth", "tracks")  # fmt: skip
+SCALE_FREE = ("multifractal", "worley", "polygons", "dunes", "barchans", "ripples", "terraces",
+              "thermal", "smooth", "tracks")  # fmt: skip
 
 
 @pytest.mark.parametrize("size", EXTENTS)

@@ -15,6 +15,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.barchans import Barchans, draw_barchans
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.terraces import Terraces
 from scenec.schemas.errors import SceneError
 from scenec.schemas.threads import at_most
@@ -285,3 +286,22 @@ def test_bends_lift_the_layers():
     bent = apply(replace(LAYERS, bend_m=4.0), GRID, flat) - flat
     assert bent.std(axis=1).max() > 0.3
     assert apply(replace(LAYERS, bend_m=0.0), GRID, flat).std(axis=1).max() < 1e-12
+
+
+@pytest.mark.parametrize("irregularity", [0.0, 0.6, 1.0])
+def test_polygons_are_level_between_troughs_and_shoulders_as_asked_for(irregularity):
+    grid = Grid((60.0, 60.0), (601, 601))
+    ground = np.full(grid.shape, 5.0)
+    relief = apply(Polygons(3, 6.0, 0.3, 0.5, 0.06, irregularity), grid, ground) - 5.0
+    assert relief.min() == pytest.approx(-0.3, abs=0.01)
+    assert relief.max() == pytest.approx(0.06, abs=0.001)
+    assert (np.abs(relief) < 1e-12).mean() > 0.1
+    # Two sides of 6 m to a square of 6 m, 0.5 m wide, and wider at corners.
+    assert 0.15 < (relief < 0.0).mean() < 0.3
+
+
+def test_polygons_whose_troughs_the_grid_cannot_hold_are_none():
+    narrow = Polygons(3, 50.0, 1.0, 2.9, 0.1, 0.5)
+    height, report = narrow.apply(GRID, np.ones(GRID.shape))
+    assert report == {"below_grid": True}
+    assert (height == 1.0).all()
