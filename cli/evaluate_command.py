@@ -108,11 +108,10 @@ def _source(against: Path, options: argparse.Namespace) -> Source:
             f"{against}: expected an output folder with frames (a {MANIFEST}), or a USD file that "
             "was rendered"
         )
-    batches = None if options.batches is None else options.batches
     return Source(
         against,
         options.backend,
-        batches=batches,
+        batches=options.batches,
         cameras=options.cameras,
         samples=options.samples,
     )
