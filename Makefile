@@ -12,7 +12,7 @@ EXAMPLES := quick
 BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
   hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
   sampling scatter tracks
-EXPERIMENTS := ego_motion
+EXPERIMENTS := head_to_head ego_motion
 PAGES := numerics relief placement photographs sky haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
