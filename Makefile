@@ -12,7 +12,7 @@ EXAMPLES := quick
 BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
   hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
   sampling scatter tracks
-EXPERIMENTS := ego_motion
+EXPERIMENTS := head_to_head ego_motion
 PAGES := numerics relief placement photographs sky haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
@@ -80,8 +80,8 @@ experiments: setup  ## The experiments of docs/experiments.md, in their small fo
 	  echo "== Experiment: $$name"; .venv/bin/python studies/experiments/$$name.py; \
 	done
 
-pictures: setup  ## Render the README's picture, docs/gallery.md, docs/rocks.md, lights.md and assets.md.
-	@set -e; for name in gallery rocks lights assets; do \
+pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.md, rocks.md, lights.md and assets.md.
+	@set -e; for name in gallery figures rocks lights assets; do \
 	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 

@@ -313,6 +313,14 @@ def add_batches(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--batches", type=span, metavar="A:B", help="only batches A to B-1")
 
 
+def add_frames(parser: argparse.ArgumentParser) -> None:
+    """A choice among the frames of an output."""
+    parser.add_argument("--backend", help="whose frames (default: the first there is)")
+    add_batches(parser)
+    parser.add_argument("--cameras", type=names, metavar="A,B,…", help="only these cameras")
+    parser.add_argument("--samples", type=span, metavar="A:B", help="only these samples")
+
+
 def add_replace(parser: argparse.ArgumentParser) -> None:
     """What a compilation may do to an output that is there, and about batches that fail."""
     parser.add_argument(

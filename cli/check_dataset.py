@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from scenec.cli.output import print_json, say
+from scenec.datasets.models.verify import is_models, verify_models
 from scenec.datasets.verify import Comparison, Flaw, compare, is_dataset, opened, verify
 from scenec.schemas.errors import OutputError
 
@@ -16,9 +17,13 @@ _LISTED = 20
 def run(options: argparse.Namespace) -> int:
     """Checks; 1 if something is wrong, or not the same."""
     folder = Path(options.out)
-    flaws = verify(folder) if is_dataset(folder) else []
-    if is_dataset(folder) and not flaws:
-        flaws = _opened(folder)
+    flaws = []
+    if is_models(folder):
+        if options.against is not None:
+            raise OutputError(f"--against: {folder} holds models of stages, and no annotation")
+        flaws = verify_models(folder)
+    elif is_dataset(folder):
+        flaws = verify(folder) or _opened(folder)
     compared = None if options.against is None else compare(folder, Path(options.against), say)
     if options.json:
         print_json(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_batches, add_json, amount, names, positive, span
+from scenec.cli.arguments import add_frames, add_json, amount, names, positive
 
 TASKS = ("instances", "labels", "depth", "track")
 #: Option -> the tasks that it says something about.
@@ -46,10 +46,7 @@ def add_evaluate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--out", metavar="FOLDER", help="write tables and plots there (JSON, CSV, PNG)"
     )
-    parser.add_argument("--backend", help="whose frames are the truth (default: the first)")
-    add_batches(parser)
-    parser.add_argument("--cameras", type=names, metavar="A,B,…", help="only these")
-    parser.add_argument("--samples", type=span, metavar="A:B", help="only these samples")
+    add_frames(parser)
     parser.add_argument(
         "--bins",
         action="append",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_batches, add_executor, add_json, names, seed, span
+from scenec.cli.arguments import add_executor, add_frames, add_json, seed
 
 EPILOG = """\
 conditions of --keep: NAME OPERATOR VALUE, in quotes, all must hold
@@ -37,10 +37,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="FOLDER", help="the dataset (default: OUT/datasets/FORMAT)"
     )
-    parser.add_argument("--backend", help="whose frames; default: the first there is")
-    add_batches(parser)
-    parser.add_argument("--cameras", type=names, metavar="A,B,…", help="only these cameras")
-    parser.add_argument("--samples", type=span, metavar="A:B", help="only these samples")
+    add_frames(parser)
     parser.add_argument(
         "--keep",
         action="append",

@@ -14,7 +14,7 @@ from scenec.datasets.models import TEXELS
 from scenec.datasets.models.gltf import Written, write_gltf
 from scenec.datasets.models.usdz import write_usdz
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, sha256
 from scenec.schemas.manifest import Batch, find_batches
 from scenec.schemas.versions import version_of
 
@@ -69,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
         told[batch.name] = {
             "file": files[batch.name].name,
             "bytes": files[batch.name].stat().st_size,
+            "sha256": sha256(files[batch.name]),
             "triangles": written.triangles,
             "instances": written.instances,
             "losses": list(written.losses),

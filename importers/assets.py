@@ -85,7 +85,7 @@ class Assets:
 def _ends(name: str) -> list[Path]:
     """A path and, where it is absolute or begins with a placeholder, what it ends with."""
     path = Path(name)
-    parts = path.parts[1:] if path.is_absolute() or name.startswith("<") else path.parts
-    if len(parts) == len(path.parts):
+    if not path.is_absolute() and not name.startswith("<"):
         return [path]
-    return [*([path] if path.is_absolute() else []), *(Path(*parts[i:]) for i in range(len(parts)))]
+    ends = [Path(*path.parts[i:]) for i in range(1, len(path.parts))]
+    return [path, *ends] if path.is_absolute() else ends

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from scenec.compiler.cfg.load import load
+from scenec.importers.made import Writer
 from scenec.importers.report import Report
 from scenec.schemas.errors import CfgError, Fault, OutputError
 from scenec.schemas.files import as_json, atomic, check_output, temporary_folder
@@ -30,7 +30,7 @@ class Imported:
     out: Path
     cfg: dict[str, Any] = field(default_factory=dict)
     report: Report = field(default_factory=Report)
-    made: dict[str, Callable[[Path], None]] = field(default_factory=dict)
+    made: dict[str, Writer] = field(default_factory=dict)
     options: list[str] = field(default_factory=list)
 
     @property
@@ -43,7 +43,7 @@ class Imported:
         # Where links are, ".." leads from what they point to.
         return Path(os.path.relpath(file.resolve(), self.out.parent.resolve())).as_posix()
 
-    def make(self, name: str, write: Callable[[Path], None]) -> str:
+    def make(self, name: str, write: Writer) -> str:
         """Has a file made, and says how the cfg names it."""
         self.made[name] = write
         return f"{self.folder.name}/{name}"

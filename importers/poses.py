@@ -1,13 +1,14 @@
-"""Poses of other programs as a cfg has them: matrices, quaternions, tracks."""
+"""Poses of other programs as a cfg has them: matrices, quaternions, turns."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scenec.compiler.geometry.poses import from_quaternion
 
 #: From a camera's axes in Blender and USD (y up, looking down -z) to those of a rig (y down, z
 #: ahead), and back.
@@ -16,32 +17,20 @@ FLIP = np.diag((1.0, -1.0, -1.0))
 
 def rotation_of(quaternion: Sequence[float]) -> NDArray[np.float64]:
     """Rotation matrix [3, 3] of w, x, y, z of any length but 0."""
-    w, x, y, z = np.asarray(quaternion, float) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return from_quaternion(np.zeros(3), np.asarray(quaternion, float))[:3, :3]
 
 
 def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """w, x, y, z of a rotation matrix, w not below 0 (Shepperd 1978)."""
     r = rotation
-    squares = np.array(
-        [
-            1 + r[0, 0] + r[1, 1] + r[2, 2],
-            1 + r[0, 0] - r[1, 1] - r[2, 2],
-            1 - r[0, 0] + r[1, 1] - r[2, 2],
-            1 - r[0, 0] - r[1, 1] + r[2, 2],
-        ]
-    )
+    squares = 1.0 + np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) @ np.diag(r)
+    turns = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+    sums = (r[1, 0] + r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2])
     rows = [
-        [squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-        [r[2, 1] - r[1, 2], squares[1], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
-        [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], squares[2], r[2, 1] + r[1, 2]],
-        [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], squares[3]],
+        [squares[0], *turns],
+        [turns[0], squares[1], sums[0], sums[1]],
+        [turns[1], sums[0], squares[2], sums[2]],
+        [turns[2], sums[1], sums[2], squares[3]],
     ]
     found = np.array(rows[int(np.argmax(squares))])
     found /= np.linalg.norm(found)
@@ -59,22 +48,9 @@ def turns_of(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
     return math.degrees(x), math.degrees(y), math.degrees(z)
 
 
-def track_writer(
-    times_s: Sequence[float], poses: Sequence[NDArray[np.float64]]
-) -> Callable[[Path], None]:
-    """What writes a track: ``time_s,x_m,y_m,z_m,qw,qx,qy,qz``.
-
-    Args:
-        times_s: Rising.
-        poses: From the rig's frame (x right, y down, z ahead) to the world, [4, 4] each.
-    """
-    lines = ["time_s,x_m,y_m,z_m,qw,qx,qy,qz"]
-    for time, pose in zip(times_s, poses, strict=True):
-        numbers = [time, *pose[:3, 3], *quaternion_of(pose[:3, :3])]
-        lines.append(",".join(f"{float(number):.12g}" for number in numbers))
-    text = "\n".join(lines) + "\n"
-
-    def write(path: Path) -> None:
-        path.write_text(text, encoding="ascii")
-
-    return write
+def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """The rotation nearest to a matrix [3, 3], and its scale: the cube root of the volume's."""
+    scale = float(np.cbrt(abs(np.linalg.det(matrix))))
+    u, _, v = np.linalg.svd(matrix)
+    rotation = u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ v)))) @ v
+    return rotation, max(scale, 1e-9)

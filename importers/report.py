@@ -57,13 +57,17 @@ class Report:
 
         Args:
             fate: One of ``FATES``.
-            at: Its name: path of a prim or name of a data set; "" for what is added.
+            at: Its name: path of a prim or name of a data set.
             value: Its value; None: nothing to show.
             to: As of ``Entry``.
             note: As of ``Entry``.
         """
         text = "" if value is None else shown(value)
         self.entries.append(Entry(fate, "", 0, at, text, to, note))
+
+    def added(self, to: str, note: str) -> None:
+        """Reports on something that the cfg needs besides."""
+        self.add(ADDED, "", None, to, note)
 
     def counts(self) -> dict[str, int]:
         """How many values have each fate."""
@@ -74,18 +78,13 @@ class Report:
         """For ``write_json``."""
         return {"counts": self.counts(), "values": [asdict(entry) for entry in self.entries]}
 
-    def text(self, *, all_of_them: bool = True) -> str:
-        """Lines of a table, one a value.
-
-        Args:
-            all_of_them: Whether values that were translated as they were meant are among them.
-        """
-        kept = [e for e in self.entries if all_of_them or e.fate != TRANSLATED]
-        places = [_place(entry) for entry in kept]
+    def text(self) -> str:
+        """Lines of a table, one a value."""
+        places = [_place(entry) for entry in self.entries]
         width = min(max((len(place) for place in places), default=0), _WIDEST)
         return "\n".join(
             f"{entry.fate:<12}  {place:<{width}}  {_what(entry)}".rstrip()
-            for entry, place in zip(kept, places, strict=True)
+            for entry, place in zip(self.entries, places, strict=True)
         )
 
 

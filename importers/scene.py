@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.importers.numbers import tidy, uniform
-from scenec.importers.poses import quaternion_of
 
 #: The level of labels that scenes get.
 LEVEL = "class"
@@ -56,6 +54,19 @@ def soil() -> dict[str, Any]:
     """A material for ground that nobody described."""
     maps = {"procedural": {"type": "soil", "resolution": 512}}
     return {"base_color": [0.2, 0.14, 0.09], "maps": maps}
+
+
+def intrinsics(k: Sequence[float], corner: float = 0.5) -> dict[str, Any]:
+    """What a sensor says of a camera's matrix.
+
+    Args:
+        k: The matrix by row, pixels.
+        corner: What the middle of the first pixel is off the matrix's origin; it is 0.5 here.
+    """
+    found = {"fx": k[0], "fy": k[4], "cx": k[2] + corner, "cy": k[5] + corner}
+    if k[1]:
+        found["skew"] = k[1]
+    return {"intrinsics": {name: tidy(value) for name, value in found.items()}}
 
 
 def varied_sun() -> dict[str, Any]:
@@ -120,42 +131,3 @@ def scattered_rocks(area_m2: float, material: str, labels: dict[str, str]) -> di
         "density": {"type": "noise", "scale_m": tidy(0.2 * size)},
         "shortfall": "fewer",
     }
-
-
-def table_writer(
-    poses: Sequence[NDArray[np.float64]],
-    models: Sequence[int] | None = None,
-    ids: Sequence[int] | None = None,
-    times_s: Sequence[float] | None = None,
-) -> Callable[[Path], None]:
-    """What writes a table of poses for a class of type ``placed``.
-
-    Args:
-        poses: From a model to the world, [4, 4] each; an uneven scale becomes an even one.
-        models: Index of the model of each; None: the first.
-        ids: Local id of each object; None: each row is one.
-        times_s: When each is there; None: always.
-    """
-    names = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "scale"]
-    extra = [("model", models), ("id", ids), ("time_s", times_s)]
-    rows: list[list[str]] = [[*names, *(name for name, given in extra if given is not None)]]
-    for i, pose in enumerate(poses):
-        rotation, scale = without_scale(pose[:3, :3])
-        numbers = [*pose[:3, 3], *quaternion_of(rotation), scale]
-        cells = [f"{float(number):.12g}" for number in numbers]
-        cells += [f"{given[i]:.12g}" for _, given in extra if given is not None]
-        rows.append(cells)
-    text = "".join(f"{','.join(row)}\n" for row in rows)
-
-    def write(path: Path) -> None:
-        path.write_text(text, encoding="utf-8")
-
-    return write
-
-
-def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The rotation nearest to a matrix [3, 3], and its scale: the cube root of the volume's."""
-    scale = float(np.cbrt(abs(np.linalg.det(matrix))))
-    u, _, v = np.linalg.svd(matrix)
-    rotation = u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ v)))) @ v
-    return rotation, max(scale, 1e-9)

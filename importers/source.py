@@ -7,7 +7,7 @@ nobody asked for is reported as dropped (``Source.leave``).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -140,15 +140,16 @@ def check(sources: Iterable[Source]) -> None:
 
 
 class Item:
-    """A value of a source.
+    """A value of a source, or the place of one that is not there, which is false.
 
     What is asked for in a wrong form is a fault, and the answer then a harmless one of the right
-    form: the translation goes on, to find further faults, and is thrown away at the end.
+    form: the translation goes on, to find further faults, and is thrown away at the end. Of what
+    is not there the answer is the usual one, and whatever is said of it is said of nothing.
 
     Attributes:
         source: Its file.
         path: Where it stands.
-        value: In Python's types.
+        value: In Python's types; None where it is not there.
     """
 
     def __init__(self, source: Source, path: Pointer, value: Any):
@@ -156,45 +157,36 @@ class Item:
         self.path = path
         self.value = value
 
-    def __contains__(self, key: str) -> bool:
-        """Whether an object has a key."""
-        return self.get(key) is not None
+    def __bool__(self) -> bool:
+        """Whether the file has it."""
+        return self.path in self.source.document.values
 
-    def get(self, key: str) -> Item | None:
-        """The value of a key, None without it."""
+    def get(self, key: str) -> Item:
+        """The value of a key."""
         self.source.asked(self.path, key)
-        if not isinstance(self.value, dict) or key not in self.value:
-            return None
-        return Item(self.source, (*self.path, key), self.value[key])
+        value = self.value.get(key) if isinstance(self.value, dict) else None
+        return Item(self.source, (*self.path, key), value)
 
     def need(self, key: str) -> Item:
         """The value of a key that must be there."""
         found = self.get(key)
-        if found is None:
-            if isinstance(self.value, dict) and self.is_there:
-                near = nearest(key, self.value)
-                self.fault(f"no key {shown(key)}, which is required{near}")
-            else:
-                self._expected(f"an object with the key {shown(key)}")
-            return Item(self.source, (*self.path, key), None)
+        if not found and isinstance(self.value, dict) and self:
+            self.fault(f"no key {shown(key)}, which is required{nearest(key, self.value)}")
+        elif not found:
+            self._expected(f"an object with the key {shown(key)}")
         return found
 
     def object(self, key: str) -> Item:
         """The object of a key, an empty one where the key is not there."""
         found = self.get(key)
-        if found is None:
-            return Item(self.source, (*self.path, key), {})
-        if not isinstance(found.value, dict):
-            found.fault(f"{shown(found.value)}: expected an object")
-            return Item(self.source, found.path, {})
-        return found
+        if found and not isinstance(found.value, dict):
+            found._expected("an object")
+        return Item(self.source, found.path, found.value if isinstance(found.value, dict) else {})
 
     def entries(self) -> Iterator[tuple[str, Item]]:
         """Keys and values of an object."""
         for key in self.value if isinstance(self.value, dict) else ():
-            found = self.get(key)
-            assert found is not None
-            yield key, found
+            yield key, self.get(key)
 
     def children(self) -> list[Item]:
         """The entries of a list."""
@@ -207,17 +199,20 @@ class Item:
         """Keeps a fault of this value."""
         self.source.fault(self.path, message)
 
+    def _expected(self, what: str) -> None:
+        self.fault(f"{shown(self.value)}: expected {what}")
+
     # Forms.
 
     def text(self) -> str:
-        """A string."""
+        """A string; usually an empty one."""
         if not isinstance(self.value, str):
             self._expected("a string")
             return ""
         return self.value
 
     def one_of(self, *known: str) -> str:
-        """One of some words."""
+        """One of some words; usually the first."""
         if self.value not in known:
             near = nearest(str(self.value), known) if isinstance(self.value, str) else ""
             self._expected(f"one of {', '.join(known)}{near}")
@@ -225,72 +220,85 @@ class Item:
         return str(self.value)
 
     def flag(self) -> bool:
-        """True or false."""
+        """True or false; usually false."""
         if not isinstance(self.value, bool):
             self._expected("true or false")
             return False
         return self.value
 
-    def number(self, low: float = -_LARGEST, high: float = _LARGEST) -> float:
+    def number(
+        self, low: float = -_LARGEST, high: float = _LARGEST, usual: float | None = None
+    ) -> float:
         """A number between two bounds."""
+        if not self and usual is not None:
+            return usual
         if not _is_number(self.value) or not low <= self.value <= high:
             self._expected(f"a number{_between(low, high)}")
             return max(low, min(1.0, high))
         return self.value
 
-    def whole(self, low: int = 0, high: int = 2**31) -> int:
+    def whole(self, low: int = 0, high: int = 2**31, usual: int | None = None) -> int:
         """A whole number between two bounds."""
         value = self.value
+        if not self and usual is not None:
+            return usual
         if not _is_number(value) or value != int(value) or not low <= value <= high:
             self._expected(f"a whole number{_between(low, high)}")
             return max(low, 1)
         return int(value)
 
-    def numbers(self, count: int | None = None) -> list[float]:
+    def numbers(
+        self, count: int | None = None, usual: Sequence[float] | None = None
+    ) -> list[float]:
         """A list of numbers."""
         value = self.value
+        if not self and usual is not None:
+            return list(usual)
         sound = isinstance(value, list) and all(_is_number(v) and abs(v) < _LARGEST for v in value)
         if not sound or (count is not None and len(value) != count):
-            self._expected(
-                f"a list of {count if count is not None else ''} numbers".replace("  ", " ")
-            )
+            self._expected("a list of numbers" if count is None else f"a list of {count} numbers")
             return [1.0] * (count or 1)
         return [float(v) for v in value]
 
-    def span(self, low: float = -_LARGEST, high: float = _LARGEST) -> tuple[float, float]:
+    def span(
+        self,
+        low: float = -_LARGEST,
+        high: float = _LARGEST,
+        usual: tuple[float, float] | None = None,
+    ) -> tuple[float, float]:
         """``[a]``, a alone or ``[a, b]``: a constant or a uniform range, as its two ends."""
+        if not self and usual is not None:
+            return usual
         value = [self.value] if _is_number(self.value) else self.value
-        if not isinstance(value, list) or len(value) not in (1, 2):
-            self._expected(f"[a] or [a, b], numbers{_between(low, high)}")
-            return max(low, min(1.0, high)), max(low, min(1.0, high))
-        if not all(_is_number(v) and low <= v <= high for v in value):
+        sound = isinstance(value, list) and len(value) in (1, 2)
+        if not sound or not all(_is_number(v) and low <= v <= high for v in value):
             self._expected(f"[a] or [a, b], numbers{_between(low, high)}")
             return max(low, min(1.0, high)), max(low, min(1.0, high))
         if value[-1] < value[0]:
             self._expected("[a, b] with a up to b")
         return min(value), max(value)
 
-    def _expected(self, what: str) -> None:
-        self.fault(f"{shown(self.value)}: expected {what}")
-
-    @property
-    def is_there(self) -> bool:
-        """Whether the file has it: a key that is missing was told when it was needed."""
-        return self.path in self.source.document.values
-
     # What became of it.
 
-    def translated(self, to: str, note: str = "") -> None:
+    def translated(self, to: str, note: str = "") -> Item:
         """It is carried over as it was meant."""
         self.source.note(self.path, TRANSLATED, to, note, self.value)
+        return self
 
-    def approximated(self, to: str, note: str) -> None:
-        """It is carried over, but for what the note says."""
-        self.source.note(self.path, APPROXIMATED, to, note, self.value)
+    def approximated(self, to: str, note: str) -> Item:
+        """It is carried over, but for what the note says; without one, as it was meant."""
+        fate = APPROXIMATED if note else TRANSLATED
+        self.source.note(self.path, fate, to, note, self.value)
+        return self
 
     def dropped(self, note: str) -> None:
         """It is not carried over, for what the note says."""
         self.source.note(self.path, DROPPED, "", note, self.value)
+
+    def drop(self, note: str, *keys: str) -> None:
+        """None of some keys is carried over."""
+        for key in keys:
+            self.get(key).dropped(note)
 
 
 def _is_number(value: Any) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,18 +29,14 @@ def read_bop(folder: Path, imported: Imported) -> Scene:
     """
     cameras, truth = Source(folder / "scene_camera.json"), Source(folder / "scene_gt.json")
     scene = Scene()
-    frames = sorted(cameras.root().entries(), key=lambda entry: int(entry[0]))
-    objects = dict(truth.root().entries())
+    frames = sorted(_frames(cameras.root()), key=lambda entry: int(entry[0]))
     from_world = [_from_world(item) for _, item in frames]
-    seen = [_entries(objects.get(name)) for name, _ in frames]
+    seen = [_entries(truth.root().get(name)) for name, _ in frames]
     if not frames:
         cameras.root().fault("no picture: expected an object with one for each")
     check([cameras, truth])
-    known = [matrix for matrix in from_world if matrix is not None]
-    if len(known) == len(frames):
-        scene.poses = [np.linalg.inv(matrix) for matrix in known]
-    else:
-        scene.poses = _by_objects(seen, frames, imported)
+    known = [np.linalg.inv(matrix) for matrix in from_world if matrix is not None]
+    scene.poses = known if len(known) == len(frames) else _by_objects(seen, frames, imported)
     for number, entries in enumerate(seen):
         count: dict[str, int] = {}
         for kind, in_camera in entries:
@@ -52,15 +48,10 @@ def read_bop(folder: Path, imported: Imported) -> Scene:
             same[nth - 1].poses[number] = scene.poses[number] @ in_camera
     matrices = [item.need("cam_K").numbers(9) for _, item in frames]
     for (_, item), matrix in zip(frames, matrices, strict=True):
-        k = item.need("cam_K")
-        if matrix == matrices[0]:
-            k.translated("rigs/camera/sensors/rgb/intrinsics")
-        else:
-            k.approximated("rigs/camera/sensors/rgb/intrinsics", "those of the first picture")
-        for key in ("depth_scale", "view_level", "elev", "mode"):
-            other = item.get(key)
-            if other:
-                other.dropped("says how pictures are stored, not what is in them")
+        note = "" if matrix == matrices[0] else "those of the first picture"
+        item.get("cam_K").approximated("rigs/camera/sensors/rgb/intrinsics", note)
+        why = "says how pictures are stored, not what is in them"
+        item.drop(why, "depth_scale", "view_level", "elev", "mode")
     check([cameras, truth])
     scene.matrix = matrices[0]
     scene.size = _size(folder, matrices[0], imported)
@@ -71,14 +62,19 @@ def read_bop(folder: Path, imported: Imported) -> Scene:
     return scene
 
 
+def _frames(root: Item) -> Iterator[tuple[str, Item]]:
+    for name, item in root.entries():
+        if name.isascii() and name.isdecimal():
+            yield name, item
+        else:
+            item.fault(f"{shown(name)}: expected the number of a picture as the key")
+
+
 def _from_world(item: Item) -> NDArray[np.float64] | None:
     turn, place = item.get("cam_R_w2c"), item.get("cam_t_w2c")
-    if turn is None or place is None:
+    if not turn or not place:
         return None
-    matrix = _rigid(turn, place)
-    for part in (turn, place):
-        part.translated("rigs/camera/pose")
-    return matrix
+    return _rigid(turn.translated("rigs/camera/pose"), place.translated("rigs/camera/pose"))
 
 
 def _rigid(turn: Item, place: Item) -> NDArray[np.float64]:
@@ -93,15 +89,16 @@ def _rigid(turn: Item, place: Item) -> NDArray[np.float64]:
     return matrix
 
 
-def _entries(item: Item | None) -> list[tuple[str, NDArray[np.float64]]]:
+def _entries(item: Item) -> list[tuple[str, NDArray[np.float64]]]:
     """Objects of one picture: name of the model, and its pose in the camera."""
     found = []
-    for entry in item.children() if item else ():
-        number = entry.need("obj_id").whole(0)
+    for entry in item.children():
+        number = entry.need("obj_id")
+        name = f"obj_{number.whole(0):06d}"
         turn, place = entry.need("cam_R_m2c"), entry.need("cam_t_m2c")
-        found.append((f"obj_{number:06d}", _rigid(turn, place)))
-        for part in (entry.need("obj_id"), turn, place):
-            part.translated(f"objects/obj_{number:06d}")
+        for part in (number, turn, place):
+            part.translated(f"objects/{name}")
+        found.append((name, _rigid(turn, place)))
     return found
 
 
@@ -160,7 +157,7 @@ def _bop_models(folder: Path, scene: Scene, imported: Imported) -> None:
         number = int(name.removeprefix("obj_"))
         kind = Kind((name, f"obj_{number:02d}", f"obj_{number}"), MM)
         entry = source.root().get(str(number)) if source else None
-        if entry is not None:
+        if entry:
             low = np.array([entry.need(f"min_{axis}").number() for axis in "xyz"])
             size = np.array([entry.need(f"size_{axis}").number(0.0) for axis in "xyz"])
             kind.low, kind.high = low * MM, (low + size) * MM

@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import cached_model
 from scenec.importers.blenderproc.scene import Kind, Object, Scene
+from scenec.importers.made import mesh_writer, table_writer, track_writer
 from scenec.importers.numbers import tidy
 from scenec.importers.output import Imported
-from scenec.importers.poses import track_writer
-from scenec.importers.report import ADDED, APPROXIMATED, TRANSLATED
+from scenec.importers.report import APPROXIMATED, TRANSLATED
 from scenec.importers.scene import (
     LEVEL,
     Taxonomy,
     identifier,
+    intrinsics,
     soil,
-    table_writer,
     unused,
     varied_sun,
 )
-from scenec.importers.usd_mesh import write_mesh
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 
@@ -79,9 +78,9 @@ def build(
         "relief": [{"type": "plane", "height_m": height}],
         "ground": [{"material": "ground", "labels": ground}],
     }
-    report.add(ADDED, "", None, "terrain", "a plane that the lowest object stands on")
+    report.added("terrain", "a plane that the lowest object stands on")
     cfg["light"] = {"sun": varied_sun(), "sky": {"type": "clear", "labels": sky}}
-    report.add(ADDED, "", None, "light", "no light is in the format: a sun by day, a clear sky")
+    report.added("light", "no light is in the format: a sun by day, a clear sky")
     made = imported.make("camera.csv", track_writer(range(len(scene.poses)), scene.poses))
     cfg["rigs"] = {
         "camera": {
@@ -97,10 +96,7 @@ def _intrinsics(scene: Scene) -> dict[str, Any]:
         return {"fov_deg": tidy(float(np.degrees(-k[0])))}
     if len(k) != 9:
         return {"fov_deg": 60}
-    # The middle of the first pixel is (0, 0) there, and (0.5, 0.5) here.
-    found = {"fx": k[0], "fy": k[4], "cx": k[2] + 0.5, "cy": k[5] + 0.5}
-    found |= {"skew": k[1]} if k[1] else {}
-    return {"intrinsics": {name: tidy(value) for name, value in found.items()}}
+    return intrinsics(k)
 
 
 def _find_models(
@@ -149,7 +145,7 @@ def _class(
     else:
         if low is None or high is None:
             low, high = np.full(3, -0.5 * _UNKNOWN_M), np.full(3, 0.5 * _UNKNOWN_M)
-        made = imported.make(f"{name}.usdc", lambda path: write_mesh(path, *_box(low, high)))
+        made = imported.make(f"{name}.usdc", mesh_writer(*_box(low, high)))
         entry = {"file": made}
         report.add(APPROXIMATED, kind, None, f"objects/{name}/models/0", "a box in its place")
     moving = any(_moves(thing) for thing in things)
@@ -160,7 +156,7 @@ def _class(
             poses.append(pose)
             ids.append(number)
             times.append(float(time))
-    table = table_writer(poses, ids=ids, times_s=times if moving else None)
+    table = table_writer(poses, id=ids, time_s=times if moving else None)
     objects[name] = {
         "type": "placed",
         "models": [entry],

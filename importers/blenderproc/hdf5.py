@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.poses import from_euler
 from scenec.importers.blenderproc.scene import Kind, Object, Scene
 from scenec.importers.output import Imported
 from scenec.importers.poses import FLIP
@@ -66,9 +67,9 @@ def _hdf5_frame(
     pose[:3, :3] = pose[:3, :3] @ FLIP
     scene.poses.append(pose)
     if "cam_K" in camera and not scene.matrix:
-        scene.matrix = [float(v) for v in np.array(camera["cam_K"], float).ravel()]
+        scene.matrix = _numbers(file, "campose", camera, "cam_K", (3, 3)).ravel().tolist()
     elif "fov_x" in camera and not scene.matrix:
-        scene.matrix = [-float(camera["fov_x"])]
+        scene.matrix = [-float(_numbers(file, "campose", camera, "fov_x", ()))]
     imported.report.add(TRANSLATED, f"{file.name}/campose", None, "rigs/camera")
     if "object_states" not in values:
         note = "no objects: write them with BlenderProc's object state writer"
@@ -99,24 +100,26 @@ def _states(file: Path, name: str, value: Any) -> list[dict[str, Any]]:
     return states
 
 
+def _numbers(
+    file: Path, name: str, state: dict[str, Any], key: str, shape: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Numbers of a state."""
+    try:
+        return np.array(state[key], float).reshape(shape)
+    except (ValueError, TypeError) as error:
+        what = f"a matrix of {shape[0]} by {shape[1]}" if len(shape) == 2 else "a number"
+        what = f"{shape[0]} numbers" if len(shape) == 1 else what
+        raise ScenecError(f"{file}/{name}/{key}: {shown(state[key])}: expected {what}") from error
+
+
 def _matrix(file: Path, name: str, state: dict[str, Any], key: str) -> NDArray[np.float64]:
     """A matrix of a state, by itself or by place and Euler angles (x first, radians)."""
     if key in state:
-        try:
-            matrix = np.array(state[key], float).reshape(4, 4)
-        except (ValueError, TypeError) as error:
-            raise ScenecError(
-                f"{file}/{name}/{key}: {shown(state[key])}: expected a matrix of 4 by 4"
-            ) from error
+        matrix = _numbers(file, name, state, key, (4, 4))
     elif "location" in state and "rotation_euler" in state:
-        matrix = np.eye(4)
-        for axis, angle in enumerate(state["rotation_euler"]):
-            turn = np.eye(3)
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            turn[i, i] = turn[j, j] = np.cos(angle)
-            turn[i, j], turn[j, i] = -np.sin(angle), np.sin(angle)
-            matrix[:3, :3] = turn @ matrix[:3, :3]
-        matrix[:3, 3] = state["location"]
+        place = _numbers(file, name, state, "location", (3,))
+        angles = np.degrees(_numbers(file, name, state, "rotation_euler", (3,)))
+        matrix = from_euler(tuple(place), tuple(angles))
     else:
         known = ", ".join(sorted(state)) or "nothing"
         raise ScenecError(

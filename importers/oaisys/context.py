@@ -12,65 +12,52 @@ from scenec.importers.output import Imported
 from scenec.importers.scene import identifier, unused
 from scenec.importers.source import Item, Source
 
+#: Why a key is dropped that OAISYS itself has no use for.
+DEAD = "OAISYS reads it nowhere"
+
 
 class Labels:
-    """Label levels, from vectors with one id a level, and names from what has the ids."""
+    """Label levels, from vectors with one id a level, and names from what has the ids.
+
+    Attributes:
+        levels: How many there are: later entries of vectors are rendered by nobody.
+    """
 
     def __init__(self, levels: int):
-        """Begins with no label.
-
-        Args:
-            levels: How many levels there are: later entries of vectors are rendered by nobody.
-        """
+        self.levels = levels
         self._names: list[dict[int, list[str]]] = [{} for _ in range(levels)]
-        self._choices: list[tuple[dict[str, str], list[int]]] = []
-        self._values: list[tuple[dict[str, str | None], int, dict[str, int]]] = []
+        #: Where a name goes once it is known: an object, its key, and whose name.
+        self._places: list[tuple[dict[str, Any], str, int, int]] = []
 
     def choice(self, ids: Sequence[float], name: str) -> dict[str, str]:
         """A choice of labels, to be filled in by ``finish``; 0 and below are no label."""
         choice: dict[str, str] = {}
-        kept = [int(value) for value in ids[: len(self._names)]]
-        for level, number in enumerate(kept):
-            self._use(level, number, name)
-        self._choices.append((choice, kept))
+        for level, number in enumerate(ids[: self.levels]):
+            self._use(level, int(number), name, choice, f"level_{level}")
         return choice
 
     def values(self, level: int, ids: dict[str, int], name: str) -> dict[str, str | None]:
         """Labels of the pixel values of a label map, to be filled in by ``finish``."""
         values: dict[str, str | None] = dict.fromkeys(ids)
         for value, number in ids.items():
-            self._use(level, number, f"{name}_{value.strip('#')}")
-        self._values.append((values, level, ids))
+            self._use(level, number, f"{name}_{value.strip('#')}", values, value)
         return values
 
-    @property
-    def levels(self) -> int:
-        """How many there are."""
-        return len(self._names)
-
-    def _use(self, level: int, number: int, name: str) -> None:
+    def _use(self, level: int, number: int, name: str, to: dict[str, Any], key: str) -> None:
         if number > 0:
             self._names[level].setdefault(number, []).append(name)
+            self._places.append((to, key, level, number))
 
     def finish(self) -> dict[str, dict[str, int]]:
         """The levels of the cfg; every choice is filled in."""
         named = [_named(names) for names in self._names]
-        for choice, ids in self._choices:
-            for level, number in enumerate(ids):
-                if number > 0:
-                    choice[_level(level)] = named[level][number]
-        for values, level, ids_of in self._values:
-            for value, number in ids_of.items():
-                values[value] = named[level].get(number)
+        for to, key, level, number in self._places:
+            to[key] = named[level][number]
         return {
-            _level(level): {name: number for number, name in sorted(names.items())}
+            f"level_{level}": {name: number for number, name in sorted(names.items())}
             for level, names in enumerate(named)
             if names
         }
-
-
-def _level(index: int) -> str:
-    return f"level_{index}"
 
 
 def _named(names: dict[int, list[str]]) -> dict[int, str]:
@@ -98,7 +85,6 @@ class Context:
         assets: The files that it needs.
         current: Whether the cfg is of today's generation, not that of 2021.
         labels: Its label levels.
-        samples: Samples of a batch.
         extent_m: Size of the terrain in x and y, once the stage is known.
         sources: Files that were read.
     """
@@ -107,7 +93,6 @@ class Context:
     assets: Assets
     current: bool
     labels: Labels
-    samples: int = 1
     extent_m: tuple[float, float] = (100.0, 100.0)
     sources: list[Source] = field(default_factory=list)
 
@@ -123,15 +108,13 @@ class Context:
 
 def label_vector(ctx: Context, item: Item, name: str, to: str) -> dict[str, str]:
     """The labels of ``[L0, L1, …]``."""
-    ids = item.numbers()
-    over = len(ids) - ctx.labels.levels
-    notes = []
-    if over > 0 and ctx.labels.levels:
-        notes.append(f"levels from {ctx.labels.levels} on are not rendered there (numIter)")
-    if not ctx.labels.levels:
+    ids, levels = item.numbers(), ctx.labels.levels
+    none = "ids of 0 and below are no label here" if min(ids[:levels], default=1) <= 0 else ""
+    over = f"levels from {levels} on are not rendered there (numIter)" if len(ids) > levels else ""
+    if not levels:
         item.dropped("no level of labels is rendered there (numIter of SemanticPass)")
-    elif any(number <= 0 for number in ids[: ctx.labels.levels]):
-        item.approximated(to, "; ".join(["ids of 0 and below are no label here", *notes]))
+    elif none:
+        item.approximated(to, f"{none}; {over}" if over else none)
     else:
-        item.translated(to, "; ".join(notes))
+        item.translated(to, over)
     return ctx.labels.choice(ids, name)

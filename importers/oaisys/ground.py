@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.importers.numbers import tidy, uniform
-from scenec.importers.oaisys.context import Context, label_vector
-from scenec.importers.report import ADDED
+from scenec.importers.oaisys.context import DEAD, Context, label_vector
 from scenec.importers.source import Item, Source
 from scenec.schemas.errors import CfgError
 
@@ -42,20 +41,18 @@ _STAND_INS: tuple[tuple[tuple[str, ...], str, tuple[float, float, float]], ...] 
     (("sand", "beach", "dune"), "sand", (0.42, 0.31, 0.19)),
     (("regolith", "moon", "lunar", "asteroid"), "regolith", (0.13, 0.12, 0.11)),
     (("rock", "stone", "cliff"), "weathered", (0.25, 0.21, 0.17)),
-    ((), "soil", (0.2, 0.14, 0.09)),
+    (("",), "soil", (0.2, 0.14, 0.09)),
 )
-_DEAD = "OAISYS reads it nowhere"
 
 
 def stand_in_material(name: str) -> dict[str, Any]:
     """A procedural material for what a name suggests."""
-    low = name.lower()
     surface, color = next(
         (surface, color)
         for words, surface, color in _STAND_INS
-        if not words or any(word in low for word in words)
+        if any(word in name.lower() for word in words)
     )
-    maps: dict[str, Any] = {"procedural": {"type": surface, "resolution": 512}}
+    maps = {"procedural": {"type": surface, "resolution": 512}}
     return {"base_color": list(color), "maps": maps}
 
 
@@ -71,13 +68,15 @@ class _Texture:
     own: Item
     template: Item | None = None
 
-    def get(self, key: str) -> Item | None:
+    def get(self, key: str) -> Item:
         """A value of its own, or of the template."""
-        found = self.own.get(key)
-        below = None if self.template is None else self.template.get(key)
-        if found is not None and below is not None:
+        own = self.own.get(key)
+        if self.template is None:
+            return own
+        below = self.template.get(key)
+        if own:
             below.dropped("the cfg that takes the template says it otherwise")
-        return found if found is not None else below
+        return own or below
 
 
 def terrain_material(ctx: Context, params: Item) -> None:
@@ -91,42 +90,35 @@ def terrain_material(ctx: Context, params: Item) -> None:
     noise = _merging_noise(ctx, general.object("mergingNoise"))
     ctx.cfg["terrain"]["ground"] = _ground(layers, noise, *_counts(general, len(layers)))
     borders = general.get("hardLabelBorders")
-    if borders:
-        is_hard = borders.flag()
-        (borders.translated if is_hard else borders.approximated)(
-            "terrain/ground", *([] if is_hard else ["labels always have sharp borders"])
-        )
+    note = "" if borders.flag() else "labels always have sharp borders"
+    borders.approximated("terrain/ground", note)
 
 
 def _list(ctx: Context, params: Item) -> list[_Texture]:
-    item = params.get("terrainTextureList")
-    lists = [item] if item is not None else []
+    lists = [params.get("terrainTextureList")]
     for key, value in params.entries():
         if key.startswith("terrainTextureList") and key != "terrainTextureList":
-            lists.append(value)
-            value.approximated("terrain/ground", "several lists of textures are merged as one")
+            note = "several lists of textures are merged as one"
+            lists.append(value.approximated("terrain/ground", note))
     textures = []
     for entry in (entry for some in lists for entry in some.children()):
-        template = entry.get("templatePath")
-        if template is None:
-            textures.append(_Texture(entry))
-            continue
-        file = ctx.assets.find(template, "what the entry itself says, and a procedural surface")
-        below = None
-        if file is not None:
-            below = _template(ctx, file, template)
+        template, below = entry.get("templatePath"), None
+        if template:
+            stand_in = "what the entry itself says, and a procedural surface"
+            file = ctx.assets.find(template, stand_in)
+            below = None if file is None else _template(ctx, file, template)
         textures.append(_Texture(entry, below))
     return textures
 
 
 def _template(ctx: Context, file: Path, item: Item) -> Item | None:
-    known = next((s for s in ctx.sources if s.file == file), None)
-    try:
-        source = known or Source(file)
-    except CfgError as error:
-        item.fault(f"its template cannot be read: {error}")
-        return None
-    if known is None:
+    source = next((s for s in ctx.sources if s.file == file), None)
+    if source is None:
+        try:
+            source = Source(file)
+        except CfgError as error:
+            item.fault(f"its template cannot be read: {error}")
+            return None
         ctx.sources.append(source)
     item.translated("materials")
     return source.root()
@@ -134,27 +126,21 @@ def _template(ctx: Context, file: Path, item: Item) -> Item | None:
 
 def _counts(general: Item, count: int) -> tuple[float, bool]:
     """Merges over the lowest texture on average, and whether all textures are taken in order."""
-    least, most = general.get("minNumMixTerrains"), general.get("maxNumMixTerrains")
-    low, high = (_largest(item) if item else -1 for item in (least, most))
+    ends = [general.get(f"{end}NumMixTerrains") for end in ("min", "max")]
+    low, high = (_largest(item) if item else -1 for item in ends)
     again = general.get("withReplacement")
     if high < 0:
-        for item in (least, most):
-            if item:
-                item.translated("terrain/ground", "all textures, in the order of the list")
-        if again:
-            again.dropped("all textures are taken, none is drawn")
+        for item in ends:
+            item.translated("terrain/ground", "all textures, in the order of the list")
+        again.dropped("all textures are taken, none is drawn")
         return count - 1.0, True
     high = min(max(high, 1), count)
     low = min(max(low, 1), high)
     merges = 0.5 * (low + high) - 1.0
-    for item in (least, most):
-        if item:
-            item.approximated(
-                "terrain/ground",
-                f"{merges:g} merged over the lowest on average, each texture drawn by itself",
-            )
-    if again:
-        again.approximated("terrain/ground", "a texture may lie at the bottom and above it, once")
+    note = f"{merges:g} merged over the lowest on average, each texture drawn by itself"
+    for item in ends:
+        item.approximated("terrain/ground", note)
+    again.approximated("terrain/ground", "a texture may lie at the bottom and above it, once")
     return merges, False
 
 
@@ -172,17 +158,17 @@ def _ground(
     if in_order:
         return [first, *({**layer, "noise": noise} for layer in later)]
     below = [
-        {**layer, "noise": noise, "coverage": _chance(1.0 / (i + 1), 1.0)}
+        {**layer, "noise": noise, "coverage": chance(1.0 / (i + 1), 1.0)}
         for i, layer in enumerate(later, 1)
     ]
     if not merges or not later:
         return [first, *below]
     share = min(merges / len(layers), 1.0)
-    above = [{**layer, "noise": noise, "coverage": _chance(share, 0.5)} for layer in layers]
+    above = [{**layer, "noise": noise, "coverage": chance(share, 0.5)} for layer in layers]
     return [first, *below, *above]
 
 
-def _chance(share: float, value: float) -> Any:
+def chance(share: float, value: float) -> Any:
     """A value with a chance, else 0."""
     if share >= 1.0:
         return value
@@ -190,28 +176,18 @@ def _chance(share: float, value: float) -> Any:
 
 
 def _merging_noise(ctx: Context, noise: Item) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    size = min(ctx.extent_m)
-    scale = noise.get("Scale")
-    ends = scale.span(1e-3, 1e6) if scale else (3.0, 7.0)
-    found["scale_m"] = uniform(size / ends[1], size / ends[0])
-    to = "terrain/ground/noise"
-    if scale:
-        scale.translated(f"{to}/scale_m", "patches across the stage, as meters")
-    detail = noise.get("Detail")
-    low, high = detail.span(0, 23) if detail else (1.0, 3.0)
-    found["octaves"] = uniform(int(low) + 1, int(high) + 1)
-    if detail:
-        detail.translated(f"{to}/octaves")
-    for key, ours, usual, most in (
-        ("Roughness", "gain", (0.2, 0.5), 2.0),
-        ("Distortion", "distortion", (0.0, 0.6), 10.0),
-    ):
-        item = noise.get(key)
-        found[ours] = uniform(*(item.span(0.0, most) if item else usual))
-        if item:
-            item.translated(f"{to}/{ours}")
-    return found
+    size, to = min(ctx.extent_m), "terrain/ground/noise"
+    scale = noise.get("Scale").translated(f"{to}/scale_m", "patches across the stage, as meters")
+    least, most = scale.span(1e-3, 1e6, (3.0, 7.0))
+    low, high = noise.get("Detail").translated(f"{to}/octaves").span(0, 23, (1.0, 3.0))
+    rough = noise.get("Roughness").translated(f"{to}/gain")
+    warp = noise.get("Distortion").translated(f"{to}/distortion")
+    return {
+        "scale_m": uniform(size / most, size / least),
+        "octaves": uniform(int(low) + 1, int(high) + 1),
+        "gain": uniform(*rough.span(0.0, 2.0, (0.2, 0.5))),
+        "distortion": uniform(*warp.span(0.0, 10.0, (0.0, 0.6))),
+    }
 
 
 def _layer(ctx: Context, texture: _Texture, general: Item) -> dict[str, Any]:
@@ -220,19 +196,15 @@ def _layer(ctx: Context, texture: _Texture, general: Item) -> dict[str, Any]:
     named = path or texture.own.get("templatePath")
     called = str(named.value) if named else "texture"
     name = ctx.unused("materials", Path(called.replace("\\", "/")).stem)
-    folder = None
-    if path is not None:
-        folder = ctx.assets.find(path, "a procedural surface", folder=True)
-    ctx.cfg["materials"][name] = material = (
-        stand_in_material(name) if folder is None else {"maps": {}}
-    )
     to = f"materials/{name}"
-    if folder is not None and path is not None:
+    folder = ctx.assets.find(path, "a procedural surface", folder=True) if path else None
+    material = stand_in_material(name) if folder is None else {"maps": {}}
+    ctx.cfg["materials"][name] = material
+    if folder is None:
+        for key in ("spec", *_SWITCHES.values()):
+            texture.get(key).dropped("its pictures are not there")
+    else:
         _maps(ctx, texture, material, folder, path, to)
-    for key in ("diffuse", "ref", "spec", "normal", "displacement", "emission"):
-        switch = texture.get(key)
-        if switch and folder is None:
-            switch.dropped("its pictures are not there")
     _sizes(ctx, texture, general, material, to)
     _colors(texture, material, to)
     _mosaic(texture, material, to)
@@ -243,14 +215,12 @@ def _maps(
     ctx: Context, texture: _Texture, material: dict[str, Any], folder: Path, path: Item, to: str
 ) -> None:
     files = sorted(file.name for file in folder.iterdir() if file.is_file())
-    switches = {
-        key: (item.flag() if (item := texture.get(key)) else True)
-        for key in ("diffuse", "ref", "spec", "normal", "displacement", "emission")
-    }
+    switches = {key: texture.get(key) for key in ("spec", *_SWITCHES.values())}
+    is_off = [key for key, item in switches.items() if item and not item.flag()]
     maps = material["maps"]
     unreadable = []
     for kind, parts in _NAMES.items():
-        if not switches[_SWITCHES[kind]] or (kind == "roughness" and "gloss" in maps):
+        if _SWITCHES[kind] in is_off or (kind == "roughness" and "gloss" in maps):
             continue
         found = [f for part in parts for f in files if part in f]
         fit = next((f for f in found if f.lower().endswith(_READABLE)), None)
@@ -264,23 +234,16 @@ def _maps(
         material["emission"] = [1, 1, 1]
     if "base_color" not in maps:
         material["base_color"] = stand_in_material(folder.name)["base_color"]
-    for key, ours in (
-        ("diffuse", "base_color"), ("ref", "roughness"), ("normal", "normal"),
-        ("displacement", "displacement"), ("emission", "emission"),
-    ):  # fmt: skip
-        item = texture.get(key)
-        if item:
-            item.translated(f"{to}/maps/{ours}")
-    spec = texture.get("spec")
-    if spec:
-        spec.dropped("the share of the specular part is one number a material")
+    for kind, key in _SWITCHES.items():
+        if kind != "gloss":
+            switches[key].translated(f"{to}/maps/{kind}")
+    switches["spec"].dropped("the share of the specular part is one number a material")
     if not maps:
         path.approximated(to, f"no picture in {folder.name} has a name that says what it is")
         material.pop("maps")
-    elif unreadable:
-        path.approximated(f"{to}/maps", f"no reader for {', '.join(unreadable)}")
     else:
-        path.translated(f"{to}/maps")
+        note = f"no reader for {', '.join(unreadable)}" if unreadable else ""
+        path.approximated(f"{to}/maps", note)
 
 
 def _sizes(
@@ -289,84 +252,64 @@ def _sizes(
     """Repeats as meters, and the heights of displacement and normals."""
     maps = material.get("maps", {})
     size = texture.get("size")
-    repeats = size.number(1e-6, 1e6) if size else 1.0
-    if maps:
+    repeats = size.number(1e-6, 1e6, 1.0)
+    # A stand-in's grains and stones keep their own size.
+    if maps and "procedural" not in maps:
         maps["size_m"] = tidy(min(ctx.extent_m) / repeats)
-        if "procedural" in maps:
-            # A stand-in's grains and stones keep their own size.
-            del maps["size_m"]
-    if size and "size_m" in maps:
         size.translated(f"{to}/maps/size_m", "repeats across the stage, as meters")
-    elif size:
+    else:
         size.dropped("the stand-in has the size of its kind")
-    strength = texture.get("dispStrength")
-    scale = general.get("dispScale")
-    height = (strength.number(0.0, 1e3) if strength else 0.0) * _stops(texture, to)
-    height *= scale.number(0.0, 1e3) if scale else 1.0
+    strength, scale = texture.get("dispStrength"), general.get("dispScale")
+    height = strength.number(0.0, 1e3, 0.0) * _stops(texture, to) * scale.number(0.0, 1e3, 1.0)
     has_heights = "displacement" in maps and height > 0.0
     if has_heights:
-        maps["displacement_m"] = tidy(height)
         # What moves the ground must be projected from above.
-        maps["projection"] = "above"
+        maps |= {"displacement_m": tidy(height), "projection": "above"}
     for item in (strength, scale):
-        if item and has_heights:
+        if has_heights:
             item.translated(f"{to}/maps/displacement_m")
-        elif item:
+        else:
             item.dropped("the material has no picture of heights, or their height is 0")
-    middle = general.get("dispMidLevel")
-    if middle:
-        middle.approximated(f"{to}/maps/displacement", "heights are about the picture's mean")
-    normal = general.get("normalStrength")
-    if normal and "normal" not in maps:
+    middle, normal = general.get("dispMidLevel"), general.get("normalStrength")
+    middle.approximated(f"{to}/maps/displacement", "heights are about the picture's mean")
+    if "normal" not in maps:
         # Another texture may have some: the first word stays.
         normal.dropped("no picture of normals is there")
-    elif normal and normal.number(0.0, 1e3) == 1.0:
-        normal.translated(f"{to}/maps/normal")
-    elif normal:
-        normal.approximated(f"{to}/maps/normal", "normals count as they are in the picture")
-    own = texture.get("normalStrength")
-    if own:
-        own.dropped(_DEAD)
+    else:
+        note = "" if normal.number(0.0, 1e3) == 1.0 else "normals count as they are in the picture"
+        normal.approximated(f"{to}/maps/normal", note)
+    texture.get("normalStrength").dropped(DEAD)
 
 
 def _stops(texture: _Texture, to: str) -> float:
     """How much of the heights a ramp of colors keeps."""
     ends = []
-    for i, usual in ((0, 0.0), (1, 1.0)):
-        color, place = (
-            texture.get(f"dispColorStopColor_{i}"),
-            texture.get(f"dispColorStopPosition_{i}"),
-        )
-        ends.append(color.numbers()[0] if color else usual)
-        if color:
-            color.translated(f"{to}/maps/displacement_m")
-        if place:
-            place.approximated(f"{to}/maps/displacement_m", "the whole range of heights is kept")
-    return max(abs(ends[1] - ends[0]), 0.0)
+    for i in (0, 1):
+        color = texture.get(f"dispColorStopColor_{i}").translated(f"{to}/maps/displacement_m")
+        ends.append(color.numbers(usual=[i])[0])
+        place = texture.get(f"dispColorStopPosition_{i}")
+        place.approximated(f"{to}/maps/displacement_m", "the whole range of heights is kept")
+    return abs(ends[1] - ends[0])
 
 
 def _colors(texture: _Texture, material: dict[str, Any], to: str) -> None:
     curves = texture.get("colorAdjustment")
     if curves:
-        factor = _curve(curves.get("cColorPoints"))
-        color = [tidy(min(factor * _curve(curves.get(f"{c}ColorPoints")), 1.0)) for c in "rgb"]
+        factors = [_curve(curves.get(f"{c}ColorPoints")) for c in "crgb"]
+        color = [tidy(min(factors[0] * factor, 1.0)) for factor in factors[1:]]
         mean = material.get("base_color", [1, 1, 1])
         material["base_color"] = [tidy(min(a * b, 1.0)) for a, b in zip(color, mean, strict=True)]
         curves.approximated(f"{to}/base_color", "a factor on each channel in place of a curve")
     variation = texture.get("colorVariation")
-    if variation:
-        value = variation.value
-        if isinstance(value, dict | list | str):
-            variation.dropped("only a number can be carried over")
-        else:
-            material["variation"] = tidy(min(variation.number(0.0, 1e3), 1.0))
-            variation.approximated(f"{to}/variation", "albedo alone varies, not the hue")
+    if isinstance(variation.value, dict | list | str):
+        variation.dropped("only a number can be carried over")
+    elif variation:
+        material["variation"] = tidy(min(variation.number(0.0, 1e3), 1.0))
+        variation.approximated(f"{to}/variation", "albedo alone varies, not the hue")
 
 
-def _curve(points: Item | None) -> float:
+def _curve(points: Item) -> float:
     """How bright a curve through a point makes what is there."""
-    if points is None:
-        return 1.0
     value = points.value
     if isinstance(value, list) and value and isinstance(value[0], list) and len(value[0]) == 2:
         x, y = value[0]
@@ -379,33 +322,30 @@ def _curve(points: Item | None) -> float:
 def _mosaic(texture: _Texture, material: dict[str, Any], to: str) -> None:
     maps = material.get("maps")
     items = [texture.get(key) for key in ("mosaicRotation", "mosaicNoise", "tilingMode")]
-    wanted = any(item is not None and item.value for item in items)
+    wanted = any(item.value for item in items)
     if maps and wanted and maps.get("projection", "above") == "above":
-        maps["cells"] = {}
-        maps["projection"] = "above"
+        maps |= {"cells": {}, "projection": "above"}
     for item in items:
-        if item and maps and wanted:
+        if maps and wanted:
             item.approximated(f"{to}/maps/cells", "cells turned and shifted by chance")
-        elif item:
-            item.dropped("there is nothing to tile" if not maps else "no mosaic is asked for")
+        else:
+            item.dropped("no mosaic is asked for" if maps else "there is nothing to tile")
     for key in ("imageTileX", "imageTileY"):
-        dead = texture.get(key)
-        if dead:
-            dead.dropped(_DEAD)
+        texture.get(key).dropped(DEAD)
 
 
 def _labels(ctx: Context, texture: _Texture, name: str) -> dict[str, str]:
     passes = texture.get("passParams")
-    if passes is None:
-        return ctx.labels.choice([], name)
+    vector = semantic_labels(passes)
+    return first_labels(ctx, vector, name, f"materials/{name}/labels") if vector else {}
+
+
+def semantic_labels(passes: Item) -> Item:
+    """The vectors of labels among the parameters of passes."""
     for key in ("rgb", "instance_label"):
-        dead = passes.get(key)
-        if dead and dead.value:
-            dead.dropped(_DEAD)
-    vector = passes.object("semantic_label").get("labelIDVec")
-    if vector is None:
-        return ctx.labels.choice([], name)
-    return first_labels(ctx, vector, name, f"materials/{name}/labels")
+        if passes.get(key).value:
+            passes.drop(DEAD, key)
+    return passes.object("semantic_label").get("labelIDVec")
 
 
 def first_labels(ctx: Context, vector: Item, name: str, to: str) -> dict[str, str]:
@@ -415,7 +355,7 @@ def first_labels(ctx: Context, vector: Item, name: str, to: str) -> dict[str, st
         isinstance(value, list) and value and isinstance(value[0], dict)
     ):
         vector.dropped("labels of a layer of ground come from merging, not from a picture")
-        return ctx.labels.choice([], name)
+        return {}
     entries = vector.children()
     if not entries:
         vector.fault(f"{json.dumps(value)}: expected [[L0, L1, …]], an id for each level")
@@ -427,8 +367,8 @@ def first_labels(ctx: Context, vector: Item, name: str, to: str) -> dict[str, st
     return label_vector(ctx, entries[0], name, to)
 
 
-def added_ground(ctx: Context, why: str, name: str = "soil") -> None:
+def added_ground(ctx: Context, why: str) -> None:
     """Ground where a cfg has none."""
-    ctx.cfg["materials"][name] = stand_in_material(name)
-    ctx.cfg["terrain"]["ground"] = [{"material": name}]
-    ctx.imported.report.add(ADDED, "", None, "terrain/ground", why)
+    ctx.cfg["materials"]["soil"] = stand_in_material("soil")
+    ctx.cfg["terrain"]["ground"] = [{"material": "soil"}]
+    ctx.imported.report.added("terrain/ground", why)

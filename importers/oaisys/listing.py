@@ -4,37 +4,40 @@ from __future__ import annotations
 
 from typing import Any
 
-from scenec.importers.numbers import tidy
+from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys.context import Context
-from scenec.importers.oaisys.ground import added_ground, first_labels, stand_in_material
+from scenec.importers.oaisys.ground import added_ground, chance, first_labels, stand_in_material
 from scenec.importers.oaisys.light import added_light
-from scenec.importers.oaisys.meshes import blend_model
+from scenec.importers.oaisys.meshes import Class
+from scenec.importers.oaisys.render import counts
 from scenec.importers.oaisys.sensors import added_sensor
-from scenec.importers.report import ADDED
 from scenec.importers.source import Item
 
 #: Side of the terrain, m, and its height samples: the listings say nothing of a stage.
 _SIZE_M = 100.0
 _SPACING_M = 0.5
+_OUTPUTS = {
+    "renderLabelsActive": "label",
+    "renderInstanceLabelsActive": "instance",
+    "renderDepthActive": "depth",
+}
 
 
 def is_listing(root: Item) -> bool:
     """Whether a cfg is of this form."""
-    return isinstance(root.value, dict) and "simulationSetup" in root.value
+    return bool(root.get("simulationSetup"))
 
 
 def levels(root: Item) -> int:
     """Levels of labels: as many as the longest vector has, where labels are rendered."""
-    setup = root.object("simulationSetup")
-    active = setup.get("renderLabelsActive")
-    if active is not None and not active.flag():
+    active = root.object("simulationSetup").get("renderLabelsActive")
+    if active and not active.flag():
         return 0
     vectors = [
-        vector.value[0] if vector.value and isinstance(vector.value[0], list) else vector.value
+        vector[0] if vector and isinstance(vector[0], list) else vector
         for key in ("terrains", "meshes")
-        for entry in (root.get(key).children() if key in root else ())  # type: ignore[union-attr]
-        if isinstance(entry.value, dict) and (vector := entry.get("labelIDVec")) is not None
-        if isinstance(vector.value, list)
+        for entry in root.get(key).children()
+        if isinstance(vector := entry.get("labelIDVec").value, list)
     ]
     return max((len(vector) for vector in vectors), default=0)
 
@@ -47,10 +50,9 @@ def translate(ctx: Context, root: Item) -> None:
     ctx.cfg["terrain"].update(
         size_m=[_SIZE_M, _SIZE_M], spacing_m=_SPACING_M, relief=[{"type": "plane"}, relief]
     )
-    ctx.imported.report.add(ADDED, "", None, "terrain", "the listing says nothing of the stage")
+    ctx.imported.report.added("terrain", "the listing says nothing of the stage")
     _terrains(ctx, root.get("terrains"), merges)
-    meshes = root.get("meshes")
-    for entry in meshes.children() if meshes else ():
+    for entry in root.get("meshes").children():
         _mesh(ctx, entry)
     added_light(ctx, "the listing says nothing of light")
     added_sensor(ctx)
@@ -58,95 +60,64 @@ def translate(ctx: Context, root: Item) -> None:
 
 def _setup(ctx: Context, setup: Item) -> int:
     """Outputs and counts; the number of merges."""
-    for key, ours in (("numBatches", "batches"), ("numSamplesPerBatch", "samples")):
-        item = setup.need(key)
-        ctx.cfg[ours] = item.whole(1, 1_000_000)
-        item.translated(ours)
-    outputs = ["rgb"]
-    for key, output in (
-        ("renderLabelsActive", "label"),
-        ("renderInstanceLabelsActive", "instance"),
-        ("renderDepthActive", "depth"),
-    ):
-        item = setup.get(key)  # type: ignore[assignment]
-        if item:
-            item.translated(f"outputs: {output}")
-            if item.flag():
-                outputs.append(output)
-    ctx.cfg["outputs"] = outputs
-    depth = setup.get("renderLabelDepth")
-    if depth:
-        depth.translated("labels", "as many levels as the vectors have")
-    mixed = setup.get("numMixTerrains")
-    if mixed:
-        mixed.translated("terrain/ground")
-    return mixed.whole(0, 1000) if mixed else 1
+    counts(ctx, setup)
+    ctx.cfg["outputs"] = ["rgb"] + [
+        output
+        for key, output in _OUTPUTS.items()
+        if setup.get(key).translated(f"outputs: {output}").flag()
+    ]
+    setup.get("renderLabelDepth").translated("labels", "as many levels as the vectors have")
+    return setup.get("numMixTerrains").translated("terrain/ground").whole(0, 1000, 1)
 
 
-def _terrains(ctx: Context, item: Item | None, merges: int) -> None:
-    entries = item.children() if item else []
+def _terrains(ctx: Context, item: Item, merges: int) -> None:
+    entries = item.children()
     if not entries:
         added_ground(ctx, "the listing names no terrain")
         return
     ground: list[dict[str, Any]] = []
     share = min(merges / max(len(entries) - 1, 1), 1.0)
     for entry in entries:
-        path = entry.need("path")
+        path, size = entry.need("path"), entry.get("size")
         name = ctx.unused("materials", path.text().replace("\\", "/").rstrip("/").split("/")[-1])
+        to = f"materials/{name}"
         folder = ctx.assets.find(path, "a procedural surface", folder=True)
-        size = entry.get("size")
-        repeats = size.number(1e-6, 1e6) if size else 1.0
+        repeats = size.number(1e-6, 1e6, 1.0)
         if folder is None:
             material = stand_in_material(name)
-            if size:
-                size.dropped("the stand-in has the size of its kind")
+            size.dropped("the stand-in has the size of its kind")
         else:
             maps = {"folder": ctx.imported.refer(folder), "size_m": tidy(_SIZE_M / repeats)}
             material = {"maps": {**maps, "cells": {}}}
-            path.translated(f"materials/{name}/maps/folder")
-            if size:
-                size.translated(f"materials/{name}/maps/size_m", "repeats across the stage")
+            path.translated(f"{to}/maps/folder")
+            size.translated(f"{to}/maps/size_m", "repeats across the stage")
         ctx.cfg["materials"][name] = material
-        strength = entry.get("normalStrength")
-        if strength:
-            strength.approximated(f"materials/{name}", "normals count as they are in the picture")
+        entry.get("normalStrength").approximated(to, "normals count as they are in the picture")
         vector = entry.get("labelIDVec")
-        labels = first_labels(ctx, vector, name, f"materials/{name}/labels") if vector else {}
+        labels = first_labels(ctx, vector, name, f"{to}/labels") if vector else {}
         layer: dict[str, Any] = {"material": name, "labels": labels}
         if ground:
-            layer["noise"] = {"scale_m": tidy(0.2 * _SIZE_M)}
-            chance: Any = {"type": "choice", "values": [0, 0.5], "weights": [1 - share, share]}
-            layer["coverage"] = 0.5 if share == 1.0 else chance
+            layer |= {"noise": {"scale_m": tidy(0.2 * _SIZE_M)}, "coverage": chance(share, 0.5)}
         ground.append(layer)
     ctx.cfg["terrain"]["ground"] = ground
 
 
 def _mesh(ctx: Context, entry: Item) -> None:
     path = entry.need("path")
-    name = ctx.unused("objects", path.text().replace("\\", "/").split("/")[-1].split(".")[0])
-    to = f"objects/{name}"
-    found: dict[str, Any] = {"type": "meshes"}
-    ctx.cfg["objects"][name] = found
+    found = Class(ctx, path.text().replace("\\", "/").split("/")[-1].split(".")[0])
+    to = found.to
     file = ctx.assets.find(path, "procedural rocks")
-    blend_model(ctx, found, name, path, None, file, to)
-    number = entry.need("numberInstances")
-    low, high = (round(end) for end in number.span(0, 1e8))
-    found["count"] = low if low == high else {"type": "uniform", "min": low, "max": high}
-    number.translated(f"{to}/count")
-    active = entry.get("instanceLabelActive")
-    if active:
-        found["instances"] = active.flag()
-        active.translated(f"{to}/instances")
+    found.model(path, entry.get("meshInstanceName"), file)
+    number = entry.need("numberInstances").translated(f"{to}/count")
+    found.cfg["count"] = uniform(*(round(end) for end in number.span(0, 1e8)))
+    found.instances(entry)
     mapped = entry.get("useDensityMap")
-    if mapped:
-        if mapped.flag():
-            found["density"] = {"type": "worley", "scale_m": tidy(0.1 * _SIZE_M)}
-        mapped.approximated(f"{to}/density", "clusters of a tenth of the stage, where it is on")
-    size = entry.get("defaultSize")
-    value = tidy(size.number(1e-6, 1e5)) if size else 1
-    found["size_m" if found["type"] == "rocks" else "scale"] = value
-    if size:
-        size.translated(f"{to}/scale")
+    if mapped.flag():
+        found.cfg["density"] = {"type": "worley", "scale_m": tidy(0.1 * _SIZE_M)}
+    note = "clusters of a tenth of the stage, where it is on"
+    mapped.approximated(f"{to}/density", note)
+    size = entry.get("defaultSize").translated(f"{to}/scale")
+    found.cfg[found.size_key] = tidy(size.number(1e-6, 1e5, 1.0))
     vector = entry.get("labelIDVec")
     if vector:
-        found["labels"] = first_labels(ctx, vector, name, f"{to}/labels")
+        found.cfg["labels"] = first_labels(ctx, vector, found.name, f"{to}/labels")

@@ -13,11 +13,10 @@ from scenec.compiler.assets.shells import Shell
 from scenec.compiler.geometry.poses import from_euler
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys.context import Context, label_vector
-from scenec.importers.oaisys.ground import stand_in_material
+from scenec.importers.oaisys.ground import semantic_labels, stand_in_material
 from scenec.importers.oaisys.relief import blend_parts
 from scenec.importers.source import Item
 
-_DEAD = "OAISYS reads it nowhere"
 #: The least of a scale that OAISYS draws down to 0.
 _SMALLEST = 0.02
 _AXES = {
@@ -34,74 +33,81 @@ def scattered(ctx: Context, entry: Item) -> None:
     """One entry of ``MESHES``."""
     params = entry.need("meshParams")
     called = entry.get("name")
-    name = ctx.unused("objects", called.text() if called else "objects")
-    to = f"objects/{name}"
-    if called:
-        called.translated(to)
-    found: dict[str, Any] = {"type": "meshes"}
-    ctx.cfg["objects"][name] = found
-    shells, file = _model(ctx, params, found, name, to)
-    found["count"] = _count(params, to)
-    _density(ctx, params, found, to)
-    _size(params, found, to)
-    _turn(params, found, to)
-    active = params.get("instanceLabelActive")
-    if active:
-        found["instances"] = active.flag()
-        active.translated(f"{to}/instances")
-    _labels(ctx, params, found, name, shells, file, to)
-    _place(params, to)
+    found = Class(ctx, called.text() if called else "objects")
+    called.translated(found.to)
+    shells, file = _model(params, found)
+    found.cfg["count"] = _count(params, found.to)
+    _density(params, found)
+    _size(params, found)
+    _turn(params, found)
+    found.instances(params)
+    _labels(params, found, shells, file)
+    _place(params, found.to)
 
 
-def _model(
-    ctx: Context, params: Item, found: dict[str, Any], name: str, to: str
-) -> tuple[Sequence[Shell], Path | None]:
-    item, part = params.need("meshFilePath"), params.get("meshInstanceName")
-    file = ctx.assets.find(item, "procedural rocks")
-    turn = params.get("preRotationDeg")
-    shells = blend_model(ctx, found, name, item, part, file, to)
-    if turn and file is None:
+class Class:
+    """A class of objects in the making.
+
+    Attributes:
+        ctx: The translation.
+        name: Its own.
+        to: Where it is in the cfg.
+        cfg: What it says.
+    """
+
+    def __init__(self, ctx: Context, name: str):
+        self.ctx, self.name = ctx, ctx.unused("objects", name)
+        self.to = f"objects/{self.name}"
+        self.cfg: dict[str, Any] = {"type": "meshes"}
+        ctx.cfg["objects"][self.name] = self.cfg
+
+    @property
+    def size_key(self) -> str:
+        """The key of its size: rocks that stand in for a model have one in meters."""
+        return "size_m" if self.cfg["type"] == "rocks" else "scale"
+
+    def model(self, item: Item, part: Item, file: Path | None) -> Sequence[Shell]:
+        """Gives it its model, or the rocks that stand in for it; the model's parts."""
+        if file is None:
+            material = self.ctx.unused("materials", f"{self.name}_stone")
+            self.ctx.cfg["materials"][material] = stand_in_material("rock")
+            self.cfg.update(type="rocks", material=material)
+            part.dropped("its file is not there")
+            return ()
+        model: dict[str, Any] = {"file": self.ctx.imported.refer(file)}
+        # OAISYS names the object after the file where the cfg does not.
+        shells = blend_parts(file, item, part)
+        wanted = part.text() if part.value else file.stem
+        if part.value or any(wanted in shell.path.split("/") for shell in shells):
+            model["part"] = wanted
+        self.cfg["models"] = [model]
+        part.translated(f"{self.to}/models/0/part")
+        if shells:
+            points = np.concatenate([shell.points for shell in shells])
+            low, high = points.min(axis=0), points.max(axis=0)
+            if np.any(np.abs(low + high)[:2] > (high - low)[:2] + 1e-9):
+                # A .blend with several objects side by side: the file's origin is far from this.
+                self.cfg["seat"] = "touch"
+                item.approximated(f"{self.to}/seat", "it stands on its lowest vertex")
+        item.translated(f"{self.to}/models/0/file")
+        return shells
+
+    def instances(self, params: Item) -> None:
+        """Whether each has an id."""
+        active = params.get("instanceLabelActive")
+        if active:
+            self.cfg["instances"] = active.translated(f"{self.to}/instances").flag()
+
+
+def _model(params: Item, found: Class) -> tuple[Sequence[Shell], Path | None]:
+    item, turn = params.need("meshFilePath"), params.get("preRotationDeg")
+    file = found.ctx.assets.find(item, "procedural rocks")
+    shells = found.model(item, params.get("meshInstanceName"), file)
+    if file is None:
         turn.dropped("rocks have no axis to turn")
     elif turn:
-        _pre_rotation(turn, found["models"][0], f"{to}/models/0/up")
+        _pre_rotation(turn, found.cfg["models"][0], f"{found.to}/models/0/up")
     return shells, file
-
-
-def blend_model(
-    ctx: Context,
-    found: dict[str, Any],
-    name: str,
-    item: Item,
-    part: Item | None,
-    file: Path | None,
-    to: str,
-) -> Sequence[Shell]:
-    """Gives a class its model, or the rocks that stand in for it; the model's parts."""
-    if file is None:
-        material = ctx.unused("materials", f"{name}_stone")
-        ctx.cfg["materials"][material] = stand_in_material("rock")
-        found.update(type="rocks", material=material)
-        if part:
-            part.dropped("its file is not there")
-        return ()
-    model: dict[str, Any] = {"file": ctx.imported.refer(file)}
-    # OAISYS names the object after the file where the cfg does not.
-    shells = blend_parts(file, item, part if part and part.value else None)
-    wanted = part.text() if part and part.value else file.stem
-    if (part and part.value) or any(wanted in shell.path.split("/") for shell in shells):
-        model["part"] = wanted
-    found["models"] = [model]
-    if part:
-        part.translated(f"{to}/models/0/part")
-    if shells:
-        points = np.concatenate([shell.points for shell in shells])
-        low, high = points.min(axis=0), points.max(axis=0)
-        if np.any(np.abs(low + high)[:2] > (high - low)[:2] + 1e-9):
-            # A .blend with several objects side by side: the file's origin is far from this one.
-            found["seat"] = "touch"
-            item.approximated(f"{to}/seat", "it stands on its lowest vertex")
-    item.translated(f"{to}/models/0/file")
-    return shells
 
 
 def _pre_rotation(turn: Item, model: dict[str, Any], to: str) -> None:
@@ -118,169 +124,124 @@ def _pre_rotation(turn: Item, model: dict[str, Any], to: str) -> None:
 
 
 def _count(params: Item, to: str) -> Any:
-    mapped = params.get("useDensityMap")
-    settings = params.object("densityMapSettings")
-    uses_map = mapped is not None and mapped.flag()
-    own, of_map = params.get("numberInstances"), settings.get("numberInstances")
-    item = of_map if uses_map and of_map else own or params.need("numberInstances")
-    low, high = (round(end) for end in item.span(0, 1e8))
-    if item is of_map:
-        item.approximated(f"{to}/count", "there an upper bound only: here it is met exactly")
-        if own:
-            own.dropped("densityMapSettings says it, as useDensityMap is on")
+    uses_map = params.get("useDensityMap").flag()
+    own = params.get("numberInstances")
+    of_map = params.object("densityMapSettings").get("numberInstances")
+    if uses_map and of_map:
+        item = of_map.approximated(
+            f"{to}/count", "there an upper bound only: here it is met exactly"
+        )
+        own.dropped("densityMapSettings says it, as useDensityMap is on")
     else:
-        item.translated(f"{to}/count")
-        if of_map:
-            of_map.dropped("useDensityMap is off")
+        item = params.need("numberInstances").translated(f"{to}/count")
+        of_map.dropped("useDensityMap is off")
+    low, high = (round(end) for end in item.span(0, 1e8))
     switch = params.get("randomSwitchOnOff")
-    if switch is None or not switch.flag():
-        if switch:
-            switch.translated(f"{to}/count")
+    if not switch.flag():
+        switch.translated(f"{to}/count")
         return uniform(low, high)
-    values = [0, low] if low == high else [0, low, round((low + high) / 2), high]
-    switch.approximated(
-        f"{to}/count",
-        "half of the batches have none" + ("" if low == high else ", others 3 counts"),
-    )
-    return {
-        "type": "choice",
-        "values": values,
-        "weights": [len(values) - 1, *[1] * (len(values) - 1)],
-    }
+    values, others = [0, low], ""
+    if low != high:
+        values, others = [0, low, round((low + high) / 2), high], ", others 3 counts"
+    switch.approximated(f"{to}/count", f"half of the batches have none{others}")
+    weights = [len(values) - 1, *[1] * (len(values) - 1)]
+    return {"type": "choice", "values": values, "weights": weights}
 
 
-def _density(ctx: Context, params: Item, found: dict[str, Any], to: str) -> None:
-    mapped = params.get("useDensityMap")
-    settings = params.object("densityMapSettings").get("densityMap")
-    if mapped is None or not mapped.flag():
-        if mapped:
-            mapped.translated(f"{to}/density", "uniform")
-        if settings and settings.value:
-            settings.dropped("useDensityMap is off")
+def _density(params: Item, found: Class) -> None:
+    mapped, to = params.get("useDensityMap"), f"{found.to}/density"
+    density = params.object("densityMapSettings").get("densityMap")
+    if not mapped.flag():
+        mapped.translated(to, "uniform")
+        if density.value:
+            density.dropped("useDensityMap is off")
         return
-    density = settings if settings is not None else Item(params.source, params.path, {})
+    mapped.translated(to)
     kind = density.get("noiseType")
-    noise = kind.one_of("VORONOI", "BLEND") if kind else "VORONOI"
-    mapped.translated(f"{to}/density")
-    if noise == "BLEND":
-        if kind:
-            kind.dropped("there is no density that grows across the terrain: uniform")
-        for key in ("progression", "scale"):
-            other = density.get(key)
-            if other:
-                other.dropped("of BLEND")
+    if kind.one_of("VORONOI", "BLEND") == "BLEND":
+        kind.dropped("there is no density that grows across the terrain: uniform")
+        density.drop("of BLEND", "progression", "scale")
         return
-    size = density.get("size")
-    cell = (size.number(1e-3, 1e3) if size else 0.2) * 0.5 * min(ctx.extent_m)
+    kind.approximated(to, "cells of another noise; the size of objects is not touched")
+    size = density.get("size").translated(f"{to}/scale_m", "of half the stage, as meters")
     start = density.get("colorStopPosition_0")
-    low = min(start.number(0.0, 1.0) if start else 0.6, 0.95)
-    found["density"] = {
+    start.approximated(f"{to}/sharpness", "how narrow the bands are")
+    low = min(start.number(0.0, 1.0, 0.6), 0.95)
+    found.cfg["density"] = {
         "type": "worley",
-        "scale_m": tidy(cell),
+        "scale_m": tidy(size.number(1e-3, 1e3, 0.2) * 0.5 * min(found.ctx.extent_m)),
         "distance": "f2-f1",
         "sharpness": tidy(1.0 / (1.0 - low)),
     }
-    if kind:
-        kind.approximated(
-            f"{to}/density", "cells of another noise; the size of objects is not touched"
-        )
-    if size:
-        size.translated(f"{to}/density/scale_m", "of half the stage, as meters")
-    if start:
-        start.approximated(f"{to}/density/sharpness", "how narrow the bands are")
-    for key in (
-        "colorStopPosition_1",
-        "colorStopColor_0",
-        "colorStopColor_1",
-        "intensity",
-        "scale",
-    ):
-        item = density.get(key)
-        if item:
-            item.dropped("the count is met exactly: only where objects are denser matters")
+    density.drop(
+        "the count is met exactly: only where objects are denser matters",
+        "colorStopPosition_1", "colorStopColor_0", "colorStopColor_1", "intensity", "scale",
+    )  # fmt: skip
 
 
-def _size(params: Item, found: dict[str, Any], to: str) -> None:
+def _size(params: Item, found: Class) -> None:
     item, strength = params.get("defaultSize"), params.get("strengthRandomScale")
-    size = item.number(1e-6, 1e5) if item else 1.0
-    share = strength.number(0.0, 1.0) if strength else 0.0
-    key = "size_m" if found["type"] == "rocks" else "scale"
+    size, share = item.number(1e-6, 1e5, 1.0), strength.number(0.0, 1.0, 0.0)
+    to = f"{found.to}/{found.size_key}"
     low = size * max(1.0 - share, _SMALLEST)
-    found[key] = uniform(low, size, per="instance") if share else tidy(size)
-    if item and key == "scale":
-        item.translated(f"{to}/{key}")
-    elif item:
-        item.approximated(f"{to}/{key}", "as meters, since the file with the mesh is not there")
-    if strength and share > 1.0 - _SMALLEST:
-        strength.approximated(f"{to}/{key}", f"from {_SMALLEST:g} of the size, not from 0")
-    elif strength:
-        strength.translated(f"{to}/{key}")
+    found.cfg[found.size_key] = uniform(low, size, per="instance") if share else tidy(size)
+    is_model = found.size_key == "scale"
+    item.approximated(
+        to, "" if is_model else "as meters, since the file with the mesh is not there"
+    )
+    is_cut = share > 1.0 - _SMALLEST
+    strength.approximated(to, f"from {_SMALLEST:g} of the size, not from 0" if is_cut else "")
 
 
-def _turn(params: Item, found: dict[str, Any], to: str) -> None:
-    enabled = params.get("randomRotationEnabled")
-    keys = ("rotationOptionMode", "rotationOptionFactor", "rotationOptionPhase")
-    mode, factor, phase = (params.get(key) for key in keys)
-    chance = params.get("rotationOptionPhaseRandom")
-    others = (mode, factor, phase, chance)
-    if enabled is None or not enabled.flag():
-        found["orientation"] = "upright"
-        if enabled:
-            enabled.approximated(f"{to}/orientation", "upright, but turned about the vertical")
-        for item in others:
-            if item:
-                item.dropped("randomRotationEnabled is off")
+def _turn(params: Item, found: Class) -> None:
+    enabled, to = params.get("randomRotationEnabled"), f"{found.to}/orientation"
+    option = "rotationOption"
+    if not enabled.flag():
+        found.cfg["orientation"] = "upright"
+        enabled.approximated(to, "upright, but turned about the vertical")
+        keys = (f"{option}{end}" for end in ("Mode", "Factor", "Phase", "PhaseRandom"))
+        params.drop("randomRotationEnabled is off", *keys)
         return
-    enabled.translated(f"{to}/orientation")
-    kind = mode.one_of(*_MODES) if mode else "NONE"
-    lean = factor.number(0.0, 1.0) if factor else 0.0
+    enabled.translated(to)
+    mode, factor = params.get(f"{option}Mode"), params.get(f"{option}Factor")
+    kind, lean = mode.one_of(*_MODES), factor.number(0.0, 1.0, 0.0)
     if kind in ("NONE", "VEL") or lean > 0.99:
-        found["orientation"] = "random"
+        found.cfg["orientation"], lean = "random", 0.0
     else:
-        found["orientation"] = "normal" if kind in ("NOR", "NOR_TAN", "OB_X") else "upright"
-        if lean:
-            found["lean_deg"] = uniform(0.0, 90.0 * lean, per="instance")
-    if mode:
-        mode.translated(f"{to}/orientation", found["orientation"])
-    if factor and "lean_deg" in found:
-        factor.approximated(f"{to}/lean_deg", "leaning evenly up to that share of 90 degrees")
-    elif factor:
-        factor.translated(f"{to}/orientation")
-    for item in (phase, chance):
-        if item:
-            item.approximated(f"{to}/orientation", "turned about that axis by chance, all around")
+        found.cfg["orientation"] = "normal" if kind in ("NOR", "NOR_TAN", "OB_X") else "upright"
+    mode.translated(to, found.cfg["orientation"])
+    if lean:
+        found.cfg["lean_deg"] = uniform(0.0, 90.0 * lean, per="instance")
+        note = "leaning evenly up to that share of 90 degrees"
+        factor.approximated(f"{found.to}/lean_deg", note)
+    else:
+        factor.translated(to)
+    for key in ("Phase", "PhaseRandom"):
+        params.get(option + key).approximated(to, "turned about that axis by chance, all around")
 
 
-def _labels(
-    ctx: Context,
-    params: Item,
-    found: dict[str, Any],
-    name: str,
-    shells: Sequence[Shell],
-    file: Path | None,
-    to: str,
-) -> None:
-    passes = params.object("passParams")
-    for key in ("rgb", "instance_label"):
-        dead = passes.get(key)
-        if dead and dead.value:
-            dead.dropped(_DEAD)
-    vector = passes.object("semantic_label").get("labelIDVec")
-    entries = vector.children() if vector else []
+def _labels(params: Item, found: Class, shells: Sequence[Shell], file: Path | None) -> None:
+    ctx, to = found.ctx, f"{found.to}/labels"
+    vector = semantic_labels(params.object("passParams"))
+    entries = vector.children()
     if not entries:
         return
     if not isinstance(entries[0].value, list):
-        found["labels"] = label_vector(ctx, vector, name, f"{to}/labels") if vector else {}
+        found.cfg["labels"] = label_vector(ctx, vector, found.name, to)
         return
-    found["labels"] = label_vector(ctx, entries[0], name, f"{to}/labels")
+    found.cfg["labels"] = label_vector(ctx, entries[0], found.name, to)
     slots = _materials(shells, file) if file else []
-    parts: dict[str, Any] = {}
-    for i, slot in enumerate(slots[1:], 1):
+    parts = {
         # More slots than vectors: they are gone through again.
-        entry = entries[i % len(entries)]
-        parts[slot] = {"labels": label_vector(ctx, entry, f"{name}_{slot}", f"{to}/parts/{slot}")}
+        slot: {
+            "labels": label_vector(
+                ctx, entries[i % len(entries)], f"{found.name}_{slot}", f"{found.to}/parts/{slot}"
+            )
+        }
+        for i, slot in enumerate(slots[1:], 1)
+    }
     if len(entries) > 1 and parts:
-        found["parts"] = parts
+        found.cfg["parts"] = parts
     for entry in entries[max(len(slots), 1) :]:
         entry.dropped("the mesh has no such material slot" if file else "rocks have one material")
 
@@ -295,16 +256,10 @@ def _materials(shells: Sequence[Shell], file: Path) -> list[str]:
 
 
 def _place(params: Item, to: str) -> None:
-    emitter, stage = params.get("meshEmitter"), params.get("appliedOnStage")
-    if emitter and emitter.one_of("STAGE", "CUSTOM") == "CUSTOM":
-        emitter.approximated(to, "scattered over the whole terrain, not over a mesh of its own")
-    elif emitter:
-        emitter.translated(to)
-    if stage:
-        stage.translated(to, "there is one terrain")
-    custom = params.get("emitterFilePath")
-    if custom:
-        custom.dropped("scattered over the whole terrain")
-    limit = params.get("numInstanceLabelPerChannel")
-    if limit:
-        limit.dropped("instance ids are whole numbers, not colors")
+    emitter = params.get("meshEmitter")
+    is_own = emitter.one_of("STAGE", "CUSTOM") == "CUSTOM"
+    note = "scattered over the whole terrain, not over a mesh of its own" if is_own else ""
+    emitter.approximated(to, note)
+    params.get("appliedOnStage").translated(to, "there is one terrain")
+    params.drop("scattered over the whole terrain", "emitterFilePath")
+    params.drop("instance ids are whole numbers, not colors", "numInstanceLabelPerChannel")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from scenec.importers.assets import Assets
 from scenec.importers.oaisys import listing, render
-from scenec.importers.oaisys.context import Context, Labels
+from scenec.importers.oaisys.context import DEAD, Context, Labels
 from scenec.importers.oaisys.ground import added_ground, terrain_material
 from scenec.importers.oaisys.light import light
 from scenec.importers.oaisys.meshes import scattered
@@ -17,9 +17,8 @@ from scenec.importers.output import Imported
 from scenec.importers.scene import identifier
 from scenec.importers.source import Item, Source, check
 
-_DEAD = "OAISYS reads it nowhere"
 #: Keys that nothing in OAISYS reads.
-DEAD = {
+_DEAD = {
     **dict.fromkeys(
         ("defaultCfg", "saveConfigFiles", "renderDepthActive", "baseMovement",
          "positionOffsetEnabled", "targetObjectActive", "tragetObjectMovementType",
@@ -27,7 +26,7 @@ DEAD = {
          "cameraSensorWidth", "cameraPrinciplePointU", "cameraPrinciplePointV", "stereoBaseLine",
          "SunStrength", "rgbIDVec", "instanceIDVec", "imageTileX", "imageTileY",
          "randomTargetEulerMin", "randomTargetEulerMax"),
-        _DEAD,
+        DEAD,
     ),
     "onlineMode": "poses from another program at run time: take a track",
 }  # fmt: skip
@@ -73,15 +72,14 @@ def import_oaisys(
     else:
         _translate(ctx, root)
     for read in ctx.sources:
-        read.leave(DEAD)
+        read.leave(_DEAD)
     check(ctx.sources)
     assets.check()
     imported.cfg["labels"] = ctx.labels.finish()
-    if not imported.cfg["labels"] and "label" in imported.cfg["outputs"]:
-        imported.cfg["outputs"].remove("label")
-        for sensor in imported.cfg["rigs"]["base"]["sensors"].values():
-            if "label" in sensor.get("outputs", ()):
-                sensor["outputs"].remove("label")
+    if not imported.cfg["labels"]:
+        for outputs in (imported.cfg, *imported.cfg["rigs"]["base"]["sensors"].values()):
+            if "label" in outputs.get("outputs", ()):
+                outputs["outputs"].remove("label")
     for read in ctx.sources:
         read.report_to(imported.report)
     return imported
@@ -90,19 +88,16 @@ def import_oaisys(
 def _is_current(root: Item) -> bool:
     """Whether a cfg is of today's generation: by the marks that tell it from that of 2021."""
     distance = root.object("SENSOR_SETUP").object("GENERAL").get("hoverBaseDistance")
-    if "saveMetaData" in root.object("SIMULATION_SETUP"):
-        return True
-    return distance is not None and isinstance(distance.value, list)
+    is_marked = root.object("SIMULATION_SETUP").get("saveMetaData")
+    return bool(is_marked) or isinstance(distance.value, list)
 
 
 def _translate(ctx: Context, root: Item) -> None:
     assets = root.need("ASSET_SETUP")
     render.simulation(ctx, root.need("SIMULATION_SETUP"))
     render.passes(ctx, root.need("RENDER_SETUP"))
-    used = _stage(ctx, assets)
-    _materials(ctx, assets, used)
-    meshes = assets.get("MESHES")
-    for entry in meshes.children() if meshes else ():
+    _materials(ctx, assets, _stage(ctx, assets))
+    for entry in assets.get("MESHES").children():
         kind = entry.need("type")
         if kind.one_of("MeshMultipleRandom", "MeshAsteroid") == "MeshAsteroid":
             kind.dropped("an asteroid is no terrain: place its mesh by a class of type placed")
@@ -111,9 +106,7 @@ def _translate(ctx: Context, root: Item) -> None:
         scattered(ctx, entry)
     light(ctx, root.need("ENVIRONMENT_EFFECTS_SETUP"))
     sensors(ctx, root.need("SENSOR_SETUP"))
-    effects = root.get("RENDER_POST_PROCESSING_EFFECTS_SETUP")
-    if effects:
-        render.effects(ctx, effects)
+    render.effects(ctx, root.get("RENDER_POST_PROCESSING_EFFECTS_SETUP"))
 
 
 def _stage(ctx: Context, assets: Item) -> str | None:
@@ -125,48 +118,34 @@ def _stage(ctx: Context, assets: Item) -> str | None:
     if not entries:
         stages.fault("no stage: expected a list of one or more")
         return None
-    stage = entries[0]
-    kind, params = stage.need("type"), stage.need("stageParams")
-    name = stage.get("name")
-    if name:
-        name.translated("terrain")
+    kind, params = entries[0].need("type"), entries[0].need("stageParams")
+    entries[0].get("name").translated("terrain")
     if kind.one_of("StageBlenderLandscape", "StageBlenderObject") == "StageBlenderLandscape":
         landscape(ctx, params)
-        unused: tuple[str, ...] = (
-            "stageFilePath",
-            "meshInstanceName",
-            "particleSystems",
-            "stageDisplacementActive",
-        )
+        unused = ["stageFilePath", "meshInstanceName", "particleSystems", "stageDisplacementActive"]
     else:
         object_stage(ctx, params)
-        unused = "stageLandscapePreset", "landscapeParams", "stageSizeX"
+        unused = ["stageLandscapePreset", "landscapeParams", "stageSizeX"]
     kind.translated("terrain/relief")
-    for key in (*unused, "stageName"):
-        item = params.get(key)
-        if item:
-            item.dropped(f"says nothing in a {kind.value}" if key in unused else "a name alone")
-    material = params.get("assetMaterial")
-    if material:
-        material.translated("terrain/ground")
-        return material.text()
-    return None
+    params.drop(f"says nothing in a {kind.value}", *unused)
+    params.drop("a name alone", "stageName")
+    material = params.get("assetMaterial").translated("terrain/ground")
+    return material.text() if material else None
 
 
 def _materials(ctx: Context, assets: Item, used: str | None) -> None:
     materials = assets.get("MATERIALS")
-    entries = materials.children() if materials else []
+    entries = materials.children()
     names = [entry.value.get("name") for entry in entries if isinstance(entry.value, dict)]
-    taken = next((i for i, name in enumerate(names) if name == used), 0 if used is None else None)
-    if used is not None and taken is None and materials:
+    taken = 0 if used is None else names.index(used) if used in names else None
+    if taken is None:
         materials.fault(f"no material is called {used!r}, which the stage has; known: {names}")
     for i, entry in enumerate(entries):
         if i != taken:
             entry.dropped("the stage has another material")
             continue
-        kind, name = entry.need("type"), entry.get("name")
-        if name:
-            name.translated("terrain/ground")
+        kind = entry.need("type")
+        entry.get("name").translated("terrain/ground")
         if kind.one_of("MaterialTerrain", "MaterialAsteroid") == "MaterialAsteroid":
             kind.dropped("materials of asteroids have no counterpart: bare regolith")
             continue

@@ -21,33 +21,38 @@ _GENERAL = {
     "performanceTilesY": "the renderer's own affair",
 }
 _ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT", "BLENDER_WORKBENCH")
+#: Output of each pass; with "depth", all outputs in the order in which a cfg names them.
+PASSES = {"RGBDPass": "rgb", "SemanticPass": "label", "InstancePass": "instance"}
+
+
+def ordered(outputs: list[str]) -> list[str]:
+    """Outputs in the order of the schema, each once; a picture where there would be none."""
+    return [name for name in (*PASSES.values(), "depth") if name in outputs] or ["rgb"]
+
+
+def counts(ctx: Context, setup: Item) -> None:
+    """How many batches and samples."""
+    for key, ours in (("numBatches", "batches"), ("numSamplesPerBatch", "samples")):
+        ctx.cfg[ours] = setup.need(key).translated(ours).whole(1, 1_000_000)
 
 
 def simulation(ctx: Context, setup: Item) -> None:
-    """How many batches and samples."""
-    for key, ours in (("numBatches", "batches"), ("numSamplesPerBatch", "samples")):
-        item = setup.need(key)
-        ctx.cfg[ours] = item.whole(1, 1_000_000)
-        item.translated(ours)
-    ctx.samples = ctx.cfg["samples"]
+    """``SIMULATION_SETUP``."""
+    counts(ctx, setup)
     for key, why in _SIMULATION.items():
-        dropped = setup.get(key)
-        if dropped:
-            dropped.dropped(why)
+        setup.drop(why, key)
     rendered = setup.get("renderImages")
     if rendered and not rendered.flag():
         rendered.translated("scenec compile", "stages alone")
-    elif rendered:
+    else:
         rendered.translated("scenec run")
 
 
 def levels(setup: Item) -> int:
     """Levels of labels that are rendered; faults are those of ``passes``."""
     for entry in setup.object("RENDER_SETUP").need("RENDER_PASSES").children():
-        kind = entry.get("type")
-        if kind is not None and kind.value == "SemanticPass":
-            number = entry.object("passParams").get("numIter")
-            return number.whole(0, 1000) if number else 1
+        if entry.get("type").value == "SemanticPass":
+            return entry.object("passParams").get("numIter").whole(0, 1000, 1)
     return 0
 
 
@@ -55,72 +60,54 @@ def passes(ctx: Context, setup: Item) -> None:
     """Outputs, and the options of a renderer."""
     general = setup.object("GENERAL")
     engine, device = general.get("renderEngine"), general.get("renderDevice")
-    options = ctx.imported.options
     if engine:
         is_cycles = engine.one_of(*_ENGINES) == "CYCLES"
         backend = "cycles" if is_cycles else "pyrender"
-        options += ["--backend", backend]
-        if is_cycles:
-            engine.translated("scenec run --backend cycles")
-        else:
-            engine.approximated("scenec run --backend pyrender", "the other rasterizer")
-    if device:
-        name = {"GPU": "cuda", "CPU": "cpu"}[device.one_of("GPU", "CPU")]
-        device.approximated(f"scenec run --device {name}", "left out, it is the fastest that works")
+        ctx.imported.options += ["--backend", backend]
+        note = "" if is_cycles else "the other rasterizer"
+        engine.approximated(f"scenec run --backend {backend}", note)
+    name = {"GPU": "cuda", "CPU": "cpu"}[device.one_of("GPU", "CPU")]
+    device.approximated(f"scenec run --device {name}", "left out, it is the fastest that works")
     for key, why in _GENERAL.items():
-        item = general.get(key)
-        if item:
-            item.dropped(why)
+        general.drop(why, key)
     outputs: list[str] = []
     for entry in setup.need("RENDER_PASSES").children():
         _pass(ctx, entry, outputs)
-    order = ("rgb", "label", "instance", "depth")
-    ctx.cfg["outputs"] = [name for name in order if name in outputs] or ["rgb"]
+    ctx.cfg["outputs"] = ordered(outputs)
 
 
 def _pass(ctx: Context, entry: Item, outputs: list[str]) -> None:
-    kinds = {"RGBDPass": "rgb", "SemanticPass": "label", "InstancePass": "instance"}
     kind = entry.need("type")
-    name = kind.one_of(*kinds)
-    kind.translated(f"outputs: {kinds[name]}")
+    name = kind.one_of(*PASSES)
+    kind.translated(f"outputs: {PASSES[name]}")
     params = entry.object("passParams")
-    number = params.get("numIter")
-    count = number.whole(0, 1000) if number else 1
-    if count:
-        outputs.append(kinds[name])
-    if number:
-        number.translated("labels" if name == "SemanticPass" else "outputs")
-    spp, bounces = params.get("renderSamples"), params.get("lightPathesMaxBounces")
-    depth = params.get("renderDepthActive")
-    if depth:
-        depth.dropped("OAISYS reads it nowhere: DepthEnabled of a sensor counts")
+    number = params.get("numIter").translated("labels" if name == "SemanticPass" else "outputs")
+    if number.whole(0, 1000, 1):
+        outputs.append(PASSES[name])
+    params.drop("OAISYS reads it nowhere: DepthEnabled of a sensor counts", "renderDepthActive")
+    spp = params.get("renderSamples")
     if name != "RGBDPass":
-        for item in (spp, bounces):
-            if item:
-                item.dropped("annotation is exact: it takes no samples")
+        params.drop(
+            "annotation is exact: it takes no samples", "renderSamples", "lightPathesMaxBounces"
+        )
         return
     if spp:
         ctx.imported.options += ["--spp", str(spp.whole(1, 2**20))]
         spp.translated(f"scenec run --spp {spp.value}")
-    if bounces:
-        bounces.dropped("renderers have their own number of bounces, the same in all of them")
+    why = "renderers have their own number of bounces, the same in all of them"
+    params.drop(why, "lightPathesMaxBounces")
 
 
 def effects(ctx: Context, setup: Item) -> None:
     """``RENDER_POST_PROCESSING_EFFECTS_SETUP``: bloom, after the rig is there."""
-    shown = setup.object("GENERAL").get("renderPasses")
-    if shown:
-        shown.dropped("only the picture has effects")
-    entries = setup.get("POST_EFFECTS")
-    for entry in entries.children() if entries else ():
+    setup.object("GENERAL").drop("only the picture has effects", "renderPasses")
+    for entry in setup.get("POST_EFFECTS").children():
         kind = entry.need("type")
         if kind.one_of("BloomEffect", "CombineEffect") != "BloomEffect":
             kind.dropped("no effect of this kind")
             continue
-        params = next(
-            (entry.object(k) for k in ("postEffectsParams", "effectParams") if k in entry), entry
-        )
-        _bloom(ctx, kind, params)
+        named = next((k for k in ("postEffectsParams", "effectParams") if entry.get(k)), "")
+        _bloom(ctx, kind, entry.object(named) if named else entry)
 
 
 #: Electrons that a pixel of this size holds, as the cfg has it where nothing is said.
@@ -148,26 +135,20 @@ def _of_focus(sensor: dict[str, Any]) -> dict[str, Any]:
 
 
 def _bloom(ctx: Context, kind: Item, params: Item) -> None:
-    size, mix = params.get("size"), params.get("mix")
+    to = "rigs/base/sensors/*/imaging/bloom"
+    kind.approximated(to, "light that the lens scatters, without a threshold")
+    size = params.get("size").approximated(
+        f"{to}/radius_px", "three Gaussians as wide as the glare"
+    )
+    mix = params.get("mix").approximated(f"{to}/share", "a share of the light; its sum stays")
     # Blender's glare reaches over 2^size pixels; -1 is the picture alone, 1 the glare alone.
-    radius = 2.0 ** (size.number(1.0, 9.0) if size else 6.0) / 9.0
-    share = 0.04 * (1.0 + (mix.number(-1.0, 1.0) if mix else 0.0))
+    radius = 2.0 ** size.number(1.0, 9.0, 6.0) / 9.0
+    share = 0.04 * (1.0 + mix.number(-1.0, 1.0, 0.0))
     for sensor in ctx.cfg["rigs"]["base"]["sensors"].values():
         sensor["imaging"] = {
             **_CLEAN,
             **_of_focus(sensor),
             "bloom": {"share": tidy(share), "radius_px": tidy(max(radius, 0.5))},
         }
-    to = "rigs/base/sensors/*/imaging/bloom"
-    kind.approximated(to, "light that the lens scatters, without a threshold")
-    if size:
-        size.approximated(f"{to}/radius_px", "three Gaussians as wide as the glare")
-    if mix:
-        mix.approximated(f"{to}/share", "a share of the light; its sum stays")
-    for key, why in (
-        ("quality", "it is always as fine as the picture"),
-        ("threshold", "bright and dark light is scattered alike"),
-    ):
-        item = params.get(key)
-        if item:
-            item.dropped(why)
+    params.drop("it is always as fine as the picture", "quality")
+    params.drop("bright and dark light is scattered alike", "threshold")

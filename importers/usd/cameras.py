@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdRender
 
+from scenec.importers.made import track_writer
 from scenec.importers.numbers import tidy
-from scenec.importers.poses import FLIP, track_writer
+from scenec.importers.poses import FLIP, without_scale
 from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED
-from scenec.importers.scene import orbit, unused, varied_pose, without_scale
+from scenec.importers.scene import orbit, unused, varied_pose
 from scenec.importers.usd.scene import Scene
 from scenec.schemas.errors import ScenecError
 
@@ -37,7 +38,7 @@ def add_cameras(scene: Scene) -> None:
         }
     if not rigs:
         rigs["orbit"] = orbit(min(scene.extent_m))
-        report.add(ADDED, "", None, "rigs/orbit", "the stage has no camera: an orbit")
+        report.added("rigs/orbit", "the stage has no camera: an orbit")
 
 
 def _products(stage: Usd.Stage) -> dict[Sdf.Path, tuple[int, int]]:

@@ -10,7 +10,7 @@ import numpy as np
 from pxr import Usd, UsdLux
 
 from scenec.importers.numbers import tidy, uniform
-from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED
+from scenec.importers.report import APPROXIMATED, DROPPED, TRANSLATED
 from scenec.importers.scene import varied_sun
 from scenec.importers.usd.scene import Scene
 
@@ -34,10 +34,10 @@ def add_light(scene: Scene, labels: dict[str, str]) -> None:
             report.add(DROPPED, at, None, "", f"no light of the kind {prim.GetTypeName()} is made")
     if "sky" not in light:
         light["sky"] = {"type": "clear"}
-        report.add(ADDED, "", None, "light/sky", "a clear sky")
+        report.added("light/sky", "a clear sky")
         if light["sun"] is None:
             light["sun"] = varied_sun()
-            report.add(ADDED, "", None, "light/sun", "a sun that stands anywhere by day")
+            report.added("light/sun", "a sun that stands anywhere by day")
     light["sky"]["labels"] = labels
     scene.imported.cfg["light"] = light
 

@@ -11,16 +11,11 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom
 
 from scenec.compiler.assets.model import cached_model
+from scenec.importers.made import table_writer
 from scenec.importers.numbers import tidy
-from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED
-from scenec.importers.scene import (
-    identifier,
-    scattered_rocks,
-    soil,
-    table_writer,
-    unused,
-    without_scale,
-)
+from scenec.importers.poses import without_scale
+from scenec.importers.report import APPROXIMATED, DROPPED, TRANSLATED
+from scenec.importers.scene import identifier, scattered_rocks, soil, unused
 from scenec.importers.usd.scene import Scene, is_prototype, shown_prims
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.spelling import nearest, shown
@@ -45,12 +40,12 @@ def model_of(
     for prim in instancers:
         _take_apart(layer, prim)
 
-    def write(path: Path) -> None:
-        layer.Export(str(path))
-
     why = "of several layers" if others else "without its point instancers"
     scene.imported.report.add(TRANSLATED, str(file.name), None, "a copy", f"one file {why}")
-    return {"file": scene.imported.make("stage.usdc", write), **layout}
+    return {
+        "file": scene.imported.make("stage.usdc", lambda path: layer.Export(str(path))),
+        **layout,
+    }
 
 
 def _take_apart(layer: Sdf.Layer, prim: Usd.Prim) -> None:
@@ -97,7 +92,7 @@ def add_ground(scene: Scene, name: str) -> None:
         relief = [{"type": "plane", "height_m": tidy(float(low[2]))}]
         spacing = side / _SPACINGS
         cfg["terrain"].update(size_m=list(scene.extent_m), spacing_m=spacing, relief=relief)
-        report.add(ADDED, "", None, "terrain", "no mesh is level and wide: a plane below all")
+        report.added("terrain", "no mesh is level and wide: a plane below all")
     for path, members in _groups(others, chosen):
         _placed(scene, path, members)
 
@@ -219,7 +214,7 @@ def add_instances(scene: Scene, prim: Usd.Prim) -> None:
         whole = above @ np.array(matrix, float).T @ np.linalg.inv(own[targets[int(index)]])
         poses.append(whole @ np.linalg.inv(turn))
     uneven = any(_is_uneven(pose[:3, :3]) for pose in poses)
-    made = scene.imported.make(f"{name}.csv", table_writer(poses, [int(i) for i in kept]))
+    made = scene.imported.make(f"{name}.csv", table_writer(poses, model=[int(i) for i in kept]))
     objects[name] = {
         "type": "placed",
         "models": [{**scene.model, "part": _prototype(prim, target)} for target in targets],
@@ -255,4 +250,4 @@ def add_rocks(scene: Scene) -> None:
     }
     area = scene.extent_m[0] * scene.extent_m[1]
     cfg["objects"][name] = scattered_rocks(area, material, scene.taxonomy.choice("rock"))
-    scene.imported.report.add(ADDED, "", None, f"objects/{name}", "rocks that each batch scatters")
+    scene.imported.report.added(f"objects/{name}", "rocks that each batch scatters")

@@ -37,13 +37,6 @@ CFG = "configs/mars_yard.json"
 BACKENDS = ("mitsuba", "cycles", "pyrender")
 #: Written by ``estimate.py --json``.
 ESTIMATE = ROOT / "docs" / "converge_estimate.json"
-#: Renderer, CPU s, peak in GB: measured once, elsewhere.
-BESIDE = (
-    ("BlenderProc 2.8", "67", "2.4"),
-    ("`--backend cycles`", "80", "0.83"),
-    ("`--backend mitsuba`", "34", "0.78"),
-    ("`--backend pyrender`", "25", "-"),
-)
 ERRORS = (0.1, 0.03)
 SECONDS = (1.0, 4.0)
 HEAD = """# Error against run time
@@ -199,18 +192,6 @@ class Example:
             text += "".join(f"    {line}\n" for line in lines if line.startswith("auto:")) + "\n"
         return text
 
-    def beside(self) -> str:
-        """What another tool takes."""
-        text = """## Beside BlenderProc
-
-30,000 rocks of 10 shapes on 100 m in plain colors, 640 × 480, 16 samples, three frames with
-depth and ids, each by a fresh process. These figures are stated, not measured by this page: all
-were taken side by side elsewhere, before Cycles and Mitsuba here became faster;
-[numbers](numbers.md) has what they take now, and their errors.
-
-"""
-        return text + table(["renderer", "CPU s", "peak, GB"], BESIDE)
-
     def estimate(self) -> str:
         """How often the bound holds."""
         text = "## How often the bound holds\n\n"
@@ -241,7 +222,7 @@ def main(page: Page) -> None:
     """Writes the page."""
     one = Example(page)
     parts = (
-        one.ladders, one.slopes, one.floors, one.targets, one.choice, one.beside, one.estimate
+        one.ladders, one.slopes, one.floors, one.targets, one.choice, one.estimate
     )  # fmt: skip
     packages = ("mitsuba", "bpy", "pyrender-maintained")
     page.write(HEAD, packages, [lambda _, part=part: part() for part in parts])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 import zipfile
 from pathlib import Path
@@ -306,3 +307,23 @@ def test_options_that_make_no_sense_are_refused(out, capsys, words, message):
     assert main(["export", str(out), "--format", "gltf", "-o", str(out / "x"), *words]) == 2
     assert message in capsys.readouterr().err
     assert not (out / "x").exists()
+
+
+def test_check_knows_folders_of_models(glb: Path, tmp_path: Path, capsys) -> None:
+    folder = tmp_path / "gltf"
+    shutil.copytree(glb.parent, folder)
+    assert main(["check", str(folder)]) == 0
+    assert "0 errors" in capsys.readouterr().out
+    file, data = folder / glb.name, glb.read_bytes()
+    for changed, message in (
+        (data[:-1] + bytes([data[-1] ^ 1]), "was changed"),
+        (data[:-1], "has"),
+    ):
+        file.write_bytes(changed)
+        assert main(["check", str(folder)]) == 1
+        assert message in capsys.readouterr().out
+    file.rename(folder / "batch_0007.glb")
+    assert main(["check", str(folder)]) == 1
+    said = capsys.readouterr().out
+    assert "batch_0000.glb: is missing" in said
+    assert "batch_0007.glb: is no part" in said

@@ -107,6 +107,7 @@ def test_faults_of_a_bop_scene_have_file_and_line(tmp_path: Path) -> None:
     cameras = json.loads(file.read_text())
     cameras["0"]["cam_K"] = [1, 2]
     cameras["1"]["cam_R_w2c"] = [1, 0, 0, 0, 1, 0, 0, 0, 5]
+    cameras["one"] = {}
     file.write_text(json.dumps(cameras, indent=1))
     with pytest.raises(CfgError) as caught:
         imported(scene, tmp_path)
@@ -114,17 +115,18 @@ def test_faults_of_a_bop_scene_have_file_and_line(tmp_path: Path) -> None:
     assert "scene_camera.json" in text
     assert "/1/cam_R_w2c" in text
     assert "expected a rotation matrix" in text
+    assert '"one": expected the number of a picture' in text
     assert all(fault.line for fault in caught.value.faults)
 
 
-def make_hdf5(folder: Path, *, cameras: bool = True) -> Path:
+def make_hdf5(folder: Path, *, cameras: bool = True, matrix: object = None) -> Path:
     folder.mkdir()
     for number, pose in enumerate(CAMERAS):
         blender = pose.copy()
         blender[:3, :3] = pose[:3, :3] @ FLIP
         camera = {
             "cam2world_matrix": blender.tolist(),
-            "cam_K": [[60, 0, 31.5], [0, 60, 23.5], [0, 0, 1]],
+            "cam_K": matrix or [[60, 0, 31.5], [0, 60, 23.5], [0, 0, 1]],
         }
         states = [{"name": "cube.001", "matrix_world": STILL[0].tolist()}]
         with h5py.File(folder / f"{number}.hdf5", "w") as file:
@@ -144,9 +146,13 @@ def test_hdf5_files_with_states_are_read(tmp_path: Path) -> None:
     assert set(made.cfg["objects"]) == {"cube_001"}
 
 
-def test_hdf5_files_without_cameras_say_what_is_missing(tmp_path: Path) -> None:
+def test_hdf5_files_without_a_sound_camera_say_what_is_wrong(tmp_path: Path) -> None:
     with pytest.raises(ScenecError, match="no data set 'campose'"):
-        imported(make_hdf5(tmp_path / "frames", cameras=False), tmp_path)
+        imported(make_hdf5(tmp_path / "none", cameras=False), tmp_path)
+    with pytest.raises(
+        ScenecError, match=r"cam_K: \[\[60, 0\], \[0\]\]: expected a matrix of 3 by 3"
+    ):
+        imported(make_hdf5(tmp_path / "ragged", matrix=[[60, 0], [0]]), tmp_path)
 
 
 def test_a_folder_of_neither_is_a_fault_that_names_scenes_below(
