@@ -27,6 +27,11 @@ def check_light(cfg: Node) -> Iterator[Finding]:
         yield light.fault(black("an irradiance"), "sun", "color")
     if is_black(sky, "zenith_color") and is_black(sky, "horizon_color"):
         yield sky.fault(black("an irradiance"), "zenith_color")
+    if sky["type"] == "overcast":
+        if is_black(sky):
+            yield sky.fault(black("an irradiance"), "color")
+        if light.entries.get("sun", {}) is None and "irradiance" not in sky:
+            yield sky.fault("expected the key irradiance, or a sun above the cloud (light.sun)")
     if sky["type"] == "image":
         yield from _check_label_maps(cfg, sky)
         if sky["sun"] == "extract" and light.entries.get("sun") is not None:

@@ -21,6 +21,7 @@ from scenec.compiler.scene.light_plan import (
     LabelMapPlan,
     LampPlan,
     LightPlan,
+    OvercastSkyPlan,
     RigMount,
     WorldMount,
 )
@@ -78,7 +79,7 @@ def _of_luminance_one(color: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _sky(
     spec: Spec, streams: Streams, samples: int
-) -> ClearSkyPlan | AtmospherePlan | ImageSkyPlan | None:
+) -> ClearSkyPlan | OvercastSkyPlan | AtmospherePlan | ImageSkyPlan | None:
     cfg = spec.cfg["light"]["sky"]
     kind = cfg["type"] if cfg else "none"
     path = "light/sky"
@@ -87,6 +88,10 @@ def _sky(
         drawn = _drawn(cfg, streams, path, samples, *keys)
         resolution = resolve(cfg["resolution"], streams, f"{path}/resolution")
         return ClearSkyPlan(resolution=int(resolution), **drawn)
+    if kind == "overcast":
+        keys = ("optical_depth", "irradiance", "color", "ground_color")
+        drawn = _drawn(cfg, streams, path, samples, *keys)
+        return OvercastSkyPlan(resolution=cfg["resolution"], **drawn)
     if kind == "atmosphere":
         factors = ("air_density", "dust_density", "ozone_density", "altitude_m", "ground_color")
         drawn = _drawn(cfg, streams, path, samples, *factors)

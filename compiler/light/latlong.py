@@ -18,6 +18,8 @@ from scenec.schemas.exr import read_rgb
 
 #: Luminance of linear Rec.709.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+#: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
+_HAZE_RAD = 2.0 * elementary.PI / 180.0
 
 
 def directions(height: int) -> NDArray[np.float64]:
@@ -52,6 +54,17 @@ def horizontal_irradiance(picture: NDArray) -> NDArray[np.float64]:
     projected = 0.5 * (squared[1:] - squared[:-1]) * (2.0 * elementary.PI / w)
     rows = picture.astype(np.float64).sum(axis=1)
     return (rows * projected[:, None]).sum(axis=0)
+
+
+def far_ground(picture: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
+    """Puts ground of one radiance [3] below the horizon, fading into the horizon's mean (haze)."""
+    height = len(picture)
+    sky_rows = height // 2
+    if sky_rows:
+        horizon = picture[sky_rows - 1].mean(axis=0)
+        below = elementary.PI * ((np.arange(sky_rows, height) + 0.5) / height - 0.5)
+        haze = elementary.exp_array(-np.maximum(below, 0.0) / _HAZE_RAD)[:, None]
+        picture[sky_rows:] = (haze * horizon + (1.0 - haze) * ground)[:, None, :]
 
 
 def luminance(rgb: NDArray) -> NDArray[np.float64]:

@@ -29,6 +29,24 @@ class ClearSkyPlan:
 
 
 @dataclass(frozen=True)
+class OvercastSkyPlan:
+    """A sky behind one even layer of cloud.
+
+    Attributes:
+        resolution: Rows of the picture.
+        optical_depth: Of the layer, [s].
+        color, ground_color: [s, 3].
+        irradiance: Diffuse, on level ground, [s]; None: what comes through of the sun.
+    """
+
+    resolution: int
+    optical_depth: NDArray[np.float64]
+    color: NDArray[np.float64]
+    ground_color: NDArray[np.float64]
+    irradiance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
 class AtmospherePlan:
     """A planet's sky to be baked, one a sample.
 
@@ -118,13 +136,14 @@ class LightPlan:
     """All light of a batch.
 
     Attributes:
-        sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight.
+        sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight;
+            with an overcast sky it is the sun above the clouds.
         sky: What surrounds the scene; None for black.
         more_suns: Further distant discs, by prim name.
     """
 
     sun: SunLight | None
-    sky: ClearSkyPlan | AtmospherePlan | ImageSkyPlan | None
+    sky: ClearSkyPlan | OvercastSkyPlan | AtmospherePlan | ImageSkyPlan | None
     more_suns: dict[str, SunLight] = field(default_factory=dict)
     haze: Haze | None = None
     lamps: tuple[LampPlan, ...] = ()
