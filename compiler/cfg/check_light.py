@@ -46,8 +46,18 @@ def check_light(cfg: Node) -> Iterator[Finding]:
             'night), or a sky of the type "none"',
             "sun",
         )
+    if light.at("clouds") and (sky["type"] not in ("atmosphere", "clear") or _is_dry(sky)):
+        yield light.key_fault(
+            "clouds need a sky that is made, of air with water in it: expected one of the type "
+            '"atmosphere" (planet "earth") or "clear"',
+            "clouds",
+        )
     if light.at("haze"):
         yield from _check_haze(light.at("haze"))
+
+
+def _is_dry(sky: Node) -> bool:
+    return bool(sky["type"] == "atmosphere" and sky["planet"] != "earth")
 
 
 def _check_names(light: Node) -> Iterator[Finding]:

@@ -16,7 +16,10 @@ from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light_plan import (
     AtmospherePlan,
+    CirrusPlan,
     ClearSkyPlan,
+    CloudsPlan,
+    CumulusPlan,
     ImageSkyPlan,
     LabelMapPlan,
     LampPlan,
@@ -38,6 +41,7 @@ def draw_light(spec: Spec, streams: Streams, samples: int) -> LightPlan:
         sun=None if cfg["sun"] is None else _sun(cfg["sun"], streams, "light/sun", samples),
         sky=_sky(spec, streams, samples),
         haze=_haze(cfg["haze"], streams, samples),
+        clouds=_clouds(cfg.get("clouds"), streams, samples),
         more_suns={
             name: _sun(node, streams, f"light/more/{name}", samples)
             for name, node in cfg["more"].items()
@@ -128,6 +132,22 @@ def _haze(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> Haze | 
         albedo=drawn["albedo"],
         airlight=drawn.get("airlight"),
     )
+
+
+def _clouds(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> CloudsPlan | None:
+    if cfg is None:
+        return None
+    layers: dict[str, Any] = {}
+    for name, kind in (("cumulus", CumulusPlan), ("cirrus", CirrusPlan)):
+        node, path = cfg[name], f"light/clouds/{name}"
+        if node is None:
+            layers[name] = None
+            continue
+        keys = [key for key in node if key != "size_m"]
+        size = float(resolve(node["size_m"], streams, f"{path}/size_m"))
+        drawn = _drawn(node, streams, path, samples, *keys)
+        layers[name] = kind(key=streams.key(path), size_m=size, **drawn)
+    return CloudsPlan(resolution=cfg["resolution"], **layers)
 
 
 def _pick(cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> int:

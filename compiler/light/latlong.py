@@ -39,6 +39,23 @@ def directions_of_rows(height: int, width: int, top: int, bottom: int) -> NDArra
     return out
 
 
+def resampled(picture: NDArray, height: int) -> NDArray[np.float64]:
+    """A picture with as many rows or more, bilinear between texel centers, float64 [h, 2h, 3]."""
+    rows, columns = picture.shape[:2]
+    if rows == height:
+        return picture.astype(np.float64)
+    place = np.clip((np.arange(height) + 0.5) * (rows / height) - 0.5, 0.0, rows - 1.0)
+    low = np.minimum(place.astype(np.int64), rows - 2)
+    part = (place - low)[:, None, None]
+    tall = (1.0 - part) * picture[low] + part * picture[low + 1]
+    place = (np.arange(2 * height) + 0.5) * (columns / (2.0 * height)) - 0.5
+    left = np.floor(place)
+    part = (place - left)[None, :, None]
+    left = left.astype(np.int64)
+    # Columns wrap around the seam.
+    return (1.0 - part) * tall[:, left % columns] + part * tall[:, (left + 1) % columns]
+
+
 def horizontal_irradiance(picture: NDArray) -> NDArray[np.float64]:
     """Irradiance of the upper half on level ground, per channel, float64 [3].
 

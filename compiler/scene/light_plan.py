@@ -100,6 +100,63 @@ class ImageSkyPlan:
 
 
 @dataclass(frozen=True)
+class CumulusPlan:
+    """A layer of cumulus.
+
+    Attributes:
+        key: Of its pattern.
+        size_m: Of a cloud with the gap beside it.
+        coverage: Share of the ground below clouds, [s].
+        optical_depth: Of the tallest, straight down, [s].
+        base_m: Height of the base over the world's z = 0, [s].
+        thickness_m: Of the tallest, [s].
+        offset_m: Of the pattern to the east and to the north, [s, 2].
+    """
+
+    key: int
+    size_m: float
+    coverage: NDArray[np.float64]
+    optical_depth: NDArray[np.float64]
+    base_m: NDArray[np.float64]
+    thickness_m: NDArray[np.float64]
+    offset_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CirrusPlan:
+    """A sheet of cirrus.
+
+    Attributes:
+        key, size_m, coverage, offset_m: As in ``CumulusPlan``; the size is the width of streaks.
+        optical_depth: Where it is thickest, [s].
+        height_m: Over the world's z = 0, [s].
+        bearing_deg: That streaks run along, [s].
+    """
+
+    key: int
+    size_m: float
+    coverage: NDArray[np.float64]
+    optical_depth: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    bearing_deg: NDArray[np.float64]
+    offset_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CloudsPlan:
+    """Clouds to be drawn into the sky.
+
+    Attributes:
+        resolution: Rows of the sky's picture with them, if it has fewer without.
+        cumulus, cirrus: None for none.
+    """
+
+    resolution: int
+    cumulus: CumulusPlan | None
+    cirrus: CirrusPlan | None
+
+
+@dataclass(frozen=True)
 class RigMount:
     """A lamp's place on a rig: the rig's name, and the lamp-to-rig matrix [4, 4], both OpenCV."""
 
@@ -139,6 +196,7 @@ class LightPlan:
         sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight;
             with an overcast sky it is the sun above the clouds.
         sky: What surrounds the scene; None for black.
+        clouds: Before an atmosphere or a clear sky.
         more_suns: Further distant discs, by prim name.
     """
 
@@ -146,4 +204,5 @@ class LightPlan:
     sky: ClearSkyPlan | OvercastSkyPlan | AtmospherePlan | ImageSkyPlan | None
     more_suns: dict[str, SunLight] = field(default_factory=dict)
     haze: Haze | None = None
+    clouds: CloudsPlan | None = None
     lamps: tuple[LampPlan, ...] = ()
