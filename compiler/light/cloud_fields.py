@@ -205,7 +205,7 @@ def cirrus_values(key: int) -> NDArray[np.float32]:
 def billow_tile(key: int) -> NDArray[np.float32]:
     """Distances to scattered points, in cells, float32 [64, 64, 64]; it repeats seamlessly."""
     tile = np.empty((_TILE, _TILE, _TILE), np.float32)
-    over_threads(_tile_slices, _TILE, mix(np.uint64(key ^ _KEY_TILE)), tile)
+    over_threads(_tile_slices, _TILE, np.uint64(_places_and_keys(key)[1][_KEY_TILE]), tile)
     return tile
 
 

@@ -3,9 +3,10 @@
 Along a ray through cumulus the light that a point scatters toward the eye is that of the
 delta-Eddington approximation (Joseph, Wiscombe and Weinman 1976) in the slab that a point finds
 itself in: it lies so deep below the sunlit side, and so far above the other, as the optical depths
-toward the sun and away from it say, and the sun falls on that side as obliquely as the least depth
-to the outside is smaller than the one toward the sun. What is scattered once or by the forward peak
-alone has its own lobes, which is the bright edge of a cloud before the sun.
+toward the sun and away from it say. The sun falls on that side as obliquely as the depth straight
+up is smaller than the one toward the sun: on the top of a cloud as it stands, on its flanks
+upright. What is scattered once or by the forward peak alone has its own lobes, which is the bright
+edge of a cloud before the sun.
 """
 
 from __future__ import annotations
@@ -94,16 +95,16 @@ def _depth_along(layer, at, way, steps, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _scattered(sunward, beyond, least, cosine):  # type: ignore[no-untyped-def]
+def _scattered(sunward, beyond, up, cosine):  # type: ignore[no-untyped-def]
     """Radiance that a point scatters a unit of extinction, under a beam of irradiance 1, 1/sr.
 
     Args:
         sunward, beyond: Optical depths toward the sun and away from it.
-        least: Optical depth on the shortest way out.
+        up: Optical depth straight up.
         cosine: Of the angle by which light is turned.
     """
     g = _DROPLETS
-    mu = min(max(least / max(sunward, 1e-6), 0.2), 1.0)
+    mu = min(max(up / max(sunward, 1e-6), 0.2), 1.0)
     # In terms of what would scatter evenly: (1 - g) of all depths, along the slab's normal.
     a = (1.0 - g) * sunward * mu
     b = a + (1.0 - g) * beyond * mu
@@ -139,7 +140,7 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
     back = -shine.to_sun
     coarse = max((end - start) / _MOST, max(layer.thickness_m / _STEPS, start * texel))
     at = np.empty(3)
-    left, far, weight, seen = 1.0, 0.0, 0.0, 0.0
+    left, far, weight = 1.0, 0.0, 0.0
     t, step, empty = start, coarse, _SEARCHED + 1
     while t < end and left > _OPAQUE:
         middle = t + 0.5 * step
@@ -167,8 +168,7 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
         top = layer.thickness_m * np.sqrt(max(dome(rise), 0.0))
         up = layer.extinction * max(top - above, 0.0)
         down = layer.extinction * above
-        least = min(min(sunward, up), seen + 0.5 * depth)
-        of_sun = _scattered(sunward, beyond, least, cosine)
+        of_sun = _scattered(sunward, beyond, up, cosine)
         # Even light from above and below spreads by diffusion: half of it at the edges.
         of_sky = 0.5 / (1.0 + 0.75 * (1.0 - _DROPLETS) * up)
         of_ground = 0.5 / (1.0 + 0.75 * (1.0 - _DROPLETS) * down)
@@ -180,7 +180,6 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
         far += hidden * middle
         weight += hidden
         left *= passed
-        seen += depth
         t += step
         # The less is left to see, the longer the steps.
         step = min(_FINE / left, 1.0) * coarse

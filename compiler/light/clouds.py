@@ -25,6 +25,7 @@ from scenec.compiler.light.cloud_fields import (
 )
 from scenec.compiler.light.cloud_rays import Shine, beam_left, draw_rows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
+from scenec.compiler.light.overcast import NIL
 from scenec.compiler.scene.light_plan import CloudsPlan
 from scenec.compiler.scene.scene import SkyLight, SunLight
 from scenec.schemas.threads import over_threads
@@ -148,7 +149,8 @@ def _sun_left(sun: SunLight, sample: int, cumulus: Cumulus, cirrus: Cirrus) -> f
             if way[2] > 0.0:
                 total += beam_left(way, cumulus, cirrus)
                 count += 1
-    return total / count if count else 1.0
+    left = total / count if count else 1.0
+    return left if left >= NIL else 0.0
 
 
 def _mean_left(to_sun: NDArray[np.float64], cumulus: Cumulus, cirrus: Cirrus) -> float:

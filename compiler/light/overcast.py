@@ -1,7 +1,7 @@
 """Makes overcast skies: the CIE's luminance distribution, as bright as what a cloud lets through.
 
 The cloud is one even layer of droplets that absorb nothing. What comes through it is that of the
-two-stream equations, after Eddington (within 10 % of photons followed one by one). The direct beam
+two-stream equations, after Eddington (within 12 % of photons followed one by one). The direct beam
 fades as exp(-depth / sine of its height), so the sun of a sky worth the name is gone.
 """
 
@@ -20,7 +20,7 @@ from scenec.compiler.scene.scene import SkyLight, SunLight
 #: Mean cosine of the angle by which droplets of clouds turn light (Hu and Stamnes 1993).
 ASYMMETRY = 0.85
 #: A beam of which less is left is no sun any more.
-_NIL = 1e-6
+NIL = 1e-6
 
 
 def build_overcast(
@@ -80,7 +80,7 @@ def transmitted(
     total = 2.0 + 3.0 * up + (2.0 - 3.0 * up) * within
     total /= 4.0 + 3.0 * (1.0 - ASYMMETRY) * depth
     risen = sine > 0.0
-    return np.where(risen, total, 0.0), np.where(risen & (direct >= _NIL), direct, 0.0)
+    return np.where(risen, total, 0.0), np.where(risen & (direct >= NIL), direct, 0.0)
 
 
 def reflected(depth: NDArray[np.float64]) -> NDArray[np.float64]:
