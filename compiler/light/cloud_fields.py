@@ -35,6 +35,8 @@ _MEAN_DISTANCE = 0.5
 _DEPTH = 0.42
 #: Range of a pattern above its threshold over which clouds reach their full height.
 _RISE = 0.5
+#: Steepness of edges, and over which share of a cloud's size a footprint halves it.
+_EDGE, _BLUR = 7.0, 0.05
 #: Streaks are so many times as long as wide.
 _DRAWN_OUT = 7.0
 _KEY_WARP, _KEY_GROUPS, _KEY_CELLS, _KEY_TILE = range(1, 5)
@@ -279,7 +281,7 @@ def density_at(
         rise: ``rise_at`` the place.
         east, north: Meters.
         above_m: Height over the base.
-        footprint_m: Billows smaller than this are not resolved.
+        footprint_m: Of what looks: billows smaller than this are left out, edges are softer.
     """
     share = above_m / layer.thickness_m
     if share <= 0.0 or share >= 1.0:
@@ -301,8 +303,10 @@ def density_at(
             near = _tile_at(layer.tile, x / size, y / size, z / size)
             billow += _TAKEN[octave] * (near - _MEAN_DISTANCE)
         inside -= cut * 2.0 * billow
-    # Edges are soft over a part of the rise, the base over a part of the height.
-    return min(max(7.0 * inside, 0.0), 1.0) * min(share / 0.05, 1.0)
+    # Edges are soft over a part of the rise, more so for what cannot tell; the base over a part of
+    # the height.
+    slope = _EDGE / (1.0 + footprint_m / (_BLUR * layer.size_m))
+    return min(max(0.5 + slope * (inside - 0.5 / _EDGE), 0.0), 1.0) * min(share / 0.05, 1.0)
 
 
 @kernel

@@ -29,6 +29,7 @@ from scenec.schemas.kernels import inlined, kernel
 
 #: Mean cosines of what droplets and ice scatter (Hu and Stamnes 1993; Baran 2012).
 _DROPLETS, _ICE = 0.85, 0.76
+_LOG_DROPLETS = elementary.log(_DROPLETS)
 _PLANET_M = 6.371e6
 #: Extinction of clear air at the ground by color, 1/m, and over which height it falls by 1/e.
 _AIR = (2.6e-5, 3.3e-5, 5.3e-5)
@@ -40,8 +41,10 @@ _FINE, _SEARCHED = 0.25, 4
 #: A ray ends where less is left.
 _OPAQUE = 0.02
 #: Steps toward the sun and away from it; each is longer than the one before.
-_SUNWARD, _BEYOND = 6, 3
-_LONGER = 1.7
+_SUNWARD, _BEYOND = 9, 5
+_LONGER = 1.55
+#: They end at the layer's, or after so many thicknesses.
+_REACH = 6.0
 #: Steps of the sun's own way through a layer.
 _BEAM = 200
 
@@ -76,8 +79,11 @@ def _distance(height: float, sine: float) -> float:
 
 
 @kernel
-def _depth_along(layer, at, way, steps, reach):  # type: ignore[no-untyped-def]
+def _depth_along(layer, at, way, steps):  # type: ignore[no-untyped-def]
     """Optical depth of a layer from a point (east, north, height) along a unit vector."""
+    end = layer.base_m + layer.thickness_m if way[2] > 0.0 else layer.base_m
+    rising = max(abs(way[2]), 1.0 / (_REACH * _REACH))
+    reach = min(abs(end - at[2]) / rising, _REACH * layer.thickness_m)
     length = reach * (_LONGER - 1.0) / (_LONGER**steps - 1.0)
     along = 0.0
     depth = 0.0
@@ -115,7 +121,9 @@ def _scattered(sunward, beyond, up, cosine):  # type: ignore[no-untyped-def]
     once = elementary.exp(-sunward)
     out = max(mean + onward, 0.0) / (4.0 * elementary.PI)
     out += _henyey_greenstein(cosine, g) * once
-    return out + _henyey_greenstein(cosine, g * g) * max(beam - once, 0.0)
+    # The lobe of the rest is as wide as after as many turns as there are free paths behind.
+    turned = elementary.exp(_LOG_DROPLETS * (1.0 + sunward))
+    return out + _henyey_greenstein(cosine, turned) * max(beam - once, 0.0)
 
 
 @kernel
@@ -163,8 +171,8 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
             continue
         empty = 0
         depth = density * layer.extinction * step
-        sunward = _depth_along(layer, at, shine.to_sun, _SUNWARD, 1.3 * layer.thickness_m)
-        beyond = _depth_along(layer, at, back, _BEYOND, layer.thickness_m)
+        sunward = _depth_along(layer, at, shine.to_sun, _SUNWARD)
+        beyond = _depth_along(layer, at, back, _BEYOND)
         top = layer.thickness_m * np.sqrt(max(dome(rise), 0.0))
         up = layer.extinction * max(top - above, 0.0)
         down = layer.extinction * above

@@ -1,4 +1,4 @@
-"""Renders eight lights in every backend, side by side, and writes docs/lights.md.
+"""Renders six lights in every backend, side by side, and writes docs/lights.md.
 
     python studies/pages/lights.py [--only NAME] [--spp 16] [--keep FOLDER] [-o FOLDER] [--fast]
 
@@ -155,28 +155,6 @@ CASES = (
         (12, 30, 0.4),
         "A photographed sky under thin cloud; its sun became a light of its own.",
     ),
-    Case(
-        "gray_day",
-        "Gray day",
-        "volcanic_desert",
-        {"sun": _sun(40, 160), "sky": {"type": "overcast"}},
-        (18, -26, 2.0),
-        (14, 335, 0.3),
-        "An overcast sky, the sun 40° high above a cloud of optical depth 40.",
-    ),
-    Case(
-        "fair_weather",
-        "Fair weather",
-        "volcanic_desert",
-        {
-            "sun": _sun(40, 250),
-            "sky": {"type": "atmosphere", "planet": "earth", "scattering": "multiple"},
-            "clouds": {"cumulus": {"coverage": 0.4}, "cirrus": {}},
-        },
-        (18, -26, 2.0),
-        (24, 335, 3.5),
-        "Cumulus below cirrus, the sun 40° high; exposed as a camera's meter says.",
-    ),
 )
 
 
@@ -269,7 +247,7 @@ def row(case: Case, found: dict[str, Frame]) -> list[str]:
     return [case.title, *means, *flips, *seconds]
 
 
-HEAD = """# Eight lights, three renderers
+HEAD = """# Six lights, three renderers
 
 Shipped cfgs under other lights, 16 samples a pixel, \
 384 × 256 pixels, seed 1, on {cores} cores ({versions}). There is one stage for each \
