@@ -156,7 +156,7 @@ def scenes(page: Page) -> str:
     shade = fair | {"offset_m": [1500, 900]}
     lights = {
         "cumulus": {"sun": sun, "sky": made, "clouds": {"cumulus": fair, "cirrus": {}}},
-        "in the shadow of one": {"sun": sun, "sky": made, "clouds": {"cumulus": shade, "cirrus": {}}},
+        "in its shadow": {"sun": sun, "sky": made, "clouds": {"cumulus": shade, "cirrus": {}}},
         "overcast": {"sun": sun, "sky": {"type": "overcast", "labels": labels}},
     }
     pose = {
