@@ -39,7 +39,7 @@ _TRIANGLE: Final = (45.0, 0.5e-6)
 #: Of all pictures, and of the one that is being made.
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BEING_MADE: Final = 45.0
-_CLOUD_PIXEL: Final = (22.0, 4e-6)
+_CLOUD_PIXEL: Final = (22.0, 6e-6)
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
 _SAMPLE: Final = (1000.0, 3.5e-3)
 _CLASS: Final = (150e3, 3e-2)
