@@ -13,7 +13,7 @@ BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
   hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
   sampling scatter tracks
 EXPERIMENTS := head_to_head ego_motion
-PAGES := numerics relief placement photographs sky haze motion extremes converge leaving_out errors
+PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test thorough lint types unit browser format bench docs site pictures experiments lock gpu wheel clean distclean

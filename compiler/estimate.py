@@ -39,6 +39,7 @@ _TRIANGLE: Final = (45.0, 0.5e-6)
 #: Of all pictures, and of the one that is being made.
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BEING_MADE: Final = 45.0
+_CLOUD_PIXEL: Final = (22.0, 6e-6)
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
 _SAMPLE: Final = (1000.0, 3.5e-3)
 _CLASS: Final = (150e3, 3e-2)
@@ -183,6 +184,14 @@ def _light(spec: Spec) -> Iterator[Need]:
     pixels = 2 * sky["resolution"] * sky["resolution"]
     all_ = _need("light/sky/resolution", pictures * pixels, "pixels of skies", _SKY_PIXEL)
     yield replace(all_, bytes=all_.bytes + _SKY_BEING_MADE * pixels)
+    clouds = light.get("clouds")
+    if clouds is not None:
+        varies = varies or _per_sample(clouds)
+        pictures = int(spec.cfg["samples"]) if varies else 1
+        pixels = 2 * clouds["resolution"] * clouds["resolution"]
+        key = "light/clouds/resolution"
+        all_ = _need(key, pictures * pixels, "pixels of skies with clouds", _CLOUD_PIXEL)
+        yield replace(all_, bytes=all_.bytes + 2.0 * _SKY_BEING_MADE * pixels)
 
 
 def _per_sample(node: Any) -> bool:

@@ -6,8 +6,13 @@ that is shown as the gray card of 18 % is, unless the brightest hundredth would 
 
     ev = min(log2(0.18 / mean), log2(1 / percentile 99))
 
-What is above that percentile counts as if it were at it, so that no highlight decides. The sky
-counts only where a camera sees nothing else, and the sun's disc never.
+What is above that percentile counts as if it were at it, so that no highlight decides. Against the
+light a sky would burn out, so a camera meets it half way, in stops, as multi-segment meters do:
+where more than a twentieth of all that is seen, surfaces and sky, would be shown above 1,
+
+    ev -= min(3, log2(percentile 95 of all * 2**ev) / 2)
+
+The sun's disc never counts, and the sky's level only where a camera sees nothing else.
 
 The value is a function of the stage: not of the backend, of the frames that are asked for, of
 their order or noise. It is one over the samples of a batch, so that a sequence does not flicker
@@ -35,6 +40,11 @@ GRAY = 0.18
 #: Percentile above which luminance is a highlight, and the value it is shown as at most.
 PERCENTILE = 99.0
 WHITE = 1.0
+#: Percentile above which all that a camera sees is glare. Of the stops between an exposure for
+#: surfaces and one that holds what is below it, surfaces yield a share, and so many at most: a
+#: gray card is code 118, and code 41 three stops down.
+GLARE_PERCENTILE = 95.0
+YIELD, MOST_YIELD_EV = 0.5, 3.0
 #: Samples of a batch that are metered, evenly spread over those that the camera is triggered at.
 SAMPLES = 32
 #: Rays in all, and the fewest of one sample.
@@ -53,6 +63,7 @@ class Exposure:
         ev: Pictures show radiance * 2**ev.
         level: Luminance that is shown as ``GRAY`` unless highlights bind, W/(m^2 sr).
         highlight: ``PERCENTILE`` of luminance.
+        glare: ``GLARE_PERCENTILE`` of that of surfaces and sky.
         of: "surfaces", "sky" where none is seen, or "nothing" where no light comes from either.
         samples: How many were metered.
     """
@@ -60,6 +71,7 @@ class Exposure:
     ev: float
     level: float
     highlight: float
+    glare: float
     of: str
     samples: int
 
@@ -102,6 +114,7 @@ class Meter:
             "metered_samples": found.samples,
             "luminance": found.level,
             "luminance_p99": found.highlight,
+            "luminance_p95_with_sky": found.glare,
             "of": found.of,
         }
         return _at(camera, found.ev), facts
@@ -135,10 +148,15 @@ def expose(seen: Seen, samples: int) -> Exposure:
     of = "surfaces" if len(seen.surfaces) else "sky"
     mean, high = level(seen.surfaces if len(seen.surfaces) else seen.sky)
     if mean <= 0.0:
-        return Exposure(0.0, 0.0, 0.0, "nothing", samples)
+        return Exposure(0.0, 0.0, 0.0, 0.0, "nothing", samples)
     ev = min(np.log2(GRAY / mean), np.log2(WHITE / high))
+    everything = np.concatenate([seen.surfaces, seen.sky])
+    glare = float(np.percentile(everything, GLARE_PERCENTILE, method="lower"))
+    if glare > 0.0:
+        over = ev - np.log2(WHITE / glare)
+        ev -= np.clip(YIELD * over, 0.0, MOST_YIELD_EV)
     ev = float(np.clip(np.round(_STEPS * ev) / _STEPS, -_MOST_EV, _MOST_EV))
-    return Exposure(ev, mean, high, of, samples)
+    return Exposure(ev, mean, high, glare, of, samples)
 
 
 def level(luminance: NDArray[np.float64]) -> tuple[float, float]:

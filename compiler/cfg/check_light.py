@@ -27,6 +27,11 @@ def check_light(cfg: Node) -> Iterator[Finding]:
         yield light.fault(black("an irradiance"), "sun", "color")
     if is_black(sky, "zenith_color") and is_black(sky, "horizon_color"):
         yield sky.fault(black("an irradiance"), "zenith_color")
+    if sky["type"] == "overcast":
+        if is_black(sky):
+            yield sky.fault(black("an irradiance"), "color")
+        if light.entries.get("sun", {}) is None and "irradiance" not in sky:
+            yield sky.fault("expected the key irradiance, or a sun above the cloud (light.sun)")
     if sky["type"] == "image":
         yield from _check_label_maps(cfg, sky)
         if sky["sun"] == "extract" and light.entries.get("sun") is not None:
@@ -41,8 +46,18 @@ def check_light(cfg: Node) -> Iterator[Finding]:
             'night), or a sky of the type "none"',
             "sun",
         )
+    if light.at("clouds") and (sky["type"] not in ("atmosphere", "clear") or _is_dry(sky)):
+        yield light.key_fault(
+            "clouds need a sky that is made, of air with water in it: expected one of the type "
+            '"atmosphere" (planet "earth") or "clear"',
+            "clouds",
+        )
     if light.at("haze"):
         yield from _check_haze(light.at("haze"))
+
+
+def _is_dry(sky: Node) -> bool:
+    return bool(sky["type"] == "atmosphere" and sky["planet"] != "earth")
 
 
 def _check_names(light: Node) -> Iterator[Finding]:

@@ -41,6 +41,7 @@ class Light(TypedDict):
     sky: Kind
     more: dict[str, Kind]
     lamps: dict[str, Kind]
+    clouds: NotRequired[Kind]
     haze: Kind | None
 
 

@@ -16,11 +16,15 @@ from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light_plan import (
     AtmospherePlan,
+    CirrusPlan,
     ClearSkyPlan,
+    CloudsPlan,
+    CumulusPlan,
     ImageSkyPlan,
     LabelMapPlan,
     LampPlan,
     LightPlan,
+    OvercastSkyPlan,
     RigMount,
     WorldMount,
 )
@@ -37,6 +41,7 @@ def draw_light(spec: Spec, streams: Streams, samples: int) -> LightPlan:
         sun=None if cfg["sun"] is None else _sun(cfg["sun"], streams, "light/sun", samples),
         sky=_sky(spec, streams, samples),
         haze=_haze(cfg["haze"], streams, samples),
+        clouds=_clouds(cfg.get("clouds"), streams, samples),
         more_suns={
             name: _sun(node, streams, f"light/more/{name}", samples)
             for name, node in cfg["more"].items()
@@ -78,7 +83,7 @@ def _of_luminance_one(color: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _sky(
     spec: Spec, streams: Streams, samples: int
-) -> ClearSkyPlan | AtmospherePlan | ImageSkyPlan | None:
+) -> ClearSkyPlan | OvercastSkyPlan | AtmospherePlan | ImageSkyPlan | None:
     cfg = spec.cfg["light"]["sky"]
     kind = cfg["type"] if cfg else "none"
     path = "light/sky"
@@ -87,6 +92,10 @@ def _sky(
         drawn = _drawn(cfg, streams, path, samples, *keys)
         resolution = resolve(cfg["resolution"], streams, f"{path}/resolution")
         return ClearSkyPlan(resolution=int(resolution), **drawn)
+    if kind == "overcast":
+        keys = ("optical_depth", "irradiance", "color", "ground_color")
+        drawn = _drawn(cfg, streams, path, samples, *keys)
+        return OvercastSkyPlan(resolution=cfg["resolution"], **drawn)
     if kind == "atmosphere":
         factors = ("air_density", "dust_density", "ozone_density", "altitude_m", "ground_color")
         drawn = _drawn(cfg, streams, path, samples, *factors)
@@ -123,6 +132,22 @@ def _haze(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> Haze | 
         albedo=drawn["albedo"],
         airlight=drawn.get("airlight"),
     )
+
+
+def _clouds(cfg: dict[str, Any] | None, streams: Streams, samples: int) -> CloudsPlan | None:
+    if cfg is None:
+        return None
+    layers: dict[str, Any] = {}
+    for name, kind in (("cumulus", CumulusPlan), ("cirrus", CirrusPlan)):
+        node, path = cfg[name], f"light/clouds/{name}"
+        if node is None:
+            layers[name] = None
+            continue
+        keys = [key for key in node if key != "size_m"]
+        size = float(resolve(node["size_m"], streams, f"{path}/size_m"))
+        drawn = _drawn(node, streams, path, samples, *keys)
+        layers[name] = kind(key=streams.key(path), size_m=size, **drawn)
+    return CloudsPlan(resolution=cfg["resolution"], **layers)
 
 
 def _pick(cfg: dict[str, Any], streams: Streams, sample: int, samples: int) -> int:

@@ -12,9 +12,17 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.clear_sky import build_sky, level_sun_irradiance
+from scenec.compiler.light.clouds import add_clouds
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
+from scenec.compiler.light.overcast import build_overcast
 from scenec.compiler.light.panorama import build_label_maps, build_panorama
-from scenec.compiler.scene.light_plan import AtmospherePlan, ImageSkyPlan, LightPlan
+from scenec.compiler.scene.light_plan import (
+    AtmospherePlan,
+    ClearSkyPlan,
+    ImageSkyPlan,
+    LightPlan,
+    OvercastSkyPlan,
+)
 from scenec.compiler.scene.scene import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
 
 
@@ -61,8 +69,16 @@ def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Lig
     elif isinstance(plan.sky, AtmospherePlan):
         assert sun is not None, "an atmosphere without a sun"
         sky, sun, facts["sky"] = build_atmosphere(plan.sky, sun, samples)
+    elif isinstance(plan.sky, OvercastSkyPlan):
+        sky, sun = build_overcast(plan.sky, sun, samples)
+        facts["sky"] = {}
     elif plan.sky is not None:
         sky, facts["sky"] = build_sky(plan.sky, sun, samples), {}
+    if plan.clouds is not None:
+        assert sky is not None, "clouds before no sky"
+        assert isinstance(plan.sky, ClearSkyPlan | AtmospherePlan), "clouds before another sky"
+        ground = plan.sky.ground_color
+        sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples)
     irradiance = _sky_irradiance(sky, samples)
     for one in (sun, *plan.more_suns.values()):
         for i in range(samples):

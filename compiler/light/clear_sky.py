@@ -8,14 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.light.latlong import directions, far_ground, horizontal_irradiance, luminance
 from scenec.compiler.scene.light_plan import ClearSkyPlan
 from scenec.compiler.scene.scene import SkyLight, SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
-
-#: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
-_HAZE_RAD = 2.0 * elementary.PI / 180.0
 
 
 def build_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
@@ -90,13 +87,7 @@ def clear_sky(
     level = float(luminance(of_sky))
     scale = irradiance / level if level > 0.0 else 0.0
     picture *= scale
-    sky_rows = height // 2
-    if sky_rows:
-        ground = ground_color * (of_sky * scale + sun_irradiance) / elementary.PI
-        horizon = picture[sky_rows - 1].mean(axis=0)
-        below = elementary.PI * ((np.arange(sky_rows, height) + 0.5) / height - 0.5)
-        haze = elementary.exp_array(-np.maximum(below, 0.0) / _HAZE_RAD)[:, None]
-        picture[sky_rows:] = (haze * horizon + (1.0 - haze) * ground)[:, None, :]
+    far_ground(picture, ground_color * (of_sky * scale + sun_irradiance) / elementary.PI)
     return picture.astype(np.float32)
 
 

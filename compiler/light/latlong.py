@@ -18,6 +18,8 @@ from scenec.schemas.exr import read_rgb
 
 #: Luminance of linear Rec.709.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+#: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
+_HAZE_RAD = 2.0 * elementary.PI / 180.0
 
 
 def directions(height: int) -> NDArray[np.float64]:
@@ -37,6 +39,23 @@ def directions_of_rows(height: int, width: int, top: int, bottom: int) -> NDArra
     return out
 
 
+def resampled(picture: NDArray, height: int) -> NDArray[np.float64]:
+    """A picture with as many rows or more, bilinear between texel centers, float64 [h, 2h, 3]."""
+    rows, columns = picture.shape[:2]
+    if rows == height:
+        return picture.astype(np.float64)
+    place = np.clip((np.arange(height) + 0.5) * (rows / height) - 0.5, 0.0, rows - 1.0)
+    low = np.minimum(place.astype(np.int64), rows - 2)
+    part = (place - low)[:, None, None]
+    tall = (1.0 - part) * picture[low] + part * picture[low + 1]
+    place = (np.arange(2 * height) + 0.5) * (columns / (2.0 * height)) - 0.5
+    left = np.floor(place)
+    part = (place - left)[None, :, None]
+    left = left.astype(np.int64)
+    # Columns wrap around the seam.
+    return (1.0 - part) * tall[:, left % columns] + part * tall[:, (left + 1) % columns]
+
+
 def horizontal_irradiance(picture: NDArray) -> NDArray[np.float64]:
     """Irradiance of the upper half on level ground, per channel, float64 [3].
 
@@ -52,6 +71,17 @@ def horizontal_irradiance(picture: NDArray) -> NDArray[np.float64]:
     projected = 0.5 * (squared[1:] - squared[:-1]) * (2.0 * elementary.PI / w)
     rows = picture.astype(np.float64).sum(axis=1)
     return (rows * projected[:, None]).sum(axis=0)
+
+
+def far_ground(picture: NDArray[np.float64], ground: NDArray[np.float64]) -> None:
+    """Puts ground of one radiance [3] below the horizon, fading into the horizon's mean (haze)."""
+    height = len(picture)
+    sky_rows = height // 2
+    if sky_rows:
+        horizon = picture[sky_rows - 1].mean(axis=0)
+        below = elementary.PI * ((np.arange(sky_rows, height) + 0.5) / height - 0.5)
+        haze = elementary.exp_array(-np.maximum(below, 0.0) / _HAZE_RAD)[:, None]
+        picture[sky_rows:] = (haze * horizon + (1.0 - haze) * ground)[:, None, :]
 
 
 def luminance(rgb: NDArray) -> NDArray[np.float64]:

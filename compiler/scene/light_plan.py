@@ -29,6 +29,24 @@ class ClearSkyPlan:
 
 
 @dataclass(frozen=True)
+class OvercastSkyPlan:
+    """A sky behind one even layer of cloud.
+
+    Attributes:
+        resolution: Rows of the picture.
+        optical_depth: Of the layer, [s].
+        color, ground_color: [s, 3].
+        irradiance: Diffuse, on level ground, [s]; None: what comes through of the sun.
+    """
+
+    resolution: int
+    optical_depth: NDArray[np.float64]
+    color: NDArray[np.float64]
+    ground_color: NDArray[np.float64]
+    irradiance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
 class AtmospherePlan:
     """A planet's sky to be baked, one a sample.
 
@@ -82,6 +100,63 @@ class ImageSkyPlan:
 
 
 @dataclass(frozen=True)
+class CumulusPlan:
+    """A layer of cumulus.
+
+    Attributes:
+        key: Of its pattern.
+        size_m: Of a cloud with the gap beside it.
+        coverage: Share of the ground below clouds, [s].
+        optical_depth: Of the tallest, straight down, [s].
+        base_m: Height of the base over the world's z = 0, [s].
+        thickness_m: Of the tallest, [s].
+        offset_m: Of the pattern to the east and to the north, [s, 2].
+    """
+
+    key: int
+    size_m: float
+    coverage: NDArray[np.float64]
+    optical_depth: NDArray[np.float64]
+    base_m: NDArray[np.float64]
+    thickness_m: NDArray[np.float64]
+    offset_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CirrusPlan:
+    """A sheet of cirrus.
+
+    Attributes:
+        key, size_m, coverage, offset_m: As in ``CumulusPlan``; the size is the width of streaks.
+        optical_depth: Where it is thickest, [s].
+        height_m: Over the world's z = 0, [s].
+        bearing_deg: That streaks run along, [s].
+    """
+
+    key: int
+    size_m: float
+    coverage: NDArray[np.float64]
+    optical_depth: NDArray[np.float64]
+    height_m: NDArray[np.float64]
+    bearing_deg: NDArray[np.float64]
+    offset_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CloudsPlan:
+    """Clouds to be drawn into the sky.
+
+    Attributes:
+        resolution: Rows of the sky's picture with them, if it has fewer without.
+        cumulus, cirrus: None for none.
+    """
+
+    resolution: int
+    cumulus: CumulusPlan | None
+    cirrus: CirrusPlan | None
+
+
+@dataclass(frozen=True)
 class RigMount:
     """A lamp's place on a rig: the rig's name, and the lamp-to-rig matrix [4, 4], both OpenCV."""
 
@@ -118,13 +193,16 @@ class LightPlan:
     """All light of a batch.
 
     Attributes:
-        sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight.
+        sun: The sun; None for none. Above an atmosphere its color is a factor on that of sunlight;
+            with an overcast sky it is the sun above the clouds.
         sky: What surrounds the scene; None for black.
+        clouds: Before an atmosphere or a clear sky.
         more_suns: Further distant discs, by prim name.
     """
 
     sun: SunLight | None
-    sky: ClearSkyPlan | AtmospherePlan | ImageSkyPlan | None
+    sky: ClearSkyPlan | OvercastSkyPlan | AtmospherePlan | ImageSkyPlan | None
     more_suns: dict[str, SunLight] = field(default_factory=dict)
     haze: Haze | None = None
+    clouds: CloudsPlan | None = None
     lamps: tuple[LampPlan, ...] = ()

@@ -16,8 +16,8 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.exposure import GRAY, Meter, level
-from scenec.backends.picture.metering import look
+from scenec.backends.picture.exposure import GRAY, Meter, expose, level
+from scenec.backends.picture.metering import Seen, look
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
@@ -150,6 +150,19 @@ def test_the_sun_in_the_picture_does_not_decide() -> None:
     up = automatic(look_at(eye, [100.0, 0.0, 100.0 * np.tan(np.radians(45.0))], 64, 48))
     only_sky = ground([sun(45.0), dome(5.0)], camera=up)
     assert ev_of(only_sky) == pytest.approx(np.log2(GRAY / 5.0), abs=0.01)
+
+
+@pytest.mark.parametrize("bright", [1.0, 8.0, 20.0, 1e4])
+@pytest.mark.parametrize("share", [0.04, 0.4])
+def test_surfaces_meet_a_sky_against_the_light_half_way(share: float, bright: float) -> None:
+    """Surfaces of luminance 1 below a sky that is ``bright`` over a ``share`` of the picture."""
+    sky = np.full(round(1000 * share), bright)
+    found = expose(Seen(np.ones(1000 - len(sky)), sky), 1)
+    # Glare over a twentieth burns; of a larger part's stops above white half are taken, up to 3.
+    over = np.log2(0.18 * bright) if share > 0.05 else 0.0
+    expected = np.log2(GRAY) - min(max(0.5 * over, 0.0), 3.0)
+    assert found.ev == pytest.approx(expected, abs=1.0 / 128.0)
+    assert found.glare == (bright if share > 0.05 else 1.0)
 
 
 def test_the_brightest_hundredth_neither_counts_nor_burns() -> None:

@@ -1,0 +1,117 @@
+"""Makes overcast skies: the CIE's luminance distribution, as bright as what a cloud lets through.
+
+The cloud is one even layer of droplets that absorb nothing. What comes through it is that of the
+two-stream equations, after Eddington (within 12 % of photons followed one by one). The direct beam
+fades as exp(-depth / sine of its height), so the sun of a sky worth the name is gone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.latlong import far_ground, horizontal_irradiance, luminance
+from scenec.compiler.scene.light_plan import OvercastSkyPlan
+from scenec.compiler.scene.scene import SkyLight, SunLight
+
+#: Mean cosine of the angle by which droplets of clouds turn light (Hu and Stamnes 1993).
+ASYMMETRY = 0.85
+#: A beam of which less is left is no sun any more.
+NIL = 1e-6
+
+
+def build_overcast(
+    plan: OvercastSkyPlan, sun: SunLight | None, samples: int
+) -> tuple[SkyLight, SunLight | None]:
+    """Pictures of overcast skies, which of them each sample shows, and what is left of the sun.
+
+    A picture is of irradiance 1, so that samples that differ in strength alone share it.
+
+    Args:
+        plan: The sky.
+        sun: Above the clouds; None only where the plan has an irradiance.
+        samples: How many.
+    """
+    strength = plan.irradiance
+    tint = plan.color / luminance(plan.color)[:, None]
+    left = np.zeros(samples)
+    if sun is not None:
+        sine = np.array([sun.direction(i)[2] for i in range(samples)])
+        total, left = transmitted(plan.optical_depth, sine)
+        if strength is None:
+            diffuse = sun.irradiance * np.maximum(sine, 0.0) * (total - left)
+            tint = tint * (1.0 / (1.0 - plan.ground_color * reflected(plan.optical_depth)[:, None]))
+            strength = diffuse * luminance(tint)
+    assert strength is not None, "an overcast sky without a sun or an irradiance"
+    tint = tint / luminance(tint)[:, None]
+    pictures: dict[str, NDArray[np.float32]] = {}
+    names: dict[bytes, str] = {}
+    texture = []
+    for i in range(samples):
+        key = np.concatenate([tint[i], plan.ground_color[i]]).tobytes()
+        if key not in names:
+            names[key] = f"sky_{i:04d}.exr"
+            picture = overcast_sky(plan.resolution, tint[i], plan.ground_color[i])
+            pictures[names[key]] = picture
+        texture.append(names[key])
+    sky = SkyLight({**pictures}, tuple(texture), strength, np.zeros(samples))
+    return sky, None if sun is None else replace(sun, irradiance=sun.irradiance * left)
+
+
+def transmitted(
+    depth: NDArray[np.float64], sine: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares of a beam that come through a layer over black ground: of all of it, and direct.
+
+    Eddington's approximation for droplets that absorb nothing (Shettle and Weinman 1970, J. Atmos.
+    Sci. 27); scaling the forward peak out (Joseph, Wiscombe and Weinman 1976) leaves it as it is,
+    but for the part that counts as direct, which is the true beam here.
+
+    Args:
+        depth: Optical depth, [s].
+        sine: Of the beam's height, [s]; from below nothing comes through.
+    """
+    up = np.maximum(sine, 1e-9)
+    direct = elementary.exp_array(-depth / up)
+    within = elementary.exp_array(-(1.0 - ASYMMETRY * ASYMMETRY) * depth / up)
+    total = 2.0 + 3.0 * up + (2.0 - 3.0 * up) * within
+    total /= 4.0 + 3.0 * (1.0 - ASYMMETRY) * depth
+    risen = sine > 0.0
+    return np.where(risen, total, 0.0), np.where(risen & (direct >= NIL), direct, 0.0)
+
+
+def reflected(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of diffuse light from the ground that the layer throws back, [s]."""
+    lost = 3.0 * (1.0 - ASYMMETRY) * depth
+    return lost / (4.0 + lost)
+
+
+def overcast_sky(
+    height: int, color: NDArray[np.float64], ground_color: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Radiance of an overcast sky, and of far ground below the horizon.
+
+    L = Lz (1 + 2 sin(elevation)) / 3 (Moon and Spencer 1942), which is type 16 of ISO 15469:2004
+    (CIE S 011), the traditional overcast sky: three times as bright overhead as at the horizon, all
+    around alike, and of irradiance 7 pi / 9 Lz on level ground.
+
+    Args:
+        height: Rows of the picture; it is twice as wide.
+        color: Linear Rec.709 of luminance 1, [3]: the irradiance on level ground.
+        ground_color: Albedo of the far ground, [3].
+
+    Returns:
+        float32 [height, 2 * height, 3], W/(m^2 sr).
+    """
+    picture = np.zeros((height, 2 * height, 3))
+    polar = elementary.PI * (np.arange(height // 2) + 0.5) / height
+    rows = (1.0 + 2.0 * elementary.cos_array(polar)) / 3.0
+    picture[: height // 2] = rows[:, None, None]
+    # The irradiance is that of the texels, whatever their number.
+    level = horizontal_irradiance(picture)[0]
+    picture *= color / level
+    far_ground(picture, ground_color * color / elementary.PI)
+    return picture.astype(np.float32)
