@@ -268,7 +268,7 @@ def test_a_cfg_with_all_of_them_compiles_and_every_label_is_annotated(tmp_path: 
             },
             "sensors": {"eye": {"resolution": [960, 160], "fov_deg": 125}},
         }
-        for row in range(7)
+        for row in range(8)
     }
     cfg["outputs"] = ["label", "instance"]
     path = tmp_path / "cfg.json"
