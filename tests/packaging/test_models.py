@@ -266,7 +266,7 @@ def test_a_cfg_with_all_of_them_compiles_and_every_label_is_annotated(tmp_path: 
                 "position": {"x_m": 0, "y_m": 12.0 * (row - 3) - 14, "height_m": 16},
                 "target": {"distance_m": 14, "bearing_deg": 0, "height_m": 2},
             },
-            "sensors": {"eye": {"resolution": [960, 160], "fov_deg": 125}},
+            "sensors": {"eye": {"resolution": [1280, 160], "fov_deg": 138}},
         }
         for row in range(8)
     }
