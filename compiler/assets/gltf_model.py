@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.gltf_looks import GltfLooks, natural
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion
-from scenec.compiler.assets.shells import ParsedModel, Shell, placed
+from scenec.compiler.assets.shells import ParsedModel, Shell, placed, repeated
 from scenec.compiler.assets.trimesh_file import sound
 from scenec.compiler.geometry import affine
 from scenec.compiler.geometry.poses import compose
@@ -31,8 +31,9 @@ _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 #: Items that all reads of accessors together may take, in terms of the buffers' bytes.
 _MOST_SHARED = 32
-#: Required extensions that leave geometry as it is, by how their names begin.
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantiz")
+#: Required extensions that leave geometry as it is or are read, by how their names begin.
+_READABLE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantiz",
+             "EXT_mesh_gpu_instancing")  # fmt: skip
 
 
 def read_gltf(file: Path, looks: bool) -> ParsedModel:
@@ -142,14 +143,42 @@ class GltfFile:
         looks = GltfLooks(self) if with_looks else None
         shells: dict[int, list[Shell]] = {}
         parts: list[Shell] = []
-        for path, own, matrix in _placed_meshes(document):
+        for path, own, matrix, copies in _placed_meshes(document):
             if own not in shells:
                 mesh = document["meshes"][own]
                 shells[own] = [s for p in mesh["primitives"] for s in self._shell(p, looks, notes)]
-            parts += [placed(replace(shell, path=path), matrix) for shell in shells[own]]
+            for shell in shells[own]:
+                part = replace(shell, path=path)
+                if copies is not None:
+                    part = self._instances(part, copies)
+                parts.append(placed(part, matrix))
         known = tuple(looks.known) if looks else ()
         companions, notes = tuple(self.companions), list(dict.fromkeys(notes))
         return ParsedModel(tuple(parts), known, 1.0, "y", companions, tuple(notes))
+
+    def _instances(self, shell: Shell, attributes: dict[str, Any]) -> Shell:
+        """Copies of a mesh in one, by the attributes of EXT_mesh_gpu_instancing."""
+        counts = {self.document["accessors"][natural(i)]["count"] for i in attributes.values()}
+        if len(counts) != 1:
+            raise MeshFileError("a broken glTF file: attributes of instances of unequal number")
+        (count,) = counts
+        self._left -= count * len(shell.points)
+        if self._left < 0:
+            raise MeshFileError(f"a broken glTF file: {count} instances of {len(shell.points)}")
+        columns = {
+            key: self.values(attributes[key], kind).astype(np.float64)
+            if key in attributes
+            else rest
+            for key, kind, rest in (
+                ("TRANSLATION", "VEC3", np.zeros((count, 3))),
+                ("ROTATION", "VEC4", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
+                ("SCALE", "VEC3", np.ones((count, 3))),
+            )
+        }
+        turns = columns["ROTATION"]
+        if not (turns != 0.0).any(axis=1).all():
+            raise MeshFileError("a broken glTF file: a rotation is 0 0 0 0, expected a quaternion")
+        return repeated(shell, columns["TRANSLATION"], turns, columns["SCALE"])
 
     def _shell(
         self, primitive: dict[str, Any], looks: GltfLooks | None, notes: list[str]
@@ -218,19 +247,22 @@ def _required_version(document: Any) -> dict[str, Any]:
     if not version.startswith("2"):
         raise MeshFileError(f"glTF of version {version or 'unknown'}: expected version 2")
     for extension in document.get("extensionsRequired", []):
-        if not str(extension).startswith(_HARMLESS):
+        if not str(extension).startswith(_READABLE):
             raise MeshFileError(f"needs the extension {extension}: export it without")
     return document
 
 
-def _placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray[np.float64]]]:
+def _placed_meshes(
+    document: dict[str, Any],
+) -> Iterator[tuple[str, int, NDArray[np.float64], dict[str, Any] | None]]:
     """The meshes of the default scene, in the order of its nodes.
 
     Yields:
-        Names of the nodes down to it, joined by ``/``; its index; where it stands, [4, 4].
+        Names of the nodes down to it, joined by ``/``; its index; where it stands, [4, 4]; the
+        attributes of its instances, or None where it is one.
 
     Raises:
-        MeshFileError: The nodes are no tree, or hold instances.
+        MeshFileError: The nodes are no tree.
     """
     nodes = document.get("nodes", [])
     scenes = document.get("scenes")
@@ -247,8 +279,6 @@ def _placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray
             raise MeshFileError(f"a broken glTF file: node {index} is in two places")
         seen.add(index)
         node = nodes[natural(index)]
-        if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
-            raise MeshFileError("holds GPU instances: export them as meshes")
         matrix = compose(parent, _local(node))
         own = natural(node["mesh"]) if "mesh" in node else None
         name = node.get("name")
@@ -256,7 +286,8 @@ def _placed_meshes(document: dict[str, Any]) -> Iterator[tuple[str, int, NDArray
             name = name or document["meshes"][own].get("name")
         path = f"{path}/{name or f'node_{index}'}"
         if own is not None:
-            yield path, own, matrix
+            told = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
+            yield path, own, matrix, None if told is None else told["attributes"]
         waiting += [(child, matrix, path) for child in reversed(node.get("children", []))]
 
 

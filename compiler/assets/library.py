@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "assets" / "models"
 #: Ids of suggested labels begin here, out of the way of a cfg's own.
 _FIRST_ID = 100
 #: What is scattered; all else is placed.
-_SCATTERED = ("grass", "flower", "shrub", "tree", "dead_wood", "stone")
+_SCATTERED = ("grass", "flower", "fern", "litter", "shrub", "tree", "dead_wood", "stone")
 
 
 class Asset(NamedTuple):
@@ -66,17 +66,24 @@ def _read(file: Path) -> Asset:
     parts: dict[str, int] = {}
     materials: dict[str, str] = {}
     lowest, highest = [], []
-    for mesh in document["meshes"]:
-        (primitive,) = mesh["primitives"]
-        parts[mesh["name"]] = accessors[primitive["indices"]]["count"] // 3
-        materials[mesh["name"]] = document["materials"][primitive["material"]]["name"]
+    for node in document["nodes"]:
+        (primitive,) = document["meshes"][node["mesh"]]["primitives"]
+        name, copies = node["name"], 1
+        if "extensions" in node:
+            places = node["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]
+            copies = accessors[places["TRANSLATION"]]["count"]
+        faces = accessors[primitive["indices"]]["count"] // 3
+        parts[name] = parts.get(name, 0) + faces * copies
+        materials[name] = document["materials"][primitive["material"]]["name"]
         extent = accessors[primitive["attributes"]["POSITION"]]
         lowest.append(extent["min"])
         highest.append(extent["max"])
     wide, high, deep = (float(v) for v in np.max(highest, axis=0) - np.min(lowest, axis=0))
     card = document["asset"]["extras"]
+    # Of instances the extents are of one: then the file says how large the whole is.
+    size = tuple(map(float, card.get("size_m", (wide, deep, high))))
     return Asset(
-        file.stem, card["about"], (wide, deep, high), parts, materials, card["label"],
+        file.stem, card["about"], (size[0], size[1], size[2]), parts, materials, card["label"],
         card["license"], len(data),
     )  # fmt: skip
 

@@ -121,3 +121,50 @@ def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = N
         normals=normals,
         colors=None if shell.colors is None else shell.colors[:, ::step],
     )
+
+
+def repeated(
+    shell: Shell,
+    positions: NDArray[np.float64],
+    turns: NDArray[np.float64],
+    scales: NDArray[np.float64],
+) -> Shell:
+    """Copies of a shell as one, a copy after the other; those that mirror turn their faces.
+
+    Args:
+        positions: Where each copy's origin is, float64 [k, 3].
+        turns: Quaternions (x, y, z, w) of any length but 0, float64 [k, 4].
+        scales: Along the shell's axes, before they turn, float64 [k, 3].
+    """
+    count = len(positions)
+    rows = affine.rotations(turns)
+    points = affine.turned(rows, scales[:, None] * shell.points) + positions[:, None]
+    steps = (np.arange(count) * len(shell.points))[:, None, None]
+    faces = shell.faces + steps
+    mirrored = (scales < 0.0).sum(axis=1) % 2 == 1
+    faces[mirrored] = faces[mirrored][:, :, ::-1]
+
+    def corners(values: NDArray) -> NDArray:
+        """What stands at the corners of one copy, at those of all."""
+        every = np.repeat(values[None], count, axis=0)
+        every[mirrored] = every[mirrored][:, :, ::-1]
+        return every.reshape(-1, 3, values.shape[-1])
+
+    normals = shell.normals
+    if normals is not None:
+        # A normal is divided by the scale; times their product, a flat copy keeps its side's.
+        x, y, z = np.abs(scales).T
+        shares = np.stack([y * z, z * x, x * y], axis=1) * np.where(scales < 0.0, -1.0, 1.0)
+        flat = np.asarray(normals, np.float64).reshape(-1, 3)
+        turned = affine.turned(rows, shares[:, None] * flat).reshape(count, -1, 3, 3)
+        turned[mirrored] = turned[mirrored][:, :, ::-1]
+        normals = turned.reshape(-1, 3, 3)
+    return replace(
+        shell,
+        points=points.reshape(-1, 3),
+        faces=faces.reshape(-1, 3),
+        uv={name: corners(uv) for name, uv in shell.uv.items()},
+        normals=normals,
+        colors=None if shell.colors is None else corners(shell.colors),
+        material=None if shell.material is None else np.tile(shell.material, count),
+    )

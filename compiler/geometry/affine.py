@@ -39,14 +39,28 @@ def about_axis(axis: int, degrees: float) -> NDArray[np.float64]:
 
 def of_quaternion(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
     """Rotation of a quaternion of any length but 0, float64 [4, 4]."""
-    s = 2.0 / (x * x + y * y + z * z + w * w)
     out = np.eye(4)
-    out[:3, :3] = [
+    out[:3, :3] = rotations(np.array([[x, y, z, w]]))[0]
+    return out
+
+
+def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations of quaternions (x, y, z, w) of any length but 0, float64 [k, 3, 3]."""
+    x, y, z, w = quaternions.T
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    rows = [
         [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
         [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
         [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
     ]
-    return out
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+
+
+def turned(rows: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors [k, n, 3] or, for all alike, [n, 3] under k rotations [k, 3, 3]: [k, n, 3]."""
+    x, y, z = (vectors[..., axis] for axis in range(3))
+    of = [[rows[:, i, j, None] for j in range(3)] for i in range(3)]
+    return np.stack([of[i][0] * x + of[i][1] * y + of[i][2] * z for i in range(3)], axis=-1)
 
 
 def applied(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,7 +23,10 @@ from scenec.schemas.errors import ScenecError
 from scenec.schemas.manifest import read_manifest
 from scenec.studies.runner import CONFIGS, ROOT, Cell, Cost, Study, apart, run
 
-CFGS = ("landing_site", "mars_yard", "meadow_edge", "jacksboro", "lunar_mare", "volcanic_desert")
+CFGS = (
+    "landing_site", "mars_yard", "meadow_edge", "forest_edge", "jacksboro", "lunar_mare",
+    "volcanic_desert",
+)  # fmt: skip
 
 
 def compiled(

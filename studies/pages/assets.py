@@ -52,7 +52,7 @@ object's distance. (Mitsuba, {spp} samples a pixel, denoised.)
 
 GROUPS = {
     "Trees and shrubs": ("tree", "shrub"),
-    "Herbs and dead wood": ("grass", "flower", "dead_wood"),
+    "Herbs, litter, dead wood": ("grass", "flower", "fern", "litter", "dead_wood"),
     "Stones": ("stone", "wall"),
     "Farm": ("fence", "bale", "building", "bench", "tractor"),
     "Street and site": ("sign", "pole", "cone", "drum", "pallet", "car"),
@@ -226,15 +226,17 @@ YARD: dict[str, list[tuple[float, float, float]]] = {
     "sphere_mirror": [(-1.8, -4.4, 0)],
     "stone_weathered": [(0.6, 4.6, 0), (9.2, -2.9, 70)],
     "stone_angular": [(-0.6, -3.0, 40)],
-    "oak": [(-10.5, 14.0, 0), (13.0, 19.0, 90)],
-    "birch": [(3.6, 14.5, 0), (6.2, 16.5, 120)],
-    "spruce": [(10.0, 15.0, 0), (-3.6, 17.0, 30)],
-    "pine": [(-16.5, 17.0, 0), (0.4, 20.0, 200)],
+    "oak": [(-10.5, 15.0, 0), (13.0, 20.0, 90)],
+    "birch": [(3.6, 15.5, 0)],
+    "birch_young": [(6.2, 13.5, 120)],
+    "spruce": [(10.0, 17.0, 0), (-3.6, 18.0, 30)],
+    "spruce_young": [(12.6, 13.5, 0)],
+    "pine": [(-16.5, 18.0, 0), (0.4, 22.0, 200)],
     "snag": [(15.5, 12.5, 0)],
     "hazel": [(-6.6, 11.4, 0)],
     "juniper": [(8.0, 11.6, 0), (12.2, 10.9, 80)],
 }
-_GRASS = ("grass_short", "grass_tall", "daisy")
+_GRASS = ("grass_short", "grass_tall", "grass_dry", "daisy")
 
 
 def yard(page: Page, assets: dict[str, Asset], spp: int) -> None:

@@ -99,7 +99,15 @@ ENTRIES = (
         "meadow_edge",
         0,
         "surface",
-        "23,000 tufts of grass, flowers, shrubs and trees; a track, a plowed field, a dry channel",
+        "24,000 tufts of grasses, living and dead, flowers, shrubs and trees; a track, a plowed "
+        "field, a dry channel",
+    ),
+    Entry(
+        "forest_edge",
+        0,
+        "surface",
+        "Old spruces, pines, birches and oaks above a meadow, young ones and hazels before them; "
+        "ferns, leaf litter, fallen wood; wood and leaves apart in the level part",
     ),
 )
 

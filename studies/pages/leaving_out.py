@@ -35,7 +35,10 @@ OUTPUTS: tuple[tuple[str, ...], ...] = (
     ("rgb", "label", "instance", "depth"),
 )
 SPP = 64
-SHIPPED = ("jacksboro", "landing_site", "lunar_mare", "mars_yard", "meadow_edge", "volcanic_desert")
+SHIPPED = (
+    "forest_edge", "jacksboro", "landing_site", "lunar_mare", "mars_yard", "meadow_edge",
+    "volcanic_desert",
+)  # fmt: skip
 
 HEAD = """# Leaving out what a scene does not need
 

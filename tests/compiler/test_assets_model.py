@@ -328,6 +328,53 @@ def test_normals_turn_with_their_nodes_and_mirrors_keep_them_outside(tmp_path):
     assert ((flat[:, None] * model.normals).sum(axis=2) > 0).all()
 
 
+def test_instances_are_the_same_mesh_at_as_many_nodes(tmp_path):
+    rng = np.random.default_rng(4)
+    scales = rng.uniform(0.5, 2.0, (5, 3))
+    scales[3:, 0] *= -1.0
+    rows = {"TRANSLATION": rng.normal(size=(5, 3)), "ROTATION": rng.normal(size=(5, 4))}
+    rows = {key: value.astype("<f4") for key, value in (rows | {"SCALE": scales}).items()}
+    folders = [tmp_path / "nodes", tmp_path / "instances"]
+    for folder in folders:
+        folder.mkdir()
+        document, binary = models.gltf_parts(beside=False)
+        if folder.name == "nodes":
+            document["nodes"] = [
+                {"name": "box", "mesh": 0}
+                | {k.lower(): [float(x) for x in v[i]] for k, v in rows.items()}
+                for i in range(5)
+            ]
+        else:
+            attributes = {}
+            for key, values in rows.items():
+                attributes[key] = len(document["accessors"])
+                document["accessors"].append(
+                    {
+                        "bufferView": len(document["bufferViews"]), "componentType": 5126,
+                        "count": 5, "type": f"VEC{values.shape[1]}",
+                    }
+                )  # fmt: skip
+                document["bufferViews"].append(
+                    {"buffer": 0, "byteOffset": len(binary), "byteLength": values.nbytes}
+                )
+                binary += values.tobytes()
+            told = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+            document["nodes"][0]["extensions"] = told
+            document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+        document["buffers"] = [{"byteLength": len(binary)}]
+        (folder / "a.glb").write_bytes(glb(document, binary))
+    one, other = (read_model(folder / "a.glb") for folder in folders)
+    assert one.parts == other.parts
+
+    def sides(model):
+        at = model.points[model.faces]
+        order = np.lexsort(np.round(at.reshape(len(at), -1), 6).T)
+        return at[order], model.uv[order], model.material_of_face[order]
+
+    for a, b in zip(sides(one), sides(other), strict=True):
+        assert np.allclose(a, b, atol=1e-12)
+
+
 @pytest.mark.parametrize(("kind", "channels"), [("uint8", 1), ("uint8", 3), ("uint16", 1)])
 def test_our_png_is_read_back_by_pillow(kind, channels):
     rng = np.random.default_rng(2)

@@ -9,20 +9,23 @@ import io
 import json
 import struct
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 #: Decimals that coordinates are rounded to, so that the last bit of a sine reaches no byte.
-_DECIMALS = {"POSITION": 5, "TEXCOORD_0": 4}
+_DECIMALS = {"POSITION": 5, "TEXCOORD_0": 4, "TRANSLATION": 4, "SCALE": 3}
 _FLOAT, _USHORT, _SHORT, _BYTE = 5126, 5123, 5122, 5120
 _STORED = {_FLOAT: "<f4", _USHORT: "<u2", _SHORT: "<i2", _BYTE: "i1"}
 _BYTES, _SPECULAR = "KHR_mesh_quantization", "KHR_materials_specular"
+_COPIES = "EXT_mesh_gpu_instancing"
 #: Whose materials are smoother than this mirrors: coarse normals would show in it.
 _MIRROR = 0.1
 _ARRAY, _ELEMENTS = 34962, 34963
+#: Attributes of instances, not of vertices.
+_PLACES = ("TRANSLATION", "SCALE")
 #: By how much values of two machines may differ: integers that stand for normals.
 _ROUNDING = {"|i1": 1.0, "<i2": 8.0}
 
@@ -65,12 +68,60 @@ class Part:
     uv: NDArray[np.float64] | None = None
 
 
+class Places(NamedTuple):
+    """Where copies of a mesh stand.
+
+    Attributes:
+        positions: Of their origins, float64 [k, 3].
+        turns: Quaternions (x, y, z, w), float64 [k, 4].
+        sizes: Scales, float64 [k].
+    """
+
+    positions: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    sizes: NDArray[np.float64]
+
+    def applied(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of one copy as those of all, float64 [k, n, 3]."""
+        x, y, z, w = self.turns.T
+        rows = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+        turned = np.einsum("ijk,nj->kni", np.array(rows), points)
+        return turned * self.sizes[:, None, None] + self.positions[:, None]
+
+
+class Copies(NamedTuple):
+    """A mesh that stands in many places; several may share a name, and so make one part."""
+
+    name: str
+    part: Part
+    places: Places
+
+
 @dataclass(frozen=True)
 class Model:
-    """What one file holds: parts by name, looks by name."""
+    """What one file holds: parts by name, looks by name, and parts that are copies of a mesh."""
 
     parts: dict[str, Part]
     looks: dict[str, Look]
+    copies: tuple[Copies, ...] = ()
+
+    def meshes(self) -> list[tuple[str, Part, Places | None]]:
+        """All meshes: name, one of it, and where its copies stand."""
+        return [*((name, part, None) for name, part in self.parts.items()), *self.copies]
+
+    def size(self) -> NDArray[np.float64]:
+        """Extents along x, y and z, float64 [3]."""
+        points = np.concatenate(
+            [
+                part.points if places is None else places.applied(part.points).reshape(-1, 3)
+                for _, part, places in self.meshes()
+            ]
+        )
+        return np.ptp(points, axis=0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +141,10 @@ class Card:
 
 def triangles(model: Model) -> int:
     """How many of them a model has."""
-    return sum(len(part.faces) for part in model.parts.values())
+    return sum(
+        len(part.faces) * (1 if places is None else len(places.sizes))
+        for _, part, places in model.meshes()
+    )
 
 
 @dataclass
@@ -113,7 +167,7 @@ class _Buffer:
         rows = (np.round(values, _DECIMALS[name]) + 0.0).astype("<f4")
         kind = {2: "VEC2", 3: "VEC3"}[rows.shape[1]]
         entry: dict[str, Any] = {
-            "bufferView": self.view(rows.tobytes(), _ARRAY),
+            "bufferView": self.view(rows.tobytes(), None if name in _PLACES else _ARRAY),
             "componentType": _FLOAT, "count": len(rows), "type": kind,
         }  # fmt: skip
         if name == "POSITION":
@@ -140,6 +194,20 @@ class _Buffer:
         self.accessors.append(entry)
         return len(self.accessors) - 1
 
+    def places(self, places: Places) -> dict[str, int]:
+        """The attributes of instances: turns of 16 bits, as the extension allows."""
+        x, y, z, w = places.turns.T
+        turns = np.round(32767.0 * np.stack([x, z, -y, w], axis=1)).astype("<i2")
+        entry = {
+            "bufferView": self.view(turns.tobytes(), None), "componentType": _SHORT,
+            "normalized": True, "count": len(turns), "type": "VEC4",
+        }  # fmt: skip
+        moved = self.floats("TRANSLATION", _y_up(places.positions))
+        self.accessors.append(entry)
+        turned = len(self.accessors) - 1
+        sizes = self.floats("SCALE", np.repeat(places.sizes[:, None], 3, axis=1))
+        return {"TRANSLATION": moved, "ROTATION": turned, "SCALE": sizes}
+
     def indices(self, faces: NDArray[np.int64], points: int) -> int:
         if points > 65535:
             raise ValueError(f"{points} points in one part: 16-bit indices reach 65535")
@@ -154,23 +222,31 @@ class _Buffer:
 def encode(model: Model, card: Card) -> bytes:
     """The file of a model: one node, one mesh and one primitive a part, all of the part's name."""
     buffer = _Buffer()
+    extras: dict[str, Any] = {"about": card.about, "label": card.label, "license": card.license}
+    extensions, meshes = [_BYTES], model.meshes()
+    if model.copies:
+        extensions.append(_COPIES)
+        # Extents of the whole: those of accessors are of one copy.
+        extras["size_m"] = [round(float(extent), 3) for extent in model.size()]
     document: dict[str, Any] = {
         "asset": {
             "version": "2.0",
             "generator": "scenec tools/models",
             "copyright": f"The scenec authors, {card.license}",
-            "extras": {"about": card.about, "label": card.label, "license": card.license},
+            "extras": extras,
         },
-        "extensionsUsed": [_BYTES],
-        "extensionsRequired": [_BYTES],
+        "extensionsUsed": list(extensions),
+        "extensionsRequired": list(extensions),
         "scene": 0,
-        "scenes": [{"nodes": list(range(len(model.parts)))}],
-        "nodes": [{"name": name, "mesh": i} for i, name in enumerate(model.parts)],
+        "scenes": [{"nodes": list(range(len(meshes)))}],
+        "nodes": [],
         "meshes": [],
         "materials": [],
     }
-    used = list(dict.fromkeys(part.material for part in model.parts.values()))
-    for name, part in model.parts.items():
+    used = list(dict.fromkeys(part.material for _, part, _ in meshes))
+    #: Twigs and their leaves stand in the same places.
+    stored: dict[int, dict[str, int]] = {}
+    for number, (name, part, places) in enumerate(meshes):
         attributes = {
             "POSITION": buffer.floats("POSITION", _y_up(part.points)),
             "NORMAL": buffer.directions(
@@ -185,6 +261,13 @@ def encode(model: Model, card: Card) -> bytes:
             "material": used.index(part.material),
         }
         document["meshes"].append({"name": name, "primitives": [primitive]})
+        node: dict[str, Any] = {"name": name, "mesh": number}
+        if places is not None:
+            if id(places) not in stored:
+                stored[id(places)] = buffer.places(places)
+            node["extensions"] = {_COPIES: {"attributes": stored[id(places)]}}
+        document["nodes"].append(node)
+    pictures: list[bytes] = []
     for name in used:
         look = model.looks[name]
         surface: dict[str, Any] = {
@@ -193,14 +276,18 @@ def encode(model: Model, card: Card) -> bytes:
             "roughnessFactor": look.roughness,
         }
         if look.picture is not None:
-            view = buffer.view(look.picture, None)
-            document["images"] = [{"bufferView": view, "mimeType": "image/png", "name": name}]
-            document["textures"] = [{"source": 0}]
-            surface["baseColorTexture"] = {"index": 0}
+            if look.picture not in pictures:
+                pictures.append(look.picture)
+                view = buffer.view(look.picture, None)
+                image = {"bufferView": view, "mimeType": "image/png", "name": name}
+                document.setdefault("images", []).append(image)
+                document.setdefault("textures", []).append({"source": len(pictures) - 1})
+            surface["baseColorTexture"] = {"index": pictures.index(look.picture)}
         material = {"name": name, "pbrMetallicRoughness": surface, "doubleSided": True}
         if look.specular != 1.0:
             material["extensions"] = {_SPECULAR: {"specularFactor": look.specular}}
-            document["extensionsUsed"] = [_BYTES, _SPECULAR]
+            if _SPECULAR not in document["extensionsUsed"]:
+                document["extensionsUsed"].append(_SPECULAR)
         document["materials"].append(material)
     document["accessors"] = buffer.accessors
     document["bufferViews"] = buffer.views

@@ -22,6 +22,13 @@ LOOKS = {
     "poppy_petal": Look((0.600, 0.022, 0.012), 0.50),
     "poppy_heart": Look((0.018, 0.016, 0.018), 0.70),
     "poppy_leaf": Look((0.075, 0.140, 0.055), 0.60),
+    "bleached": Look((0.420, 0.350, 0.220), 0.75),
+    "fine_blade": Look((0.070, 0.120, 0.045), 0.55),
+    "panicle": Look((0.230, 0.150, 0.120), 0.75),
+    "fern_frond": Look((0.065, 0.130, 0.028), 0.55),
+    "fern_stalk": Look((0.120, 0.110, 0.045), 0.60),
+    "litter_brown": Look((0.200, 0.120, 0.062), 0.75),
+    "litter_pale": Look((0.320, 0.220, 0.120), 0.75),
 }
 
 
@@ -108,6 +115,102 @@ def grass_seeding() -> Model:
             "blades": green.part("grass_blade"),
             "culms": culms.part("straw"),
             "seed_heads": heads.part("seed_head"),
+        },
+        LOOKS,
+    )
+
+
+def grass_dry() -> Model:
+    """A tuft of last year: bleached blades that lean, break and lie, a few green ones between."""
+    chance, dead, green = Chance("grass_dry"), Surface(), Surface()
+    _tuft(
+        chance, [dead], 34, (0.14, 0.46), radius=0.13, lean=(12, 46), bend=(25, 100), width=0.005,
+        segments=4,
+    )  # fmt: skip
+    _tuft(chance, [green], 6, (0.12, 0.30), radius=0.1, lean=(3, 24), bend=(15, 70), width=0.0045)
+    return Model({"dry_blades": dead.part("bleached"), "blades": green.part("grass_blade")}, LOOKS)
+
+
+def grass_fine() -> Model:
+    """A fine-leaved tuft in flower, as of bent: hair-thin culms under open purplish panicles."""
+    chance = Chance("grass_fine")
+    green, culms, heads = Surface(), Surface(), Surface()
+    _tuft(chance, [green], 22, (0.10, 0.32), radius=0.09, lean=(3, 34), bend=(15, 80), width=0.0028)
+    for k in range(6):
+        ahead = azimuth(60.0 * k + chance.about(0.0, 25.0), chance.between(68.0, 86.0))
+        length = chance.between(0.38, 0.62)
+        path = _arc(chance.on_disc(0.06), ahead, length, chance.between(8.0, 30.0), 3)
+        culms.blade(path, [0.0022, 0.0018, 0.0014], across(ahead))
+        for i in range(9):
+            t = 0.72 + 0.28 * (i + 1) / 9
+            x = min(t * 3, 2.999)
+            j = int(x)
+            point = path[j] + (path[j + 1] - path[j]) * (x - j)
+            along = unit(path[j + 1] - path[j])
+            out = turned(across(along), along, 137.5 * i)
+            heads.leaf(
+                point, unit(along + 0.9 * out), out, chance.between(0.02, 0.045) * (1.6 - t),
+                0.006, fold=0.0,
+            )  # fmt: skip
+    return Model(
+        {
+            "blades": green.part("fine_blade"),
+            "culms": culms.part("straw"),
+            "seed_heads": heads.part("panicle"),
+        },
+        LOOKS,
+    )
+
+
+def fern() -> Model:
+    """A male fern: a funnel of arching fronds, each of many pinnae."""
+    chance = Chance("fern")
+    pinnae, stalks = Surface(), Surface()
+    for k in range(9):
+        ahead = azimuth(40.0 * k + chance.about(0.0, 14.0), chance.between(52.0, 74.0))
+        length = chance.between(0.5, 0.85)
+        path = _arc(chance.on_disc(0.04), ahead, length, chance.between(45.0, 95.0), 6)
+        side = across(ahead)
+        stalks.blade(path, [0.007, 0.006, 0.005, 0.004, 0.003, 0.002], side)
+        count = 14
+        for i in range(count):
+            t = 0.16 + 0.84 * (i + 0.5) / count
+            x = min(t * 6, 5.999)
+            j = int(x)
+            point = path[j] + (path[j + 1] - path[j]) * (x - j)
+            along = unit(path[j + 1] - path[j])
+            reach = 0.2 * length * math.sin(math.pi * min(1.0, 0.18 + 0.82 * t)) ** 0.8 + 0.01
+            for s in (-1.0, 1.0):
+                out = unit(0.45 * along + s * side - 0.18 * UP + 0.08 * chance.direction())
+                pinnae.leaf(
+                    point, out, cross(side, along), reach * chance.about(1.0, 0.1), 0.24 * reach,
+                    fold=0.1, widest=0.25,
+                )  # fmt: skip
+    return Model({"fronds": pinnae.part("fern_frond"), "stalks": stalks.part("fern_stalk")}, LOOKS)
+
+
+def litter() -> Model:
+    """Fallen leaves and some dead twigs on half a square meter of ground."""
+    chance = Chance("litter")
+    brown, pale, twigs = Surface(), Surface(), Surface()
+    for k in range(90):
+        base = chance.on_disc(0.42) + UP * chance.between(0.004, 0.03)
+        ahead = azimuth(chance.between(0.0, 360.0), chance.about(0.0, 22.0))
+        upward = unit(UP + 0.45 * chance.direction())
+        size = chance.between(0.05, 0.11)
+        (brown if k % 3 else pale).leaf(
+            base, ahead, upward, size, chance.between(0.5, 0.75) * size,
+            fold=chance.about(0.1, 0.45),
+        )  # fmt: skip
+    for _ in range(7):
+        base = chance.on_disc(0.4) + 0.008 * UP
+        path = _arc(base, azimuth(chance.between(0, 360), 3.0), chance.between(0.1, 0.35), 6.0, 3)
+        twigs.tube(path, [0.004, 0.0035, 0.003, 0.0], 3)
+    return Model(
+        {
+            "leaves": brown.part("litter_brown"),
+            "pale_leaves": pale.part("litter_pale"),
+            "twigs": twigs.part("fern_stalk"),
         },
         LOOKS,
     )

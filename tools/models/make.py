@@ -18,11 +18,11 @@ import boards
 import conifer
 import farm
 import grasses
-import numpy as np
 import person
 import props
 import stones
 import street
+import trees
 import vehicles
 import woody
 from glb import Card, Model, encode, same, triangles
@@ -34,16 +34,28 @@ MODELS: dict[str, tuple[Callable[[], Model], str]] = {
     "grass_short": (grasses.grass_short, "grass"),
     "grass_tall": (grasses.grass_tall, "grass"),
     "grass_seeding": (grasses.grass_seeding, "grass"),
+    "grass_dry": (grasses.grass_dry, "grass"),
+    "grass_fine": (grasses.grass_fine, "grass"),
+    "fern": (grasses.fern, "fern"),
+    "litter": (grasses.litter, "litter"),
     "clover": (grasses.clover, "flower"),
     "daisy": (grasses.daisy, "flower"),
     "poppy": (grasses.poppy, "flower"),
-    "hazel": (woody.hazel, "shrub"),
+    "hazel": (trees.hazel, "shrub"),
+    "hazel_young": (trees.hazel_young, "shrub"),
     "rose": (woody.rose, "shrub"),
     "juniper": (conifer.juniper, "shrub"),
-    "oak": (woody.oak, "tree"),
-    "birch": (woody.birch, "tree"),
-    "spruce": (conifer.spruce, "tree"),
-    "pine": (conifer.pine, "tree"),
+    "oak": (trees.oak, "tree"),
+    "oak_young": (trees.oak_young, "tree"),
+    "oak_old": (trees.oak_old, "tree"),
+    "birch": (trees.birch, "tree"),
+    "birch_young": (trees.birch_young, "tree"),
+    "birch_old": (trees.birch_old, "tree"),
+    "spruce": (trees.spruce, "tree"),
+    "spruce_young": (trees.spruce_young, "tree"),
+    "spruce_old": (trees.spruce_old, "tree"),
+    "pine": (trees.pine, "tree"),
+    "pine_old": (trees.pine_old, "tree"),
     "snag": (woody.snag, "tree"),
     "log": (woody.log, "dead_wood"),
     "stone_weathered": (stones.stone_weathered, "stone"),
@@ -111,15 +123,16 @@ def main(arguments: list[str]) -> int:
             continue
         FOLDER.mkdir(parents=True, exist_ok=True)
         file.write_bytes(data)
-        print(f"{name}: {triangles(model)} triangles, {len(data)} bytes, {', '.join(model.parts)}")
+        parts = ", ".join(dict.fromkeys(key for key, _, _ in model.meshes()))
+        print(f"{name}: {triangles(model)} triangles, {len(data)} bytes, {parts}")
     return 1 if stale else 0
 
 
 def _row(name: str, model: Model, card: Card) -> str:
     """What the page says of a model."""
-    points = np.concatenate([part.points for part in model.parts.values()])
-    size = " × ".join(f"{extent:.2f}" for extent in np.ptp(points, axis=0))
-    parts = ", ".join(f"`{key}` ({part.material})" for key, part in model.parts.items())
+    size = " × ".join(f"{extent:.2f}" for extent in model.size())
+    named = {key: part.material for key, part, _ in model.meshes()}
+    parts = ", ".join(f"`{key}` ({material})" for key, material in named.items())
     return f"| `{name}.glb` | {card.about} | {size} | {parts} | {triangles(model):,} |"
 
 
