@@ -16,7 +16,7 @@ EXPERIMENTS := head_to_head ego_motion
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test thorough lint types unit browser format bench docs site pictures experiments lock gpu wheel clean distclean
+.PHONY: help setup demo test thorough lint types unit audit browser format bench docs site pictures experiments lock gpu wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -52,6 +52,12 @@ unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
 	@echo "== Testing, $(WORKERS) processes"
 	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder \
 	  --max-worker-restart 0 --hypothesis-profile $(EXAMPLES) $(MARKED) $(PYTEST_ARGS)
+
+# Python's development mode; what is never closed, deprecated or undefined ends a test.
+audit: setup  ## The fast tests once more, each warning an error (ruff's security rules: make lint).
+	@echo "== Testing, every warning an error"
+	@.venv/bin/python -X dev -W error -m pytest -n $(WORKERS) --dist loadfile \
+	  --hypothesis-profile quick -m "not slow" $(PYTEST_ARGS)
 
 browser: setup  ## A browser for the tests of `scenec view`, where there is none.
 	@tools/browser.sh

@@ -121,7 +121,7 @@ def _speak_utf8() -> None:
     if sys.getfilesystemencoding() != "utf-8":
         # The mode is the environment's: processes that this one starts have it, too.
         environment = {**os.environ, "PYTHONUTF8": "1"}
-        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)  # noqa: S606 (itself)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 

@@ -25,11 +25,11 @@ from typing import Any
 from zipfile import BadZipFile
 
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.lock import LOCK, clear, is_alive
+from scenec.schemas.lock import LOCK, clear, is_alive, process_id
 
 #: Begins the name of what is being written: ``.scenec-<machine>-<process>-<chance>-<name>``.
 TEMPORARY = ".scenec-"
-_TEMPORARY = re.compile(r"\.scenec-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}-.+")
+_TEMPORARY = re.compile(r"\.scenec-([0-9a-f]{8})-([0-9]+(?:\.[0-9]+)?)-[0-9a-f]{8}-.+")
 #: Bytes below which a disk counts as full: no stage and no picture is smaller.
 _LEAST_FREE = 1 << 20
 
@@ -68,7 +68,7 @@ def atomic(path: Path) -> Iterator[Path]:
 def _beside(path: Path) -> Path:
     # The ending stays: libraries choose their format by it.
     chance = secrets.token_hex(4)
-    return path.with_name(f"{TEMPORARY}{_machine()}-{os.getpid()}-{chance}-{path.name}")
+    return path.with_name(f"{TEMPORARY}{_machine()}-{process_id()}-{chance}-{path.name}")
 
 
 @cache
@@ -93,7 +93,7 @@ def sweep(folders: Iterable[Path]) -> None:
                 whose = _TEMPORARY.fullmatch(path.name)
                 if path.name.startswith(LOCK):
                     clear(path)
-                elif whose and whose[1] == _machine() and not is_alive(int(whose[2])):
+                elif whose and whose[1] == _machine() and not is_alive(whose[2]):
                     if path.is_dir() and not path.is_symlink():
                         shutil.rmtree(path, ignore_errors=True)
                     else:

@@ -516,7 +516,7 @@ class _Kept:
             # What compiled code needs; a refresh would import all that compiling does (0.3 CPU s).
             rtsys.initialize(context)
             with suppress(ImportError, AttributeError):
-                library, described, *others = pickle.loads(memoryview(data)[32:])
+                library, described, *others = pickle.loads(memoryview(data)[32:])  # noqa: S301 (from the user's own cache, or the wheel)
                 # The one name that is asked for; numba takes it from what ``save_overload`` spares.
                 context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
                 return CompileResult._rebuild(context, library, described, *others)

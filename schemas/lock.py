@@ -91,7 +91,8 @@ class Lock:
                 os.ftruncate(file, 0)
             words = [os.path.basename(sys.argv[0] or "python"), *sys.argv[1:]]
             since = time.strftime("%Y-%m-%d %H:%M:%S")
-            line = {"host": _host(), "pid": os.getpid(), "command": " ".join(words), "since": since}
+            own = process_id()
+            line = {"host": _host(), "process": own, "command": " ".join(words), "since": since}
             os.write(file, (json.dumps(line) + "\n").encode())
 
     def release(self) -> None:
@@ -138,25 +139,53 @@ def _holders(file: int) -> str:
         for line in os.pread(file, 1 << 16, 0).decode("utf-8", "replace").splitlines():
             try:
                 entry = json.loads(line)
-                host, pid = str(entry["host"]), int(entry["pid"])
+                host, process = str(entry["host"]), str(entry["process"])
+                pid = int(process.partition(".")[0])
                 text = f"{entry['command']!r} ({host}, process {pid}, since {entry['since']})"
             except (ValueError, KeyError, TypeError, RecursionError):
                 continue
             # Of those that share a lock, some may have gone.
-            if host != _host() or is_alive(pid):
+            if host != _host() or is_alive(process):
                 found.append(text)
     return " and ".join(found)
 
 
-def is_alive(pid: int) -> bool:
-    """Whether a process of this machine is running."""
+def process_id() -> str:
+    """Of this process: its number and, on Linux, a dot and when it started.
+
+    Numbers come again, soon where many processes start.
+    """
+    own = os.getpid()
+    # /proc may be that of other processes.
+    number, _, started = _stat("self") or ("", "", "")
+    return f"{own}.{started}" if number == str(own) else f"{own}"
+
+
+def is_alive(process: str) -> bool:
+    """Whether a process of this machine is running, by its ``process_id``."""
+    number, _, started = process.partition(".")
     try:
-        os.kill(pid, 0)
+        os.kill(int(number), 0)
     except ProcessLookupError:
         return False
     except (OSError, OverflowError):
         return True
-    return True
+    if not started or (found := _stat(number)) is None:
+        return True
+    # One that has ended keeps its number until it is asked how it ended. In a container, whose
+    # first process may not be made for that, nobody ever asks what a killed command leaves.
+    return found[1] not in "ZX" and found[2] == started
+
+
+def _stat(process: str) -> tuple[str, str, str] | None:
+    """Number, state and start [ticks since boot] of a process; None where ``/proc`` has none."""
+    try:
+        text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    # Its name stands between parentheses, and may have any in it.
+    number, fields = text.partition(" ")[0], text.rpartition(")")[2].split()
+    return number, fields[0], fields[19]
 
 
 def _host() -> str:

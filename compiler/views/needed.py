@@ -33,7 +33,7 @@ from scenec.schemas.left_out import entry
 from scenec.schemas.passes import BUILT_IN
 
 #: Name of this pass in reports.
-PASS = "outputs"
+PASS = "outputs"  # noqa: S105 (no password)
 _NO_RGB = "no sensor asks for rgb"
 _NO_LABELS = "no sensor asks for labels"
 _NO_IDS = "no sensor asks for instances"

@@ -38,7 +38,7 @@ from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 
 #: Name of this pass in reports.
-PASS = "prune"
+PASS = "prune"  # noqa: S105 (no password)
 #: Radii are taken this much larger, relatively, and by this part of the largest coordinate.
 _SLACK, _ROUNDING = 1e-5, 1e-7
 

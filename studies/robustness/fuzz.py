@@ -273,7 +273,8 @@ def _outputs() -> dict[str, Kind]:
 
     return {
         "manifest": Kind(write, "out/manifest.json", manifest, text=True),
-        "sidecar": Kind(write, "out/**/0*.json", read_frame, text=True),
+        # Of a frame of which they say something else an error names either.
+        "sidecar": Kind(write, "out/**/0*.json", read_frame, text=True, said_of="000000"),
         "frame exr": Kind(write, "out/**/0*.exr", read_frame, vouched=True),
         "frame table": Kind(write, "out/**/*.instances.csv", read_frame_table, text=True),
         "stage file": Kind(write, "out/**/stage.usda", listed, text=True, vouched=True),

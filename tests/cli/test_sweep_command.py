@@ -80,7 +80,8 @@ def test_every_point_is_what_compiling_it_alone_makes_and_is_made_once(tmp_path,
     assert said == json.loads((out / "sweep.json").read_text())
     assert {point["state"] for point in said["points"]} == {"compiled"}
     assert [point["terrain.spacing_m"] for point in said["points"]] == [0.5, 0.5, 0.8, 0.8]
-    rows = list(csv.DictReader((out / "sweep.csv").open(encoding="utf-8")))
+    with (out / "sweep.csv").open(encoding="utf-8") as table:
+        rows = list(csv.DictReader(table))
     assert [(row["folder"], row["terrain.spacing_m"], row["seed"]) for row in rows] == [
         (f"spacing_m={spacing}_seed={seed}", spacing, str(seed))
         for spacing in ("0.5", "0.8")

@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -29,7 +30,7 @@ from scenec.compiler.scene.scene import MaterialMaps, Picture
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, inside, sweep, temporary_folder
-from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.lock import LOCK, BusyError, Lock, is_alive, process_id
 from scenec.schemas.manifest import read_manifest, stage_digest
 from scenec.schemas.update import UPDATE, finish_update, replace_files
 
@@ -365,6 +366,29 @@ def test_what_a_killed_process_was_writing_is_swept_and_what_a_live_one_writes_i
             sweep([tmp_path])
             left = {path.name for path in tmp_path.iterdir()} - {"a.exr"}
             assert left == {living.name, ".scenec-notes"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says when a process started")
+def test_a_process_that_has_ended_is_not_alive_whatever_has_its_number_now(tmp_path):
+    with warnings.catch_warnings():
+        # Of threads that the child does not use.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        with temporary_folder(tmp_path):
+            Lock(tmp_path / LOCK)
+            os._exit(0)
+    # It has ended, and has its number until it is waited for.
+    os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
+    (left,) = {path.name for path in tmp_path.iterdir()} - {LOCK}
+    sweep([tmp_path])
+    assert not list(tmp_path.iterdir())
+    os.waitpid(child, 0)
+    # Somebody else has it.
+    (tmp_path / left.replace(str(child), str(os.getpid()))).mkdir()
+    sweep([tmp_path])
+    assert not list(tmp_path.iterdir())
+    assert is_alive(process_id())
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,8 @@ def test_images_say_what_they_are_of_and_how_they_were_seen(tmp_path):
         frame = source.load(ref)
         picture = tmp_path / "set" / "images" / "all" / image["file_name"]
         assert picture.read_bytes() == ref.stem.with_suffix(".png").read_bytes()
-        assert Image.open(picture).size == (image["width"], image["height"])
+        with Image.open(picture) as opened:
+            assert opened.size == (image["width"], image["height"])
         assert (image["batch"], image["camera"], image["sample"]) == (
             ref.batch, ref.camera, ref.sample,
         )  # fmt: skip

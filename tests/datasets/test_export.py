@@ -82,8 +82,13 @@ def test_a_format_of_another_package_is_found_beside_ours(plugin: Path) -> None:
         find_format("cocoa")
 
 
+def lines_of(dataset: Path) -> list[dict[str, str]]:
+    with (dataset / "frames.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
 def test_a_dataset_lists_every_frame_and_every_file(output: Path, dataset: Path) -> None:
-    lines = list(csv.DictReader((dataset / "frames.csv").open(encoding="utf-8")))
+    lines = lines_of(dataset)
     stems = sorted(output.glob("batch_*/frames/annotation/*/*.json"))
     expected = [f"{p.parts[-5]}/{p.parts[-2]}/{p.stem}" for p in stems]
     assert [line["frame"] for line in lines] == expected
@@ -246,9 +251,7 @@ def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
         (FRAME, "damaged"),
     ]
     assert sum("left out" in line for line in lines) == 2
-    assert set(counts_of(tmp_path / "ds")) == set(
-        line["frame"] for line in csv.DictReader((tmp_path / "ds/frames.csv").open())
-    )
+    assert set(counts_of(tmp_path / "ds")) == {line["frame"] for line in lines_of(tmp_path / "ds")}
     assert report.frames == 6
     assert export(copy, "tiny", tmp_path / "ds", skip).there
     path = copy / f"{FRAME.replace('/rover', '/frames/annotation/rover')}.exr"
@@ -291,8 +294,7 @@ def test_filters_remap_and_splits_reach_the_format(
 
 
 def digests(dataset: Path) -> list[tuple[str, str]]:
-    lines = csv.DictReader((dataset / "frames.csv").open(encoding="utf-8"))
-    return [(line["frame"], line["annotation_sha256"]) for line in lines]
+    return [(line["frame"], line["annotation_sha256"]) for line in lines_of(dataset)]
 
 
 def test_bad_choices_end_in_one_message_before_anything_is_written(

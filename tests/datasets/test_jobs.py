@@ -28,6 +28,6 @@ def test_workers_end_where_their_parent_is_killed(tmp_path):
     workers = psutil.Process(process.pid).children(recursive=True)
     assert len(workers) >= 2
     process.kill()
-    process.wait()
+    process.communicate()
     for worker in workers:
         until_gone(worker.pid)

@@ -87,7 +87,8 @@ def test_labels_and_instances_come_back_from_the_tree(
                     assert (back == made[f"label.{name}"]).all()
                 back = decoded(folder / f"{stem}_instance_label_00.png", 51)
                 assert (back == made["instance"]).all()
-                assert Image.open(folder / f"{stem}_rgb_00.png").size == (12, 8)
+                with Image.open(folder / f"{stem}_rgb_00.png") as picture:
+                    assert picture.size == (12, 8)
                 number += 1
     table = json.loads((folder / "labels.json").read_text(encoding="utf-8"))
     assert [level["name"] for level in table["levels"]] == list(LABELS)
