@@ -5,9 +5,9 @@ python studies/experiments/instances.py [--fast] [--full] [--only A,B] [-o DIR] 
 The experiment of section IV-C of the OAISYS paper. It takes minutes on two cores; ``--full`` makes
 more and larger pictures. ``--only tracking`` trains no network, and takes seconds; ``--only
 detection`` follows nothing. ``--work`` keeps the frames, which are those of segmentation.py, and
-the network's answers, and goes on where an earlier run left off. Needs the extras `mitsuba`, `coco`,
-`plots` and `networks`, and TrackEval (``pip install --no-deps trackeval``);
-tracking needs `coco` and TrackEval alone.
+the network's answers, and goes on where an earlier run left off. Needs the extras `mitsuba`,
+`coco`, `plots` and `networks`, and TrackEval (``pip install --no-deps trackeval``); tracking needs
+`coco`, `plots` and TrackEval alone.
 """
 
 from __future__ import annotations
