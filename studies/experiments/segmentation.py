@@ -66,8 +66,8 @@ The network is torchvision's LR-ASPP on MobileNetV3-{backbone}, from random weig
 experiment downloads nothing: {steps} steps of {pictures} pictures, AdamW, {device}. Each is
 trained {runs} times, by seeds {seeds}; "±" is the standard deviation over them.
 [`scenec evaluate`](evaluate.md) counts the intersection over union (IoU) of each class over all
-held-out pictures. Making the pictures took {made:.0f} CPU s, training and answering {trained:.0f}
-CPU s.
+held-out pictures. Making the pictures took {made:.0f} CPU s, where stages that are shared count for
+each that shows them; training and answering took {trained:.0f} CPU s.
 """
 
 
@@ -177,7 +177,8 @@ def _mean(ious: Numbers) -> tuple[float, float]:
 
 
 def _said(ious: Numbers) -> str:
-    return "{:.1f} ± {:.1f}".format(*_mean(ious))
+    mean, spread = _mean(ious)
+    return f"{mean:.1f} ± {spread:.1f}" if len(ious) > 1 else f"{mean:.1f}"
 
 
 def _by_class(ious: Numbers) -> list[str]:
