@@ -240,7 +240,9 @@ def _shown(page: Page, experiment: Experiment, means: dict[tuple[str, str], floa
     axes.set_xlabel("tested on")
     axes.set_ylabel("trained on")
     axes.set_title("mean IoU, %", fontsize=10)
-    colors = np.array(list(label_colors(list(range(1, len(CLASSES) + 1))).values()), np.uint8)
+    ids = list(range(1, len(CLASSES) + 1))
+    palette = label_colors(ids)
+    colors = np.array([palette[number] for number in ids], np.uint8)
     frames = experiment.frames(FULL, _OWN, experiment.renders.held_out)
     source = Source(frames.out, _OWN, batches=experiment.renders.held_out)
     chosen = source.frames[:: max(len(source.frames) // 4, 1)][:4]
