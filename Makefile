@@ -12,7 +12,7 @@ EXAMPLES := quick
 BENCHMARKS := adapters agreement annotation blur coco cold compile estimate \
   hdf5 imaging incremental lenses memory mesh million mitsuba_ground prune relief \
   sampling scatter tracks
-EXPERIMENTS := head_to_head ego_motion
+EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
@@ -102,7 +102,8 @@ lock: setup  ## Resolve pyproject.toml again into requirements.lock and requirem
 	cp pyproject.toml README.md LICENSE "$$folder"; mkdir -p "$$folder/src/scenec"; \
 	root=$$(pwd); cd "$$folder"; \
 	"$$root/.venv/bin/uv" lock --quiet --python "$$root/.venv/bin/python"; \
-	"$$root/.venv/bin/uv" export --quiet --frozen --all-extras --no-extra torch --no-extra rerun \
+	"$$root/.venv/bin/uv" export --quiet --frozen --all-extras \
+	  --no-extra torch --no-extra networks --no-extra rerun \
 	  --all-groups --no-emit-project --no-header --format requirements-txt \
 	  --output-file all.lock; \
 	awk -v overridden='^($(OVERRIDDEN))==' '/^[a-z]/ { file = $$0 ~ overridden ? \

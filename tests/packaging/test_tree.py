@@ -78,7 +78,7 @@ def test_no_lock_file_with_addresses_is_in_the_repository() -> None:
 
 
 #: Extras that are in neither the lock nor the extra "all".
-TOO_LARGE = ("torch", "rerun")
+TOO_LARGE = ("torch", "networks", "rerun")
 #: Extras that build the pages and run studies: in the lock, of no use to who makes pictures.
 FOR_DEVELOPERS = ("docs", "studies")
 
