@@ -84,7 +84,10 @@ def _depth_along(layer, at, way, steps):  # type: ignore[no-untyped-def]
     end = layer.base_m + layer.thickness_m if way[2] > 0.0 else layer.base_m
     rising = max(abs(way[2]), 1.0 / (_REACH * _REACH))
     reach = min(abs(end - at[2]) / rising, _REACH * layer.thickness_m)
-    length = reach * (_LONGER - 1.0) / (_LONGER**steps - 1.0)
+    last = 1.0
+    for _ in range(steps):
+        last *= _LONGER
+    length = reach * (_LONGER - 1.0) / (last - 1.0)
     along = 0.0
     depth = 0.0
     for _ in range(steps):

@@ -63,7 +63,8 @@ def _coated(mesh: Prototype, plans: Sequence[CoatingPlan], embed: float) -> Prot
     points, normals = mesh.points.astype(np.float64), mesh.normals.astype(np.float64)
     # Of an icosphere: 10 * 4^n + 2 points.
     spacing = EDGE / np.sqrt(0.1 * (len(points) - 2.0))
-    below = _depths(points, normals, mesh.faces, max(1, round((_REACH / spacing) ** 2)))
+    edges = _REACH / spacing
+    below = _depths(points, normals, mesh.faces, max(1, round(edges * edges)))
     low, high = points[:, 2].min(), points[:, 2].max()
     above = (points[:, 2] - low) / (high - low) - embed
     return replace(

@@ -253,6 +253,7 @@ PROGRAM = [
     {"type": "stream_power", "erodibility": 1e-4, "area_exponent": 0.45, "duration_a": 1e3,
      "steps": 2, "diffusivity_m2_per_a": 1e-5, "outlets": ["south", "west"]},
     {"type": "thermal", "angle_deg": 25},
+    {"type": "polygons", "scale_m": 4, "depth_m": 0.1},
     {"type": "diffusion", "diffusivity_m2_per_a": 1e-5, "duration_a": 100},
     {"type": "terraces", "step_m": 0.4, "bend_m": 0.1, "bend_scale_m": 5},
     {"type": "dunes", "height_m": 0.3, "wavelength_m": 5, "wind_deg": 30},
