@@ -12,6 +12,7 @@ from pxr import Ar, Sdf, Tf, Usd
 
 from scenec.backends.stage import values
 from scenec.backends.stage.values import said
+from scenec.schemas.crate import crate_fault
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
 from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
@@ -91,6 +92,8 @@ class Sources:
             raise StageError(f"{self._path}: no such file")
         self._hold_against_manifest()
         self._require_whole()
+        if damage := crate_fault(self._path):
+            raise StageError(f"{self._path}: not a USD stage: {damage}")
         # Warnings about composition come again, as errors that can be told apart.
         with Tf.DiagnosticTrap() as trap:
             try:

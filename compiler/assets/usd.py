@@ -19,6 +19,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
 from scenec.compiler.geometry.poses import compose
+from scenec.schemas.crate import crate_fault
 from scenec.schemas.native import commentary, native_reading
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.
@@ -34,6 +35,8 @@ def sound_stage(file: Path) -> Iterator[Usd.Stage]:
     Raises:
         MeshFileError: It is not USD, or refers to other layers.
     """
+    if damage := crate_fault(file):
+        raise MeshFileError(f"not a sound USD file: {damage}")
     try:
         with native_reading(file):
             stage = Usd.Stage.Open(str(file))

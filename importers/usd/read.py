@@ -16,6 +16,7 @@ from scenec.importers.usd.cameras import add_cameras
 from scenec.importers.usd.light import add_light
 from scenec.importers.usd.meshes import add_ground, add_instances, add_rocks, model_of
 from scenec.importers.usd.scene import Scene, is_prototype, shown_prims
+from scenec.schemas.crate import crate_fault
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.native import native_reading
 
@@ -46,6 +47,8 @@ def import_usd(file: Path, out: Path, *, ground: str = "", keep: Sequence[str] =
 def _imported(file: Path, out: Path, ground: str, keep: Sequence[str]) -> Imported:
     if not file.is_file():
         raise ScenecError(f"{file}: {'not a file' if file.exists() else 'there is no such file'}")
+    if damage := crate_fault(file):
+        raise ScenecError(f"{file}: not a sound USD file: {damage}")
     imported = Imported(out)
     stage = Usd.Stage.Open(str(file))
     unit, axis = UsdGeom.GetStageMetersPerUnit(stage), str(UsdGeom.GetStageUpAxis(stage)).lower()
