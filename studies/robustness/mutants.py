@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.native import CRASHES, read_note
@@ -113,7 +114,7 @@ class Outcome:
             died, and it is known over which file), or a fault: ``unnamed`` (an error that names no
             file), ``traceback``, ``died``, ``hang``, ``memory``, ``left behind``.
         text: The error.
-        seconds, peak: Of the processor; bytes.
+        seconds, peak: Of the processor; bytes beyond what the parent had.
     """
 
     kind: str
@@ -139,11 +140,13 @@ def tried(read: Callable[[], object], name: str, jail: Path) -> Outcome:
     for folder in aside.values():
         folder.mkdir(parents=True)
     said = jail / "said"
+    # A child begins with all that its parent has in memory, and that counts as its own.
+    held = psutil.Process().memory_info().rss
     child = os.fork()
     if not child:
         os._exit(_child(read, name, aside, said))
     _, status, used = os.wait4(child, 0)
-    seconds, peak = used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+    seconds, peak = used.ru_utime + used.ru_stime, max(used.ru_maxrss * 1024 - held, 0)
     text = said.read_text(encoding="utf-8", errors="replace") if said.exists() else ""
     ended = os.waitstatus_to_exitcode(status)
     left = [path for folder in aside.values() for path in folder.rglob("*")]
