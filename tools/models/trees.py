@@ -1,4 +1,4 @@
-"""Trees and hazels at several ages, as they grow: see ``growth``."""
+"""Trees and hazels at several ages, as they grow (``growth``) and what they wear (``foliage``)."""
 
 from __future__ import annotations
 
@@ -8,23 +8,9 @@ from dataclasses import replace
 
 import bark
 import numpy as np
+from foliage import Twigs, dress, foliage, leafy_twig, needle_spray, needle_tuft
 from glb import Look, Model, Part
-from growth import (
-    Grown,
-    Skeleton,
-    Space,
-    Twigs,
-    colonize,
-    crown,
-    dress,
-    foliage,
-    leafy_twig,
-    limbs,
-    needle_spray,
-    needle_tuft,
-    thicken,
-    whorls,
-)  # fmt: skip
+from growth import Grown, Skeleton, Space, colonize, crown, limbs, thicken, whorls
 from surfaces import UP, Chance, Floats, Surface, across, azimuth, unit
 
 #: Leaves let light through, the surface model does not: what they transmit is in their color.
@@ -107,7 +93,7 @@ def _oak(
     grown = thicken(skeleton, 0.0042, foot, 0.6)
     twigs = Twigs(5)
     dress(
-        grown, chance, twigs, range(5), thin=0.02 * size, every=every,
+        grown, chance, twigs, thin=0.02 * size, every=every,
         size=(0.8 * size, 1.25 * size), spread=55, light=0.35,
     )  # fmt: skip
     shapes = [
@@ -155,8 +141,8 @@ def _birch(
     grown = thicken(skeleton, 0.0026, foot, 0.4)
     twigs = Twigs(5)
     dress(
-        grown, chance, twigs, range(5), thin=0.011 * size, every=every,
-        size=(0.8 * size, 1.25 * size), spread=40, light=-0.1, sag=0.35,
+        grown, chance, twigs, thin=0.011 * size, every=every,
+        size=(0.8 * size, 1.25 * size), spread=40, light=-0.45,
     )  # fmt: skip
     shapes = [
         leafy_twig(
@@ -215,7 +201,7 @@ def _hazel(name: str, height: float, spread: float, count: int, free: int, every
     grown = thicken(skeleton, 0.0028, 0.02, 0.2)
     twigs = Twigs(4)
     dress(
-        grown, chance, twigs, range(4), thin=0.008, every=every, size=(0.8, 1.2), spread=60,
+        grown, chance, twigs, thin=0.008, every=every, size=(0.8, 1.2), spread=60,
         light=0.2, lowest=0.15,
     )  # fmt: skip
     shapes = [
@@ -351,7 +337,7 @@ def _pine(
     twigs = Twigs(4)
     green = _without(grown, len(path), stubs)
     dress(
-        green, chance, twigs, range(4), thin=0.026, every=every,
+        green, chance, twigs, thin=0.026, every=every,
         size=(0.9 * size, 1.35 * size), spread=50, light=0.5, lowest=low,
     )  # fmt: skip
     shapes = [needle_tuft(chance, length=0.28, count=30, needle=0.12, wide=0.009) for _ in range(4)]
