@@ -1,18 +1,19 @@
-"""Renders the cfgs of configs/ and the README's picture, and writes docs/gallery.md.
+"""Renders views of the cfgs of configs/ and the README's picture, and writes docs/gallery.md.
 
-    python studies/pages/gallery.py [--only NAME] [--spp 64] [--keep FOLDER] [-o FOLDER] [--fast]
+    python studies/pages/gallery.py [--only CFG] [--spp 64] [--keep FOLDER] [-o FOLDER] [--fast]
 
-Each picture shows one frame as Mitsuba draws it, made smaller (64 samples per pixel become 114 per
-pixel shown), and one of its label levels beside it. The README's picture is the contact sheet
-of jacksboro's samples, as ``make demo`` makes it with fewer samples per pixel. Needs the extras
-"mitsuba" and "demo"; takes some minutes on two cores. With --keep, compiled stages and frames stay
-in FOLDER, and frames that are there are not made again.
+Photographs are 1280 × 720, as Mitsuba draws them and Open Image Denoise leaves them; the first of
+each cfg has one of its label levels below it. The README's picture is the contact sheet of
+jacksboro's samples, as ``make demo`` makes it with fewer samples per pixel. Needs the extras
+"mitsuba", "denoise" and "demo"; takes some quarter of an hour on two cores. With --keep, compiled
+stages and frames stay in FOLDER, and frames that are there are not made again.
 """
 
 from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,14 +21,15 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.run.render import render
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.colors import label_colors, paint_labels
 from scenec.datasets.sheet import write_sheet
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import atomic
-from scenec.schemas.frames import read_frame
+from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.picture import develop
-from scenec.studies.runner import ROOT, Page, names, run
+from scenec.studies.runner import CONFIGS, Page, names, run
 
 #: The cfg of the README's picture, and how many of its samples that shows.
 FIRST, ROWS = "jacksboro", 4
@@ -36,13 +38,18 @@ HEAD = """\
 
 # Gallery
 
-The cfgs that ship, each at seed 1: a frame as Mitsuba draws it, and beside it the labels of one
-level. Copy the one that is nearest to what you need, and change it.
+The cfgs that ship, each at seed 1, as Mitsuba draws them with {spp} samples a pixel and
+`--denoise`; below the first view of each the labels of one level. Sample 2 of a cfg is
+
+    scenec run CFG --seed 1 --samples 2:3 --backend mitsuba --spp {spp} --denoise -o OUT
+
+with the camera's `resolution=[1280, 720]` behind `--set`, and what else is said to be set. Copy the
+cfg that is nearest to what you need, and change it.
 """
 
 SEED = 1
-WIDTH = 480
-_GAP = 8
+WIDTH, HEIGHT = 1280, 720
+_LABELS = (640, 360)
 _LEGEND = 26
 _INK = (34, 34, 34)
 #: A color on this part of a picture at least fills areas.
@@ -53,94 +60,124 @@ _FLAT = 128
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of the table.
+    """Views of a cfg.
 
     Attributes:
         name: Of the cfg.
-        sample: Which sample is shown.
+        sensor: The camera, as its rig and its name in the cfg.
+        samples: What is shown of it as it is.
+        about: What the page says of it.
         level: Which label level.
-        about: What the table says of it.
+        weather: What is set for one more view, and of which sample.
     """
 
     name: str
-    sample: int
-    level: str
+    sensor: str
+    samples: tuple[int, ...]
     about: str
+    level: str = "surface"
+    weather: tuple[str, int] | None = None
 
 
 ENTRIES = (
-    Entry("jacksboro", 0, "surface", "Measured relief, scaled; three grounds mixed by noise"),
+    Entry(
+        "jacksboro",
+        "rover.sensors.front",
+        (0, 2),
+        "Measured relief, scaled; three grounds mixed by noise",
+    ),
     Entry(
         "mars_yard",
-        2,
-        "surface",
+        "rover.sensors.mast",
+        (2, 0),
         "Layered bedrock, rippled sand, wheel tracks, rocks from pebbles to boulders",
     ),
     Entry(
         "landing_site",
-        5,
-        "surface",
+        "rover.sensors.mast",
+        (5, 1),
         "Rocks by Golombek and Rapp's law, plates, boulders with skirts of debris; a lander, and a "
         "board that moves",
     ),
     Entry(
         "lunar_mare",
-        2,
-        "surface",
+        "rover.sensors.mast",
+        (2, 0),
         "Craters in equilibrium and young ones with bright ejecta; Hapke's law, the Earth's light",
     ),
     Entry(
         "volcanic_desert",
-        1,
-        "surface",
+        "rover.sensors.mast",
+        (1, 3),
         "An eroded cinder cone at its angle of repose, lava flows, ash, pale dunes in the hollows",
+        weather=('light.clouds={"cumulus": {}}', 1),
     ),
     Entry(
         "meadow_edge",
-        0,
-        "surface",
+        "rover.sensors.mast",
+        (0, 2),
         "24,000 tufts of grasses, living and dead, flowers, shrubs and trees; a track, a plowed "
         "field, a dry channel",
     ),
     Entry(
         "forest_edge",
-        0,
-        "surface",
+        "walker.sensors.front",
+        (0, 2),
         "Old spruces, pines, birches and oaks above a meadow, young ones and hazels before them; "
         "ferns, leaf litter, fallen wood; wood and leaves apart in the level part",
+        weather=('light.sky.type="overcast"', 0),
     ),
 )
 
 
-def picture(entry: Entry, out: Path, spp: int) -> Image.Image:
-    """Compiles, renders and lays out one entry.
+def views(entry: Entry, folder: Path, spp: int) -> Iterator[tuple[str, Frame]]:
+    """Compiles and renders a cfg's views; their names and frames.
 
     Raises:
         ScenecError: It cannot be compiled, or a frame could not be made.
     """
-    compile_cfg(ROOT / "configs" / f"{entry.name}.json", seed=SEED, out=out)
-    report = render(out, "mitsuba", spp=spp, passes=("rgb", "label"), samples=[entry.sample])
-    if not report.frames:
-        raise ScenecError(f"{entry.name}: {'; '.join(report.failed) or 'no frame was made'}")
-    frame = read_frame(report.frames[0])
-    photograph = develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"]))
-    labels = frame.passes[f"label.{entry.level}"]
-    names = {int(i): name for i, name in frame.sidecar["labels"][entry.level].items()}
+    weather = [] if entry.weather is None else [(entry.weather[0], (entry.weather[1],))]
+    for setting, samples in [("", entry.samples), *weather]:
+        out = folder / ("weather" if setting else "views") / entry.name
+        wide = f"rigs.{entry.sensor}.resolution=[{WIDTH}, {HEIGHT}]"
+        spec = load(CONFIGS / f"{entry.name}.json", [wide, *([setting] if setting else [])])
+        compile_cfg(spec, seed=SEED, out=out)
+        report = render(
+            out, "mitsuba", spp=spp, denoise=True, passes=("rgb", "label"), samples=samples
+        )
+        if len(report.frames) < len(samples):
+            raise ScenecError(f"{entry.name}: {'; '.join(report.failed) or 'a frame is missing'}")
+        by_name = {path.stem: path for path in report.frames}
+        for sample in samples:
+            yield (
+                f"{entry.name}_{sample}" + ("_weather" if setting else ""),
+                read_frame(next(p for name, p in by_name.items() if int(name) == sample)),
+            )
+
+
+def photograph(frame: Frame) -> Image.Image:
+    """What a camera with the frame's exposure would show."""
+    return Image.fromarray(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+
+
+def labels(frame: Frame, level: str) -> Image.Image:
+    """Labels of a level in colors, and below them their names."""
+    ids = frame.passes[f"label.{level}"]
+    names = {int(i): name for i, name in frame.sidecar["labels"][level].items()}
     colors = label_colors(list(names))
-    tile = (WIDTH, round(WIDTH * photograph.shape[0] / photograph.shape[1]))
-    sheet = Image.new("RGB", (2 * tile[0] + _GAP, tile[1] + _LEGEND), (255, 255, 255))
-    sheet.paste(Image.fromarray(photograph).resize(tile, Image.Resampling.LANCZOS), (0, 0))
-    # Ids must not be blended: only the photograph is filtered.
-    painted = Image.fromarray(paint_labels(labels, colors))
-    sheet.paste(painted.resize(tile, Image.Resampling.NEAREST), (tile[0] + _GAP, 0))
+    width, height = _LABELS
+    sheet = Image.new("RGB", (width, height + _LEGEND), (255, 255, 255))
+    # Ids must not be blended.
+    painted = Image.fromarray(paint_labels(ids, colors))
+    sheet.paste(painted.resize(_LABELS, Image.Resampling.NEAREST), (0, 0))
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)
-    shown = [(i, name) for i, name in sorted(names.items()) if np.any(labels == i)]
-    x = sheet.width
+    shown = [(i, name) for i, name in sorted(names.items()) if np.any(ids == i)]
+    x = width
     for number, name in reversed(shown):
         x -= round(draw.textlength(name, font))
-        draw.text((x, tile[1] + 6), name, _INK, font)
+        draw.text((x, height + 6), name, _INK, font)
         x -= 22
-        draw.rectangle((x, tile[1] + 8, x + 16, tile[1] + 21), colors[number])
+        draw.rectangle((x, height + 8, x + 16, height + 21), colors[number])
         x -= 12
     return sheet
 
@@ -151,7 +188,7 @@ def first_picture(out: Path, spp: int) -> Image.Image:
     Raises:
         ScenecError: It cannot be compiled, or a frame could not be made.
     """
-    compile_cfg(ROOT / "configs" / f"{FIRST}.json", seed=SEED, out=out)
+    compile_cfg(CONFIGS / f"{FIRST}.json", seed=SEED, out=out)
     report = render(out, "mitsuba", spp=spp, samples=range(ROWS))
     if report.failed:
         raise ScenecError(f"{FIRST}: {'; '.join(report.failed)}")
@@ -186,18 +223,29 @@ def _palette(sheet: Image.Image) -> Image.Image:
     return palette
 
 
-def text() -> str:
+def text(spp: int) -> str:
     """The page: a section a cfg."""
-    parts = [HEAD]
+    parts = [HEAD.format(spp=spp)]
     for entry in ENTRIES:
-        cfg = json.loads((ROOT / "configs" / f"{entry.name}.json").read_text())
+        cfg = json.loads((CONFIGS / f"{entry.name}.json").read_text())
         levels = ", ".join(f"`{level}`" for level in cfg["labels"])
-        alt = f"{entry.name}, sample {entry.sample}: RGB and labels of the level {entry.level}"
+        first, *others = [f"{entry.name}_{sample}" for sample in entry.samples]
         parts.append(
             f"## {entry.name}\n\n{entry.about}. Label levels: {levels}. The cfg: "
             f"[{entry.name}.json](../configs/{entry.name}.json).\n\n"
-            f"![{alt}](pictures/gallery_{entry.name}.png)\n"
+            f"![{entry.name}, sample {entry.samples[0]}](pictures/gallery_{first}.jpg)\n\n"
+            f"![Labels of the level {entry.level}](pictures/gallery_{entry.name}_labels.png)\n"
         )
+        parts += [
+            f"![{entry.name}, sample {sample}](pictures/gallery_{name}.jpg)\n"
+            for name, sample in zip(others, entry.samples[1:], strict=True)
+        ]
+        if entry.weather is not None:
+            setting, sample = entry.weather
+            parts.append(
+                f"Sample {sample} with `{setting}`:\n\n![{entry.name}, other weather]"
+                f"(pictures/gallery_{entry.name}_{sample}_weather.jpg)\n"
+            )
     return "\n".join(parts)
 
 
@@ -206,14 +254,19 @@ def main(page: Page) -> None:
     options, spp = page.options, 2 if page.fast else page.options.spp
     folder = options.keep or page.scratch
     for entry in ENTRIES:
-        if not options.only or entry.name in options.only:
-            print(f"{entry.name}: compiling and rendering", flush=True)
-            save(picture(entry, folder / entry.name, spp), page.picture(entry.name))
+        if options.only and entry.name not in options.only:
+            continue
+        print(f"{entry.name}: compiling and rendering", flush=True)
+        for number, (name, frame) in enumerate(views(entry, folder, spp)):
+            with atomic(page.picture(name).with_suffix(".jpg")) as temporary:
+                photograph(frame).save(temporary, format="JPEG", quality=84, optimize=True)
+            if not number:
+                save(labels(frame, entry.level), page.picture(f"{entry.name}_labels"))
     if not options.only or FIRST in options.only:
         print(f"{FIRST}: rendering its first {ROWS} samples", flush=True)
         sheet = first_picture(folder / FIRST, spp)
         save(sheet, page.folder / "pictures" / f"{FIRST}.png")
-    (page.folder / "gallery.md").write_text(text(), encoding="utf-8")
+    (page.folder / "gallery.md").write_text(text(options.spp), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ Rng = np.random.Generator
 
 def bases() -> list[dict[str, Any]]:
     """Cfgs that are small: of a template, ground and objects are made few."""
-    found = [small_cfg(), small_cfg(samples=3, batches=2)]
+    found = [small_cfg(), small_cfg(samples=3, batches=2), *map(_behind, ("clear", "overcast"))]
     for file in sorted((CONFIGS / "templates").glob("*.jsonc")):
         cfg: dict[str, Any] = copy.deepcopy(read(file).document.value)
         cfg["terrain"] |= {"spacing_m": 1.0}
@@ -50,6 +50,20 @@ def bases() -> list[dict[str, Any]]:
                 objects["count"] = min(objects["count"], 40)
         found.append(cfg)
     return found
+
+
+def _behind(sky: str) -> dict[str, Any]:
+    """A cfg with land beyond its border, clouds or an overcast sky, and stones with dust."""
+    cfg = small_cfg()
+    relief = [{"type": "plane"}, {"type": "multifractal", "amplitude_m": 40, "scale_m": 300}]
+    horizon = {"reach_m": 800, "relief": relief, "material": "sand", "labels": {"class": "ground"}}
+    cfg["terrain"] |= {"spacing_m": 1.0, "horizon": horizon}
+    coating = {"material": "sand", "tops": 0.7}
+    cfg["objects"]["rocks"] |= {"count": 30, "family": "ventifact", "coatings": [coating]}
+    cfg["light"]["sky"]["type"] = sky
+    if sky == "clear":
+        cfg["light"]["clouds"] = {"resolution": 32, "cumulus": {}, "cirrus": {}}
+    return cfg
 
 
 def changed(cfg: dict[str, Any], rng: Rng) -> dict[str, Any]:
