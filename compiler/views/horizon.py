@@ -25,8 +25,9 @@ from scenec.schemas.threads import over_threads
 
 #: Blocks of a height field have at least so many cells along a side, and those of a mesh are so
 #: many along the longer side; both are wider where all views have more blocks together than
-#: ``_MOST``, which take 32 MB and half a second.
-_CELLS, _BLOCKS, _MOST = 2, 512, 8e6
+#: ``_MOST``, which take 32 MB and half a second, or where those of a strip are so far apart that
+#: rays to all of its border take more than ``_FARTHEST`` steps: a second.
+_CELLS, _BLOCKS, _MOST, _FARTHEST = 2, 512, 8e6, 6.4e7
 #: Blocks that a ball may touch to be looked up one by one: a larger one seldom hides as a whole.
 _TOUCHED = 64
 
@@ -88,8 +89,11 @@ def relief_of_field(field: HeightField, views: int) -> Relief:
     ny, nx = field.grid.shape
     cells = _CELLS
     while True:
-        blocks = -(-(nx - 1) // cells) * -(-(ny - 1) // cells)
-        if blocks == 1 or views * blocks <= _MOST:
+        columns, rows = -(-(nx - 1) // cells), -(-(ny - 1) // cells)
+        if columns * rows == 1 or (
+            views * columns * rows <= _MOST
+            and views * max(columns * columns, rows * rows) <= _FARTHEST
+        ):
             break
         cells *= 2
     low = np.full((-(-(ny - 1) // cells), -(-(nx - 1) // cells)), np.inf)
@@ -236,12 +240,12 @@ def _follow(least, frame, eye, target_i, target_j, passed):  # type: ignore[no-u
     tx = x0 + (target_i + 0.5) * wide - eye[0]
     ty = y0 + (target_j + 0.5) * tall - eye[1]
     distance = np.sqrt(tx * tx + ty * ty)
-    # No block is stepped over; those beside a step reach so far from it.
-    step = min(wide, tall)
-    reach = 2.0 * np.sqrt(wide * wide + tall * tall)
     if distance == 0.0:
         tx, distance = 1.0, 1.0
     dx, dy = tx / distance, ty / distance
+    # No block is stepped over, be it long and narrow; those beside a step reach so far from it.
+    step = max(min(wide, tall), 0.5 / max(abs(dx) / wide, abs(dy) / tall))
+    reach = 2.0 * np.sqrt(wide * wide + tall * tall)
     lag = reach + step
     steepest = -np.inf
     # From outside the first steps lead through nothing.

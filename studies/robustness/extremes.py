@@ -98,7 +98,7 @@ def prototypes(folder: Path, count: int) -> Found:
 
     cfg = _cfg(folder, (0.0, 0.0, 2000.0), EYE)
     one = cfg["objects"].pop("rocks")
-    one |= {"count": 64, "prototypes": 64, "subdivisions": 1, "lod_px": 0}
+    one |= {"count": 640, "prototypes": 64, "subdivisions": 1, "lod_px": 0}
     for number in range(-(-count // 64)):
         cfg["objects"][f"rocks_{number}"] = one
     scene = read_stage(_compiled(folder, cfg, keep=Keep.UNPRUNED) / "stage.usda")
@@ -121,6 +121,8 @@ def labels(folder: Path, levels: int, words: int) -> Found:
     cfg["light"]["sky"]["labels"] = {}
     # A label is there for something: each has a class of its own, of one stone.
     rocks |= {"count": 1, "prototypes": 1, "subdivisions": 1, "size_m": 0.1}
+    if words == 1:
+        del cfg["materials"]["stone"]
     for number in range(2, words + 1):
         cfg["labels"]["level_0"][f"word_{number}"] = number
         cfg["objects"][f"rock_{number}"] = rocks | {"labels": {"level_0": f"word_{number}"}}

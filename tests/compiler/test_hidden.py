@@ -77,6 +77,27 @@ def test_a_wall_hides_what_lies_behind_it():
     assert not hidden_from(field, eye, 3.0).any()
 
 
+def test_blocks_of_a_long_strip_are_few_and_hide_what_is_hidden():
+    # Rays to blocks of 2 × 2 cells would take 800 million steps.
+    grid = Grid((60.0, 40_000.0), (40_001, 61))
+    ridge = np.where(np.abs(grid.y()) < 40.0, 50.0, 0.0)
+    field = HeightField(grid, np.repeat(ridge[:, None], 61, axis=1))
+    eye = np.array([0.0, -5_000.0, 1.5])
+    rows = with_hidden_ground(all_round(eye), field, 0.0).ceiling.shape[1]
+    assert 2_000 < rows <= 8_000
+    hidden = hidden_from(field, eye)
+    # Beside the border there is no ground that hides.
+    assert hidden[grid.y() > 200.0, 16:-16].all()
+    assert not hidden[grid.y() < -40.0].any()
+
+
+def test_blocks_may_be_long_and_narrow():
+    # 2 mm in x for 20 km in y: steps of 2 mm would take hours.
+    grid = Grid((2.0, 40_000.0), (3, 2_001))
+    hidden = hidden_from(HeightField(grid, np.zeros(grid.shape)), np.array([0.0, -5_000.0, 1.5]))
+    assert not hidden.any()
+
+
 def test_hidden_ground_counts_as_out_of_view():
     field = wall(5.0)
     rig = one_rig(field, (0.0, -15.0), (0.0, 0.0), 1.5)
