@@ -36,7 +36,8 @@ class Weathered(Shape):
         # Exponent of the soft minimum: 4 gives a pebble, 40 a freshly broken block.
         sharpness = 4.0 + 36.0 * self.angularity * self.angularity
         rock = _Block(self.plane_normals, self.plane_distances, sharpness, self.bumpiness)
-        return _surface(np.uint64(self.key), directions, rock)
+        radius, variation = _surface(np.uint64(self.key), directions, rock, 0)
+        return radius, variation
 
 
 class _Block(NamedTuple):
@@ -49,7 +50,7 @@ class _Block(NamedTuple):
 
 
 @kernel
-def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
+def _at(keys, rock, _fine, x, y, z):  # type: ignore[no-untyped-def]
     normals, total = rock.normals, 0.0
     for p in range(len(rock.distances)):
         facing = (normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z) / rock.distances[p]
