@@ -9,25 +9,23 @@ from scenec.compiler.cfg.check_objects import LYING
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.of_keys import Setting
-from scenec.compiler.draw.scatter import draw_scattered, uniforms
+from scenec.compiler.draw.scatter import draw_scattered
 from scenec.compiler.objects.coatings import CoatingPlan
 from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.bedded import draw_bedded
 from scenec.compiler.objects.families.breccia import draw_breccia
 from scenec.compiler.objects.families.rounded import draw_rounded
-from scenec.compiler.objects.families.shape import Common, Shape, unit_vectors
+from scenec.compiler.objects.families.shape import Common, Shape
 from scenec.compiler.objects.families.slab import draw_slab
 from scenec.compiler.objects.families.ventifact import draw_ventifact
 from scenec.compiler.objects.families.vesicular import draw_vesicular
-from scenec.compiler.objects.families.weathered import Weathered
+from scenec.compiler.objects.families.weathered import draw_weathered
 from scenec.compiler.scene.plan import RockShapes, ScatterPlan
 from scenec.compiler.scene.scene import Labels
 from scenec.schemas.plugins import Kinds
 
-_PLANES = 14
-_NEAREST_PLANE = 0.55
-
 _FAMILIES: dict[str, Callable[..., Shape]] = {
+    "weathered": draw_weathered,
     "angular": draw_angular,
     "rounded": draw_rounded,
     "slab": draw_slab,
@@ -56,6 +54,8 @@ class _Usual(NamedTuple):
 
 
 _USUAL = {
+    # Its wear is what angularity leaves.
+    "weathered": _Usual(0.18, 0.4, 0.4),
     "angular": _Usual(0.29, 0.5, 0.1),
     "rounded": _Usual(0.22, 0.45, 0.7),
     "slab": _Usual(0.25, 0.8, 0.15),
@@ -64,8 +64,6 @@ _USUAL = {
     "bedded": _Usual(0.25, 0.45, 0.35),
     "breccia": _Usual(0.22, 0.4, 0.4),
 }
-#: 1 - c/a of weathered rocks.
-_FLATNESS = 0.35
 
 
 def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting) -> ScatterPlan:
@@ -93,8 +91,6 @@ def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting)
 
 
 def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
-    if cfg["family"] == "weathered":
-        return _weathered(path, cfg, streams)
     family = cfg["family"]
     other = None if family in _FAMILIES else _OTHERS[family]
     usual = _USUAL[family] if other is None else getattr(other, "USUAL", _Usual(0.25, 0.4, 0.3))
@@ -102,6 +98,8 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
         own if cfg[key] is None else cfg[key]
         for key, own in zip(_Usual._fields, usual, strict=True)
     )
+    if family == "weathered":
+        wear = 1.0 - cfg["angularity"]
     # Axes b <= a by elongation, c <= b by flatness: their means are as asked.
     u = streams.uniforms(f"{path}/axes", 2)
     middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
@@ -115,21 +113,3 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
     if other is None:
         return _FAMILIES[family](path, streams, wear, common)
     return other(*common, **{key: cfg[key] for key in other.SCHEMA["properties"]})
-
-
-def _weathered(path: str, cfg: dict[str, Any], streams: Streams) -> Weathered:
-    u = uniforms(streams, f"{path}/planes", _PLANES, 3)
-    middle, low = streams.uniforms(f"{path}/axes", 2)
-    flat = _FLATNESS if cfg["flatness"] is None else cfg["flatness"]
-    long = 0.6 * flat * middle
-    if cfg["elongation"] is not None:
-        long = min(cfg["elongation"] * (0.4 + 1.2 * middle), 0.95)
-    return Weathered(
-        key=streams.key(path),
-        plane_normals=unit_vectors(u[:, :2]),
-        plane_distances=_NEAREST_PLANE + (1.0 - _NEAREST_PLANE) * u[:, 2],
-        axes=(1.0, 1.0 - long, max(1.0 - flat * (0.7 + 0.6 * low), 0.05)),
-        angularity=cfg["angularity"],
-        bumpiness=cfg["bumpiness"],
-        subdivisions=int(cfg["subdivisions"]),
-    )

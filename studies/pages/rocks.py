@@ -53,10 +53,10 @@ class Family(NamedTuple):
 
 FAMILIES = {
     "weathered": Family(
-        "Worn blocks, the default.",
-        "Seen closely it is slag rather than a worn block: its relief grows with the number of "
-        "triangles, and there is as much of it everywhere. It serves as grit and gravel; for what "
-        "fills more than 50 pixels take another family, or a bumpiness of 0.1.",
+        "Worn blocks between joints and fractures, the default: edges rounded unevenly, faces "
+        "smoother than edges, spalls, patches of pits. The finest relief has waves of a twentieth "
+        "of a radius, however many triangles there are.",
+        "It has no open cracks, and no overhang below a spall's edge.",
         {"type": "weathered"},
     ),
     "angular": Family(

@@ -144,6 +144,7 @@ def test_meshes_fit_the_ball_of_diameter_1_and_the_finest_fills_it(family):
 
 
 @pytest.mark.parametrize(("family", "elongation", "flatness"), [
+    ("weathered", 0.18, 0.4),
     ("angular", 1 - 1 / np.sqrt(2), 0.5),
     ("rounded", 0.22, 0.45),
     ("slab", 0.25, 0.8),
@@ -173,15 +174,16 @@ def test_elongation_and_flatness_of_the_cfg_count(family):
     assert ratios(flatness=0.8, elongation=0.1)[2] < 0.5 * ratios(flatness=0.1, elongation=0.1)[2]
 
 
-@pytest.mark.parametrize("family", FAMILIES[1:])
+@pytest.mark.parametrize("family", FAMILIES)
 def test_wear_takes_from_edges_and_adds_nowhere(family):
     directions, _ = icosphere(4)
 
     def radii(wear: float) -> np.ndarray:
+        change = {"angularity": 1.0 - wear} if family == "weathered" else {"wear": wear}
         # So coarse a mesh would have no bubbles, whose places go with the worn surface.
         return np.array([
             shape.surface(directions, 1.0)[0]
-            for shape in shapes(family, wear=wear, bumpiness=0.0, subdivisions=4)
+            for shape in shapes(family, bumpiness=0.0, subdivisions=4, **change)
         ])  # fmt: skip
 
     fresh, worn = radii(0.0), radii(1.0)
@@ -206,6 +208,54 @@ def test_without_wear_and_bumps_angular_rocks_have_plane_faces_that_meet_along_e
     first = (plain @ (normals / distances[:, None]).T).argmax(axis=1)
     # Edges of the mesh that run across a crease, against those of the plain icosphere.
     assert crosses.sum() < 0.12 * (first[start] != first[end]).sum()
+
+
+def test_a_weathered_rock_has_no_finer_relief_than_its_finest_mesh_shows():
+    directions, _ = icosphere(6)
+    for shape in shapes("weathered", prototypes=3, bumpiness=1.0):
+        shown, _ = shape.surface(directions, EDGE * 0.5**6)
+        whole, _ = shape.surface(directions, 0.0)
+        assert np.array_equal(shown, whole)
+        # Each coarser mesh lacks what is too fine for it, which is little of all there is.
+        lacks = [
+            np.sqrt(np.mean((shape.surface(directions, EDGE * 0.5**s)[0] - whole) ** 2))
+            for s in (1, 3, 5)
+        ]
+        assert lacks[0] > 1.5 * lacks[1] > 3.0 * lacks[2] > 0.0
+        assert lacks[0] < 0.15
+
+
+def test_edges_of_weathered_rocks_are_rounded_and_those_of_fresh_breaks_are_not():
+    # As many edges of the mesh lie along a crease as its step is shorter, and keep their angles;
+    # where there is a tangent plane, angles fall with the step.
+    def falls(family: str, **change) -> np.ndarray:
+        angles = []
+        for subdivisions, part in ((5, 0.98), (6, 0.99)):
+            change |= {"subdivisions": subdivisions, "bumpiness": 0.0, "prototypes": 3}
+            many = build_prototypes(shapes(family, **change))
+            angles.append([np.quantile(mesh_of(r).face_adjacency_angles, part) for r in many])
+        return np.array(angles[1]) / np.array(angles[0])
+
+    assert (falls("weathered", angularity=0.0) < 0.7).all()
+    assert (falls("weathered", angularity=0.6) < 0.8).all()
+    assert (falls("angular", wear=0.0) > 0.95).all()
+
+
+def test_faces_of_weathered_rocks_are_smoother_than_their_edges():
+    directions, _ = icosphere(6)
+    rough, smooth = [], []
+    for bumpy, plain, sharp in zip(
+        *(shapes("weathered", angularity=a, bumpiness=b) for a, b in ((0.6, 1), (0.6, 0), (1, 0))),
+        strict=True,
+    ):
+        # What the finest octaves of the relief come to.
+        coarse, fine = (bumpy.surface(directions, s)[0] for s in (0.09, 0.0))
+        worn, fresh = (shape.surface(directions, 0.0)[0] for shape in (plain, sharp))
+        edge = worn / fresh < np.quantile(worn / fresh, 0.1)
+        change = np.abs(fine - coarse) / worn
+        rough.append(change[edge].mean())
+        smooth.append(change[~edge].mean())
+    assert np.mean(rough) > 1.4 * np.mean(smooth)
 
 
 def test_pits_are_darker_than_what_is_around_them():
@@ -255,7 +305,6 @@ class Ball:
 
     subdivisions = 5
     axes = (1.0, 1.0, 1.0)
-    fits_axes = True
 
     def creases(self) -> tuple[np.ndarray, np.ndarray]:
         """None."""

@@ -17,6 +17,7 @@ from scenec.compiler.objects.families.shape import (
     Fine,
     ball_along,
     block,
+    bowls,
     rough,
     sampling,
     unit_vectors,
@@ -76,16 +77,6 @@ def _chip(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
-    out = np.empty((len(scars), 4))
-    for s in range(len(scars)):
-        h, _plane, _gap = block(normals, distances, scars[s, 0], scars[s, 1], scars[s, 2], 0.0)
-        out[s, :3] = scars[s, :3] * (1.0 / h - scars[s, 4] + scars[s, 3])
-        out[s, 3] = scars[s, 3]
-    return out
-
-
-@kernel
 def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     # Some edges are worn more than others.
     width = rock.width * (1.0 + 0.8 * perlin3(keys[1], 1.9 * x, 1.9 * y, 1.9 * z))
@@ -135,7 +126,7 @@ class Angular(Carved[_Drawn]):
             normal, distance = _chip(directions, normals, distances, chip)
             normals = np.concatenate([normals, normal[None]])
             distances = np.append(distances, distance)
-        scars = _bowls(normals, distances, self.drawn.scars)
+        scars = bowls(normals, distances, self.drawn.scars)
         return self.drawn._replace(normals=normals, distances=distances, scars=scars)
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

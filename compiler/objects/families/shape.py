@@ -34,16 +34,14 @@ class Shape(ABC):
 
     Attributes:
         bumpiness: Height of its roughness, in radii.
-        axes: Extents along x, y, z, the largest being 1.
+        axes: Extents of the finest mesh along x, y, z, the largest being 1.
         subdivisions: Of the icosphere, in the finest mesh.
-        fits_axes: Whether the finest mesh has those extents; otherwise they stretch what it has.
     """
 
     key: int
     bumpiness: float
     axes: tuple[float, float, float]
     subdivisions: int
-    fits_axes: ClassVar[bool] = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Unit normals [p, 3] and distances [p] of the planes that meet in sharp edges."""
@@ -209,3 +207,19 @@ def ball_along(x, y, z, cx, cy, cz, radius):  # type: ignore[no-untyped-def]
     """
     along = cx * x + cy * y + cz * z
     return along, along * along - (cx * cx + cy * cy + cz * cz) + radius * radius
+
+
+@kernel
+def bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
+    """Centers and radii of balls that scar a block, float64 [s, 4].
+
+    Args:
+        normals, distances: Of the block's planes.
+        scars: Unit directions of the bowls, their radii and depths, float64 [s, 5].
+    """
+    out = np.empty((len(scars), 4))
+    for s in range(len(scars)):
+        h, _plane, _gap = block(normals, distances, scars[s, 0], scars[s, 1], scars[s, 2], 0.0)
+        out[s, :3] = scars[s, :3] * (1.0 / h - scars[s, 4] + scars[s, 3])
+        out[s, 3] = scars[s, 3]
+    return out
