@@ -81,8 +81,11 @@ FAMILIES = {
     ),
     "ventifact": Family(
         "Stones that blown sand has cut: two to four faces, fluted where they are flat and pitted "
-        "where they are steep, which meet in keels. They stand on their uncut half.",
-        "Each stone has winds of its own; in nature the faces of a field look the same way.",
+        "where they are steep, which meet in keels. They stand on their uncut half. One face of "
+        "each looks into the field's wind, within 30 degrees: that of the relief's dunes, barchans "
+        "or ripples, or else one that is drawn for the batch.",
+        "Flutes run up every face alike; in nature they run with the wind, whichever way a face "
+        "looks.",
         {"type": "basalt", "vesicles": 0.1},
     ),
     "bedded": Family(

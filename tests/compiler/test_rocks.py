@@ -25,6 +25,8 @@ from scenec.compiler.objects.rocks import Chain, build_chains, build_prototypes
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.operators.dunes import Dunes
 from scenec.compiler.views.resolution import NO_VIEWS, Views, views_of
 from scenec.schemas.errors import SceneError
 
@@ -446,6 +448,63 @@ def test_slabs_lie_unless_told_otherwise():
     assert plan(family="slab").align
     assert not plan(family="slab", orientation="random").align
     assert not plan(family="rounded").align
+
+
+def winds_of(relief: tuple[object, ...], **change) -> tuple[np.ndarray, np.ndarray]:
+    """Where the facet of each ventifact looks that is nearest to a wind to the east; degrees."""
+    cfg = small_cfg()
+    cfg["objects"]["rocks"] |= {"family": "ventifact", "count": 3000, "prototypes": 12} | change
+    setting = Setting(Streams(3, 0), relief=relief)
+    made = draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, setting)
+    x, y, z, w = made.orientations.T
+    assert np.allclose(x, 0.0)
+    assert np.allclose(y, 0.0)
+    yaw = np.arctan2(2 * w * z, w * w - z * z)
+    looks = []
+    for prototype, turn in zip(made.prototype, yaw, strict=True):
+        shape = made.source.shapes[prototype]
+        # Normals of what is stretched: by the inverse.
+        facets = shape.drawn.facets / np.array(shape.axes)
+        looks.append(np.rad2deg(np.arctan2(facets[:, 1], facets[:, 0]) + turn))
+    off = [(each + 180.0) % 360.0 - 180.0 for each in looks]
+    return np.array([each[np.abs(each).argmin()] for each in off]), yaw
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_one_facet_of_each_ventifact_looks_into_the_wind_of_the_relief(masked):
+    # A wind to the west blows on what looks east.
+    dunes = Dunes(1, 0.5, 8.0, 180.0, 33.0, 0.0)
+    looks, yaw = winds_of((Masked(dunes, ()) if masked else dunes,))
+    assert np.abs(looks).max() <= 30.0
+    assert abs(looks.mean()) < 1.0
+    assert 8.0 < looks.std() < 14.0
+    # Two stones of a shape do not all show the same face to it.
+    assert np.histogram(np.rad2deg(yaw), 6, (-180.0, 180.0))[0].min() > 100
+
+
+def test_ventifacts_of_a_batch_without_a_windy_relief_share_a_wind():
+    directions = []
+    for name in ("rocks", "stones"):
+        cfg = small_cfg()
+        cfg["objects"][name] = cfg["objects"]["rocks"] | {"family": "ventifact", "count": 500}
+        made = draw_rocks(name, fill(cfg)["objects"][name], {}, Setting(Streams(3, 0)))
+        z, w = made.orientations[:, 2], made.orientations[:, 3]
+        turns = np.arctan2(2 * w * z, w * w - z * z)
+        bearings = [shape.bearings() * 2 * np.pi for shape in made.source.shapes]
+        # Every facet of every stone: those that look into the wind outnumber all others.
+        every = np.concatenate(
+            [bearings[p] + t for p, t in zip(made.prototype, turns, strict=True)]
+        )
+        counts, edges = np.histogram(np.rad2deg(every) % 360.0, 18, (0.0, 360.0))
+        assert counts.max() > 2.0 * np.median(counts)
+        directions.append(edges[counts.argmax()])
+    apart = abs(directions[0] - directions[1])
+    assert min(apart, 360.0 - apart) <= 20.0
+
+
+def test_leaning_ventifacts_lean_from_where_they_face():
+    upright, leaning = (plan(family="ventifact", **change) for change in ({}, {"lean_deg": 0}))
+    assert np.allclose(upright.orientations, leaning.orientations)
 
 
 def digest() -> str:

@@ -100,6 +100,13 @@ class Ventifact(Carved[_Drawn]):
             np.concatenate([rock.reaches, rock.distances]),
         )
 
+    def bearings(self) -> NDArray[np.float64]:
+        """Where its facets look, in whole turns from +x toward +y, float64 [f]."""
+        # Across planes that are stretched, as normals go.
+        x, y = self.drawn.facets[:, 0] / self.axes[0], self.drawn.facets[:, 1] / self.axes[1]
+        angles = [elementary.atan2(*each) for each in zip(y.tolist(), x.tolist(), strict=True)]
+        return np.array(angles) / (2.0 * elementary.PI)
+
 
 def draw_ventifact(path: str, streams: Streams, wear: float, common: Common) -> Ventifact:
     """Draws one."""
