@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +44,8 @@ MOST_OBJECTS = 100_000_000
 _MOST_PARENTS = 4_000_000
 
 Orientation = Literal["random", "upright", "normal"]
+#: Of prototypes, int32 [n], and uniform numbers, [n, 3]: turns about the vertical, in whole ones.
+Turn = Callable[[NDArray[np.int32], NDArray[np.float64]], NDArray[np.float64]]
 
 
 def draw_scattered(
@@ -57,6 +59,7 @@ def draw_scattered(
     weights: Sequence[float],
     orientation: Orientation,
     size_key: str,
+    turn: Turn | None = None,
 ) -> ScatterPlan:
     """The plan of one class.
 
@@ -64,6 +67,7 @@ def draw_scattered(
         cfg: Its part of the cfg; the keys of ``objects_scattered.schema.json`` are read.
         orientation: Where the cfg gives none.
         size_key: The key of the cfg that gives each instance's scale.
+        turn: How instances stand that are not turned at random; None: in all directions alike.
 
     Raises:
         SceneError: There would be too many objects.
@@ -72,9 +76,12 @@ def draw_scattered(
     count = _count(path, cfg, node, streams, size_key)
     n = _most(path, count, setting)
     turned = cfg["orientation"] or orientation
-    orientations = (
-        _random_turns(streams, path, n) if turned == "random" else _spins(streams, path, n)
-    )
+    prototype = pick(streams.uniforms(f"{path}/prototype", n), weights).astype(np.int32)
+    u = uniforms(streams, f"{path}/orientation", n, 3)
+    if turned == "random":
+        orientations = _random_turns(u)
+    else:
+        orientations = _spins(u[:, 0] if turn is None else turn(prototype, u))
     if cfg["lean_deg"] is not None:
         lean = draw_number(cfg["lean_deg"], streams, f"{path}/lean_deg", n)
         orientations = _leaned(orientations, lean, streams.uniforms(f"{path}/lean_side", n))
@@ -96,7 +103,7 @@ def draw_scattered(
         clearance_m=cfg["clearance_m"],
         place_key=streams.key(f"{path}/place"),
         position_u=uniforms(streams, f"{path}/position", n, 3),
-        prototype=pick(streams.uniforms(f"{path}/prototype", n), weights).astype(np.int32),
+        prototype=prototype,
         orientations=orientations,
         align=turned == "normal",
         scale=draw_number(cfg[size_key], streams, f"{path}/{size_key}", n).astype(np.float64),
@@ -193,9 +200,8 @@ def _place(node: Mapping[str, Any], path: str, setting: Setting) -> PlacementCon
     return OnRelief(draw_condition(node, path, setting))
 
 
-def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
+def _random_turns(u: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotations uniform over SO(3) (Shoemake 1992), as quaternions (x, y, z, w), [n, 4]."""
-    u = uniforms(streams, f"{path}/orientation", n, 3)
     a, b = 2.0 * elementary.PI * u[:, 1], 2.0 * elementary.PI * u[:, 2]
     p, q = np.sqrt(1.0 - u[:, 0]), np.sqrt(u[:, 0])
     return np.stack(
@@ -209,10 +215,10 @@ def _random_turns(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
     )
 
 
-def _spins(streams: Streams, path: str, n: int) -> NDArray[np.float64]:
+def _spins(turns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotations about the vertical, as quaternions (x, y, z, w), [n, 4]."""
-    half = elementary.PI * uniforms(streams, f"{path}/orientation", n, 3)[:, 0]
-    zero = np.zeros(n)
+    half = elementary.PI * turns
+    zero = np.zeros(len(turns))
     return np.stack([zero, zero, elementary.sin_array(half), elementary.cos_array(half)], axis=1)
 
 

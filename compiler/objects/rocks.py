@@ -62,9 +62,7 @@ class _Rock:
     def __init__(self, shape: Shape):
         self._shape = shape
         points, self._variation = self._points(shape.subdivisions)
-        axes = np.array(shape.axes)
-        if shape.fits_axes:
-            axes = axes / (points.max(axis=0) - points.min(axis=0))
+        axes = np.array(shape.axes) / (points.max(axis=0) - points.min(axis=0))
         points = points * axes
         center = 0.5 * (points.min(axis=0) + points.max(axis=0))
         points = points - center

@@ -53,10 +53,10 @@ class Family(NamedTuple):
 
 FAMILIES = {
     "weathered": Family(
-        "Worn blocks, the default.",
-        "Seen closely it is slag rather than a worn block: its relief grows with the number of "
-        "triangles, and there is as much of it everywhere. It serves as grit and gravel; for what "
-        "fills more than 50 pixels take another family, or a bumpiness of 0.1.",
+        "Worn blocks between joints and fractures, the default: edges rounded unevenly, faces "
+        "smoother than edges, spalls, patches of pits. The finest relief has waves of a twentieth "
+        "of a radius, however many triangles there are.",
+        "It has no open cracks, and no overhang below a spall's edge.",
         {"type": "weathered"},
     ),
     "angular": Family(
@@ -81,8 +81,11 @@ FAMILIES = {
     ),
     "ventifact": Family(
         "Stones that blown sand has cut: two to four faces, fluted where they are flat and pitted "
-        "where they are steep, which meet in keels. They stand on their uncut half.",
-        "Each stone has winds of its own; in nature the faces of a field look the same way.",
+        "where they are steep, which meet in keels. They stand on their uncut half. One face of "
+        "each looks into the field's wind, within 30 degrees: that of the relief's dunes, barchans "
+        "or ripples, or else one that is drawn for the batch.",
+        "Flutes run up every face alike; in nature they run with the wind, whichever way a face "
+        "looks.",
         {"type": "basalt", "vesicles": 0.1},
     ),
     "bedded": Family(

@@ -25,6 +25,8 @@ from scenec.compiler.objects.rocks import Chain, build_chains, build_prototypes
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.operators.dunes import Dunes
 from scenec.compiler.views.resolution import NO_VIEWS, Views, views_of
 from scenec.schemas.errors import SceneError
 
@@ -144,6 +146,7 @@ def test_meshes_fit_the_ball_of_diameter_1_and_the_finest_fills_it(family):
 
 
 @pytest.mark.parametrize(("family", "elongation", "flatness"), [
+    ("weathered", 0.18, 0.4),
     ("angular", 1 - 1 / np.sqrt(2), 0.5),
     ("rounded", 0.22, 0.45),
     ("slab", 0.25, 0.8),
@@ -173,15 +176,16 @@ def test_elongation_and_flatness_of_the_cfg_count(family):
     assert ratios(flatness=0.8, elongation=0.1)[2] < 0.5 * ratios(flatness=0.1, elongation=0.1)[2]
 
 
-@pytest.mark.parametrize("family", FAMILIES[1:])
+@pytest.mark.parametrize("family", FAMILIES)
 def test_wear_takes_from_edges_and_adds_nowhere(family):
     directions, _ = icosphere(4)
 
     def radii(wear: float) -> np.ndarray:
+        change = {"angularity": 1.0 - wear} if family == "weathered" else {"wear": wear}
         # So coarse a mesh would have no bubbles, whose places go with the worn surface.
         return np.array([
             shape.surface(directions, 1.0)[0]
-            for shape in shapes(family, wear=wear, bumpiness=0.0, subdivisions=4)
+            for shape in shapes(family, bumpiness=0.0, subdivisions=4, **change)
         ])  # fmt: skip
 
     fresh, worn = radii(0.0), radii(1.0)
@@ -206,6 +210,54 @@ def test_without_wear_and_bumps_angular_rocks_have_plane_faces_that_meet_along_e
     first = (plain @ (normals / distances[:, None]).T).argmax(axis=1)
     # Edges of the mesh that run across a crease, against those of the plain icosphere.
     assert crosses.sum() < 0.12 * (first[start] != first[end]).sum()
+
+
+def test_a_weathered_rock_has_no_finer_relief_than_its_finest_mesh_shows():
+    directions, _ = icosphere(6)
+    for shape in shapes("weathered", prototypes=3, bumpiness=1.0):
+        shown, _ = shape.surface(directions, EDGE * 0.5**6)
+        whole, _ = shape.surface(directions, 0.0)
+        assert np.array_equal(shown, whole)
+        # Each coarser mesh lacks what is too fine for it, which is little of all there is.
+        lacks = [
+            np.sqrt(np.mean((shape.surface(directions, EDGE * 0.5**s)[0] - whole) ** 2))
+            for s in (1, 3, 5)
+        ]
+        assert lacks[0] > 1.5 * lacks[1] > 3.0 * lacks[2] > 0.0
+        assert lacks[0] < 0.15
+
+
+def test_edges_of_weathered_rocks_are_rounded_and_those_of_fresh_breaks_are_not():
+    # As many edges of the mesh lie along a crease as its step is shorter, and keep their angles;
+    # where there is a tangent plane, angles fall with the step.
+    def falls(family: str, **change) -> np.ndarray:
+        angles = []
+        for subdivisions, part in ((5, 0.98), (6, 0.99)):
+            change |= {"subdivisions": subdivisions, "bumpiness": 0.0, "prototypes": 3}
+            many = build_prototypes(shapes(family, **change))
+            angles.append([np.quantile(mesh_of(r).face_adjacency_angles, part) for r in many])
+        return np.array(angles[1]) / np.array(angles[0])
+
+    assert (falls("weathered", angularity=0.0) < 0.7).all()
+    assert (falls("weathered", angularity=0.6) < 0.8).all()
+    assert (falls("angular", wear=0.0) > 0.95).all()
+
+
+def test_faces_of_weathered_rocks_are_smoother_than_their_edges():
+    directions, _ = icosphere(6)
+    rough, smooth = [], []
+    for bumpy, plain, sharp in zip(
+        *(shapes("weathered", angularity=a, bumpiness=b) for a, b in ((0.6, 1), (0.6, 0), (1, 0))),
+        strict=True,
+    ):
+        # What the finest octaves of the relief come to.
+        coarse, fine = (bumpy.surface(directions, s)[0] for s in (0.09, 0.0))
+        worn, fresh = (shape.surface(directions, 0.0)[0] for shape in (plain, sharp))
+        edge = worn / fresh < np.quantile(worn / fresh, 0.1)
+        change = np.abs(fine - coarse) / worn
+        rough.append(change[edge].mean())
+        smooth.append(change[~edge].mean())
+    assert np.mean(rough) > 1.4 * np.mean(smooth)
 
 
 def test_pits_are_darker_than_what_is_around_them():
@@ -255,7 +307,6 @@ class Ball:
 
     subdivisions = 5
     axes = (1.0, 1.0, 1.0)
-    fits_axes = True
 
     def creases(self) -> tuple[np.ndarray, np.ndarray]:
         """None."""
@@ -397,6 +448,63 @@ def test_slabs_lie_unless_told_otherwise():
     assert plan(family="slab").align
     assert not plan(family="slab", orientation="random").align
     assert not plan(family="rounded").align
+
+
+def winds_of(relief: tuple[object, ...], **change) -> tuple[np.ndarray, np.ndarray]:
+    """Where the facet of each ventifact looks that is nearest to a wind to the east; degrees."""
+    cfg = small_cfg()
+    cfg["objects"]["rocks"] |= {"family": "ventifact", "count": 3000, "prototypes": 12} | change
+    setting = Setting(Streams(3, 0), relief=relief)
+    made = draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, setting)
+    x, y, z, w = made.orientations.T
+    assert np.allclose(x, 0.0)
+    assert np.allclose(y, 0.0)
+    yaw = np.arctan2(2 * w * z, w * w - z * z)
+    looks = []
+    for prototype, turn in zip(made.prototype, yaw, strict=True):
+        shape = made.source.shapes[prototype]
+        # Normals of what is stretched: by the inverse.
+        facets = shape.drawn.facets / np.array(shape.axes)
+        looks.append(np.rad2deg(np.arctan2(facets[:, 1], facets[:, 0]) + turn))
+    off = [(each + 180.0) % 360.0 - 180.0 for each in looks]
+    return np.array([each[np.abs(each).argmin()] for each in off]), yaw
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_one_facet_of_each_ventifact_looks_into_the_wind_of_the_relief(masked):
+    # A wind to the west blows on what looks east.
+    dunes = Dunes(1, 0.5, 8.0, 180.0, 33.0, 0.0)
+    looks, yaw = winds_of((Masked(dunes, ()) if masked else dunes,))
+    assert np.abs(looks).max() <= 30.0
+    assert abs(looks.mean()) < 1.0
+    assert 8.0 < looks.std() < 14.0
+    # Two stones of a shape do not all show the same face to it.
+    assert np.histogram(np.rad2deg(yaw), 6, (-180.0, 180.0))[0].min() > 100
+
+
+def test_ventifacts_of_a_batch_without_a_windy_relief_share_a_wind():
+    directions = []
+    for name in ("rocks", "stones"):
+        cfg = small_cfg()
+        cfg["objects"][name] = cfg["objects"]["rocks"] | {"family": "ventifact", "count": 500}
+        made = draw_rocks(name, fill(cfg)["objects"][name], {}, Setting(Streams(3, 0)))
+        z, w = made.orientations[:, 2], made.orientations[:, 3]
+        turns = np.arctan2(2 * w * z, w * w - z * z)
+        bearings = [shape.bearings() * 2 * np.pi for shape in made.source.shapes]
+        # Every facet of every stone: those that look into the wind outnumber all others.
+        every = np.concatenate(
+            [bearings[p] + t for p, t in zip(made.prototype, turns, strict=True)]
+        )
+        counts, edges = np.histogram(np.rad2deg(every) % 360.0, 18, (0.0, 360.0))
+        assert counts.max() > 2.0 * np.median(counts)
+        directions.append(edges[counts.argmax()])
+    apart = abs(directions[0] - directions[1])
+    assert min(apart, 360.0 - apart) <= 20.0
+
+
+def test_leaning_ventifacts_lean_from_where_they_face():
+    upright, leaning = (plan(family="ventifact", **change) for change in ({}, {"lean_deg": 0}))
+    assert np.allclose(upright.orientations, leaning.orientations)
 
 
 def digest() -> str:

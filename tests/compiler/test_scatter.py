@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
+from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.objects.families.weathered import Weathered
+from scenec.compiler.objects.families.shape import Common, Shape
+from scenec.compiler.objects.families.weathered import draw_weathered
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
 from scenec.compiler.objects.rocks import build_prototypes
@@ -22,20 +24,9 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.schemas.errors import SceneError
 
 
-def shape(seed: int, **change) -> Weathered:
-    rng = np.random.default_rng(seed)
-    normals = rng.normal(size=(14, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    values = {
-        "key": seed,
-        "plane_normals": normals,
-        "plane_distances": rng.uniform(0.6, 1.0, 14),
-        "axes": (1.0, 0.8, 0.6),
-        "angularity": 0.6,
-        "bumpiness": 0.25,
-        "subdivisions": 3,
-    }
-    return Weathered(**(values | change))
+def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25) -> Shape:
+    common = Common(seed, bumpiness, (1.0, 0.8, 0.6), 3)
+    return draw_weathered("rock", Streams(seed, 0), 1.0 - angularity, common)
 
 
 def relief() -> HeightField:

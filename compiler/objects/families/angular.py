@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -13,11 +12,12 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
+    Carved,
     Common,
-    Shape,
+    Fine,
     ball_along,
     block,
-    octaves,
+    bowls,
     rough,
     sampling,
     unit_vectors,
@@ -31,96 +31,25 @@ _SCARS = 7
 _WIDEST = 0.5
 
 
-@dataclass(frozen=True)
-class Angular(Shape):
-    """A block between three pairs of joints and a few random fractures.
-
-    Chips then take its sharpest corners one after the other, each by a plane across a corner, as
-    collisions do (Domokos et al. 2014); shallow bowls are the scars of flakes.
+class _Drawn(NamedTuple):
+    """An angular rock.
 
     Attributes:
-        fracture_normals, fracture_distances: Unit normals [p, 3] and distances [p] of the planes.
+        normals, distances: Unit normals [p, 3] and distances [p] of its planes: joints, fractures,
+            and, as the kernel takes them, chips.
         chips: What picks the corners and tilts the chips, and their depths, float64 [c, 7].
-        scars: Unit directions of the bowls, their radii and depths, float64 [s, 5].
+        scars: Unit directions of the bowls, their radii and depths, float64 [s, 5]; as the kernel
+            takes them the centers and radii of balls [s, 4].
         tones: Albedo variation of each plane, float64 [p + c].
-        wear: 0 is freshly broken, 1 has no edges left.
+        width: Inverse radii over which the wear of an edge reaches.
     """
-
-    fracture_normals: NDArray[np.float64]
-    fracture_distances: NDArray[np.float64]
-    chips: NDArray[np.float64]
-    scars: NDArray[np.float64]
-    tones: NDArray[np.float64]
-    wear: float
-
-    @cached_property
-    def planes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Normals and distances of fractures and chips."""
-        directions, _ = icosphere(3)
-        normals, distances = self.fracture_normals, self.fracture_distances
-        for chip in self.chips:
-            normal, distance = _chip(directions, normals, distances, chip)
-            normals = np.concatenate([normals, normal[None]])
-            distances = np.append(distances, distance)
-        return normals, distances
-
-    @cached_property
-    def bowls(self) -> NDArray[np.float64]:
-        """Centers and radii of the balls that scar the block, float64 [s, 4]."""
-        return _bowls(*self.planes, self.scars)
-
-    def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
-        return self.planes
-
-    def surface(
-        self, directions: NDArray[np.float64], spacing: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of ``Shape``."""
-        rock = _Block(
-            *self.planes, self.bowls, self.tones, self.wear * _WIDEST, self.bumpiness,
-            octaves(1.3, spacing, 2), octaves(5.0, spacing, 4),
-        )  # fmt: skip
-        return _surface(np.uint64(self.key), directions, rock)
-
-
-class _Block(NamedTuple):
-    """What the kernel takes of one: see ``Angular``, and the octaves of its roughness."""
 
     normals: NDArray[np.float64]
     distances: NDArray[np.float64]
-    bowls: NDArray[np.float64]
+    chips: NDArray[np.float64]
+    scars: NDArray[np.float64]
     tones: NDArray[np.float64]
     width: float
-    bumpiness: float
-    waves: int
-    grains: int
-
-
-def draw_angular(path: str, streams: Streams, wear: float, common: Common) -> Angular:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
-    tilt = unit_vectors(u[:, :2])
-    joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-    joints = joints + 0.4 * tilt
-    joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
-    v = streams.uniforms(f"{path}/cuts", 3 * _CUTS).reshape(_CUTS, 3)
-    w = streams.uniforms(f"{path}/chips", 7 * _CHIPS).reshape(_CHIPS, 7)
-    s = streams.uniforms(f"{path}/scars", 4 * _SCARS).reshape(_SCARS, 4)
-    scar = unit_vectors(s[:, :2])
-    bowl = 0.5 + 0.9 * s[:, 2]
-    tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
-    # What broke last has not darkened yet.
-    tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
-    return Angular(
-        *common,
-        fracture_normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
-        fracture_distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
-        chips=w,
-        scars=np.concatenate([scar, bowl[:, None], 0.01 + 0.05 * s[:, 3:]], axis=1),
-        tones=tones,
-        wear=wear,
-    )
 
 
 @kernel
@@ -148,17 +77,7 @@ def _chip(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
-    out = np.empty((len(scars), 4))
-    for s in range(len(scars)):
-        h, _plane, _gap = block(normals, distances, scars[s, 0], scars[s, 1], scars[s, 2], 0.0)
-        out[s, :3] = scars[s, :3] * (1.0 / h - scars[s, 4] + scars[s, 3])
-        out[s, 3] = scars[s, 3]
-    return out
-
-
-@kernel
-def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
+def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     # Some edges are worn more than others.
     width = rock.width * (1.0 + 0.8 * perlin3(keys[1], 1.9 * x, 1.9 * y, 1.9 * z))
     h, plane, gap = block(rock.normals, rock.distances, x, y, z, width)
@@ -166,8 +85,8 @@ def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
     if gap < 0.08:
         # Edges shed their crust first.
         tone += 0.3 * (1.0 - gap / 0.08)
-    for s in range(len(rock.bowls)):
-        cx, cy, cz, size = rock.bowls[s]
+    for s in range(len(rock.scars)):
+        cx, cy, cz, size = rock.scars[s]
         along, square = ball_along(x, y, z, cx, cy, cz, size)
         if along <= 0.0 or square <= 0.0:
             continue
@@ -180,12 +99,66 @@ def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
     r = 1.0 / h
     px, py, pz = r * x, r * y, r * z
     bumps = 0.0
-    if rock.waves > 0:
-        bumps += 0.11 * fbm3(keys[2], 1.3 * px, 1.3 * py, 1.3 * pz, rock.waves, 0.5)
-    if rock.grains > 0:
-        bumps += 0.06 * fbm3(keys[3], 5.0 * px, 5.0 * py, 5.0 * pz, rock.grains, 0.55)
+    if fine.waves > 0:
+        bumps += 0.11 * fbm3(keys[2], 1.3 * px, 1.3 * py, 1.3 * pz, fine.waves, 0.5)
+    if fine.grains > 0:
+        bumps += 0.06 * fbm3(keys[3], 5.0 * px, 5.0 * py, 5.0 * pz, fine.grains, 0.55)
     tone += 0.45 * fbm3(keys[4], 2.3 * px, 2.3 * py, 2.3 * pz, 4, 0.65)
-    return r * rough(rock.bumpiness, bumps), tone
+    return r * rough(fine.bumpiness, bumps), tone
 
 
-_surface = sampling(_at)
+class Angular(Carved[_Drawn]):
+    """A block between three pairs of joints and a few random fractures.
+
+    Chips then take its sharpest corners one after the other, each by a plane across a corner, as
+    collisions do (Domokos et al. 2014); shallow bowls are the scars of flakes.
+    """
+
+    sample = sampling(_at)
+    noises = ((1.3, 2), (5.0, 4))
+
+    @cached_property
+    def _whole(self) -> _Drawn:
+        """With its chips, and scars as balls."""
+        directions, _ = icosphere(3)
+        normals, distances = self.drawn.normals, self.drawn.distances
+        for chip in self.drawn.chips:
+            normal, distance = _chip(directions, normals, distances, chip)
+            normals = np.concatenate([normals, normal[None]])
+            distances = np.append(distances, distance)
+        scars = bowls(normals, distances, self.drawn.scars)
+        return self.drawn._replace(normals=normals, distances=distances, scars=scars)
+
+    def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the planes meet."""
+        return self._whole.normals, self._whole.distances
+
+    def seen(self, fine: Fine) -> _Drawn:
+        """As of ``Carved``."""
+        return self._whole
+
+
+def draw_angular(path: str, streams: Streams, wear: float, common: Common) -> Angular:
+    """Draws one."""
+    u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
+    tilt = unit_vectors(u[:, :2])
+    joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    joints = joints + 0.4 * tilt
+    joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
+    v = streams.uniforms(f"{path}/cuts", 3 * _CUTS).reshape(_CUTS, 3)
+    w = streams.uniforms(f"{path}/chips", 7 * _CHIPS).reshape(_CHIPS, 7)
+    s = streams.uniforms(f"{path}/scars", 4 * _SCARS).reshape(_SCARS, 4)
+    scar = unit_vectors(s[:, :2])
+    bowl = 0.5 + 0.9 * s[:, 2]
+    tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
+    # What broke last has not darkened yet.
+    tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
+    drawn = _Drawn(
+        normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
+        distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
+        chips=w,
+        scars=np.concatenate([scar, bowl[:, None], 0.01 + 0.05 * s[:, 3:]], axis=1),
+        tones=tones,
+        width=wear * _WIDEST,
+    )
+    return Angular(*common, drawn)

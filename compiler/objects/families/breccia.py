@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +10,11 @@ from numpy.typing import NDArray
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
+    Carved,
     Common,
-    Shape,
+    Fine,
     ball_along,
     block,
-    octaves,
     rough,
     sampling,
     unit_vectors,
@@ -29,40 +28,17 @@ _LARGEST = 0.36
 _SMALLEST = 0.05
 
 
-@dataclass(frozen=True)
-class Breccia(Shape):
-    """A worn block of matrix with angular clasts, flush with what the block once was.
+class _Drawn(NamedTuple):
+    """A block of breccia.
 
     Attributes:
-        plane_normals, plane_distances: Unit normals [p, 3] and distances [p] of its planes.
+        normals, distances: Unit normals [p, 3] and distances [p] of its planes.
         clasts: Unit directions, radii, depths of the middles below the surface in radii, how far
             each stands out of the matrix (0 to 1), and tones, float64 [c, 7].
-        face_normals, face_distances: Of each clast's faces, [c, f, 3], and [c, f] in its radii.
-        wear: 0 is freshly broken, 1 has no edges left.
+        faces, reaches: Normals of each clast's faces, [c, f, 3], and their distances from its
+            middle, [c, f] in its radii.
+        width: Inverse radii over which the wear of an edge reaches.
     """
-
-    plane_normals: NDArray[np.float64]
-    plane_distances: NDArray[np.float64]
-    clasts: NDArray[np.float64]
-    face_normals: NDArray[np.float64]
-    face_distances: NDArray[np.float64]
-    wear: float
-
-    def surface(
-        self, directions: NDArray[np.float64], spacing: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of ``Shape``."""
-        shown = self.clasts[:, 3] >= 1.6 * spacing
-        rock = _Clastic(
-            self.plane_normals, self.plane_distances, self.clasts[shown],
-            self.face_normals[shown], self.face_distances[shown], 0.05 + 0.55 * self.wear,
-            self.bumpiness, octaves(1.4, spacing, 3), octaves(6.0, spacing, 4),
-        )  # fmt: skip
-        return _surface(np.uint64(self.key), directions, rock)
-
-
-class _Clastic(NamedTuple):
-    """What the kernel takes of one: see ``Breccia``, and the octaves of its roughness."""
 
     normals: NDArray[np.float64]
     distances: NDArray[np.float64]
@@ -70,50 +46,24 @@ class _Clastic(NamedTuple):
     faces: NDArray[np.float64]
     reaches: NDArray[np.float64]
     width: float
-    bumpiness: float
-    waves: int
-    grains: int
-
-
-def draw_breccia(path: str, streams: Streams, wear: float, common: Common) -> Breccia:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
-    v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
-    w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)
-    # Numbers fall with the size: a few large ones have most of the surface.
-    size = 1.0 / (1.0 / _SMALLEST + v[:, 2] * (1.0 / _LARGEST - 1.0 / _SMALLEST))
-    # Most are paler than the matrix, some darker.
-    tone = np.where(v[:, 5] < 0.7, 0.15 + 0.9 * v[:, 5], -2.6 * (v[:, 5] - 0.68))
-    deep = 0.1 + 0.5 * v[:, 3]
-    return Breccia(
-        *common,
-        plane_normals=unit_vectors(u[:, :2]),
-        plane_distances=0.66 + 0.34 * u[:, 2],
-        clasts=np.concatenate(
-            [unit_vectors(v[:, :2]), np.stack([size, deep, v[:, 4], tone], axis=1)], axis=1
-        ),
-        face_normals=unit_vectors(w[:, :2]).reshape(_CLASTS, _FACES, 3),
-        face_distances=(0.5 + 0.4 * w[:, 2]).reshape(_CLASTS, _FACES),
-        wear=wear,
-    )
 
 
 @kernel
-def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
+def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     h, _plane, _gap = block(rock.normals, rock.distances, x, y, z, rock.width)
     whole = 1.0 / min(max(h, 0.8), 4.0)
     px, py, pz = whole * x, whole * y, whole * z
     bumps = 0.0
-    if rock.waves > 0:
-        bumps += 0.3 * fbm3(keys[1], 1.4 * px, 1.4 * py, 1.4 * pz, rock.waves, 0.5)
-    whole *= rough(rock.bumpiness, bumps)
+    if fine.waves > 0:
+        bumps += 0.3 * fbm3(keys[1], 1.4 * px, 1.4 * py, 1.4 * pz, fine.waves, 0.5)
+    whole *= rough(fine.bumpiness, bumps)
     # The matrix has gone from between the clasts, here more, there less.
     gone = 0.28 * (1.0 + 0.8 * perlin3(keys[2], 1.7 * x, 1.7 * y, 1.7 * z))
-    fine = 0.0
-    if rock.grains > 0:
-        fine = fbm3(keys[3], 6.0 * px, 6.0 * py, 6.0 * pz, rock.grains, 0.6)
-    matrix = whole * rough(rock.bumpiness, 0.1 * fine - 0.4 * gone)
-    r, tone = matrix, -0.35 + 0.5 * fine
+    grain = 0.0
+    if fine.grains > 0:
+        grain = fbm3(keys[3], 6.0 * px, 6.0 * py, 6.0 * pz, fine.grains, 0.6)
+    matrix = whole * rough(fine.bumpiness, 0.1 * grain - 0.4 * gone)
+    r, tone = matrix, -0.35 + 0.5 * grain
     for c in range(len(rock.clasts)):
         cx, cy, cz, size, deep, out, own = rock.clasts[c]
         away = whole - size * deep
@@ -136,9 +86,44 @@ def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
         top = min(leaves, matrix + (0.2 + 0.8 * out * out) * (whole * 1.01 - matrix))
         if top > r:
             r = top
-            tone = own + 0.3 * fine
+            tone = own + 0.3 * grain
     tone += 0.3 * fbm3(keys[4], 2.3 * px, 2.3 * py, 2.3 * pz, 3, 0.6)
     return r, tone
 
 
-_surface = sampling(_at)
+class Breccia(Carved[_Drawn]):
+    """A worn block of matrix with angular clasts, flush with what the block once was."""
+
+    sample = sampling(_at)
+    noises = ((1.4, 3), (6.0, 4))
+
+    def seen(self, fine: Fine) -> _Drawn:
+        """As of ``Carved``, with the clasts that the mesh can show."""
+        rock = self.drawn
+        shown = rock.clasts[:, 3] >= 1.6 * fine.spacing
+        return rock._replace(
+            clasts=rock.clasts[shown], faces=rock.faces[shown], reaches=rock.reaches[shown]
+        )
+
+
+def draw_breccia(path: str, streams: Streams, wear: float, common: Common) -> Breccia:
+    """Draws one."""
+    u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
+    v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
+    w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)
+    # Numbers fall with the size: a few large ones have most of the surface.
+    size = 1.0 / (1.0 / _SMALLEST + v[:, 2] * (1.0 / _LARGEST - 1.0 / _SMALLEST))
+    # Most are paler than the matrix, some darker.
+    tone = np.where(v[:, 5] < 0.7, 0.15 + 0.9 * v[:, 5], -2.6 * (v[:, 5] - 0.68))
+    deep = 0.1 + 0.5 * v[:, 3]
+    drawn = _Drawn(
+        normals=unit_vectors(u[:, :2]),
+        distances=0.66 + 0.34 * u[:, 2],
+        clasts=np.concatenate(
+            [unit_vectors(v[:, :2]), np.stack([size, deep, v[:, 4], tone], axis=1)], axis=1
+        ),
+        faces=unit_vectors(w[:, :2]).reshape(_CLASTS, _FACES, 3),
+        reaches=(0.5 + 0.4 * w[:, 2]).reshape(_CLASTS, _FACES),
+        width=0.05 + 0.55 * wear,
+    )
+    return Breccia(*common, drawn)

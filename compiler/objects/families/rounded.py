@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +11,9 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
+    Carved,
     Common,
-    Shape,
     block,
-    octaves,
     rough,
     sampling,
     smooth_max,
@@ -26,63 +24,23 @@ from scenec.schemas.kernels import kernel
 _FLATS = 7
 
 
-@dataclass(frozen=True)
-class Rounded(Shape):
-    """A superellipsoid with a few worn flats, lopsided, with fine pits.
+class _Drawn(NamedTuple):
+    """A cobble.
 
     Attributes:
-        flat_normals, flat_distances: Unit normals [p, 3] and distances [p] of its flats.
+        normals, distances: Unit normals [p, 3] and distances [p] of its flats.
         frame: Rows: the superellipsoid's own axes, float64 [3, 3].
         wear: 0 keeps the flats and a boxy body, 1 is an ellipsoid.
-        bumpiness: How lopsided and pitted it is.
     """
-
-    flat_normals: NDArray[np.float64]
-    flat_distances: NDArray[np.float64]
-    frame: NDArray[np.float64]
-    wear: float
-
-    def surface(
-        self, directions: NDArray[np.float64], spacing: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of ``Shape``."""
-        rock = _Cobble(
-            self.flat_normals, self.flat_distances, self.frame, self.wear, self.bumpiness,
-            octaves(0.9, spacing, 2), octaves(5.0, spacing, 3), octaves(11.0, spacing, 1),
-        )  # fmt: skip
-        return _surface(np.uint64(self.key), directions, rock)
-
-
-class _Cobble(NamedTuple):
-    """What the kernel takes of one: see ``Rounded``, and the octaves of its roughness."""
 
     normals: NDArray[np.float64]
     distances: NDArray[np.float64]
     frame: NDArray[np.float64]
     wear: float
-    bumpiness: float
-    waves: int
-    grains: int
-    pits: int
-
-
-def draw_rounded(path: str, streams: Streams, wear: float, common: Common) -> Rounded:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
-    turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
-    c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]
-    return Rounded(
-        *common,
-        flat_normals=unit_vectors(u[:, :2]),
-        flat_distances=0.72 + 0.25 * u[:, 2],
-        # Flat to the ground, like what water has laid down.
-        frame=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
-        wear=wear,
-    )
 
 
 @kernel
-def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
+def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     power = 2.05 + 1.5 * (1.0 - rock.wear)
     width = 0.15 + 0.55 * rock.wear
     frame = rock.frame
@@ -95,16 +53,35 @@ def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
     flat, _plane, _gap = block(rock.normals, rock.distances, x, y, z, width)
     r = 1.0 / smooth_max(body, flat, width)
     bumps = 0.0
-    if rock.waves > 0:
-        bumps += 0.6 * fbm3(keys[1], 0.9 * x, 0.9 * y, 0.9 * z, rock.waves, 0.3)
-    if rock.grains > 0:
-        bumps += 0.025 * fbm3(keys[2], 5.0 * x, 5.0 * y, 5.0 * z, rock.grains, 0.5)
-    if rock.pits > 0:
+    if fine.waves > 0:
+        bumps += 0.6 * fbm3(keys[1], 0.9 * x, 0.9 * y, 0.9 * z, fine.waves, 0.3)
+    if fine.grains > 0:
+        bumps += 0.025 * fbm3(keys[2], 5.0 * x, 5.0 * y, 5.0 * z, fine.grains, 0.5)
+    if fine.marks > 0:
         pit = perlin3(keys[3], 11.0 * x, 11.0 * y, 11.0 * z) - 0.25
         if pit > 0.0:
             bumps -= 0.12 * pit
     tone = 0.55 * fbm3(keys[4], 1.9 * x, 1.9 * y, 1.9 * z, 5, 0.75)
-    return r * rough(rock.bumpiness, bumps), tone
+    return r * rough(fine.bumpiness, bumps), tone
 
 
-_surface = sampling(_at)
+class Rounded(Carved[_Drawn]):
+    """A superellipsoid with a few worn flats; bumpiness makes it lopsided, and pits it."""
+
+    sample = sampling(_at)
+    noises = ((0.9, 2), (5.0, 3), (11.0, 1))
+
+
+def draw_rounded(path: str, streams: Streams, wear: float, common: Common) -> Rounded:
+    """Draws one."""
+    u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
+    turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
+    c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]
+    drawn = _Drawn(
+        normals=unit_vectors(u[:, :2]),
+        distances=0.72 + 0.25 * u[:, 2],
+        # Flat to the ground, like what water has laid down.
+        frame=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
+        wear=wear,
+    )
+    return Rounded(*common, drawn)

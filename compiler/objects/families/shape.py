@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +34,14 @@ class Shape(ABC):
 
     Attributes:
         bumpiness: Height of its roughness, in radii.
-        axes: Extents along x, y, z, the largest being 1.
+        axes: Extents of the finest mesh along x, y, z, the largest being 1.
         subdivisions: Of the icosphere, in the finest mesh.
-        fits_axes: Whether the finest mesh has those extents; otherwise they stretch what it has.
     """
 
     key: int
     bumpiness: float
     axes: tuple[float, float, float]
     subdivisions: int
-    fits_axes: ClassVar[bool] = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Unit normals [p, 3] and distances [p] of the planes that meet in sharp edges."""
@@ -62,25 +59,70 @@ class Shape(ABC):
         """
 
 
-def sampling(at: Kernel) -> Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """The loop over directions: a kernel of (key, directions, rock), see ``Shape.surface``.
+class Fine(NamedTuple):
+    """How rough a rock is, and what of that a mesh can show.
+
+    Attributes:
+        spacing: Step of the mesh in radians.
+        waves, grains, marks: Octaves of the family's ``noises`` that the mesh has room for.
+    """
+
+    bumpiness: float
+    spacing: float
+    waves: int
+    grains: int
+    marks: int
+
+
+@dataclass(frozen=True)
+class Carved[T: tuple[Any, ...]](Shape):
+    """A rock whose surface a kernel makes.
+
+    Attributes:
+        drawn: All that is drawn of it beside what ``Shape`` has, as the kernel takes it.
+        sample: The kernel over all directions, see ``sampling``.
+        noises: Of the family's ``Fine.waves``, ``grains`` and ``marks`` the first frequency, in
+            waves a radius, and the most octaves.
+    """
+
+    drawn: T
+    sample: ClassVar[Kernel]
+    noises: ClassVar[tuple[tuple[float, int], ...]]
+
+    def surface(
+        self, directions: NDArray[np.float64], spacing: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As of ``Shape``."""
+        counts = [octaves(frequency, spacing, most) for frequency, most in self.noises]
+        fine = Fine(self.bumpiness, spacing, *counts, *[0] * (3 - len(counts)))
+        radius, variation = self.sample(np.uint64(self.key), directions, self.seen(fine), fine)
+        return radius, variation
+
+    def seen(self, fine: Fine) -> T:
+        """What the kernel takes for a mesh."""
+        return self.drawn
+
+
+def sampling(at: Kernel) -> Kernel:
+    """The loop over directions: a kernel of (key, directions, rock, fine), see ``Carved.surface``.
 
     Args:
-        at: Of (keys, rock, x, y, z), a unit vector: radius and albedo variation there. ``keys`` are
-            those of the rock's noises, ``rock`` is what the family has drawn.
+        at: Of (keys, rock, fine, x, y, z), a unit vector: radius and albedo variation there.
+            ``keys`` are those of the rock's noises, ``rock`` is what the family has drawn.
     """
 
     @kernel
-    def surface(key, directions, rock):  # type: ignore[no-untyped-def]
+    def surface(key, directions, rock, fine):  # type: ignore[no-untyped-def]
         keys = subkeys(key, 6)
         radius = np.empty(len(directions))
         variation = np.empty(len(directions))
         for n in range(len(directions)):
             x, y, z = directions[n]
-            radius[n], tone = at(keys, rock, x, y, z)
+            radius[n], tone = at(keys, rock, fine, x, y, z)
             variation[n] = min(max(tone, -1.0), 1.0)
         return radius, variation
 
+    assert isinstance(surface, Kernel)
     return surface
 
 
@@ -165,3 +207,19 @@ def ball_along(x, y, z, cx, cy, cz, radius):  # type: ignore[no-untyped-def]
     """
     along = cx * x + cy * y + cz * z
     return along, along * along - (cx * cx + cy * cy + cz * cz) + radius * radius
+
+
+@kernel
+def bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
+    """Centers and radii of balls that scar a block, float64 [s, 4].
+
+    Args:
+        normals, distances: Of the block's planes.
+        scars: Unit directions of the bowls, their radii and depths, float64 [s, 5].
+    """
+    out = np.empty((len(scars), 4))
+    for s in range(len(scars)):
+        h, _plane, _gap = block(normals, distances, scars[s, 0], scars[s, 1], scars[s, 2], 0.0)
+        out[s, :3] = scars[s, :3] * (1.0 / h - scars[s, 4] + scars[s, 3])
+        out[s, 3] = scars[s, 3]
+    return out

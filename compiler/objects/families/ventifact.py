@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +11,9 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import (
+    Carved,
     Common,
-    Shape,
     block,
-    octaves,
     rough,
     sampling,
     smooth_max,
@@ -29,50 +27,16 @@ _MOST_FACETS = 4
 _WIDEST = 0.5
 
 
-@dataclass(frozen=True)
-class Ventifact(Shape):
-    """A cobble with two to four facets cut into its upper half, which meet in keels.
-
-    The facets rise at 25 to 65 degrees around the stone (Laity and Bridges 2009); along each run
-    flutes, deepest near its foot, and pits where sand hits it steeply.
+class _Drawn(NamedTuple):
+    """A ventifact.
 
     Attributes:
-        facet_normals, facet_distances: Unit normals [f, 3] and distances [f].
-        body_normals, body_distances: Of the planes of the stone before it was cut, [b, 3] and [b].
+        facets, reaches: Unit normals [f, 3] and distances [f] of its facets.
+        normals, distances: Of the planes of the stone before it was cut, [b, 3] and [b].
         frames: For each facet the directions along and across its flutes, float64 [f, 2, 3].
         steepness: Of each facet, 0 to 1: what is steep is pitted, what is flat is fluted.
         wear: 0 has sharp keels, 1 none left.
     """
-
-    facet_normals: NDArray[np.float64]
-    facet_distances: NDArray[np.float64]
-    body_normals: NDArray[np.float64]
-    body_distances: NDArray[np.float64]
-    frames: NDArray[np.float64]
-    steepness: NDArray[np.float64]
-    wear: float
-
-    def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where facets meet each other and the body."""
-        return (
-            np.concatenate([self.facet_normals, self.body_normals]),
-            np.concatenate([self.facet_distances, self.body_distances]),
-        )
-
-    def surface(
-        self, directions: NDArray[np.float64], spacing: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of ``Shape``."""
-        rock = _Cut(
-            self.facet_normals, self.facet_distances, self.body_normals, self.body_distances,
-            self.frames, self.steepness, self.wear, self.bumpiness,
-            octaves(1.2, spacing, 3), octaves(6.0, spacing, 4), octaves(8.0, spacing, 3),
-        )  # fmt: skip
-        return _surface(np.uint64(self.key), directions, rock)
-
-
-class _Cut(NamedTuple):
-    """What the kernel takes of one: see ``Ventifact``, and the octaves of its roughness."""
 
     facets: NDArray[np.float64]
     reaches: NDArray[np.float64]
@@ -81,10 +45,67 @@ class _Cut(NamedTuple):
     frames: NDArray[np.float64]
     steepness: NDArray[np.float64]
     wear: float
-    bumpiness: float
-    waves: int
-    grains: int
-    flutes: int
+
+
+@kernel
+def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
+    # The body was round before the wind came; keels are worn here more, there less.
+    body, _plane, _gap = block(rock.normals, rock.distances, x, y, z, 0.3 + 0.4 * rock.wear)
+    chips = fbm3(keys[1], 2.3 * x, 2.3 * y, 2.3 * z, 3, 0.7)
+    width = _WIDEST * rock.wear * max(1.0 + 1.4 * chips, 0.1)
+    cut, facet, _gap = block(rock.facets, rock.reaches, x, y, z, width)
+    h = max(smooth_max(body, cut, width), 0.7) if width > 0.0 else max(body, cut, 0.7)
+    r = 1.0 / h
+    px, py, pz = r * x, r * y, r * z
+    # How far it is from what the wind has not reached, 1 on a facet.
+    planed = min(max((cut - body) / 0.12, 0.0), 1.0) if facet >= 0 else 0.0
+    bumps, tone = 0.0, 0.0
+    if fine.waves > 0:
+        low = fbm3(keys[2], 1.2 * px, 1.2 * py, 1.2 * pz, fine.waves, 0.5)
+        bumps += (0.3 - 0.25 * planed) * low
+    if fine.grains > 0:
+        grain = fbm3(keys[3], 6.0 * px, 6.0 * py, 6.0 * pz, fine.grains, 0.6)
+        bumps += (0.08 - 0.06 * planed) * grain
+    if planed > 0.0 and fine.marks > 0:
+        frame = rock.frames[facet]
+        u = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz
+        v = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz
+        # Grooves fan out a little up the facet, and end there.
+        wave = fbm3(keys[4], 1.4 * u, 8.0 * v / (1.0 + 0.5 * u), 3.0 * facet, fine.marks, 0.5)
+        deep = max(0.1 - wave, 0.0) * min(max(0.9 - u, 0.0), 1.0)
+        pit = max(fbm3(keys[5], 8.0 * px, 8.0 * py, 8.0 * pz, fine.marks, 0.6) - 0.16, 0.0)
+        steep = rock.steepness[facet]
+        taken = planed * ((1.0 - 0.6 * steep) * 0.14 * deep + (0.1 + 0.9 * steep) * 0.22 * pit)
+        bumps -= taken
+        tone -= 6.0 * taken
+    tone += 0.4 * fbm3(keys[0], 2.3 * px, 2.3 * py, 2.3 * pz, 4, 0.65) + 0.12 * (planed - 0.5)
+    return r * rough(fine.bumpiness, bumps), tone
+
+
+class Ventifact(Carved[_Drawn]):
+    """A cobble with two to four facets cut into its upper half, which meet in keels.
+
+    The facets rise at 25 to 65 degrees around the stone (Laity and Bridges 2009); along each run
+    flutes, deepest near its foot, and pits where sand hits it steeply.
+    """
+
+    sample = sampling(_at)
+    noises = ((1.2, 3), (6.0, 4), (8.0, 3))
+
+    def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where facets meet each other and the body."""
+        rock = self.drawn
+        return (
+            np.concatenate([rock.facets, rock.normals]),
+            np.concatenate([rock.reaches, rock.distances]),
+        )
+
+    def bearings(self) -> NDArray[np.float64]:
+        """Where its facets look, in whole turns from +x toward +y, float64 [f]."""
+        # Across planes that are stretched, as normals go.
+        x, y = self.drawn.facets[:, 0] / self.axes[0], self.drawn.facets[:, 1] / self.axes[1]
+        angles = [elementary.atan2(*each) for each in zip(y.tolist(), x.tolist(), strict=True)]
+        return np.array(angles) / (2.0 * elementary.PI)
 
 
 def draw_ventifact(path: str, streams: Streams, wear: float, common: Common) -> Ventifact:
@@ -102,51 +123,13 @@ def draw_ventifact(path: str, streams: Streams, wear: float, common: Common) -> 
     normals = np.stack([low * c, low * s, high], axis=1)
     along = np.stack([-high * c, -high * s, low], axis=1)
     across = np.stack([-s, c, np.zeros(facets)], axis=1)
-    return Ventifact(
-        *common,
-        facet_normals=normals,
-        facet_distances=0.42 + 0.2 * v[:, 2],
-        body_normals=unit_vectors(u[:, :2]),
-        body_distances=0.72 + 0.28 * u[:, 2],
+    drawn = _Drawn(
+        facets=normals,
+        reaches=0.42 + 0.2 * v[:, 2],
+        normals=unit_vectors(u[:, :2]),
+        distances=0.72 + 0.28 * u[:, 2],
         frames=np.stack([along, across], axis=1),
         steepness=v[:, 1],
         wear=wear,
     )
-
-
-@kernel
-def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
-    # The body was round before the wind came; keels are worn here more, there less.
-    body, _plane, _gap = block(rock.normals, rock.distances, x, y, z, 0.3 + 0.4 * rock.wear)
-    chips = fbm3(keys[1], 2.3 * x, 2.3 * y, 2.3 * z, 3, 0.7)
-    width = _WIDEST * rock.wear * max(1.0 + 1.4 * chips, 0.1)
-    cut, facet, _gap = block(rock.facets, rock.reaches, x, y, z, width)
-    h = max(smooth_max(body, cut, width), 0.7) if width > 0.0 else max(body, cut, 0.7)
-    r = 1.0 / h
-    px, py, pz = r * x, r * y, r * z
-    # How far it is from what the wind has not reached, 1 on a facet.
-    planed = min(max((cut - body) / 0.12, 0.0), 1.0) if facet >= 0 else 0.0
-    bumps, tone = 0.0, 0.0
-    if rock.waves > 0:
-        low = fbm3(keys[2], 1.2 * px, 1.2 * py, 1.2 * pz, rock.waves, 0.5)
-        bumps += (0.3 - 0.25 * planed) * low
-    if rock.grains > 0:
-        fine = fbm3(keys[3], 6.0 * px, 6.0 * py, 6.0 * pz, rock.grains, 0.6)
-        bumps += (0.08 - 0.06 * planed) * fine
-    if planed > 0.0 and rock.flutes > 0:
-        frame = rock.frames[facet]
-        u = frame[0, 0] * px + frame[0, 1] * py + frame[0, 2] * pz
-        v = frame[1, 0] * px + frame[1, 1] * py + frame[1, 2] * pz
-        # Grooves fan out a little up the facet, and end there.
-        wave = fbm3(keys[4], 1.4 * u, 8.0 * v / (1.0 + 0.5 * u), 3.0 * facet, rock.flutes, 0.5)
-        deep = max(0.1 - wave, 0.0) * min(max(0.9 - u, 0.0), 1.0)
-        pit = max(fbm3(keys[5], 8.0 * px, 8.0 * py, 8.0 * pz, rock.flutes, 0.6) - 0.16, 0.0)
-        steep = rock.steepness[facet]
-        taken = planed * ((1.0 - 0.6 * steep) * 0.14 * deep + (0.1 + 0.9 * steep) * 0.22 * pit)
-        bumps -= taken
-        tone -= 6.0 * taken
-    tone += 0.4 * fbm3(keys[0], 2.3 * px, 2.3 * py, 2.3 * pz, 4, 0.65) + 0.12 * (planed - 0.5)
-    return r * rough(rock.bumpiness, bumps), tone
-
-
-_surface = sampling(_at)
+    return Ventifact(*common, drawn)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +11,11 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import (
+    Carved,
     Common,
-    Shape,
+    Fine,
     ball_along,
     block,
-    octaves,
     rough,
     sampling,
     unit_vectors,
@@ -29,86 +28,38 @@ _LARGEST = 0.17
 _SMALLEST = 0.035
 
 
-@dataclass(frozen=True)
-class Vesicular(Shape):
-    """A worn block from which balls are taken, their middles a little above the surface.
+class _Drawn(NamedTuple):
+    """A vesicular rock.
 
     Attributes:
-        plane_normals, plane_distances: Unit normals [p, 3] and distances [p] of its planes.
+        normals, distances: Unit normals [p, 3] and distances [p] of its planes.
         bubbles: Unit directions, radii, and heights of the middles over the surface in parts of
-            the radius, float64 [b, 5].
-        wear: 0 is freshly broken, 1 has no edges left.
-    """
-
-    plane_normals: NDArray[np.float64]
-    plane_distances: NDArray[np.float64]
-    bubbles: NDArray[np.float64]
-    wear: float
-
-    def surface(
-        self, directions: NDArray[np.float64], spacing: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of ``Shape``."""
-        key, waves = np.uint64(self.key), octaves(1.5, spacing, 3)
-        rock = _Worn(
-            self.plane_normals, self.plane_distances, self.bubbles, 0.05 + 0.55 * self.wear,
-            self.bumpiness, min(waves, 2), 0,
-        )  # fmt: skip
-        rock = rock._replace(
-            bubbles=_balls(key, rock, spacing), waves=waves, grains=octaves(6.0, spacing, 4)
-        )
-        return _surface(key, directions, rock)
-
-
-class _Worn(NamedTuple):
-    """What the kernels take of one: see ``Vesicular``, and the octaves of its roughness.
-
-    ``bubbles`` are as there for ``_balls``, afterwards its balls.
+            the radius, float64 [b, 5]; as the kernel takes them the middles and radii [b, 4] of
+            those that the mesh can show.
+        width: Inverse radii over which the wear of an edge reaches.
     """
 
     normals: NDArray[np.float64]
     distances: NDArray[np.float64]
     bubbles: NDArray[np.float64]
     width: float
-    bumpiness: float
-    waves: int
-    grains: int
-
-
-def draw_vesicular(path: str, streams: Streams, wear: float, common: Common) -> Vesicular:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
-    v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
-    # Numbers fall with the size's square: as much of the surface to every size.
-    steep = 1.0 / (_SMALLEST * _SMALLEST)
-    flat = 1.0 / (_LARGEST * _LARGEST)
-    size = 1.0 / np.sqrt(steep + v[:, 2] * (flat - steep))
-    return Vesicular(
-        *common,
-        plane_normals=unit_vectors(u[:, :2]),
-        plane_distances=0.66 + 0.34 * u[:, 2],
-        bubbles=np.concatenate(
-            [unit_vectors(v[:, :2]), size[:, None], 0.15 + 0.55 * v[:, 3:]], axis=1
-        ),
-        wear=wear,
-    )
 
 
 @kernel
-def _radius(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
+def _radius(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     """Of the worn block, before balls are taken from it."""
     h, _plane, _gap = block(rock.normals, rock.distances, x, y, z, rock.width)
     r = 1.0 / min(max(h, 0.8), 4.0)
     bumps = 0.0
-    if rock.waves > 0:
-        bumps += 0.3 * fbm3(keys[1], 1.5 * x * r, 1.5 * y * r, 1.5 * z * r, rock.waves, 0.5)
-    if rock.grains > 0:
-        bumps += 0.09 * fbm3(keys[2], 6.0 * x * r, 6.0 * y * r, 6.0 * z * r, rock.grains, 0.6)
-    return r * rough(rock.bumpiness, bumps)
+    if fine.waves > 0:
+        bumps += 0.3 * fbm3(keys[1], 1.5 * x * r, 1.5 * y * r, 1.5 * z * r, fine.waves, 0.5)
+    if fine.grains > 0:
+        bumps += 0.09 * fbm3(keys[2], 6.0 * x * r, 6.0 * y * r, 6.0 * z * r, fine.grains, 0.6)
+    return r * rough(fine.bumpiness, bumps)
 
 
 @kernel
-def _balls(key, rock, spacing):  # type: ignore[no-untyped-def]
+def _balls(key, rock, fine):  # type: ignore[no-untyped-def]
     """Middles and radii of the bubbles that a mesh of this spacing can show, float64 [b, 4]."""
     keys = subkeys(key, 6)
     balls = np.empty((len(rock.bubbles), 4))
@@ -117,10 +68,10 @@ def _balls(key, rock, spacing):  # type: ignore[no-untyped-def]
         x, y, z, size, up = rock.bubbles[b]
         rich = fbm3(keys[4], 1.2 * x, 1.2 * y, 1.2 * z, 2, 0.5)
         # Bubbles crowd in some places and are rare in others.
-        if size < 1.6 * spacing or rich < -0.15:
+        if size < 1.6 * fine.spacing or rich < -0.15:
             continue
         # A bubble's rim must be in view from the center, or it would have a wall behind it.
-        r = _radius(keys, rock, x, y, z)
+        r = _radius(keys, rock, fine, x, y, z)
         away = r + size * max(up, 0.6 * size / r)
         balls[count] = x * away, y * away, z * away, size
         count += 1
@@ -128,8 +79,8 @@ def _balls(key, rock, spacing):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
-    r = _radius(keys, rock, x, y, z)
+def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
+    r = _radius(keys, rock, fine, x, y, z)
     deepest = 0.0
     left = r
     for b in range(len(rock.bubbles)):
@@ -144,4 +95,32 @@ def _at(keys, rock, x, y, z):  # type: ignore[no-untyped-def]
     return max(left, 0.5 * r), tone
 
 
-_surface = sampling(_at)
+class Vesicular(Carved[_Drawn]):
+    """A worn block from which balls are taken, their middles a little above the surface."""
+
+    sample = sampling(_at)
+    noises = ((1.5, 3), (6.0, 4))
+
+    def seen(self, fine: Fine) -> _Drawn:
+        """As of ``Carved``, its bubbles where coarse relief alone leaves them."""
+        fine = fine._replace(waves=min(fine.waves, 2), grains=0)
+        return self.drawn._replace(bubbles=_balls(np.uint64(self.key), self.drawn, fine))
+
+
+def draw_vesicular(path: str, streams: Streams, wear: float, common: Common) -> Vesicular:
+    """Draws one."""
+    u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
+    v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
+    # Numbers fall with the size's square: as much of the surface to every size.
+    steep = 1.0 / (_SMALLEST * _SMALLEST)
+    flat = 1.0 / (_LARGEST * _LARGEST)
+    size = 1.0 / np.sqrt(steep + v[:, 2] * (flat - steep))
+    drawn = _Drawn(
+        normals=unit_vectors(u[:, :2]),
+        distances=0.66 + 0.34 * u[:, 2],
+        bubbles=np.concatenate(
+            [unit_vectors(v[:, :2]), size[:, None], 0.15 + 0.55 * v[:, 3:]], axis=1
+        ),
+        width=0.05 + 0.55 * wear,
+    )
+    return Vesicular(*common, drawn)
