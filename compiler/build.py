@@ -45,6 +45,7 @@ from scenec.compiler.scene.scene import (
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import Relief, run
 from scenec.compiler.terrain.quantities import Samples
+from scenec.compiler.terrain.shade import shade
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views import needed
 from scenec.compiler.views.lamps import without_idle
@@ -306,6 +307,7 @@ def lay_ground(plan: Plan, relief: Relief, samples: Samples, log: BuildLog) -> S
             smooth=plan.terrain.meshing.tolerance_px is not None
             and bool(plan.rigs)
             and not isinstance(terrain, MeshSurface),
+            shade=shade(plan.terrain.shades, terrain),
         )
 
 

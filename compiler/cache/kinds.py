@@ -28,6 +28,8 @@ _OF: dict[str, tuple[str, ...]] = {
     "terrain.detail": ("Spectrum", "Sum", "Weighted"),
     "terrain.grid": ("Grid", "HeightField"),
     "terrain.sources.mesh_surface": ("MeshSurface",),
+    "terrain.operators.crust": ("Crust", "CrustDetail"),
+    "terrain.operators.footprints": ("Bins", "Footprints", "FootprintsDetail", "Sole"),
     "terrain.operators.multifractal": ("Multifractal", "MultifractalDetail"),
     "terrain.program": ("Relief",),
     "terrain.operators.worley": ("Worley", "WorleyDetail"),

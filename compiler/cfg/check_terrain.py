@@ -34,7 +34,8 @@ def check_terrain(cfg: Node) -> Iterator[Finding]:
                 "min_diameter_m",
             )
     masks = ((*relief, "mask") for relief in reliefs)
-    for pattern in (*masks, ("terrain", "ground", "*", "where"), ("objects", "*", "where")):
+    others = ("terrain", "ground"), ("terrain", "shades"), ("objects",)
+    for pattern in (*masks, *((*of, "*", "where") for of in others)):
         for condition in cfg.each(*pattern, "*"):
             yield from _check_condition(cfg, condition)
     for layer in cfg.each("terrain", "ground", "*"):

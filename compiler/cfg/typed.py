@@ -30,6 +30,7 @@ class Terrain(TypedDict):
     spacing_m: Number
     relief: list[Kind]
     ground: list[Kind]
+    shades: NotRequired[list[Kind]]
     mesh: Mesh
     horizon: NotRequired[Kind]
 

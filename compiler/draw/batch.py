@@ -12,7 +12,7 @@ from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.craters import draw_craters
-from scenec.compiler.draw.ground import draw_mask, draw_merges
+from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.materials import draw_materials
 from scenec.compiler.draw.models import draw_meshes, draw_placed
@@ -29,12 +29,14 @@ from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
 from scenec.compiler.terrain.operators.barchans import draw_barchans
+from scenec.compiler.terrain.operators.footprints import draw_footprints
 from scenec.compiler.terrain.sources.mesh_base import Roughness
 
 #: Relief operators that are many things, each drawn.
 _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
     "barchans": draw_barchans,
     "craters": draw_craters,
+    "footprints": draw_footprints,
 }
 #: Samples across the relief of a horizon that says nothing of them.
 HORIZON_SAMPLES = 256
@@ -131,6 +133,7 @@ def _terrain(
             for layer in node["ground"]
         ),
         horizon=_horizon(spec, setting) if "horizon" in cfg else None,
+        shades=draw_shades(cfg.get("shades", ()), setting),
     )
     return plan, setting
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.draw.of_keys import Setting, of_keys, ragged_of
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.condition import QUANTITIES, Condition, Interval
+from scenec.compiler.terrain.shade import Shade
 
 
 def draw_merges(setting: Setting) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
@@ -36,6 +38,20 @@ def draw_merges(setting: Setting) -> tuple[tuple[Merge, ...], tuple[float | None
         )
         coverage.append(layer["coverage"])
     return tuple(merges), tuple(coverage)
+
+
+def draw_shades(shades: Sequence[Mapping[str, Any]], setting: Setting) -> tuple[Shade, ...]:
+    """Where the ground is darker or lighter."""
+    drawn = []
+    for i, node in enumerate(shades):
+        path = f"terrain/shades/{i}"
+        resolved = resolve(node, setting.streams, path)
+        where = [
+            draw_condition(condition, f"{path}/where/{k}", setting)
+            for k, condition in enumerate(resolved["where"])
+        ]
+        drawn.append(Shade(resolved["by"], tuple(where)))
+    return tuple(drawn)
 
 
 def draw_condition(node: Mapping[str, Any], path: str, setting: Setting) -> Interval:

@@ -134,7 +134,8 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
     pixels = _pixels(work, np.arange(len(faces)), center, radius, views, limits)
     field = surface.field
     bend = _bends(field.height, points, faces, *field.frame())
-    detail = surface.finer_than(np.full(len(leg), np.inf), work.shares.rows, faces)
+    everything = np.full(len(leg), np.inf)
+    detail = surface.finer_than(everything, work.shares.rows, faces, (center, radius))
     off = detail + bend
     crossed = np.zeros(len(leg), bool)
     for side in work.sides.rows.T:
@@ -191,7 +192,7 @@ def _wanted(
     some = np.flatnonzero(large)
     pixels = np.zeros(len(asked))
     pixels[some] = _pixels(work, asked[some], center[some], radius[some], views, limits)
-    finer = surface.finer_than(2.0 * leg, work.shares.rows, faces)
+    finer = surface.finer_than(2.0 * leg, work.shares.rows, faces, (center, radius))
     finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
     most = _SLACK * limits.tolerance_px
     out: NDArray[np.bool_] = finer * pixels > most
@@ -242,7 +243,7 @@ def _finish(
     mesh = CutMesh.uncut(points, faces, work.cell.rows[order], normals)
     center, radius, leg = _balls(points, faces)
     pixels = _pixels(work, order, center, radius, views, limits)
-    known = _known(work, surface, faces, (radius, leg, pixels))
+    known = _known(work, surface, faces, (center, radius, leg, pixels))
     sampled = Sampled(points, faces, surface, views, limits.unseen, _nearest_m(limits))
     return mesh, {
         "triangles": len(faces),
@@ -256,7 +257,9 @@ def _known(
     work: _Work,
     surface: Surface,
     faces: NDArray[np.int32],
-    balls: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    balls: tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+    ],
 ) -> Known:
     """What faces can be off by.
 
@@ -265,7 +268,7 @@ def _known(
     middles of their edges, and by what these miss.
     """
     field, points, shares = surface.field, work.points.rows, work.shares.rows
-    radius, leg, pixels = balls
+    center, radius, leg, pixels = balls
     of = of_faces(field, points, faces)
     spacing = min(field.grid.spacing_m)
 
@@ -273,11 +276,13 @@ def _known(
         part = np.minimum(apart / spacing, 1.0)
         bend = of.bend[face]
         unseen: NDArray[np.float64] = part * of.kink[face] + part * part * part * bend
-        finer = surface.finer_than(2.0 * apart, shares, faces[face])
+        ball = center[face], radius[face]
+        finer = surface.finer_than(2.0 * apart, shares, faces[face], ball)
         return finer + np.minimum(unseen, bend)
 
     room = of.samples + of.bend
-    room += surface.finer_than(np.full(len(faces), np.inf), shares, faces)
+    everything = np.full(len(faces), np.inf)
+    room += surface.finer_than(everything, shares, faces, (center, radius))
     # All of these were looked at, before they were made or afterward.
     small = np.flatnonzero(of.cell >= 0)
     error = _errors(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.detail import Detail, finer, finer_than, joined
+from scenec.compiler.terrain.detail import Detail, Finer, finer, finer_than, joined, local
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -32,6 +32,7 @@ class Surface:
         details: Relief finer than the grid.
         displacements: Of each ground layer, the base first, or None.
         smooth: False takes the grid's own triangles as the truth, and nothing finer.
+        shade: What is added to the albedo's variation, or None.
     """
 
     field: HeightField
@@ -39,6 +40,7 @@ class Surface:
     details: tuple[Detail, ...] = ()
     displacements: tuple[Detail | None, ...] = ()
     smooth: bool = True
+    shade: HeightField | None = None
 
     def evaluate(
         self, x: NDArray[np.float64], y: NDArray[np.float64]
@@ -82,7 +84,11 @@ class Surface:
         return np.stack([share for layer, share in shares if layer is not None], axis=1)
 
     def finer_than(
-        self, length_m: NDArray[np.float64], shares: NDArray[np.float64], faces: NDArray[np.int32]
+        self,
+        length_m: NDArray[np.float64],
+        shares: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        balls: tuple[NDArray[np.float64], NDArray[np.float64]],
     ) -> NDArray[np.float64]:
         """About how large the detail is that is finer than given lengths, meters, float64 [m].
 
@@ -90,12 +96,19 @@ class Surface:
             length_m: For each face, float64 [m].
             shares: From ``displaced``, at the vertices, float64 [n, l].
             faces: int32 [m, 3]; the largest at a face's corners counts.
+            balls: About the faces: centers, float64 [m, 3], and radii, float64 [m].
         """
         details = self.details if self.smooth else ()
         layers = [layer for layer in self.displacements if layer is not None][: shares.shape[1]]
-        everywhere = joined([detail.spectrum() for detail in details])
+        everywhere = joined([detail.spectrum() for detail in details if local(detail) is None])
         tables = finer([everywhere, *(layer.spectrum() for layer in layers)])
         out: NDArray[np.float64] = _largest(faces, shares, length_m, tables)
+        for detail in details:
+            somewhere = local(detail)
+            if somewhere is not None:
+                x, y = np.ascontiguousarray(balls[0][:, :2].T)
+                near = np.flatnonzero(somewhere.reaches(x, y, balls[1]))
+                _add_finer(near, length_m, finer([detail.spectrum()]), out)
         return out
 
     def amplitude_m(self) -> float:
@@ -137,6 +150,13 @@ def _largest(faces, shares, length, tables):  # type: ignore[no-untyped-def]
                 total += shares[faces[f, k], layer] * of_layers[layer]
             out[f] = max(out[f], total)
     return out
+
+
+@kernel
+def _add_finer(some: NDArray, length: NDArray, table: Finer, out: NDArray) -> None:
+    """Adds a spectrum's finer part to some faces."""
+    for f in some:
+        out[f] += finer_than(table, 0, length[f])
 
 
 @inlined

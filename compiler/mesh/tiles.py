@@ -85,7 +85,7 @@ def build_tiles(
         mesh = grid_mesh(field)
     else:
         # The same whatever the outputs: what is left out must not move what stays.
-        varied = albedo_variation(variation_key, *field.grid.points())
+        varied = _variation(surface, variation_key, *field.grid.points())
         appearance = Appearance(sides, varied.reshape(field.grid.shape))
         mesh, known, report["mesh"] = adaptive_mesh(
             surface, appearance, pixels_per_m, views, meshing
@@ -112,7 +112,8 @@ def build_tiles(
         weights[i] = merges[i].weight_of_side(side)
     variation = np.zeros(len(mesh.points), np.float32)
     if color:
-        variation[:] = _at_all(partial(albedo_variation, variation_key), known.variation, mesh)
+        varies = partial(_variation, surface, variation_key)
+        variation[:] = _at_all(varies, known.variation, mesh)
 
     normals = _vertex_normals(mesh)
     cells = (field.grid.shape[1] - 1, field.grid.shape[0] - 1)
@@ -158,6 +159,14 @@ def albedo_variation(
         np.uint64(key), x, y, _VARIATION_SCALE_M, _VARIATION_OCTAVES, _VARIATION_GAIN, 2.0, 0.4
     )
     return np.clip(noise, -1.0, 1.0)
+
+
+def _variation(
+    surface: Surface, key: int, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """``albedo_variation`` and the surface's shade at points, in [-1, 1]."""
+    noise = albedo_variation(key, x, y)
+    return noise if surface.shade is None else np.clip(noise + surface.shade.height_at(x, y), -1, 1)
 
 
 def _side_error_bound(side: NDArray[np.float64]) -> float:

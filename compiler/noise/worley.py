@@ -47,10 +47,20 @@ def worley2(key: np.uint64, x: float, y: float, jitter: float) -> tuple[float, f
     Exact: cells beyond the 3 x 3 around the point are searched where they can hold a nearer one.
     At most sqrt(2) and 1.6.
     """
+    first, second, _, _ = worley2_cell(key, x, y, jitter)
+    return first, second
+
+
+@kernel
+def worley2_cell(
+    key: np.uint64, x: float, y: float, jitter: float
+) -> tuple[float, float, np.int64, np.int64]:
+    """``worley2``, and the cell whose point is the nearest."""
     i = np.int64(np.floor(x))
     j = np.int64(np.floor(y))
     first = np.inf
     second = np.inf
+    own_i, own_j = i, j
     # What is not in the ring searched is at least this far away.
     inside = min(min(x - i, i + 1 - x), min(y - j, j + 1 - y))
     for ring in range(1, 3):
@@ -63,11 +73,12 @@ def worley2(key: np.uint64, x: float, y: float, jitter: float) -> tuple[float, f
                 if square < first:
                     second = first
                     first = square
+                    own_i, own_j = i + a, j + b
                 elif square < second:
                     second = square
         if second <= (inside + ring) * (inside + ring):
             break
-    return np.sqrt(first), np.sqrt(second)
+    return np.sqrt(first), np.sqrt(second), own_i, own_j
 
 
 @kernel

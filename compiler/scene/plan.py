@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from scenec.compiler.scene.light_plan import LightPlan
     from scenec.compiler.terrain.detail import Detail
     from scenec.compiler.terrain.operator import ReliefOperator
+    from scenec.compiler.terrain.shade import Shade
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class TerrainPlan:
         variation_key: Noise key of the albedo variation.
         displacements: Of each layer's material, or None.
         horizon: What lies around it, or None.
+        shades: Where the albedo varies with more than its noise.
     """
 
     size_m: tuple[float, float]
@@ -74,6 +76,7 @@ class TerrainPlan:
     meshing: Meshing
     displacements: tuple[Detail | None, ...] = ()
     horizon: HorizonPlan | None = None
+    shades: tuple[Shade, ...] = ()
 
 
 @dataclass(frozen=True)

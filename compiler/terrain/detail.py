@@ -78,6 +78,23 @@ class Detail(Protocol):
 
 
 @runtime_checkable
+class Local(Protocol):
+    """Detail that is nothing in most places; its spectrum counts where it reaches."""
+
+    def reaches(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], radius_m: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Whether it may be anything within disks, bool [n], from float64 [n] each."""
+        ...
+
+
+def local(detail: Detail) -> Local | None:
+    """Detail that reaches some places only, behind a mask or not; None: it is everywhere."""
+    inner = detail.detail if isinstance(detail, Weighted) else detail
+    return inner if isinstance(inner, Local) else None
+
+
+@runtime_checkable
 class Detailed(Protocol):
     """An operator that knows what a grid leaves out of it."""
 

@@ -8,7 +8,9 @@ from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.mask import ReliefOperator as ReliefOperator
 from scenec.compiler.terrain.operators.barchans import Barchans
 from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.crust import Crust
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.footprints import Footprints
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
@@ -32,6 +34,7 @@ OPERATORS: Kinds[type[Any]] = Kinds(
         "multifractal": Multifractal,
         "worley": Worley,
         "polygons": Polygons,
+        "crust": Crust,
         "craters": Craters,
         "dunes": Dunes,
         "barchans": Barchans,
@@ -42,6 +45,7 @@ OPERATORS: Kinds[type[Any]] = Kinds(
         "diffusion": Diffusion,
         "smooth": Smooth,
         "tracks": Tracks,
+        "footprints": Footprints,
     },
 )
 

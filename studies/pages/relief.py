@@ -14,6 +14,7 @@ from scenec.studies.pages import (
     relief_erosion,
     relief_forms,
     relief_horizon,
+    relief_prints,
     relief_ranges,
     relief_steps,
 )
@@ -41,9 +42,10 @@ def speed(page: Page) -> str:
 def main(page: Page) -> None:
     """Writes the page and its pictures."""
     page.write(HEAD, ("scenec", "numpy", "numba", "scipy"), [
-        relief_forms.gallery, relief_diffusion.steps, relief_diffusion.schemes,
-        relief_diffusion.convergence, relief_erosion.rivers, relief_steps.river_steps,
-        relief_steps.hillslopes, relief_erosion.slides, relief_steps.iterations,
+        relief_forms.gallery, relief_prints.prints, relief_diffusion.steps,
+        relief_diffusion.schemes, relief_diffusion.convergence, relief_erosion.rivers,
+        relief_steps.river_steps, relief_steps.hillslopes, relief_erosion.slides,
+        relief_steps.iterations,
         relief_steps.inventory, relief_ranges.noises, relief_ranges.extents,
         relief_ranges.origins, relief_ranges.dems, relief_forms.craters, relief_horizon.horizon,
         speed,

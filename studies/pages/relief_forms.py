@@ -17,8 +17,10 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operators.barchans import draw_barchans
 from scenec.compiler.terrain.operators.crater_profile import profile_table
+from scenec.compiler.terrain.operators.crust import Crust
 from scenec.compiler.terrain.operators.drainage import SIDES
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.footprints import draw_footprints
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Smooth
@@ -77,6 +79,11 @@ def gallery(page: Page) -> str:
     fresh = draw_craters(
         {**pits, "degradation": 0.1, "density_per_m2": 0.2}, streams, "m", (60.0, 60.0)
     )
+    close = Grid((2.0, 2.0), (n, n))
+    boots = draw_footprints(
+        {"walks": 1, "stride_m": 1.3, "length_m": 0.33, "depth_m": 0.025, "tread_m": 0.006},
+        streams, "f", close.size_m,
+    )  # fmt: skip
     disk = Interval(FromPoint(0.0, 0.0), None, 20.0, 6.0)
     panels: list[tuple[str, NDArray, Grid]] = [
         ("multifractal fbm", fractal("fbm", 0.7, 9.0), grid),
@@ -100,6 +107,8 @@ def gallery(page: Page) -> str:
         ("ripples", waves.apply(six, np.zeros(six.shape))[0], six),
         ("diffusion of ridged", Smooth(4.0).apply(grid, hills)[0], grid),
         ("tracks", rover.apply(small, ground)[0], small),
+        ("footprints", boots.apply(close, 0.2 * ground)[0], close),
+        ("crust", Crust(3, 0.1, 1.5, 0.25).apply(six, 0.3 * ground)[0], six),
         ("masked: craters in a disk", Masked(fresh, (disk,)).apply(wide, grain)[0], wide),
         ("mare: craters, worn, and grain", lunar(grid, streams, pits), grid),
     ]  # fmt: skip
@@ -110,7 +119,7 @@ def gallery(page: Page) -> str:
     draw = ImageDraw.Draw(sheet)
     for k, (name, height, own) in enumerate(panels):
         x, y = (k % columns) * (width + 6), (k // columns) * (width + 24)
-        sheet.paste(Image.fromarray(_shaded(height, own.spacing_m[0])), (x, y + 18))
+        sheet.paste(Image.fromarray(shaded(height, own.spacing_m[0])), (x, y + 18))
         draw.text((x + 2, y + 3), f"{name}, {own.size_m[0]:g} m", fill=0)
     sheet.save(page.picture("gallery"), optimize=True)
     return (
@@ -182,7 +191,7 @@ def craters(page: Page) -> str:
     )  # fmt: skip
 
 
-def _shaded(
+def shaded(
     height: NDArray, spacing: float, azimuth: float = 315.0, elevation: float = 30.0
 ) -> NDArray:
     """Hillshade: Lambert's cosine under a sun, gray uint8, north up."""

@@ -15,8 +15,10 @@ from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, operator_type
 from scenec.compiler.terrain.operators.barchans import draw_barchans
 from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.crust import Crust
 from scenec.compiler.terrain.operators.drainage import SIDES
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
+from scenec.compiler.terrain.operators.footprints import draw_footprints
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
@@ -42,6 +44,10 @@ def operators(size: float, folder) -> list:
     }  # fmt: skip
     pits["density_per_m2"] = 20.0 / (size * size)
     heaps = {"count": 5, "height_m": 0.03 * size, "wind_deg": 20.0, "repose_deg": 33.0}
+    boots = {
+        "walks": 2, "stride_m": 0.9 * size, "length_m": 1.3 * size, "depth_m": 0.02 * size,
+        "tread_m": 0.01 * size,
+    }  # fmt: skip
     streams = Streams(1, 0)
     return [
         Plane(size, (0.3, -1e6)),
@@ -57,6 +63,8 @@ def operators(size: float, folder) -> list:
         Thermal(33.0),
         Diffusion(1e6, 1e6),
         Smooth(0.02 * size),
+        Crust(5, 0.02 * size, 0.5 * size, 0.3),
+        draw_footprints(boots, streams, "footprints", (size, 0.7 * size)),
         Tracks(folder / "path.csv", 0.3 * size, 0.12 * size, 0.01 * size, 0.1 * size,
                0.01 * size, "bars"),
     ]  # fmt: skip
@@ -105,8 +113,8 @@ def test_every_operator_is_the_same_at_every_extent(size, tmp_path):
 
 
 #: Operators without a physical constant of their own, and whose draws do not depend on a scale.
-SCALE_FREE = ("multifractal", "worley", "polygons", "dunes", "barchans", "ripples", "terraces",
-              "thermal", "smooth", "tracks")  # fmt: skip
+SCALE_FREE = ("multifractal", "worley", "polygons", "crust", "dunes", "barchans", "ripples",
+              "terraces", "thermal", "smooth", "tracks", "footprints")  # fmt: skip
 
 
 @pytest.mark.parametrize("size", EXTENTS)

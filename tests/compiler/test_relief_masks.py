@@ -254,6 +254,7 @@ PROGRAM = [
      "steps": 2, "diffusivity_m2_per_a": 1e-5, "outlets": ["south", "west"]},
     {"type": "thermal", "angle_deg": 25},
     {"type": "polygons", "scale_m": 4, "depth_m": 0.1},
+    {"type": "crust", "height_m": 0.1, "plate_m": 6},
     {"type": "diffusion", "diffusivity_m2_per_a": 1e-5, "duration_a": 100},
     {"type": "terraces", "step_m": 0.4, "bend_m": 0.1, "bend_scale_m": 5},
     {"type": "dunes", "height_m": 0.3, "wavelength_m": 5, "wind_deg": 30},
@@ -261,6 +262,7 @@ PROGRAM = [
     {"type": "ripples", "height_m": 0.05, "wavelength_m": 0.9, "wind_deg": 30},
     {"type": "tracks", "file": "path.csv", "wheel_width_m": 0.8, "grouser_spacing_m": 0.7,
      "pattern": "chevrons"},
+    {"type": "footprints", "walks": 2, "length_m": 14, "stride_m": 9, "depth_m": 0.1},
     {"type": "smooth", "length_m": 0.1},
 ]  # fmt: skip
 MASK = [

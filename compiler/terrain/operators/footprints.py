@@ -1,0 +1,351 @@
+"""Presses footprints: walks across the terrain in ribbed boots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.noise.fractal import fbm2
+from scenec.compiler.terrain.detail import Spectrum
+from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.schemas.errors import SceneError
+from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.threads import POINTS, over_threads
+
+#: Prints of one operator at most.
+MAX_PRINTS = 1_000_000
+# A sole, in lengths of it: half its width, and half of how far left and right feet are apart.
+_HALF_WIDTH = 0.2
+_HALF_GAIT = 0.35
+# How much wider the ball is than the middle, and the heel narrower.
+_TAPER = 0.14
+#: Ribs across a sole: those of the overshoes of Apollo.
+RIBS = 15
+# Half the width of a rib, in spacings of ribs.
+_BAR = 0.3
+# In radii of the sole: of the walls, and how far the rim reaches beyond.
+_WALL = 0.15
+_RIM = 0.5
+#: Part of a print's volume that stands in its rim; the rest is compacted.
+DISPLACED = 0.3
+# Of a walk: how far its heading swings, radians, and over which length, in strides; how far toes
+# point outward, radians; by how much these and depths scatter.
+_SWING, _SWINGS = 1.2, 20.0
+_TOES, _TOES_SCATTER, _DEPTH_SCATTER = 0.12, 0.12, 0.3
+_FINEST = 3.0
+# Bins that tell where prints are, at most.
+_BINS = 1 << 20
+
+
+class Sole(NamedTuple):
+    """What presses, in meters.
+
+    Attributes:
+        half_length, half_width: Of the outline, u^4 + v^2 = 1, tapered.
+        depth: Of the floor.
+        tread, pitch: Height of the ribs it leaves, and their distance along the sole.
+        rim: Height of the rim.
+    """
+
+    half_length: float
+    half_width: float
+    depth: float
+    tread: float
+    pitch: float
+    rim: float
+
+
+class Bins(NamedTuple):
+    """Squares of the terrain, and which prints reach into each.
+
+    Attributes:
+        x0, y0, size: Corner of the first, and width of each, meters.
+        start: Of each bin's members, row by row, int64 [ny * nx + 1].
+        member: Indices of prints, int64 [m].
+        before: How many members bins to the south-west have, int64 [ny + 1, nx + 1].
+    """
+
+    x0: float
+    y0: float
+    size: float
+    start: NDArray[np.int64]
+    member: NDArray[np.int64]
+    before: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Footprints:
+    """Adds the prints of boots.
+
+    A print is a floor ``depth_m`` deep with ribs across, walls, and a rim that holds 3 parts in 10
+    of the volume; the rest is compacted. It is added to what is there: stones and grains in it are
+    not leveled, and prints that overlap add up. A grid with three samples a rib holds them;
+    otherwise they are detail, for meshes finer than the grid near cameras, and the grid holds none.
+
+    Attributes:
+        prints: Of each: x, y, meters; cosine and sine of where it points; factor on its depth:
+            float64 [n, 5].
+        length_m: Of a sole.
+        depth_m: How deep it sinks.
+        tread_m: Height of the ribs; 0 for smooth soles.
+        size_m: Extent of the terrain.
+    """
+
+    prints: NDArray[np.float64]
+    length_m: float
+    depth_m: float
+    tread_m: float
+    size_m: tuple[float, float]
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
+
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
+        """Heights with the prints that the grid holds."""
+        report: dict[str, Any] = {"prints": len(self.prints), "below_grid": not self._held(grid)}
+        if report["below_grid"] or not len(self.prints):
+            return height, report
+        relief = self.everywhere().at(*grid.points()).reshape(grid.shape)
+        dx, dy = grid.spacing_m
+        return height + relief, {**report, "volume_change_m3": float(relief.sum() * dx * dy)}
+
+    def detail(self, grid: Grid) -> FootprintsDetail | None:
+        """All of them, where the grid is too coarse."""
+        return None if self._held(grid) or not len(self.prints) else self.everywhere()
+
+    def everywhere(self) -> FootprintsDetail:
+        """All of them as detail."""
+        return FootprintsDetail(self.prints, self._sole(), _binned(self))
+
+    def _sole(self) -> Sole:
+        pitch = self.length_m / (RIBS + 0.5)
+        # Of a unit print over the area of its outline, in closed form: a linear taper keeps areas.
+        pressed = (1.0 - _WALL) * (1.0 - _WALL) + 2.0 * _WALL * (0.5 - 0.35 * _WALL)
+        raised = 2.0 * _RIM * (8.0 / 15.0 + _RIM * 4.0 / 15.0)
+        rim = DISPLACED * self.depth_m * pressed / raised
+        half = 0.5 * self.length_m
+        width = _HALF_WIDTH * self.length_m
+        return Sole(half, width, self.depth_m, self.tread_m, pitch, rim)
+
+    def _held(self, grid: Grid) -> bool:
+        return self.length_m / (RIBS + 0.5) >= _FINEST * max(grid.spacing_m)
+
+
+@dataclass(frozen=True, eq=False)
+class FootprintsDetail:
+    """Prints at any point: see ``Footprints``.
+
+    Attributes:
+        prints: As there.
+        sole: What presses.
+        bins: Where they are.
+    """
+
+    prints: NDArray[np.float64]
+    sole: Sole
+    bins: Bins
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        out = np.empty(x.size)
+        pressed = self.prints, self.sole, self.bins
+        over_threads(_heights_part, x.size, *pressed, x, y, out, least=POINTS)
+        return out
+
+    def reaches(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], radius_m: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Whether prints may reach into disks, bool [n]."""
+        out: NDArray[np.bool_] = _reached(self.bins, x, y, radius_m)
+        return out
+
+    def spectrum(self) -> Spectrum:
+        """Soles count as waves of their width and the ribs on them as waves of theirs."""
+        sole = self.sole
+        sizes = np.array([2.0 * sole.half_width, sole.pitch])
+        return Spectrum(sizes, np.array([0.5 * sole.depth + sole.rim, 0.5 * sole.tread]))
+
+
+def draw_footprints(
+    cfg: dict[str, Any], streams: Streams, path: str, size_m: tuple[float, float]
+) -> Footprints:
+    """The walks of one operator, each across the terrain through a point of its inner half.
+
+    A walk's heading swings by a noise; steps are half a stride apart, to the left and to the right
+    of it in turn. More walks leave the first where they were.
+
+    Raises:
+        SceneError: There would be too many prints.
+    """
+    node = resolve(cfg, streams, path)
+    walks, stride, length = int(node["walks"]), node["stride_m"], node["length_m"]
+    half = math.ceil(2.0 * math.sqrt(size_m[0] * size_m[0] + size_m[1] * size_m[1]) / stride)
+    if walks * (2 * half + 1) > MAX_PRINTS:
+        raise SceneError(
+            f"{path}: {walks * (2 * half + 1):.3g} footprints are expected, at most "
+            f"{MAX_PRINTS:,} are taken; raise stride_m or lower walks"
+        )
+    prints = [
+        _walk(streams, f"{path}/walk/{k}", size_m, (stride, length), half) for k in range(walks)
+    ]
+    return Footprints(
+        prints=np.concatenate([np.zeros((0, 5)), *prints]),
+        length_m=length,
+        depth_m=node["depth_m"],
+        tread_m=node["tread_m"],
+        size_m=size_m,
+    )
+
+
+def _walk(
+    streams: Streams,
+    path: str,
+    size_m: tuple[float, float],
+    lengths: tuple[float, float],
+    half: int,
+) -> NDArray[np.float64]:
+    """Prints of one walk that reach the terrain, float64 [n, 5]; ``half`` steps either way."""
+    stride, length = lengths
+    x, y, heading = streams.uniforms(f"{path}/start", 3)
+    step = np.arange(-half, half + 1)
+    swing = fbm2(streams.key(path), 2.0 * _SWINGS, 2, 0.5, 2.0, 0.0)
+    swung = swing.at(step.astype(np.float64), np.full(len(step), 0.5))
+    ahead = 2.0 * elementary.PI * heading + _SWING * swung
+    east, north = elementary.cos_array(ahead), elementary.sin_array(ahead)
+    middle = [
+        (start - 0.5) * 0.5 * size + 0.5 * stride * (np.cumsum(way) - np.cumsum(way)[half])
+        for start, size, way in zip((x, y), size_m, (east, north), strict=True)
+    ]
+    scatter = 2.0 * streams.uniforms(f"{path}/scatter", 2 * len(step)).reshape(-1, 2) - 1.0
+    side = np.where(step % 2 == 0, 1.0, -1.0)
+    points = ahead + side * (_TOES + _TOES_SCATTER * scatter[:, 0])
+    columns = (
+        middle[0] - side * _HALF_GAIT * length * north,
+        middle[1] + side * _HALF_GAIT * length * east,
+        elementary.cos_array(points),
+        elementary.sin_array(points),
+        1.0 + _DEPTH_SCATTER * scatter[:, 1],
+    )
+    prints = np.stack(columns, axis=1)
+    near = np.abs(prints[:, :2]) <= 0.5 * np.array(size_m) + _reach(length)
+    return prints[near.all(axis=1)]
+
+
+def _reach(length_m: float) -> float:
+    """How far from its middle a print of a sole ends, meters: the corner of its rim at most."""
+    half = 0.5 * length_m
+    wide = _HALF_WIDTH * length_m * (1.0 + _TAPER * (1.0 + _RIM))
+    return (1.0 + _RIM) * math.sqrt(half * half + wide * wide)
+
+
+def _binned(of: Footprints) -> Bins:
+    reach = _reach(of.length_m)
+    sizes = [size + 2.0 * reach for size in of.size_m]
+    size = max(2.0 * reach, max(sizes) / math.sqrt(_BINS))
+    nx, ny = (math.ceil(each / size) for each in sizes)
+    x0, y0 = (-0.5 * each for each in sizes)
+    count = np.zeros(ny * nx, np.int64)
+    frame = (x0, y0, size, nx, ny)
+    nothing = np.zeros(0, np.int64)
+    _enter(of.prints, reach, frame, count, nothing, nothing)
+    start = np.concatenate([[0], np.cumsum(count)])
+    member = np.empty(start[-1], np.int64)
+    _enter(of.prints, reach, frame, np.zeros_like(count), start, member)
+    before = np.zeros((ny + 1, nx + 1), np.int64)
+    before[1:, 1:] = np.cumsum(np.cumsum(count.reshape(ny, nx), axis=0), axis=1)
+    return Bins(x0, y0, size, start, member, before)
+
+
+@kernel
+def _enter(
+    prints: NDArray,
+    reach: float,
+    frame: tuple[float, float, float, int, int],
+    count: NDArray,
+    start: NDArray,
+    member: NDArray,
+) -> None:
+    """Counts the prints that reach into each bin, and notes which if there is room for them."""
+    x0, y0, size, nx, ny = frame
+    for n in range(len(prints)):
+        i0, i1 = _bins_between(prints[n, 0] - reach, prints[n, 0] + reach, x0, size, nx)
+        j0, j1 = _bins_between(prints[n, 1] - reach, prints[n, 1] + reach, y0, size, ny)
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                at = j * nx + i
+                if start.size:
+                    member[start[at] + count[at]] = n
+                count[at] += 1
+
+
+@inlined
+def _bins_between(low: float, high: float, first: float, size: float, n: int) -> tuple[int, int]:
+    """First and last bin along an axis that an interval meets; what is outside counts as there."""
+    a = min(max((low - first) / size, 0.0), n - 1.0)
+    b = min(max((high - first) / size, 0.0), n - 1.0)
+    return int(a), int(b)
+
+
+@kernel
+def _reached(bins: Bins, x: NDArray, y: NDArray, radius: NDArray) -> NDArray:
+    out = np.empty(x.size, np.bool_)
+    ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
+    for n in range(x.size):
+        i0, i1 = _bins_between(x[n] - radius[n], x[n] + radius[n], bins.x0, bins.size, nx)
+        j0, j1 = _bins_between(y[n] - radius[n], y[n] + radius[n], bins.y0, bins.size, ny)
+        before = bins.before
+        inside = before[j1 + 1, i1 + 1] - before[j0, i1 + 1] - before[j1 + 1, i0] + before[j0, i0]
+        out[n] = inside > 0
+    return out
+
+
+@kernel
+def _heights_part(
+    first: int,
+    last: int,
+    prints: NDArray,
+    sole: Sole,
+    bins: Bins,
+    x: NDArray,
+    y: NDArray,
+    out: NDArray,
+) -> None:
+    ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
+    for n in range(first, last):
+        i, _ = _bins_between(x[n], x[n], bins.x0, bins.size, nx)
+        j, _ = _bins_between(y[n], y[n], bins.y0, bins.size, ny)
+        at = j * nx + i
+        total = 0.0
+        for m in range(bins.start[at], bins.start[at + 1]):
+            px, py, c, s, deeper = prints[bins.member[m]]
+            dx, dy = x[n] - px, y[n] - py
+            total += deeper * _print(c * dx + s * dy, c * dy - s * dx, sole)
+        out[n] = total
+
+
+@inlined
+def _print(along: float, across: float, sole: Sole) -> float:
+    """Height of a print at a place along and across the sole."""
+    u = along / sole.half_length
+    if abs(u) >= 1.0 + _RIM:
+        return 0.0
+    v = across / (sole.half_width * (1.0 + _TAPER * u))
+    # (u / radius)^4 + (v / radius)^2 = 1: straight sides, round ends.
+    radius = np.sqrt(0.5 * (v * v + np.sqrt(v * v * v * v + 4.0 * u * u * u * u)))
+    if radius < 1.0:
+        t = min((1.0 - radius) / _WALL, 1.0)
+        phase = along / sole.pitch
+        bar = (phase - np.floor(phase) - 0.5) / _BAR
+        bar = max(1.0 - bar * bar, 0.0)
+        # Less its mean, so that ribs take no volume.
+        rib = bar * bar - 2.0 * _BAR * (8.0 / 15.0)
+        return -t * t * (3.0 - 2.0 * t) * (sole.depth - sole.tread * rib)
+    t = (radius - 1.0) / _RIM
+    return sole.rim * 16.0 * t * t * (1.0 - t) * (1.0 - t) if t < 1.0 else 0.0
