@@ -38,6 +38,9 @@ NODES: dict[str, NodeType] = {
     "ND_oren_nayar_diffuse_bsdf": NodeType(
         {"weight": "float", "color": "color3f", "normal": "float3"}, "token"
     ),
+    "ND_translucent_bsdf": NodeType(
+        {"weight": "float", "color": "color3f", "normal": "float3"}, "token"
+    ),
     "ND_generalized_schlick_bsdf": NodeType(
         {"color0": "color3f", "color90": "color3f", "roughness": "float2", "normal": "float3"},
         "token",

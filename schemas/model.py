@@ -23,6 +23,7 @@ class Look:
         roughness: Perceptual, in [0, 1].
         metallic: In [0, 1].
         emission: Radiance given off, linear Rec.709.
+        diffuse_transmission: Share of the dull part's light that leaves on the far side.
         picture: Of colors, in sRGB: a file, or pixels uint8 [h, w, 3] with row 0 at the top; None
             where ``base_color`` is all.
     """
@@ -33,6 +34,7 @@ class Look:
     metallic: float = 0.0
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     picture: Path | NDArray[np.uint8] | None = None
+    diffuse_transmission: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,6 +62,8 @@ ATTR_METALLIC = "scenec:surface:metallic"
 ATTR_COLOR_VARIATION = "scenec:surface:variation"
 #: float, 0 where not authored: roughness at a point is roughness * (1 + this * the same primvar).
 ATTR_ROUGHNESS_VARIATION = "scenec:surface:roughnessVariation"
+#: float, 0 where not authored: share of the dull part's light that leaves a sheet on its far side.
+ATTR_DIFFUSE_TRANSMISSION = "scenec:surface:diffuseTransmission"
 #: asset: pictures that vary a surface; base color multiplies, the others take the place of the
 #: number. Keys as in ``schemas.maps.MAP_CHANNELS``.
 ATTR_MAPS = {

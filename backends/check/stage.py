@@ -37,6 +37,7 @@ _SURFACE_RANGES = {
     names.ATTR_METALLIC: (0.0, 1.0),
     names.ATTR_COLOR_VARIATION: (0.0, 1.0),
     names.ATTR_ROUGHNESS_VARIATION: (-1.0, 1.0),
+    names.ATTR_DIFFUSE_TRANSMISSION: (0.0, 1.0),
     names.ATTR_PHASE_B: (0.0, 1.0),
     names.ATTR_PHASE_C: (-1.0, 1.0),
     names.ATTR_OPPOSITION: (0.0, np.inf),

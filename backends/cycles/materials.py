@@ -43,6 +43,7 @@ class Lobe:
         color: Of them all.
         lit: Where they follow other laws than Lambert's: their color for the known light;
         known: and where that holds, see ``planetary``.
+        through: Whether it is Lambert's lobe on the far side.
     """
 
     roughness: Any
@@ -50,6 +51,7 @@ class Lobe:
     color: Any
     lit: Any = None
     known: Any = None
+    through: bool = False
 
 
 @dataclass(frozen=True)
@@ -186,6 +188,12 @@ class _Look:
 
     def _closure(self, lobe: Lobe, color: Any) -> Any:
         graph = self._graph
+        if lobe.through:
+            closure = graph.node("ShaderNodeBsdfTranslucent")
+            graph.feed(closure.inputs["Color"], color)
+            if lobe.normal is not None:
+                graph.feed(closure.inputs["Normal"], lobe.normal)
+            return closure.outputs[0]
         diffuse = lobe.roughness is None
         closure = graph.node("ShaderNodeBsdfDiffuse" if diffuse else "ShaderNodeBsdfGlossy")
         graph.feed(closure.inputs["Color"], color)
@@ -234,7 +242,10 @@ class _Look:
             gloss.color = np.ones(3) * lobes.gloss_color(own, cosine)
         glow = np.array(surface.emission, np.float64) * found.get("emission", 1.0)
         height = found.get("height", merges.FLAT)
-        return Layer({key: base, (gloss.roughness, normal): gloss}, glow, height)
+        parts = {key: base, (gloss.roughness, normal): gloss}
+        if own.through is not None:
+            parts["through", normal] = Lobe(None, normal, own.color * own.through, through=True)
+        return Layer(parts, glow, height)
 
     def _variations(self) -> list[Any]:
         graph, found = self._graph, []

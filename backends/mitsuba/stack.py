@@ -12,12 +12,13 @@ Understanding the Masking-Shadowing Function, eq. 99), as Cycles has it; ``rough
 the two directions as if they were independent, which at roughness 0.9 under an even sky is 10 %
 darker (measured).
 
-Both sides of a face are alike, and no light passes through it. Mitsuba's ``twosided`` goes by the
-shading normal alone: at smooth normals, directions that lie above it but below the face itself pass
-through the ground and meet the sky under it (up to a quarter of the sky's light on coarse drawn
-relief, measured). Which side is seen is the face's matter too: at the rim of a smooth thing of few
-faces the shading normal leans away from the viewer, who sees the face all the same, and counts as
-at the horizon, where dull lobes are as bright as ever; ``twosided`` draws a black rim.
+Both sides of a face are alike; through it goes what a sheet transmits, and no other light.
+Mitsuba's ``twosided`` goes by the shading normal alone: at smooth normals, directions that lie
+above it but below the face itself pass through the ground and meet the sky under it (up to a
+quarter of the sky's light on coarse drawn relief, measured). Which side is seen is the face's
+matter too: at the rim of a smooth thing of few faces the shading normal leans away from the viewer,
+who sees the face all the same, and counts as at the horizon, where dull lobes are as bright as
+ever; ``twosided`` draws a black rim.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Layer:
     """
 
     def __init__(self, surface: Surface, pictures: Pictures | None) -> None:
-        self.pictures, self.glossy = pictures, surface.glossy
+        self.pictures, self.glossy, self.transmits = pictures, surface.glossy, surface.transmits
         self.numbers = lobes.numbers_of(ARRAYS, surface)
         law = surface.reflectance
         self.law: Numbers | None = None if law is None else numbers_of(law, ARRAYS)
@@ -151,6 +152,7 @@ class Stack(mi.BSDF):
         self.weights = [w if isinstance(w, int) else ARRAYS.number(w) for w in packed.weights]
         self.slopes = merges.all_slopes(ARRAYS, height_blends)
         self.glossy = any(layer.glossy for layer in layers)
+        self.transmits = any(layer.transmits for layer in layers)
 
     # What a surface is at a point.
 
@@ -254,22 +256,43 @@ class Stack(mi.BSDF):
         above = wo.z > 0.0
         return dr.select(above, mi.Color3f(total), 0.0), dr.select(above, density, 0.0)
 
+    def _beyond(self, wo: Any, found: list[Found]) -> tuple[Any, Any]:
+        """``_terms`` of what passes to the far side."""
+        total, density = mi.Vector3f(0.0), mi.Float(0.0)
+        for layer, at in zip(self.layers, found, strict=True):
+            if layer.transmits:
+                cosine = -(wo.z if at.normal is None else dr.dot(wo, at.normal))
+                chance = at.share * at.lobes.through * dr.maximum(cosine, 0.0) * dr.inv_pi
+                total += at.lobes.color * chance
+                density += chance
+        below = wo.z < 0.0
+        return dr.select(below, mi.Color3f(total), 0.0), dr.select(below, density, 0.0)
+
     def _draw(self, wi: Any, found: list[Found], which: Any, sample2: Any) -> Any:
         """A direction: of a layer, by its share, and of one of its lobes."""
         frame_normal = mi.Vector3f(0.0, 0.0, 1.0)
         normal, alpha = frame_normal, mi.Float(1.0)
         glossy = mi.Bool(False)
+        beyond = mi.Bool(False)
         start = mi.Float(0.0)
         for layer, at in zip(self.layers, found, strict=True):
             here = which >= start
             normal = dr.select(here, frame_normal if at.normal is None else at.normal, normal)
+            dull = at.share * at.lobes.dull
+            if layer.transmits:
+                beyond = dr.select(here, which >= start + dull, beyond)
+                dull += at.share * at.lobes.through
+            elif self.transmits:
+                beyond = beyond & ~here
             if layer.glossy:
                 alpha = dr.select(here, at.lobes.alpha, alpha)
-                glossy = dr.select(here, which >= start + at.share * at.lobes.dull, glossy)
+                glossy = dr.select(here, which >= start + dull, glossy)
             elif self.glossy:
                 glossy = glossy & ~here
             start = start + at.share
         local = mi.warp.square_to_cosine_hemisphere(sample2)
+        if self.transmits:
+            local.z = dr.select(beyond, -local.z, local.z)
         frame = mi.Frame3f(normal)
         if self.glossy:
             seen = frame.to_local(wi)
@@ -292,7 +315,12 @@ class Stack(mi.BSDF):
         wi, behind, found = at
         facing = mi.Vector3f(wo.x, wo.y, dr.select(behind, -wo.z, wo.z))
         light, density = self._terms(wi, facing, found)
-        return light & self._same_side(si, wo) & active, density
+        light = light & self._same_side(si, wo) & active
+        if self.transmits:
+            passed, chance = self._beyond(facing, found)
+            light += passed & ~self._same_side(si, wo) & active
+            density += chance
+        return light, density
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         return self._answer(self._at(si, active), si, wo, active)[0]
@@ -316,7 +344,13 @@ class Stack(mi.BSDF):
         bs.eta = 1.0
         bs.sampled_type = +mi.BSDFFlags.DiffuseReflection
         bs.sampled_component = 0
-        sound = active & (density > 0.0) & self._same_side(si, bs.wo)
+        stays = self._same_side(si, bs.wo)
+        if self.transmits:
+            passed, chance = self._beyond(wo, found)
+            light, stays = dr.select(stays, light, passed), mi.Bool(True)
+            density += chance
+            bs.pdf = density
+        sound = active & (density > 0.0) & stays
         return bs, dr.select(sound, light / density, 0.0)
 
     def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
@@ -325,6 +359,8 @@ class Stack(mi.BSDF):
         for at in self._look(si, active):
             own = at.lobes
             total += (own.color * (own.dull + own.tinted) + own.white) * at.share
+            if own.through is not None:
+                total += own.color * own.through * at.share
         return mi.Color3f(total)
 
     def to_string(self) -> str:

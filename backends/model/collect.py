@@ -344,6 +344,7 @@ def _look(surface: Surface, name: str) -> Look:
         surface.metallic,
         surface.emission,
         picture,
+        surface.diffuse_transmission,
     )
 
 

@@ -7,9 +7,9 @@ shadow rays (next event estimation). The numbers that choose directions have one
 
 The surfaces are those of the shared model with colors from maps, variation and layers, and with
 their laws of reflectance, but glossy lobes scatter like diffuse ones: a highlight is what a meter
-should not heed. Left out beside these: normal maps, the order that height maps give to layers, and
-the size of suns and lamps. What that costs against the pictures
-of renderers is measured in ``docs/sensors.md``.
+should not heed; and what passes through a sheet counts as reflected. Left out beside these: normal
+maps, the order that height maps give to layers, and the size of suns and lamps. What that costs
+against the pictures of renderers is measured in ``docs/sensors.md``.
 """
 
 from __future__ import annotations
@@ -277,6 +277,8 @@ class _Paths:
             numbers = lobes.numbers_of(FLOAT64, surface)
             found = lobes.lobes_of(FLOAT64, numbers, picture, (own, self._rows.variation[row]))
             color, dull, part = found.color.T, found.dull, share[:, None]
+            if found.through is not None:
+                dull = dull + found.through
             gloss = found.white + found.tinted * color
             if surface.reflectance is None:
                 gloss = gloss + dull * color

@@ -29,7 +29,7 @@ _LAWS = {"law_once": (False, False), "law_smooth": (True, False), "law_rough": (
 def surface_functions(features: frozenset[str]) -> str:
     """The text of the functions that a program with these features calls."""
     texts = [
-        _lobes(),
+        _lobes("WITH_THROUGH" in features),
         _of(gloss, "float gloss(float alpha, vec3 n, vec3 v, vec3 l)"),
         _of(_albedo, "float gloss_albedo(float alpha, float cosine)"),
     ]
@@ -71,7 +71,7 @@ def lamp_falloff(fn: Glsl, away: Value, axis: Value, cone: Value) -> Any:
     return lamps.falloff(fn, away, axis, fn.parts(cone))
 
 
-def _lobes() -> str:
+def _lobes(through: bool) -> str:
     """What a surface's rows in ``Tables.surfaces`` and its maps make of it."""
 
     def body(fn: Glsl) -> Any:
@@ -83,12 +83,16 @@ def _lobes() -> str:
             "metallic": fn.given("float", "found.metallic"),
         }
         variations = [fn.given("float", f"hit.{name}") for name in ("variation", "row")]
-        own = lobes.lobes_of(fn, lobes.Numbers(color, *others), pictured, variations)
+        passed = fn.given("float", "transmission") if through else None
+        numbers = lobes.Numbers(color, *others)._replace(transmission=passed)
+        own = lobes.lobes_of(fn, numbers, pictured, variations)
         gloss = lobes.gloss_color(own, fn.given("float", "cosine"))
-        return {"color": own.color, "alpha": own.alpha, "dull": own.dull, "gloss": gloss}
+        made = {"color": own.color, "alpha": own.alpha, "dull": own.dull, "gloss": gloss}
+        return made | {"through": own.through} if through else made
 
-    signature = "Lobes lobes_of(vec4 first, vec4 second, Pictured found, Hit hit, float cosine)"
-    return function(signature, body)
+    more = ", float transmission" if through else ""
+    signature = f"vec4 first, vec4 second, Pictured found, Hit hit, float cosine{more}"
+    return function(f"Lobes lobes_of({signature})", body)
 
 
 def _albedo(fn: Glsl, alpha: Value, cosine: Value) -> Any:

@@ -21,8 +21,8 @@ from scenec.schemas.cells import SIDE
 #: Texels of a block: (1 / side of the lattice or 0, that side in repeats of the picture, first
 #: texel of its table, layer of emission and height after the first or 0), (gain of the far scale,
 #: 1 / factor or 0), (its rest, 0), means of base color and roughness, of emission and height, (mean
-#: metallic, 0, 0, 0), (emission, 0), (where the origin lies in the lattice, and in the larger one),
-#: (where it lies in the larger picture, 0, 0).
+#: metallic, 0, 0, 0), (emission, share that passes through), (where the origin lies in the lattice,
+#: and in the larger one), (where it lies in the larger picture, 0, 0).
 BLOCK = 9
 _FAR, _MEANS, _EMISSION, _PLACES = 1, 3, 6, 7
 #: Half floats hold no more.
@@ -32,8 +32,10 @@ _BRIGHTEST = 6e4
 def has_block(surface: Surface) -> bool:
     """Whether a surface has a block."""
     maps = surface.maps
-    return surface.emits or (
-        maps is not None and bool(maps.cells or maps.far or maps.height is not None)
+    return (
+        surface.emits
+        or surface.transmits
+        or (maps is not None and bool(maps.cells or maps.far or maps.height is not None))
     )
 
 
@@ -47,6 +49,7 @@ def tile_features(scene: RenderScene) -> set[str]:
         "WITH_CELLS": any(described.cells for described in maps),
         "WITH_FAR": any(described.far for described in maps),
         "WITH_EMISSION": any(surface.emits for surface in used),
+        "WITH_THROUGH": any(surface.transmits for surface in used),
         "WITH_THIRD": any(has_third(surface) for surface in used),
         "WITH_HEIGHTS": heights,
     }
@@ -91,7 +94,7 @@ def add_blocks(surfaces: Sequence[Surface], rows: NDArray[np.float32]) -> NDArra
         means = block[_MEANS : _MEANS + 3]
         means[:2] = (1.0, 1.0, 1.0, surface.roughness), (1.0, 1.0, 1.0, FLAT)
         means[2, 0] = surface.metallic
-        block[_EMISSION, :3] = surface.emission
+        block[_EMISSION] = (*surface.emission, surface.diffuse_transmission)
         maps = surface.maps
         if maps is None:
             continue
@@ -141,7 +144,7 @@ def without_glow(surfaces: Sequence[Surface], rows: NDArray[np.float32]) -> NDAr
         return rows
     rows = rows.copy()
     for index in glowing:
-        rows[int(rows[4 * index + 2, 3]) + _EMISSION] = 0.0
+        rows[int(rows[4 * index + 2, 3]) + _EMISSION, :3] = 0.0
     return rows
 
 

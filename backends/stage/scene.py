@@ -141,6 +141,7 @@ class Surface:
             (1 + roughness_variation * row's), clipped to [0, 1]; both lobes have it.
         reflectance: What stands in place of Lambert(c), or None.
         emission: Radiance given off, linear Rec.709.
+        diffuse_transmission: Share of Lambert's light that leaves on the far side, in [0, 1].
     """
 
     path: str
@@ -153,6 +154,7 @@ class Surface:
     roughness_variation: float = 0.0
     reflectance: Reflectance | None = None
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    diffuse_transmission: float = 0.0
 
     @property
     def glossy(self) -> bool:
@@ -164,6 +166,11 @@ class Surface:
     def emits(self) -> bool:
         """Whether it gives off light."""
         return any(self.emission)
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light passes through it."""
+        return self.diffuse_transmission > 0.0
 
     @property
     def varies(self) -> bool:

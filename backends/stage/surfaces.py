@@ -26,6 +26,7 @@ _RANGES = {
     names.ATTR_OPPOSITION: (0.0, True, math.inf, False),
     names.ATTR_OPPOSITION_WIDTH: (0.0, False, math.inf, False),
     names.ATTR_MEAN_SLOPE: (0.0, True, 90.0, False),
+    names.ATTR_DIFFUSE_TRANSMISSION: (0.0, True, 1.0, True),
 }
 
 
@@ -135,6 +136,7 @@ def surface_of(
             values.number(prim.GetAttribute(names.ATTR_ROUGHNESS_VARIATION), 0.0),
             reflectance=_reflectance_of(prim),
             emission=_emission_of(prim),
+            diffuse_transmission=_number(prim, names.ATTR_DIFFUSE_TRANSMISSION),
         )
     shader, _, _ = material.ComputeSurfaceSource()
     if not shader or values.word(shader.GetIdAttr(), "") != "UsdPreviewSurface":

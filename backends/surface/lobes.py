@@ -2,6 +2,10 @@
 
 f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), alpha = roughness**2.
 
+A thin sheet sends a share t of Lambert's light out of its far side: it reflects (1-t) c / pi, and
+transmits t c / pi, of the same color, so that both together are c at most. (As the subsurface of
+OpenPBR's thin walls and glTF's KHR_materials_diffuse_transmission, where these have one color.)
+
 Gloss is masked and shadowed as on a surface of heights (Heitz 2014, Understanding the
 Masking-Shadowing Function, eq. 99). Facets hide some of what they reflect from each other, and
 reflect it again: without that a white metal would lose 12 % of its light at a roughness of 0.5 and
@@ -49,6 +53,8 @@ class Numbers(NamedTuple):
     swing: Number
     specular: Number
     metallic: Number
+    #: None where it is 0, so that nothing of it is compiled.
+    transmission: Number | None = None
 
 
 class Lobes(NamedTuple):
@@ -59,6 +65,7 @@ class Lobes(NamedTuple):
         alpha: Of gloss.
         dull, white, tinted: Weights of Lambert's lobe or a law in its place, of white gloss, of
             gloss of the color.
+        through: Of Lambert's lobe about the far side's normal, or None.
     """
 
     color: Vector
@@ -66,6 +73,7 @@ class Lobes(NamedTuple):
     dull: Number
     white: Number
     tinted: Number
+    through: Number | None = None
 
 
 def numbers_of(fn: Algebra, surface: Surface) -> Numbers:
@@ -77,6 +85,7 @@ def numbers_of(fn: Algebra, surface: Surface) -> Numbers:
         fn.number(surface.roughness_variation),
         fn.number(surface.specular),
         fn.number(surface.metallic),
+        fn.number(surface.diffuse_transmission) if surface.transmits else None,
     )
 
 
@@ -103,7 +112,11 @@ def lobes_of(
     metallic = pictured.get("metallic", own.metallic)
     rest = 1.0 - metallic
     white = rest * own.specular
-    return Lobes(fn.clip(color, 0.0, 1.0), rough * rough, rest - white, white, metallic)
+    dull, through = rest - white, None
+    if own.transmission is not None:
+        through = dull * own.transmission
+        dull = dull - through
+    return Lobes(fn.clip(color, 0.0, 1.0), rough * rough, dull, white, metallic, through)
 
 
 def ggx(

@@ -342,6 +342,11 @@ class Conformance:
         self.hold("furnace", "", made, 0, np.full(3, 3.0))
         assert self.draw(made, 0, 2).coverage.min() == 1.0
 
+    def test_sheet_furnace(self) -> None:
+        """Nor is a white sheet seen there, which transmits what it does not reflect."""
+        made = self.scene("sheet_furnace", lights.white_sheet)
+        self.hold("sheet_furnace", "", made, 0, np.full(3, 3.0), 4 * SAMPLES)
+
     def test_cavity(self) -> None:
         """Light between surfaces: as many as the contract says, and no bias of few samples."""
         made = self.scene("cavity", lights.bowl)
@@ -444,6 +449,11 @@ class Conformance:
     def test_projections(self, case: str) -> None:
         """Maps lie on objects as defined, from three sides and by texture coordinates."""
         self.board("projections", looks.projected(self.folder()), case)
+
+    @pytest.mark.parametrize("case", looks.sheets(Path()))
+    def test_sheets(self, case: str) -> None:
+        """Light behind a thin sheet shows through it, its share of the color / pi."""
+        self.board("sheets", looks.sheets(self.folder()), case)
 
     @pytest.mark.parametrize("case", looks.planetary())
     def test_laws(self, case: str) -> None:

@@ -80,6 +80,17 @@ def white_ball() -> RenderScene:
     )
 
 
+def white_sheet() -> RenderScene:
+    """A white sheet that stands upright and fills the view, in an even sky of 3."""
+    points, faces = plane(6.0)
+    return scene(
+        [mesh(points[:, [2, 0, 1]], faces)],
+        [dataclasses.replace(surface((1.0, 1.0, 1.0)), diffuse_transmission=0.35)],
+        cameras=[look_at((2.0, 0.3, 0.2), (0, 0, 0), 24, 24, 40)],
+        lights=[dome(3.0)],
+    )
+
+
 #: Share of a sphere's area that is open in ``bowl``: a cap of 60 degrees.
 OPEN = 0.25
 

@@ -303,6 +303,37 @@ def projected(folder: Path) -> dict[str, Look]:
     return looks
 
 
+def sheets(folder: Path) -> dict[str, Look]:
+    """Thin sheets, lit from behind and from before; of ``write_pictures``."""
+    points, faces = plane(6.0)
+    count = len(points)
+    flat, behind = mesh(points, faces), sun(-50.0, 70.0, diameter_deg=0.1)
+    leaf = dataclasses.replace(surface((0.4, 0.7, 0.2)), diffuse_transmission=0.4)
+    varied = dataclasses.replace(leaf, variation=0.3)
+    waxed = dataclasses.replace(leaf, specular=0.3)
+    normals = np.tile([-0.28, 0.0, 0.96], (count, 1))
+    colors = Maps(SIZE, base_color=_picture(folder, "base_color"))
+    over = mesh(points, faces, (0, 1, 2), _two_merges(count))
+    return {
+        "from behind": Look(flat, [leaf], sun=behind),
+        "from before": Look(flat, [leaf]),
+        "its back": Look(mesh(points, faces[:, ::-1]), [leaf], sun=behind),
+        "all of it": Look(
+            flat, [dataclasses.replace(leaf, diffuse_transmission=1.0)], sun=behind
+        ),
+        "leaning normals": Look(mesh(points, faces, normals=normals), [leaf], sun=behind),
+        "variation": Look(
+            mesh(points, faces, variation=np.full(count, 0.5)), [varied], sun=behind,
+            variation=-0.8,
+        ),
+        "gloss behind": Look(flat, [waxed], sun=behind),
+        "gloss before": Look(flat, [waxed]),
+        "layers": Look(over, [leaf, surface(), waxed], sun=behind),
+        "layers before": Look(over, [surface(), waxed, leaf]),
+        "map": Look(flat, [dataclasses.replace(leaf, maps=colors)], sun=behind),
+    }  # fmt: skip
+
+
 def planetary() -> dict[str, Look]:
     """Laws of reflectance on a leaning plane, from all around; layers of several."""
     normal = np.array([0.2, -0.1, 1.0]) / math.sqrt(1.05)

@@ -116,8 +116,9 @@ def picture(scene: RenderScene, sample: int = 0, side: int = 4, disc: int = 1) -
         if not len(at):
             continue
         points = _points(scene, sample, mesh, rays, at, row[at], face[at])
-        lights = [_from_sun(caster, points, sun, disc, k) for sun in suns for k in range(disc)]
-        lights += [_from_lamp(caster, points, lamp) for lamp in lamps]
+        reach = _Reach(caster, any(scene.surfaces[layer].transmits for layer in mesh.layers))
+        lights = [_from_sun(reach, points, sun, disc, k) for sun in suns for k in range(disc)]
+        lights += [_from_lamp(reach, points, lamp) for lamp in lamps]
         radiance[at], sound = _shade(scene, mesh, points, lights)
         fit[at] &= sound
         place[at, 0] = points.row
@@ -274,7 +275,7 @@ def _shade(
     facing = np.where(behind[:, None], -points.geometric, points.geometric)
     sound = _dot(facing, points.view) > LEAST_VIEW
     for light in lights:
-        sound &= ~light.flux.any(axis=1) | (_dot(facing, light.toward) > LEAST_COSINE)
+        sound &= ~light.flux.any(axis=1) | (np.abs(_dot(facing, light.toward)) > LEAST_COSINE)
     looks, levels = [], []
     for layer in mesh.layers or (None,):
         surface = DEFAULT_SURFACE if layer is None else scene.surfaces[layer]
@@ -289,7 +290,8 @@ def _shade(
             look = look * found["emission"].T
         for light in lights:
             lit = light.flux.any(axis=1)
-            sound &= ~lit | (_dot(normal, light.toward) > LEAST_COSINE)
+            over = _dot(normal, light.toward) * np.sign(_dot(facing, light.toward))
+            sound &= ~lit | (over > LEAST_COSINE)
             look = look + _reflected(scene, mesh, surface, found, points, normal, light)
         looks.append(look)
         levels.append(found.get("height", np.full(len(look), merges.FLAT)))
@@ -327,7 +329,11 @@ def _reflected(
     gloss = ggx(found.alpha, normal, light.toward, points.view)
     shine = lobes.gloss_color(found, np.maximum(mu, LEAST_COSINE)).T
     f = np.reshape(found.dull, (-1, 1)) * dull + gloss[:, None] * shine
-    return np.asarray(f * np.maximum(mu0, 0.0)[:, None] * light.flux)
+    light_in = np.maximum(mu0, 0.0)[:, None] * light.flux
+    if found.through is None:
+        return np.asarray(f * light_in)
+    passed = np.reshape(found.through, (-1, 1)) * color / np.pi
+    return np.asarray(f * light_in + passed * np.maximum(-mu0, 0.0)[:, None] * light.flux)
 
 
 def _at(mesh: Mesh, values: NDArray[np.float32], points: Points) -> Floats:
@@ -347,7 +353,14 @@ def _of_maps(described: Maps | None, points: Points) -> dict[str, Floats]:
     return values_at(described, kinds, point)
 
 
-def _from_sun(caster: ExactCaster, points: Points, sun: Sun, disc: int, number: int) -> Light:
+class _Reach(NamedTuple):
+    """What shadow rays are cast with; ``through``: whether light on the far side counts, too."""
+
+    caster: ExactCaster
+    through: bool
+
+
+def _from_sun(reach: _Reach, points: Points, sun: Sun, disc: int, number: int) -> Light:
     """One of ``disc`` equal parts of a sun, on Vogel's spiral over its disc."""
     toward = np.asarray(sun.to_light, np.float64)
     if disc > 1:
@@ -357,11 +370,11 @@ def _from_sun(caster: ExactCaster, points: Points, sun: Sun, disc: int, number: 
         aside = np.cos(angle) * right + np.sin(angle) * np.cross(toward, right)
         toward = unit(toward + radius * aside)
     way = np.broadcast_to(toward, points.position.shape)
-    clear = _reaches(caster, points, way, np.inf)
+    clear = _reaches(reach, points, way, np.inf)
     return Light(way, clear[:, None] * np.asarray(sun.irradiance, np.float64) / disc, clear)
 
 
-def _from_lamp(caster: ExactCaster, points: Points, lamp: Lamp) -> Light:
+def _from_lamp(reach: _Reach, points: Points, lamp: Lamp) -> Light:
     """A lamp as a point: of a sphere that is seen whole, irradiance is the same."""
     way = lamp.position - points.position
     distance = np.sqrt(_dot(way, way))
@@ -370,17 +383,19 @@ def _from_lamp(caster: ExactCaster, points: Points, lamp: Lamp) -> Light:
     start = lamp.cone * (1.0 - lamp.softness)
     x = np.clip((angle - start) / max(lamp.cone - start, 1e-9), 0.0, 1.0)
     law = np.where(angle > lamp.cone, 0.0, 1.0 - x * x * (3.0 - 2.0 * x))
-    clear = _reaches(caster, points, way, 1.0)
+    clear = _reaches(reach, points, way, 1.0)
     flux = (law * clear / distance**2)[:, None] * np.asarray(lamp.intensity, np.float64)
     return Light(toward, flux, clear & ((angle <= lamp.cone) | (lamp.softness > 0.0)))
 
 
-def _reaches(caster: ExactCaster, points: Points, way: Floats, most: float) -> NDArray[np.bool_]:
+def _reaches(reach: _Reach, points: Points, way: Floats, most: float) -> NDArray[np.bool_]:
     """Whether nothing stands between points and a light that lies ``most`` times ``way`` away.
 
     Light reaches the side that is seen, if that is turned towards it.
     """
     side = np.sign(_dot(points.geometric, points.view))[:, None] * points.geometric
+    if reach.through:
+        side = side * np.where(_dot(side, way) < 0.0, -1.0, 1.0)[:, None]
     lift = _LIFT * np.abs(points.position).max(initial=1.0)
-    _, _, t = caster.cast(Rays(points.position + lift * side, way.copy(), (1, len(way))))
+    _, _, t = reach.caster.cast(Rays(points.position + lift * side, way.copy(), (1, len(way))))
     return (t >= most) & (_dot(side, way) > 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import SAME_UV, Color, Look, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 _REPEAT = 10497
 #: Extensions of materials that are read; of the others only their names are told.
+_THROUGH = "KHR_materials_diffuse_transmission"
 _READ = ("KHR_materials_ior", "KHR_materials_specular", "KHR_materials_pbrSpecularGlossiness",
-         "KHR_materials_emissive_strength")  # fmt: skip
+         "KHR_materials_emissive_strength", _THROUGH)  # fmt: skip
 
 
 class GltfLooks:
@@ -77,8 +78,14 @@ class GltfLooks:
         specular = reflectance(float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)))
         specular *= float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
         base = (red, green, blue)
-        repeats = not any(clamps)
-        return Look(name, base, roughness, metallic, specular, slots, tuple(notes), repeats)
+        through = extensions.get(_THROUGH, {})
+        share = float(through.get("diffuseTransmissionFactor", 0.0))
+        if share > 0.0 and not _of_one_color(through, base, pbr.get("baseColorTexture")):
+            notes.append("the light that it transmits has the color of what it reflects")
+        return Look(
+            name, base, roughness, metallic, specular, slots, tuple(notes),
+            repeats=not any(clamps), diffuse_transmission=share,
+        )  # fmt: skip
 
     @staticmethod
     def _left_out(material: dict[str, Any]) -> list[str]:
@@ -126,6 +133,13 @@ class GltfLooks:
                 source = self._file.beside(label, "picture")
             self._pictures[index] = source, label
         return self._pictures[index]
+
+
+def _of_one_color(through: dict[str, Any], base: Color, picture: Any) -> bool:
+    """Whether a sheet transmits what it reflects, evenly."""
+    color = tuple(map(float, through.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0))))
+    own = through.get("diffuseTransmissionColorTexture")
+    return color == base and own == picture and "diffuseTransmissionTexture" not in through
 
 
 def _uv_map(moved: dict[str, Any]) -> UvMap:

@@ -36,6 +36,7 @@ class ModelMaterial:
             their places, the averages of these.
         specular: Share s of the glossy lobe of what is no metal: the reflectance at normal
             incidence.
+        diffuse_transmission: Share of the dull part's light that leaves on the far side.
         pictures: By kind (``schemas.maps.MAP_CHANNELS``): beside the model, or inside of it.
         normal_convention: "opengl" or "directx".
     """
@@ -47,6 +48,7 @@ class ModelMaterial:
     specular: float
     pictures: dict[str, Source] = field(default_factory=dict)
     normal_convention: str = "opengl"
+    diffuse_transmission: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class Look:
     notes: tuple[str, ...] = ()
     repeats: bool = True
     normal_convention: str = "opengl"
+    diffuse_transmission: float = 0.0
 
     @property
     def shown(self) -> str:
@@ -110,7 +113,8 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
         MeshFileError: A number is not finite, or a picture cannot be read.
     """
     numbers: dict[str, float] = {
-        "roughness": look.roughness, "metallic": look.metallic, "specular": look.specular
+        "roughness": look.roughness, "metallic": look.metallic, "specular": look.specular,
+        "diffuse transmission": look.diffuse_transmission,
     }  # fmt: skip
     for key, value in (*numbers.items(), *(("base color", c) for c in look.base_color)):
         if not math.isfinite(value):
@@ -149,6 +153,7 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
         numbers["specular"],
         pictures,
         look.normal_convention,
+        numbers["diffuse transmission"],
     )
     return material, notes
 

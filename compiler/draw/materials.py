@@ -52,7 +52,10 @@ def _material(
     maps = None
     if node["maps"] is not None:
         maps = _maps(spec, path, node["maps"], worn, max(emission) > 0.0, streams)
-    numbers = ("roughness", "specular", "variation", "metallic", "roughness_variation")
+    numbers = (
+        "roughness", "specular", "variation", "metallic", "roughness_variation",
+        "diffuse_transmission",
+    )  # fmt: skip
     return Material(
         base_color=(red, green, blue),
         maps=maps,

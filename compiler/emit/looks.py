@@ -44,6 +44,10 @@ def write_look(path: Path, name: str, material: Material, maps: dict[str, str]) 
             custom(prim, names.ATTR_ROUGHNESS_VARIATION, TYPES.Float).Set(
                 material.roughness_variation
             )
+        if material.diffuse_transmission > 0.0:
+            custom(prim, names.ATTR_DIFFUSE_TRANSMISSION, TYPES.Float).Set(
+                material.diffuse_transmission
+            )
         if max(material.emission) > 0.0:
             custom(prim, names.ATTR_EMISSION, TYPES.Color3f).Set(Gf.Vec3f(*material.emission))
         if material.reflectance is not None:

@@ -177,7 +177,7 @@ class _Layer:
         return self._network.node(f"{self._prefix}{name}", node_id, **inputs)
 
     def _dielectric(self, color: Value, normal: dict[str, Value]) -> UsdShade.Output:
-        """(1-s) * Lambert(color) + s * GGX(white).
+        """(1-s) * Lambert(color), a share of it on the far side, + s * GGX(white).
 
         The share is the color of the lobe, not its weight: MaterialX then gives back energy in
         proportion to the square of s, next to nothing, where a white lobe's would be far off.
@@ -187,6 +187,10 @@ class _Layer:
         diffuse = self._node(
             "diffuse", "ND_oren_nayar_diffuse_bsdf", color=color, **weight, **normal
         )
+        through = self._material.diffuse_transmission
+        if through > 0.0:
+            passed = self._node("through", "ND_translucent_bsdf", color=color, **weight, **normal)
+            diffuse = self._network.mix(f"{self._prefix}sheet", diffuse, passed, through)
         if specular == 0.0:
             return diffuse
         gloss = self._ggx("gloss", Gf.Vec3f(specular), normal)

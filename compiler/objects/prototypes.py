@@ -183,4 +183,5 @@ def as_material(made: ModelMaterial, variation: float, has_uv: bool) -> Material
         variation=variation,
         metallic=made.metallic,
         maps=maps,
+        diffuse_transmission=made.diffuse_transmission,
     )

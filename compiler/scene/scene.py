@@ -150,6 +150,7 @@ class Material:
         roughness_variation: Roughness is roughness * (1 + roughness_variation * v), of the same v.
         reflectance: In place of Lambert, or None.
         emission: Radiance that it gives off itself, linear Rec.709, W/(m^2 sr); a map multiplies.
+        diffuse_transmission: Share of Lambert's light that leaves a thin sheet on its far side.
     """
 
     base_color: tuple[float, float, float]
@@ -161,6 +162,7 @@ class Material:
     roughness_variation: float = 0.0
     reflectance: Reflectance | None = None
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    diffuse_transmission: float = 0.0
 
     @property
     def varies(self) -> bool:

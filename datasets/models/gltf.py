@@ -177,14 +177,24 @@ class _File:
                 "pbrMetallicRoughness": rough,
                 "doubleSided": True,
             }
+            extensions: dict[str, Any] = {}
             strength = max(look.emission)
             if strength > 0.0:
                 material["emissiveFactor"] = [v / max(strength, 1.0) for v in look.emission]
             if strength > 1.0:
-                self._uses("KHR_materials_emissive_strength")
-                material["extensions"] = {
-                    "KHR_materials_emissive_strength": {"emissiveStrength": strength}
+                extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
+            if look.diffuse_transmission > 0.0:
+                through: dict[str, Any] = {
+                    "diffuseTransmissionFactor": _unit(look.diffuse_transmission),
+                    "diffuseTransmissionColorFactor": rough["baseColorFactor"][:3],
                 }
+                if look.picture is not None:
+                    through["diffuseTransmissionColorTexture"] = rough["baseColorTexture"]
+                extensions["KHR_materials_diffuse_transmission"] = through
+            if extensions:
+                material["extensions"] = extensions
+            for extension in extensions:
+                self._uses(extension)
             self.json["materials"].append(material)
 
     def _texture(self, look: Look) -> int:

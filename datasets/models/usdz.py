@@ -73,6 +73,8 @@ class _Looks:
         self._losses = [
             "looks: MaterialX and scenec's own surfaces are replaced by UsdPreviewSurface"
         ]
+        if any(look.diffuse_transmission > 0.0 for look in model.looks):
+            self._losses.append("looks: no light passes through sheets such as leaves")
 
     def replace(self) -> list[str]:
         """Does it; returns a line for each thing that is lost."""

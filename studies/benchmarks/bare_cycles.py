@@ -24,7 +24,7 @@ def plain(scene: RenderScene) -> RenderScene:
     surfaces = tuple(
         replace(
             surface, maps=None, metallic=0.0, roughness_variation=0.0, reflectance=None,
-            emission=(0.0, 0.0, 0.0),
+            emission=(0.0, 0.0, 0.0), diffuse_transmission=0.0,
         )
         for surface in scene.surfaces
     )  # fmt: skip

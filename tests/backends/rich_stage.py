@@ -108,6 +108,7 @@ def _materials(stage: Usd.Stage) -> None:
             names.ATTR_EMISSION: (_T.Color3f, Gf.Vec3f(0.1)),
             names.ATTR_METALLIC: (_T.Float, 0.1),
             names.ATTR_ROUGHNESS_VARIATION: (_T.Float, 0.1),
+            names.ATTR_DIFFUSE_TRANSMISSION: (_T.Float, 0.1),
         })  # fmt: skip
     for tile in stage.GetPrimAtPath("/World/Terrain").GetChildren():
         _set(tile, {names.ATTR_HEIGHT_BLENDS: (_T.FloatArray, Vt.FloatArray([0.1, 0.2]))})

@@ -113,6 +113,7 @@ def test_what_is_not_authored_is_not_there(tmp_path):
         (names.ATTR_MAP_FAR, TYPES.Float2, Gf.Vec2f(3.0, 1.5), "share in"),
         (names.ATTR_MAP_FAR, TYPES.Float, 3.0, "expected 2 finite numbers"),
         (names.ATTR_EMISSION, TYPES.Color3f, Gf.Vec3f(1, -1, 1), "/Root/A.*none below 0"),
+        (names.ATTR_DIFFUSE_TRANSMISSION, TYPES.Float, 1.25, r"Transmission is 1.25.*\[0, 1\]"),
         (names.ATTR_HEIGHT_BLENDS, TYPES.FloatArray, Vt.FloatArray(2), "/Root/Mesh.*hold 1 finite"),
         (names.ATTR_HEIGHT_BLENDS, TYPES.FloatArray, Vt.FloatArray([-0.1]), "none below 0"),
         (names.ATTR_MAP_PROJECTION, TYPES.Token, "triplanar", "the projection above, not tri"),

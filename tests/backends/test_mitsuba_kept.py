@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def field() -> RenderScene:
+def field(transmission: float = 0.0) -> RenderScene:
     """Balls on merged ground: turned, mirrored, smooth, varied by vertex and by row."""
     rng = np.random.default_rng(3)
     ball, faces = scenes.icosphere(2)
@@ -44,7 +44,10 @@ def field() -> RenderScene:
         [
             ms.surface((0.7, 0.5, 0.3)),
             ms.surface((0.1, 0.2, 0.4), specular=0.3, roughness=0.3),
-            ms.surface((0.5, 0.4, 0.6), specular=0.1, variation=0.5),
+            dataclasses.replace(
+                ms.surface((0.5, 0.4, 0.6), specular=0.1, variation=0.5),
+                diffuse_transmission=transmission,
+            ),
         ],
         rows=rows,
         row_variation=rng.uniform(-1, 1, len(rows)).tolist(),
@@ -65,8 +68,9 @@ def in_blocks(values: NDArray) -> NDArray:
     return values.reshape(*values.shape[:-3], 8, 8, 12, 8, 3).mean(axis=(-4, -2))
 
 
-def test_pictures_agree_with_those_of_written_instances_within_noise():
-    scene = field()
+@pytest.mark.parametrize("transmission", [0.0, 0.6])
+def test_pictures_agree_with_those_of_written_instances_within_noise(transmission):
+    scene = field(transmission)
     camera = scene.cameras[0][0]
     written, kept = (loaded(scene, most).radiance(camera, 0, 512, 1) for most in (np.inf, 0.0))
     assert np.mean(written.coverage != kept.coverage) < 0.01

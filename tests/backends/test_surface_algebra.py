@@ -46,9 +46,10 @@ def merged(fn: Algebra, *x: Any) -> Sequence[Any]:
 
 
 def looked(fn: Algebra, *x: Any) -> Sequence[Any]:
-    numbers = lobes.Numbers(fn.vector(*x[:3]), 0.4, x[8], -0.3, x[9], x[10])
+    numbers = lobes.Numbers(fn.vector(*x[:3]), 0.4, x[8], -0.3, x[9], x[10], x[12])
     found = lobes.lobes_of(fn, numbers, {"base_color": fn.vector(*x[5:8])}, x[3:5])
-    return [*fn.parts(lobes.gloss_color(found, 0.05 + 0.95 * x[11])), found.alpha, found.dull]
+    gloss = fn.parts(lobes.gloss_color(found, 0.05 + 0.95 * x[11]))
+    return [*gloss, found.alpha, found.dull, found.through]
 
 
 def in_cells(fn: Algebra, *x: Any) -> Sequence[Any]:
@@ -104,7 +105,7 @@ def law(fn: Algebra, *x: Any) -> Sequence[Any]:
 
 FORMULAS = {
     "merges": Formula(7, merged),
-    "lobes": Formula(12, looked),
+    "lobes": Formula(13, looked),
     "cells": Formula(14, in_cells),
     "triplanar": Formula(12, from_sides),
     "leaned normals": Formula(18, leaned),

@@ -26,7 +26,9 @@ TEXELS = "texels=16384"
 @pytest.fixture(scope="module")
 def out(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("models")
-    cfg = write_cfg(folder, small_cfg(samples=2))
+    asked = small_cfg(samples=2)
+    asked["materials"]["stone"]["diffuse_transmission"] = 0.3
+    cfg = write_cfg(folder, asked)
     assert main(["compile", str(cfg), "-o", str(folder / "out"), "--no-cache"]) == 0
     return folder / "out"
 
@@ -209,6 +211,20 @@ def test_what_is_not_in_the_file_is_said_in_it_and_beside_it(glb):
     assert beside["losses"] == losses
     assert any(line.startswith("ground: merges of layers are baked") for line in losses)
     assert beside["bytes"] == glb.stat().st_size
+
+
+def test_what_sheets_transmit_is_in_the_gltf_and_said_to_be_lost_in_the_usdz(glb, usdz):
+    file = Glb(glb).json
+    extension = "KHR_materials_diffuse_transmission"
+    own = {m["name"]: m.get("extensions", {}).get(extension) for m in file["materials"]}
+    assert own.pop("stone") == {
+        "diffuseTransmissionFactor": pytest.approx(0.3),
+        "diffuseTransmissionColorFactor": pytest.approx([0.15, 0.12, 0.1]),
+    }
+    assert not any(own.values())
+    assert extension in file["extensionsUsed"]
+    losses = json.loads((usdz.parent / "export.json").read_text())["batches"]["batch_0000"]
+    assert sum("no light passes through sheets" in line for line in losses["losses"]) == 1
 
 
 def test_turns_and_scales_make_up_their_matrices_again():

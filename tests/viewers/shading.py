@@ -120,7 +120,7 @@ def _reflected(
         normal = _unit((leaning[..., None] * frame).sum(axis=1))
     cosine = np.maximum(normal @ light, 0)[:, None]
     lobe = _ggx(normal, view, light, np.asarray(roughness) ** 2)[:, None] * (cosine > 0)
-    diffuse = color / np.pi * cosine
+    diffuse = (1 - surface.diffuse_transmission) * color / np.pi * cosine
     s = surface.specular
     return (1 - metallic) * ((1 - s) * diffuse + s * lobe) + metallic * color * lobe
 

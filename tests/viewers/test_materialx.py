@@ -123,6 +123,8 @@ ROUGH = {"variation", "rough_part", "rough_factor", "rough_varied", "alpha"}
         ({"metallic": 1.0, "variation": 0.1, "roughness_variation": 0.9},
          {"metal", "MaterialX"} | VARIED | ROUGH),
         ({"metallic": 0.5}, GLOSSY | {"metal", "metallic"}),
+        ({"specular": 0.0, "diffuse_transmission": 0.4}, LAMBERT | {"through", "sheet"}),
+        ({"diffuse_transmission": 0.4}, GLOSSY | {"through", "sheet"}),
         ({"metallic": 1.0}, {"metal", "MaterialX"}),
     ],
 )  # fmt: skip

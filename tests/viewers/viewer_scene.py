@@ -25,7 +25,8 @@ SKY, GROUND, ROCK = 0, 1, 2
 def viewer_cfg() -> dict[str, Any]:
     """The small cfg with glossy and metallic ground, and a second camera that looks elsewhere."""
     cfg = small_cfg(samples=2)
-    cfg["materials"]["gravel"] |= {"specular": 0.15, "roughness": 0.5, "roughness_variation": -0.6}
+    cfg["materials"]["gravel"] |= {"specular": 0.15, "roughness": 0.5, "roughness_variation": -0.6,
+                                   "diffuse_transmission": 0.2}  # fmt: skip
     cfg["materials"]["mud"] |= {"metallic": 0.6, "roughness": 0.4, "specular": 0.0}
     cfg["rigs"]["rover"]["sensors"] = {
         "front": {"resolution": [96, 96], "fov_deg": 70},

@@ -9,7 +9,7 @@ from surfaces import UP, Chance, Floats, Surface, across, azimuth, cross, turned
 
 LOOKS = {
     "juniper_bark": Look((0.140, 0.090, 0.065), 0.90),
-    "juniper_needle": Look((0.060, 0.105, 0.065), 0.60),
+    "juniper_needle": Look((0.067, 0.118, 0.073), 0.60, through=0.22),
 }
 
 

@@ -120,10 +120,10 @@ def leafy_twig(
         upward = look - toward * float(look @ toward)
         if float(upward @ upward) < 1e-3:
             upward = across(toward)
-        # Normals lean off the blade, as a curled blade's do, and let light seem to come through.
+        # Normals lean off the blade, as a curled blade's do.
         leaves.leaf(
             base + stalk * out, toward, unit(upward), size, width * size,
-            0.9 * chance.direction(), fold=chance.between(0.1, 0.4), rounded=rounded,
+            0.3 * chance.direction(), fold=chance.between(0.1, 0.4), rounded=rounded,
         )  # fmt: skip
     return wood, leaves
 

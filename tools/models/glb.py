@@ -20,6 +20,7 @@ _DECIMALS = {"POSITION": 5, "TEXCOORD_0": 4, "TRANSLATION": 4, "SCALE": 3}
 _FLOAT, _USHORT, _SHORT, _BYTE = 5126, 5123, 5122, 5120
 _STORED = {_FLOAT: "<f4", _USHORT: "<u2", _SHORT: "<i2", _BYTE: "i1"}
 _BYTES, _SPECULAR = "KHR_mesh_quantization", "KHR_materials_specular"
+_THROUGH = "KHR_materials_diffuse_transmission"
 _COPIES = "EXT_mesh_gpu_instancing"
 #: Whose materials are smoother than this mirrors: coarse normals would show in it.
 _MIRROR = 0.1
@@ -40,6 +41,7 @@ class Look:
         metallic: From 0 to 1.
         picture: PNG that multiplies the color, or None.
         specular: Factor on what a dielectric reflects (KHR_materials_specular): 0 is diffuse alone.
+        through: Share of the diffuse light that leaves a sheet on its far side, of the same color.
     """
 
     color: tuple[float, float, float]
@@ -47,6 +49,7 @@ class Look:
     metallic: float = 0.0
     picture: bytes | None = None
     specular: float = 1.0
+    through: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -284,10 +287,17 @@ def encode(model: Model, card: Card) -> bytes:
                 document.setdefault("textures", []).append({"source": len(pictures) - 1})
             surface["baseColorTexture"] = {"index": pictures.index(look.picture)}
         material = {"name": name, "pbrMetallicRoughness": surface, "doubleSided": True}
+        more: dict[str, Any] = {}
         if look.specular != 1.0:
-            material["extensions"] = {_SPECULAR: {"specularFactor": look.specular}}
-            if _SPECULAR not in document["extensionsUsed"]:
-                document["extensionsUsed"].append(_SPECULAR)
+            more[_SPECULAR] = {"specularFactor": look.specular}
+        if look.through > 0.0:
+            more[_THROUGH] = {
+                "diffuseTransmissionFactor": look.through,
+                "diffuseTransmissionColorFactor": list(look.color),
+            }
+        if more:
+            material["extensions"] = more
+            document["extensionsUsed"] += [n for n in more if n not in document["extensionsUsed"]]
         document["materials"].append(material)
     document["accessors"] = buffer.accessors
     document["bufferViews"] = buffer.views

@@ -8,27 +8,28 @@ import numpy as np
 from glb import Look, Model
 from surfaces import UP, Chance, Floats, Surface, across, azimuth, cross, turned, unit
 
+#: Leaves and blades by PROSPECT-D, as those of ``trees``; dead ones by it without their water.
 LOOKS = {
-    "grass_blade": Look((0.085, 0.155, 0.030), 0.55),
-    "grass_pale": Look((0.130, 0.185, 0.050), 0.55),
-    "straw": Look((0.360, 0.270, 0.120), 0.65),
+    "grass_blade": Look((0.105, 0.215, 0.030), 0.55, through=0.60),
+    "grass_pale": Look((0.165, 0.265, 0.050), 0.55, through=0.60),
+    "straw": Look((0.420, 0.320, 0.140), 0.65, through=0.30),
     "seed_head": Look((0.300, 0.210, 0.110), 0.75),
-    "herb_leaf": Look((0.055, 0.125, 0.028), 0.50),
-    "clover_leaf": Look((0.060, 0.150, 0.035), 0.55),
+    "herb_leaf": Look((0.075, 0.165, 0.025), 0.50, through=0.58),
+    "clover_leaf": Look((0.080, 0.190, 0.030), 0.55, through=0.58),
     "stalk": Look((0.095, 0.155, 0.045), 0.55),
-    "daisy_petal": Look((0.780, 0.770, 0.730), 0.60),
+    "daisy_petal": Look((0.880, 0.870, 0.830), 0.60, through=0.40),
     "daisy_disc": Look((0.720, 0.420, 0.025), 0.75),
     "clover_floret": Look((0.640, 0.560, 0.520), 0.70),
-    "poppy_petal": Look((0.600, 0.022, 0.012), 0.50),
+    "poppy_petal": Look((0.720, 0.028, 0.014), 0.50, through=0.45),
     "poppy_heart": Look((0.018, 0.016, 0.018), 0.70),
-    "poppy_leaf": Look((0.075, 0.140, 0.055), 0.60),
-    "bleached": Look((0.420, 0.350, 0.220), 0.75),
-    "fine_blade": Look((0.070, 0.120, 0.045), 0.55),
+    "poppy_leaf": Look((0.100, 0.185, 0.060), 0.60, through=0.55),
+    "bleached": Look((0.500, 0.415, 0.260), 0.75, through=0.35),
+    "fine_blade": Look((0.095, 0.180, 0.045), 0.55, through=0.60),
     "panicle": Look((0.230, 0.150, 0.120), 0.75),
-    "fern_frond": Look((0.065, 0.130, 0.028), 0.55),
+    "fern_frond": Look((0.090, 0.180, 0.025), 0.55, through=0.58),
     "fern_stalk": Look((0.120, 0.110, 0.045), 0.60),
-    "litter_brown": Look((0.200, 0.120, 0.062), 0.75),
-    "litter_pale": Look((0.320, 0.220, 0.120), 0.75),
+    "litter_brown": Look((0.245, 0.147, 0.076), 0.75, through=0.40),
+    "litter_pale": Look((0.395, 0.270, 0.145), 0.75, through=0.40),
 }
 
 
@@ -41,6 +42,14 @@ def _arc(base: Floats, ahead: Floats, length: float, bend: float, segments: int)
         ahead = turned(ahead, level, -bend * share)
         path.append(path[-1] + ahead * length / segments)
     return np.array(path)
+
+
+def _along(path: Floats, t: float) -> tuple[Floats, Floats]:
+    """A point of a path whose pieces are of one length, at a share of it, and the way on there."""
+    x = t * (len(path) - 1)
+    j = min(int(x), len(path) - 2)
+    step = path[j + 1] - path[j]
+    return path[j] + step * (x - j), unit(step)
 
 
 def _tuft(
@@ -99,10 +108,7 @@ def grass_seeding() -> Model:
         culms.blade(path, [0.0032, 0.0028, 0.0024, 0.0018], across(ahead))
         for i in range(21):
             t = 0.76 + 0.24 * (i + 1) / 21
-            x = t * 4
-            j = min(int(x), 3)
-            point = path[j] + (path[j + 1] - path[j]) * (x - j)
-            along = unit(path[j + 1] - path[j])
+            point, along = _along(path, t)
             out = turned(across(along), along, 137.5 * i)
             reach = 0.040 * math.sin(math.pi * min(1.0, 1.08 - (t - 0.76) / 0.24) ** 0.8) + 0.004
             spray = unit(along + 0.55 * out)
@@ -143,10 +149,7 @@ def grass_fine() -> Model:
         culms.blade(path, [0.0022, 0.0018, 0.0014], across(ahead))
         for i in range(9):
             t = 0.72 + 0.28 * (i + 1) / 9
-            x = min(t * 3, 2.999)
-            j = int(x)
-            point = path[j] + (path[j + 1] - path[j]) * (x - j)
-            along = unit(path[j + 1] - path[j])
+            point, along = _along(path, t)
             out = turned(across(along), along, 137.5 * i)
             heads.leaf(
                 point, unit(along + 0.9 * out), out, chance.between(0.02, 0.045) * (1.6 - t),
@@ -175,10 +178,7 @@ def fern() -> Model:
         count = 14
         for i in range(count):
             t = 0.16 + 0.84 * (i + 0.5) / count
-            x = min(t * 6, 5.999)
-            j = int(x)
-            point = path[j] + (path[j + 1] - path[j]) * (x - j)
-            along = unit(path[j + 1] - path[j])
+            point, along = _along(path, t)
             reach = 0.2 * length * math.sin(math.pi * min(1.0, 0.18 + 0.82 * t)) ** 0.8 + 0.01
             for s in (-1.0, 1.0):
                 out = unit(0.45 * along + s * side - 0.18 * UP + 0.08 * chance.direction())

@@ -13,28 +13,31 @@ from glb import Look, Model, Part
 from growth import Grown, Skeleton, Space, colonize, crown, limbs, thicken, whorls
 from surfaces import UP, Chance, Floats, Surface, across, azimuth, unit
 
-#: Leaves let light through, the surface model does not: what they transmit is in their color.
+#: Colors of leaves are what they reflect (but for their gloss) and transmit together, as PROSPECT-D
+#: (Feret et al. 2017, Remote Sensing of Environment 193) has it for 25 to 50 ug/cm2 of chlorophyll
+#: under daylight; so are the shares that pass, 0.04 apart at most in red and green.
+#: Needles are thick; those of a brush shade each other, and are darker.
 LOOKS = {
     "oak_bark": Look((0.200, 0.160, 0.125), 0.90, picture=bark.furrowed("oak", 8, 5)),
     "oak_twig": Look((0.110, 0.085, 0.062), 0.90),
-    "oak_leaf": Look((0.072, 0.125, 0.026), 0.58),
-    "oak_leaf_bright": Look((0.115, 0.175, 0.034), 0.58),
+    "oak_leaf": Look((0.070, 0.155, 0.018), 0.58, through=0.58),
+    "oak_leaf_bright": Look((0.128, 0.211, 0.025), 0.58, through=0.58),
     "birch_bark": Look((0.680, 0.640, 0.570), 0.75, picture=bark.birch()),
     "birch_twig": Look((0.075, 0.048, 0.036), 0.80),
-    "birch_leaf": Look((0.085, 0.150, 0.030), 0.58),
-    "birch_leaf_bright": Look((0.130, 0.200, 0.040), 0.58),
+    "birch_leaf": Look((0.120, 0.205, 0.025), 0.58, through=0.58),
+    "birch_leaf_bright": Look((0.170, 0.260, 0.032), 0.58, through=0.58),
     "hazel_bark": Look((0.150, 0.110, 0.080), 0.80),
-    "hazel_leaf": Look((0.078, 0.145, 0.034), 0.55),
-    "hazel_leaf_bright": Look((0.130, 0.200, 0.045), 0.55),
+    "hazel_leaf": Look((0.100, 0.186, 0.022), 0.55, through=0.58),
+    "hazel_leaf_bright": Look((0.145, 0.230, 0.028), 0.55, through=0.58),
     "spruce_bark": Look((0.125, 0.095, 0.075), 0.95, picture=bark.scaly("spruce")),
     "spruce_twig": Look((0.110, 0.082, 0.060), 0.95),
-    "spruce_needle": Look((0.036, 0.068, 0.027), 0.65),
-    "spruce_shoot": Look((0.062, 0.108, 0.038), 0.60),
+    "spruce_needle": Look((0.040, 0.077, 0.030), 0.65, through=0.22),
+    "spruce_shoot": Look((0.070, 0.122, 0.043), 0.60, through=0.22),
     "pine_bark": Look((0.210, 0.165, 0.135), 0.95, picture=bark.furrowed("pine", 5, 4)),
     "pine_upper_bark": Look((0.400, 0.200, 0.095), 0.90, picture=bark.scaly("pine")),
     "pine_twig": Look((0.150, 0.105, 0.070), 0.90),
-    "pine_needle": Look((0.075, 0.112, 0.055), 0.60),
-    "pine_needle_bright": Look((0.105, 0.150, 0.068), 0.60),
+    "pine_needle": Look((0.084, 0.126, 0.062), 0.60, through=0.22),
+    "pine_needle_bright": Look((0.118, 0.168, 0.076), 0.60, through=0.22),
 }
 
 

@@ -12,8 +12,8 @@ from surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
 
 LOOKS = {
     "rose_bark": Look((0.090, 0.100, 0.045), 0.70),
-    "rose_leaf": Look((0.055, 0.125, 0.035), 0.45),
-    "rose_petal": Look((0.720, 0.360, 0.400), 0.60),
+    "rose_leaf": Look((0.072, 0.158, 0.025), 0.45, through=0.55),
+    "rose_petal": Look((0.820, 0.440, 0.480), 0.60, through=0.40),
     "dead_bark": Look((0.140, 0.110, 0.085), 0.95),
     "dead_wood": Look((0.360, 0.290, 0.205), 0.90),
     "bleached_wood": Look((0.330, 0.310, 0.280), 0.90),

@@ -1,7 +1,8 @@
 #version 420 core
 // The light of a pixel: the mean over its samples, each shaded by the shared surface model.
 //
-// f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), layers mixed from the base up.
+// f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), layers mixed from the base up; of
+// Lambert's lobe a share goes through sheets.
 // All positions are relative to the camera; axes are the world's.
 
 const float PI = 3.14159265358979;
@@ -83,6 +84,9 @@ struct Lobes {
     float alpha;
     float dull;     // Weight of Lambert's lobe or of a law in its place.
     vec3 gloss;     // What a white lobe that scatters once is multiplied with.
+#ifdef WITH_THROUGH
+    float through;  // Weight of Lambert's lobe on the far side.
+#endif
 };
 
 // What maps hold at a hit.
@@ -214,7 +218,8 @@ struct Around {
     float taken;  // Share of the cosine that is ground.
 };
 
-Around around_of(Hit hit)
+// Side 1 is the viewer's, -1 the far one.
+Around around_of(Hit hit, float side)
 {
     Around around;
     around.share = vec3(1.0);
@@ -225,7 +230,7 @@ Around around_of(Hit hit)
     vec4 share = texture(ground_sky, place);
     around.share = share.rgb;
     // What a normal map leans sees no more ground for it.
-    float up = dot(hit.normal, hit.flat_normal) < 0.0 ? -hit.normal.z : hit.normal.z;
+    float up = dot(hit.normal, hit.flat_normal) * side < 0.0 ? -hit.normal.z : hit.normal.z;
     around.taken = share.a + 0.5 - 0.5 * up;
     around.ground = ground_share * texture(ground_light, place).rgb;
 #endif
@@ -256,10 +261,19 @@ void find_lamp(vec3 at)
 }
 #endif
 
-// How much of the sun arrives at a hit: the finest shadow map that holds it, filtered.
+// How much of the sun arrives at a hit: the finest shadow map that holds it, filtered. Below 0 it
+// arrives on the far side.
 float sunlit(Hit hit)
 {
     float slope = dot(hit.flat_normal, to_sun);
+    float side = 1.0;
+#ifdef WITH_THROUGH
+    if (slope < 0.0) {
+        side = -1.0;
+        slope = -slope;
+        hit.flat_normal = -hit.flat_normal;
+    }
+#endif
     float turn = sqrt(max(1.0 - slope * slope, 0.0));
     // Sampled once, after the choice: software runs all of a loop's and a branch's instructions.
     vec4 place = vec4(0.0);
@@ -299,9 +313,9 @@ float sunlit(Hit hit)
     }
 #ifdef WITH_LAMPS
     // What no map holds is lit in another pass, or not at all.
-    return slope <= 0.0 || !found ? 0.0 : lit / float(places);
+    return slope <= 0.0 || !found ? 0.0 : side * lit / float(places);
 #else
-    return slope <= 0.0 ? 0.0 : found ? lit / float(places) : 1.0;
+    return slope <= 0.0 ? 0.0 : side * (found ? lit / float(places) : 1.0);
 #endif
 }
 
@@ -343,6 +357,9 @@ struct Look {
 #endif
 #ifdef WITH_EMISSION
     vec3 glow;    // What it gives off.
+#endif
+#ifdef WITH_THROUGH
+    vec3 through;  // Albedo of the lobe on the far side.
 #endif
 };
 
@@ -490,7 +507,14 @@ Look look_of(int index, Hit hit)
     }
 #endif
     float cosine = max(dot(look.normal, hit.view), 1e-5);
+#ifdef WITH_THROUGH
+    int sheet = int(texelFetch(surfaces, 4 * index + 2).w);
+    float transmission = sheet > 0 ? texelFetch(surfaces, sheet + 6).a : 0.0;
+    Lobes lobes = lobes_of(first, second, found, hit, cosine, transmission);
+    look.through = lobes.through * lobes.color;
+#else
     Lobes lobes = lobes_of(first, second, found, hit, cosine);
+#endif
     look.dull = lobes.dull * lobes.color;
     look.shine = lobes.gloss;
     look.alpha = lobes.alpha;
@@ -523,7 +547,7 @@ Look look_of(int index, Hit hit)
 
 vec3 light_of(Look look, vec3 view, float lit, Around around)
 {
-    float direct = lit * max(dot(look.normal, to_sun), 0.0);
+    float direct = max(lit, 0.0) * max(dot(look.normal, to_sun), 0.0);
     vec3 result = look.dull / PI * (direct * sun + irradiance_of(look.normal, around));
 #ifdef WITH_REFLECTANCE
     if (look.law >= 0) {
@@ -546,6 +570,15 @@ vec3 light_of(Look look, vec3 view, float lit, Around around)
     return result;
 }
 
+#ifdef WITH_THROUGH
+// What arrives on the far side and passes.
+vec3 passed(Look look, float lit, Around beyond)
+{
+    float direct = max(-lit, 0.0) * max(-dot(look.normal, to_sun), 0.0);
+    return look.through / PI * (direct * sun + irradiance_of(-look.normal, beyond));
+}
+#endif
+
 vec3 shade(uvec2 id, vec3 direction, int number)
 {
     Hit hit = find(id, direction);
@@ -554,7 +587,7 @@ vec3 shade(uvec2 id, vec3 direction, int number)
     find_lamp(hit.position);
 #endif
     float lit = sunlit(hit);
-    Around around = around_of(hit);
+    Around around = around_of(hit, 1.0);
     uvec4 mesh = texelFetch(meshes, 2 * int(hit.mesh));
     uvec4 more = texelFetch(meshes, 2 * int(hit.mesh) + 1);
     Look look = look_of(int(texelFetch(layers, int(more.x)).x), hit);
@@ -576,6 +609,9 @@ vec3 shade(uvec2 id, vec3 direction, int number)
 #ifdef WITH_EMISSION
         look.glow = mix(look.glow, over.glow, weight);
 #endif
+#ifdef WITH_THROUGH
+        look.through = mix(look.through, over.through, weight);
+#endif
 #ifdef WITH_MIXED
         result = mix(result, light_of(over, hit.view, lit, around), weight);
 #else
@@ -588,6 +624,10 @@ vec3 shade(uvec2 id, vec3 direction, int number)
 #endif
 #ifdef WITH_EMISSION
     result += look.glow;
+#endif
+#ifdef WITH_THROUGH
+    if (any(greaterThan(look.through, vec3(0.0))))
+        result += passed(look, lit, around_of(hit, -1.0));
 #endif
     return result;
 }
