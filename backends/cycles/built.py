@@ -99,7 +99,10 @@ class Built:
             # Where there is little to choose, the tree costs a tenth of the time, and prefers a sun
             # so far to its sky that it adds noise.
             self.scene.cycles.use_light_tree = self._glows or len(lights) > 1
-            for made, _ in lights:
+            gobos = [
+                light.make_gobo(self._bpy, sun, self.frame) for sun in lighting.suns if sun.gobo
+            ]
+            for made in (*(one for one, _ in lights), *gobos):
                 self.scene.collection.objects.link(made)
             if self.shares is not None:
                 around = 0.0 if sky is None else np.pi * float(sky.picture.mean())

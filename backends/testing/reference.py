@@ -28,6 +28,7 @@ from scenec.backends.stage.scene import (
 )
 from scenec.backends.surface import lobes, merges
 from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.gobo import passed
 from scenec.backends.surface.maps import face_tangents
 from scenec.backends.surface.pictures import Point, has_maps, values_at
 from scenec.backends.surface.reflectance import brdf
@@ -358,7 +359,8 @@ def _from_sun(caster: ExactCaster, points: Points, sun: Sun, disc: int, number: 
         toward = unit(toward + radius * aside)
     way = np.broadcast_to(toward, points.position.shape)
     clear = _reaches(caster, points, way, np.inf)
-    return Light(way, clear[:, None] * np.asarray(sun.irradiance, np.float64) / disc, clear)
+    share = clear * passed(sun, points.position) / disc
+    return Light(way, share[:, None] * np.asarray(sun.irradiance, np.float64), clear)
 
 
 def _from_lamp(caster: ExactCaster, points: Points, lamp: Lamp) -> Light:

@@ -38,6 +38,8 @@ _AIR_M = 8000.0
 _STEPS, _MOST = 40, 700
 #: Where it enters a cloud steps are so much shorter; after so many without any it has left it.
 _FINE, _SEARCHED = 0.25, 4
+#: The sun's light within is found anew where so much has been hidden by what had the same.
+_ANEW = 0.1
 #: A ray ends where less is left.
 _OPAQUE = 0.02
 #: Steps toward the sun and away from it; each is longer than the one before.
@@ -47,6 +49,8 @@ _LONGER = 1.55
 _REACH = 6.0
 #: Steps of the sun's own way through a layer.
 _BEAM = 200
+#: Optical depth beyond which a beam is followed no further: less than 1e-8 is left.
+_DARK = 20.0
 
 
 class Shine(NamedTuple):
@@ -152,6 +156,7 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
     coarse = max((end - start) / _MOST, max(layer.thickness_m / _STEPS, start * texel))
     at = np.empty(3)
     left, far, weight = 1.0, 0.0, 0.0
+    of_sun, shown = 0.0, 1.0
     t, step, empty = start, coarse, _SEARCHED + 1
     while t < end and left > _OPAQUE:
         middle = t + 0.5 * step
@@ -170,21 +175,24 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
             continue
         if empty > _SEARCHED:
             # Its edge is somewhere within this step: go over it again, finely.
-            step, empty = _FINE * coarse, 0
+            step, empty, shown = _FINE * coarse, 0, 1.0
             continue
         empty = 0
         depth = density * layer.extinction * step
-        sunward = _depth_along(layer, at, shine.to_sun, _SUNWARD)
-        beyond = _depth_along(layer, at, back, _BEYOND)
         top = layer.thickness_m * np.sqrt(max(dome(rise), 0.0))
         up = layer.extinction * max(top - above, 0.0)
         down = layer.extinction * above
-        of_sun = _scattered(sunward, beyond, up, cosine)
+        passed = elementary.exp(-depth)
+        hidden = left * (1.0 - passed)
+        shown += hidden
+        if shown > _ANEW:
+            sunward = _depth_along(layer, at, shine.to_sun, _SUNWARD)
+            beyond = _depth_along(layer, at, back, _BEYOND)
+            of_sun = _scattered(sunward, beyond, up, cosine)
+            shown = 0.0
         # Even light from above and below spreads by diffusion: half of it at the edges.
         of_sky = 0.5 / (1.0 + 0.75 * (1.0 - _DROPLETS) * up)
         of_ground = 0.5 / (1.0 + 0.75 * (1.0 - _DROPLETS) * down)
-        passed = elementary.exp(-depth)
-        hidden = left * (1.0 - passed)
         for c in range(3):
             source = of_sun * shine.sun[c] + of_sky * shine.sky[c] + of_ground * shine.ground[c]
             out[c] += hidden * source
@@ -264,13 +272,19 @@ def draw_rows(first, last, turned, cumulus, cirrus, shine, picture):  # type: ig
 
 
 @kernel
-def beam_left(way: NDArray, cumulus: Cumulus, cirrus: Cirrus) -> float:
-    """Share of a beam from a direction above the horizon that reaches the ground directly."""
+def beam_left(way: NDArray, east: float, north: float, cumulus: Cumulus, cirrus: Cirrus) -> float:
+    """Share of a beam from a direction above the horizon that reaches a place directly.
+
+    Args:
+        way: Unit vector to where it comes from.
+        east, north: The place, at z = 0, meters.
+        cumulus, cirrus: The layers.
+    """
     depth = 0.0
     if cirrus.depth > 0.0:
         far = _distance(cirrus.height_m, way[2])
         slant = way[2] + far * (1.0 - way[2] * way[2]) / _PLANET_M
-        depth += cirrus_depth_at(cirrus, way[0] * far, way[1] * far) / slant
+        depth += cirrus_depth_at(cirrus, east + way[0] * far, north + way[1] * far) / slant
     if cumulus.extinction > 0.0:
         start = _distance(cumulus.base_m, way[2])
         end = _distance(cumulus.base_m + cumulus.thickness_m, way[2])
@@ -278,10 +292,19 @@ def beam_left(way: NDArray, cumulus: Cumulus, cirrus: Cirrus) -> float:
         bent = (1.0 - way[2] * way[2]) / (2.0 * _PLANET_M)
         for k in range(_BEAM):
             t = start + (k + 0.5) * step
-            east, north = way[0] * t, way[1] * t
+            x, y = east + way[0] * t, north + way[1] * t
             above = t * way[2] + t * t * bent - cumulus.base_m
-            rise = rise_at(cumulus, east, north)
+            rise = rise_at(cumulus, x, y)
             if rise > -0.5:
-                density = density_at(cumulus, rise, east, north, above, 0.0)
+                density = density_at(cumulus, rise, x, y, above, 0.0)
                 depth += density * cumulus.extinction * step
+                if depth > _DARK:
+                    break
     return elementary.exp(-depth)
+
+
+@kernel
+def beams_left(first, last, way, places, cumulus, cirrus, out):  # type: ignore[no-untyped-def]
+    """``beam_left`` at places, float64 [n, 2], of some of them."""
+    for k in range(first, last):
+        out[k] = beam_left(way, places[k, 0], places[k, 1], cumulus, cirrus)

@@ -42,6 +42,7 @@ from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
 from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import develop
+from scenec.studies.pages import cloud_shadows
 from scenec.studies.runner import ROOT, Page, run, table
 
 import photons
@@ -204,7 +205,7 @@ def coverage(page: Page) -> str:
         left = np.empty((count, 2))
         for k, (east, north) in enumerate(rng.uniform(-40000.0, 40000.0, (count, 2))):
             there = layer._replace(pattern=layer.pattern._replace(east_m=east, north_m=north))
-            left[k] = [beam_left(way, there, no_cirrus()) for way in (up, low)]
+            left[k] = [beam_left(way, 0.0, 0.0, there, no_cirrus()) for way in (up, low)]
         shares = [(left[:, 0] < 0.95).mean(), left[:, 0].mean(), left[:, 1].mean()]
         rows.append([f"{asked:g}", *(f"{share:.2f}" for share in shares)])
     return (
@@ -377,12 +378,17 @@ def cost(page: Page) -> str:
     )
 
 
+def _shadows(page: Page) -> str:
+    """Shadows on the land."""
+    return cloud_shadows.shadows(page, cumulus, no_cirrus())
+
+
 def main(page: Page) -> None:
     """Writes the page."""
     page.write(
         HEAD,
         ("numpy", "numba", "mitsuba", "pyrender-maintained"),
-        (pictures, scenes, coverage, volumes, below, cost),
+        (pictures, scenes, _shadows, coverage, volumes, below, cost),
     )
 
 
