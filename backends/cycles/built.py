@@ -83,8 +83,11 @@ class Built:
         sky = combine(lighting.domes)
         self._light.remove()
         with self._light:
-            # A surface turned anyhow towards a sun gets half its irradiance on average.
-            from_suns = 0.5 * sum(float(np.mean(sun.irradiance)) for sun in lighting.suns)
+            # A surface turned anyhow towards a sun gets half its irradiance on average; in the
+            # shadow of clouds the sky is all there is.
+            from_suns = 0.5 * sum(
+                float(np.mean(sun.irradiance)) for sun in lighting.suns if sun.gobo is None
+            )
             self.scene.world = light.make_world(self._bpy, sky, from_suns)
             lights: list[tuple[Any, Sun | Lamp]] = [
                 (light.make_sun(self._bpy, sun), sun)

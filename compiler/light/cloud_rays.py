@@ -38,8 +38,6 @@ _AIR_M = 8000.0
 _STEPS, _MOST = 40, 700
 #: Where it enters a cloud steps are so much shorter; after so many without any it has left it.
 _FINE, _SEARCHED = 0.25, 4
-#: The sun's light within is found anew where so much has been hidden by what had the same.
-_ANEW = 0.1
 #: A ray ends where less is left.
 _OPAQUE = 0.02
 #: Steps toward the sun and away from it; each is longer than the one before.
@@ -156,7 +154,6 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
     coarse = max((end - start) / _MOST, max(layer.thickness_m / _STEPS, start * texel))
     at = np.empty(3)
     left, far, weight = 1.0, 0.0, 0.0
-    of_sun, shown = 0.0, 1.0
     t, step, empty = start, coarse, _SEARCHED + 1
     while t < end and left > _OPAQUE:
         middle = t + 0.5 * step
@@ -175,24 +172,21 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
             continue
         if empty > _SEARCHED:
             # Its edge is somewhere within this step: go over it again, finely.
-            step, empty, shown = _FINE * coarse, 0, 1.0
+            step, empty = _FINE * coarse, 0
             continue
         empty = 0
         depth = density * layer.extinction * step
+        sunward = _depth_along(layer, at, shine.to_sun, _SUNWARD)
+        beyond = _depth_along(layer, at, back, _BEYOND)
         top = layer.thickness_m * np.sqrt(max(dome(rise), 0.0))
         up = layer.extinction * max(top - above, 0.0)
         down = layer.extinction * above
-        passed = elementary.exp(-depth)
-        hidden = left * (1.0 - passed)
-        shown += hidden
-        if shown > _ANEW:
-            sunward = _depth_along(layer, at, shine.to_sun, _SUNWARD)
-            beyond = _depth_along(layer, at, back, _BEYOND)
-            of_sun = _scattered(sunward, beyond, up, cosine)
-            shown = 0.0
+        of_sun = _scattered(sunward, beyond, up, cosine)
         # Even light from above and below spreads by diffusion: half of it at the edges.
         of_sky = 0.5 / (1.0 + 0.75 * (1.0 - _DROPLETS) * up)
         of_ground = 0.5 / (1.0 + 0.75 * (1.0 - _DROPLETS) * down)
+        passed = elementary.exp(-depth)
+        hidden = left * (1.0 - passed)
         for c in range(3):
             source = of_sun * shine.sun[c] + of_sky * shine.sky[c] + of_ground * shine.ground[c]
             out[c] += hidden * source

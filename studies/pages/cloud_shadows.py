@@ -37,7 +37,10 @@ HEATH: dict[str, Any] = {
     "terrain": {
         "size_m": [2400, 2400],
         "spacing_m": 5,
-        "relief": [{"type": "multifractal", "amplitude_m": 22, "scale_m": 420, "octaves": 7}],
+        "relief": [
+            {"type": "plane"},
+            {"type": "multifractal", "amplitude_m": 22, "scale_m": 420, "octaves": 7},
+        ],
         "ground": [
             {"material": "heath", "labels": {"class": "ground"}},
             {
@@ -50,7 +53,10 @@ HEATH: dict[str, Any] = {
         "horizon": {
             "reach_m": 7000,
             "spacing_m": 60,
-            "relief": [{"type": "multifractal", "amplitude_m": 60, "scale_m": 1500, "octaves": 8}],
+            "relief": [
+                {"type": "plane"},
+                {"type": "multifractal", "amplitude_m": 60, "scale_m": 1500, "octaves": 8},
+            ],
             "material": "heath",
             "labels": {"class": "ground"},
         },
