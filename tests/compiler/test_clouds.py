@@ -199,7 +199,7 @@ def test_drawn_light_depends_on_the_batch_and_the_cfg_has_its_defaults(tmp_path)
     plans = [draw_light(spec, Streams(1, batch), 3).clouds for batch in (0, 1)]
     for plan in plans:
         assert plan is not None
-        assert plan.resolution == 1024
+        assert plan.resolution == 768
         assert plan.cumulus is not None
         assert plan.cumulus.coverage == pytest.approx(0.35)
         assert plan.cumulus.offset_m.shape == (3, 2)
