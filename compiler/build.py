@@ -17,6 +17,7 @@ from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
 from scenec.compiler.light.build import build_light, without_dark
+from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
@@ -42,7 +43,7 @@ from scenec.compiler.scene.scene import (
     SkyLight,
     Tile,
 )
-from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.program import Relief, run
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.shade import shade
@@ -109,7 +110,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     surface = lay_ground(plan, relief, samples, log)
     terrain = surface.field
     with log.timed("light"):
-        light = build_light(plan.light, plan.samples, color, labels)
+        light = build_light(plan.light, plan.samples, color, labels, _shaded_land(plan, terrain))
         log.facts |= light.facts
     with log.timed("cameras"):
         rigs = stand_rigs(plan, surface, light.irradiance if color else None, log)
@@ -261,6 +262,17 @@ def build_relief(plan: Plan, samples: Samples, log: BuildLog) -> Relief:
         relief = run(plan.terrain.relief, grid, plan.terrain.meshing.max_triangles, samples)
     log.facts["relief"] = relief.steps
     return relief
+
+
+def _shaded_land(plan: Plan, terrain: HeightField) -> Land | None:
+    """Where clouds throw shadows; None without clouds."""
+    if plan.light.clouds is None:
+        return None
+    east, north = (0.5 * size for size in terrain.grid.size_m)
+    low, high = float(terrain.height.min()), float(terrain.height.max())
+    horizon = plan.terrain.horizon
+    reach = 0.0 if horizon is None else horizon.reach_m
+    return Land((-east, -north, low), (east, north, high), reach)
 
 
 def _horizon(

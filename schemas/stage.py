@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.9"
+SCHEMA_VERSION = "1.10"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.
@@ -130,6 +130,14 @@ ATTR_HAZE_FLOOR = "scenec:haze:floor"
 #: raw; and double: its turn about the vertical, degrees, clockwise from above, as of the dome.
 ATTR_SKY_LABEL_MAP = "scenec:sky:labelMap:{level}"
 ATTR_SKY_ROTATION = "scenec:sky:rotation"
+
+#: On the LightFilter in the ``light:filters`` of a DistantLight. asset, time-sampled: picture of
+#: the share of the light that comes through, one 8- or 16-bit channel, raw; empty: all of it.
+#: double2, time-sampled: its width and height, stage units. It lies in the filter's plane z = 0,
+#: its middle at the origin, its top row toward +Y, and holds for all that lies along Z from there;
+#: bilinear between texel centers, mirrored beyond its borders.
+ATTR_GOBO_FILE = "scenec:gobo:file"
+ATTR_GOBO_SIZE = "scenec:gobo:size"
 
 #: On a camera or a lidar. int2, (1, 0) where not authored: of the samples it is triggered at, how
 #: many come from one to the next, and the first.

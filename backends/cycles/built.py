@@ -83,8 +83,11 @@ class Built:
         sky = combine(lighting.domes)
         self._light.remove()
         with self._light:
-            # A surface turned anyhow towards a sun gets half its irradiance on average.
-            from_suns = 0.5 * sum(float(np.mean(sun.irradiance)) for sun in lighting.suns)
+            # A surface turned anyhow towards a sun gets half its irradiance on average; in the
+            # shadow of clouds the sky is all there is.
+            from_suns = 0.5 * sum(
+                float(np.mean(sun.irradiance)) for sun in lighting.suns if sun.gobo is None
+            )
             self.scene.world = light.make_world(self._bpy, sky, from_suns)
             lights: list[tuple[Any, Sun | Lamp]] = [
                 (light.make_sun(self._bpy, sun), sun)
@@ -99,7 +102,10 @@ class Built:
             # Where there is little to choose, the tree costs a tenth of the time, and prefers a sun
             # so far to its sky that it adds noise.
             self.scene.cycles.use_light_tree = self._glows or len(lights) > 1
-            for made, _ in lights:
+            gobos = [
+                light.make_gobo(self._bpy, sun, self.frame) for sun in lighting.suns if sun.gobo
+            ]
+            for made in (*(one for one, _ in lights), *gobos):
                 self.scene.collection.objects.link(made)
             if self.shares is not None:
                 around = 0.0 if sky is None else np.pi * float(sky.picture.mean())

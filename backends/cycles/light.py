@@ -14,6 +14,7 @@ from scenec.backends.picture.guide import sky_guide
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky
 from scenec.backends.stage.scene import Lamp, Sun
 from scenec.backends.surface import lamps
+from scenec.backends.surface.gobo import load_gobo
 
 #: A dome's picture is written out with at least so many rows: see ``env_rows``.
 MIN_ROWS = 1024
@@ -25,6 +26,9 @@ SAMPLE_MAP = (256, 4096)
 LEAST_DRAWN = 0.25
 #: Half angle of the widest of Blender's spots, and how much wider than our cone they are, radians.
 _WIDEST_SPOT, _SPOT_MARGIN = 0.5 * np.pi - 0.01, 2e-3
+#: How far off the disc's rim rays are still taken for its own: what float32 directions resolve.
+_GOBO_MARGIN = 1e-5
+_CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 #: The dome's frame (USD: pole +Y, center +Z) to that of Blender's lat-long pictures (pole +Z,
 #: center +X): x' = z, y' = x, z' = y.
 _AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -109,7 +113,54 @@ def make_sun(bpy: Any, sun: Sun) -> Any:
     light.energy = strength
     light.color = (np.asarray(sun.irradiance) / strength).tolist()
     light.angle = max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    # Only rays that are sent to a sun meet its gobo, so none may find it by chance.
+    light.cycles.use_multiple_importance_sampling = sun.gobo is None
     return _shining(bpy, "scenec_sun", light, -np.asarray(sun.to_light, np.float64), np.zeros(3))
+
+
+def make_gobo(bpy: Any, sun: Sun, frame: Frame) -> Any:
+    """A sun's gobo as an object: a plane before all geometry, there for shadow rays alone.
+
+    Blender's lights do not know which place they shine on. The plane lets through what the picture
+    has of rays toward the sun's disc, and all of others, to the sky and to other suns.
+    """
+    assert sun.gobo is not None
+    material = bpy.data.materials.new("scenec_gobo")
+    material.node_tree.nodes.clear()
+    graph = Graph(material.node_tree)
+    image = picture_image(bpy, load_gobo(sun.gobo.file)[..., None])
+    # Where the ray comes from, not where it meets the plane: that is off by the disc's width.
+    length = graph.number(graph.node("ShaderNodeLightPath").outputs["Ray Length"])
+    at = graph.geometry("Position") + graph.geometry("Incoming") * length
+    rows = sun.gobo.to_picture
+    u, v = (
+        NODES.dot(at, row[:3] / frame.scale) + float(row[:3] @ frame.center + row[3])
+        for row in rows
+    )
+    # Blender's row 0 is the bottom one.
+    share = graph.picture(image, u, 1.0 - v, "MIRROR")
+    to_light = np.asarray(sun.to_light, np.float64)
+    half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
+    aside = NODES.length(graph.geometry("Incoming") + to_light)
+    reach = float(2.0 * np.sin(0.5 * half)) + _GOBO_MARGIN
+    within = NODES.select(reach - aside, 1.0, 0.0)
+    transparent = graph.node("ShaderNodeBsdfTransparent")
+    graph.feed(transparent.inputs["Color"], NODES.mix(np.ones(3), share, within))
+    output = graph.node("ShaderNodeOutputMaterial").inputs["Surface"]
+    graph.feed(output, transparent.outputs[0])
+    radius = 1.1 * float(np.sqrt((frame.corners * frame.corners).sum(axis=1).max())) or 1.0
+    x = np.cross(to_light, np.eye(3)[np.argmin(np.abs(to_light))])
+    x /= np.sqrt((x * x).sum())
+    # Wide enough for rays to the disc's rim.
+    across = radius * (1.0 + 3.0 * np.tan(half)) * np.stack([x, np.cross(to_light, x)])
+    corners = radius * to_light + [across[0] * i + across[1] * j for i, j in _CORNERS]
+    plane = bpy.data.meshes.new("scenec_gobo")
+    plane.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
+    plane.materials.append(material)
+    made = bpy.data.objects.new("scenec_gobo", plane)
+    made.visible_camera = made.visible_diffuse = made.visible_glossy = False
+    made.visible_transmission = made.visible_volume_scatter = False
+    return made
 
 
 def make_lamp(bpy: Any, lamp: Lamp, frame: Frame) -> Any:

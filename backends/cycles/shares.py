@@ -83,11 +83,12 @@ class Shares:
             bounces: Of whole paths.
         """
         alone = number < len(self._lights)
-        for index, (made, _) in enumerate(self._lights):
+        for index, (made, light) in enumerate(self._lights):
             made.hide_render = alone and index != number
             # Where a light is masked by the length of the path, Cycles counts that of rays that
             # meet it and of those sent to it differently.
-            made.data.cycles.use_multiple_importance_sampling = alone
+            found = alone and not (isinstance(light, Sun) and light.gobo)
+            made.data.cycles.use_multiple_importance_sampling = found
         self._scene.world = self._dark if alone else self._bright
         known = self._lights[number][1] if alone else self._strongest()
         if isinstance(known, Lamp):

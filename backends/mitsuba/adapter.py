@@ -150,7 +150,7 @@ class Mitsuba:
         if self._lamps is not None:
             self._lamps.set_lighting(lighting, self._center)
         else:
-            self._light.set_lighting(lighting)
+            self._light.set_lighting(lighting, self._center)
 
     def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility:
         """First hits in float32; of kept instances the exact caster's."""

@@ -52,7 +52,7 @@ class Lamps(mi.Emitter):
         lamps = lighting.lamps
         self.count = len(lamps)
         if self.around is not None:
-            self.around.set_lighting(lighting)
+            self.around.set_lighting(lighting, center)
             self.around_weight = dr.opaque(mi.Float, self.around.drawn_irradiance)
         # One that gives nothing, so that arrays are never empty.
         shown = lamps or [Lamp(center, np.array([0.0, 0.0, -1.0]), np.zeros(3), 0.0, 1.0, 0.0)]

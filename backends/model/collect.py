@@ -15,6 +15,7 @@ from scenec.backends.model.bake import bake, box_uv
 from scenec.backends.model.colors import mean_color, surfaces_of, vertex_colors
 from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.scene import Mesh, Reading, RenderScene, Surface
+from scenec.backends.surface.gobo import mean_passed
 from scenec.backends.surface.pictures import has_maps
 from scenec.schemas import stage as names
 from scenec.schemas.model import Look, Model, Part, Placement, View
@@ -127,6 +128,8 @@ def whole_model(scene: RenderScene, name: str, *, texels: int) -> Model:
         placements.append(replace(placement, parts=tuple(place[m] for m in meshes)))
     looks.append(Look("default", (0.18, 0.18, 0.18), 0.5))
     losses += _looks_lost(scene)
+    if any(sun.gobo for lighting in scene.lighting for sun in lighting.suns):
+        losses.append("light: shadows of clouds are left out, suns have their mean")
     return _model(scene, name, origin, parts, looks, placements, losses)
 
 
@@ -140,7 +143,7 @@ def _model(
     losses: Sequence[str],
 ) -> Model:
     suns = tuple(
-        tuple((sun.to_light, sun.irradiance) for sun in lighting.suns)
+        tuple((sun.to_light, sun.irradiance * mean_passed(sun)) for sun in lighting.suns)
         for lighting in scene.lighting
     )
     return Model(

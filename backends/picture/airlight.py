@@ -41,6 +41,7 @@ from scenec.backends.picture.sky import (
     texel_directions,
 )
 from scenec.backends.stage.scene import UPRIGHT, Haze, Sun
+from scenec.backends.surface.gobo import mean_passed
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -154,7 +155,9 @@ def air_of(haze: Haze, suns: tuple[Sun, ...], sky: Sky | None, floor_m: float) -
         floor_m: As in ``Air``.
     """
     up = [sun for sun in suns if risen(sun) > 0.0]
-    irradiance = np.array([sun.irradiance * risen(sun) for sun in up]).reshape(-1, 3)
+    # Clouds leave it their mean: there are no shafts of light.
+    strength = [sun.irradiance * risen(sun) * mean_passed(sun) for sun in up]
+    irradiance = np.array(strength).reshape(-1, 3)
     beams = Beams(np.array([sine_of(sun) for sun in up]), irradiance)
     picture, above, ground = _halves(sky)
     light = above + (beams.sine[:, None] * irradiance).sum(axis=0)

@@ -24,6 +24,7 @@ from scenec.backends.picture.noise import (
 )
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine, lookup
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
+from scenec.backends.surface.gobo import passed
 
 if TYPE_CHECKING:
     from scenec.backends.picture.haze import Veil
@@ -216,6 +217,7 @@ def background(
         near, fraction = disc_fraction(sun, camera, directions, pixels)
         half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
         disc = np.asarray(sun.irradiance) / (np.pi * np.sin(half) ** 2)
+        disc *= passed(sun, camera.camera_to_world[None, :3, 3])
         out[index[near]] += fraction[:, None] * disc
     return out.reshape(len(rows), camera.width, 3)
 

@@ -49,6 +49,8 @@ LOSS = (
     "weakened on their way to surfaces; surfaces of several distances in one pixel are weakened "
     "alike"
 )
+#: The same of one whose suns shine through pictures as well.
+GOBO_LOSS = "haze: shadows of clouds are not seen in it, their mean is"
 #: Rays in a pixel where its transmittance changes most: a lattice, no two in one column or row.
 SUBRAYS = 4
 _LATTICE = (1, 3, 0, 2)

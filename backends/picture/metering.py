@@ -38,6 +38,7 @@ from scenec.backends.stage.scene import (
 )
 from scenec.backends.surface import lamps, lobes, reflectance
 from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.gobo import passed
 from scenec.backends.surface.maps import map_mean
 from scenec.backends.surface.pictures import Point, has_maps, values_at
 from scenec.schemas.picture import LUMINANCE
@@ -174,7 +175,8 @@ class _Paths:
         out = np.zeros(points.at.shape)
         for sun in self._suns:
             ways = np.broadcast_to(sun.to_light, points.at.shape)
-            out += self._unshaded(points, points.reflected(ways) * sun.irradiance, ways, np.inf)
+            light = sun.irradiance * passed(sun, points.at)[:, None]
+            out += self._unshaded(points, points.reflected(ways) * light, ways, np.inf)
         if self._lamps:
             out += self._lamplight(points)
         if self._dome is not None and self._dome.total > 0.0:

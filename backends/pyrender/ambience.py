@@ -20,6 +20,7 @@ from scenec.backends.pyrender.laws import even_albedo
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, RenderScene
+from scenec.backends.surface.gobo import passed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -40,7 +41,8 @@ class Ground:
     Attributes:
         low: Its least x and y, float64 [2].
         size: Its extent in x and y, float64 [2].
-        normals: Of its cells, float32 [n, n, 3]; rows along y.
+        height: Of its cells, float32 [n, n]; rows along y.
+        normals: Of its cells, float32 [n, n, 3].
         albedo: Of what is seen from above, float32 [n, n, 3].
         horizon: Tangent of the elevation of the horizon, at least 0, by direction, float32
             [n, n, AZIMUTHS].
@@ -52,6 +54,7 @@ class Ground:
 
     low: NDArray[np.float64]
     size: NDArray[np.float64]
+    height: NDArray[np.float32]
     normals: NDArray[np.float32]
     albedo: NDArray[np.float32]
     horizon: NDArray[np.float32]
@@ -130,6 +133,7 @@ def make_ground(
     return Ground(
         low=bounds[0, :2],
         size=size[:2],
+        height=(bounds[0, 2] - room + filled).astype(np.float32),
         normals=normals.astype(np.float32),
         albedo=_albedo(scene, geometry, tables, selection, ids),
         horizon=horizon,
@@ -234,11 +238,21 @@ def light_ground(ground: Ground, lighting: Lighting) -> Ambience:
         _from_above(radiance), share, irradiance,
     )  # fmt: skip
     for sun in lighting.suns:
-        irradiance += _sunlit(ground, np.asarray(sun.to_light))[..., None] * sun.irradiance
+        lit = _sunlit(ground, np.asarray(sun.to_light))
+        if sun.gobo is not None:
+            lit *= passed(sun, _places(ground)).reshape(n, n)
+        irradiance += lit[..., None] * sun.irradiance
     bright = (ground.albedo / np.pi * irradiance).astype(np.float32)
     seen = np.zeros((n, n, 4), np.float32)
     over_threads(_gather, n, ground.horizon, ground.seen, bright, seen)
     return Ambience(share, seen)
+
+
+def _places(ground: Ground) -> NDArray[np.float64]:
+    """Middles of a ground's cells, float64 [n * n, 3]."""
+    steps = (np.arange(CELLS) + 0.5) / CELLS
+    y, x = np.meshgrid(*(ground.low[k] + ground.size[k] * steps for k in (1, 0)), indexing="ij")
+    return np.stack([x, y, ground.height], axis=-1).reshape(-1, 3)
 
 
 def _sky_table(lighting: Lighting) -> NDArray[np.float64]:

@@ -30,8 +30,9 @@ from scenec.backends.pyrender.lighting import (
 )
 from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
-from scenec.backends.stage.scene import Lamp, RenderScene, Sun
+from scenec.backends.stage.scene import Gobo, Lamp, RenderScene, Sun
 from scenec.backends.surface import lamps
+from scenec.backends.surface.gobo import load_gobo
 from scenec.backends.surface.lobes import MIN_ALPHA
 from scenec.schemas.errors import BackendError
 
@@ -39,7 +40,7 @@ SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
 UNITS = (
     "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
-    "laws", "maps", "shadows", "ground_sky", "ground_light", "uvs",
+    "laws", "maps", "shadows", "ground_sky", "ground_light", "uvs", "gobo",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -76,6 +77,8 @@ class Renderer(pyrender.Renderer):
         self._tables: dict[str, resources.Table] = {}
         self._targets: dict[str, resources.Target] = {}
         self._pictures: dict[str, int] = {}
+        # File of the one of them that a sun shines through.
+        self._gobo: Path | None = None
         numbers = (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
         found = tuple(int(GL.glGetIntegerv(number)) for number in numbers)
         # Either may be missing where OpenGL has it: PyOpenGL keeps the list of extensions of the
@@ -115,7 +118,7 @@ class Renderer(pyrender.Renderer):
         GL.glDeleteVertexArrays(1, [self._no_attributes])
         if self._pictures:
             GL.glDeleteTextures(len(self._pictures), list(self._pictures.values()))
-        self._tables, self._targets, self._pictures = {}, {}, {}
+        self._tables, self._targets, self._pictures, self._gobo = {}, {}, {}, None
 
     def draw_ids(
         self, name: str, view: View, selection: Selection, width: int, height: int
@@ -240,7 +243,7 @@ class Renderer(pyrender.Renderer):
         # Made before the target is bound: making it binds it.
         shadow_maps = self._shadows().depth
         defines: dict[str, Any] = self._defines | (
-            {"WITH_LAMPS": 1} if isinstance(sun, Lamp) else {}
+            {"WITH_LAMPS": 1} if isinstance(sun, Lamp) else {"WITH_GOBO": 1} if sun.gobo else {}
         )
         # pyrender puts what is defined in place of its name.
         defines[MARK] = surface_functions(frozenset(defines))
@@ -273,6 +276,8 @@ class Renderer(pyrender.Renderer):
             program.set_uniform("sun", np.asarray(sun.irradiance, np.float64))
             # Half vectors turn by half of what directions to the disc do, half its width each way.
             program.set_uniform("sun_alpha", max(MIN_ALPHA, 0.25 * float(sun.diameter_rad)))
+            if sun.gobo is not None:
+                self._set_gobo(program, sun.gobo, origin)
         program.set_uniform("cascades", len(shadows))
         for index, shadow in enumerate(shadows):
             program.set_uniform(f"shadow_clip[{index}]", shadow.view.clip)
@@ -285,6 +290,19 @@ class Renderer(pyrender.Renderer):
         out = np.empty((target.height, target.width, 4), np.float32)
         target.read(GL.GL_RGBA, GL.GL_FLOAT, out)
         return out
+
+    def _set_gobo(self, program: Any, gobo: Gobo, origin: NDArray[np.float64]) -> None:
+        """Put the picture before the sun; places are relative to ``origin``."""
+        if self._gobo != gobo.file:
+            if "gobo" in self._pictures:
+                GL.glDeleteTextures(1, [self._pictures["gobo"]])
+            self._pictures["gobo"] = resources.lookup_texture(load_gobo(gobo.file), mirrored=True)
+            self._gobo = gobo.file
+        _bind("gobo", GL.GL_TEXTURE_2D, self._pictures["gobo"])
+        rows = gobo.to_picture.copy()
+        rows[:, 3] += rows[:, :3] @ origin
+        program.set_uniform("gobo_u", rows[0])
+        program.set_uniform("gobo_v", rows[1])
 
     def _program(self, vertex: str, fragment: str, defines: dict[str, Any]) -> Any:
         program = self._program_cache.get_program(vertex, fragment, defines=defines)

@@ -192,11 +192,12 @@ def _texture(width: int, height: int, kind: int) -> int:
     return texture
 
 
-def lookup_texture(values: NDArray[np.float32]) -> int:
+def lookup_texture(values: NDArray[np.float32], mirrored: bool = False) -> int:
     """A table in two dimensions, linear between texel centers, constant beyond the last ones.
 
     Args:
         values: float32 [h, w] or [h, w, 4].
+        mirrored: Whether it is mirrored beyond its borders instead.
     """
     texture = int(GL.glGenTextures(1))
     kind = GL.GL_TEXTURE_2D
@@ -205,11 +206,12 @@ def lookup_texture(values: NDArray[np.float32]) -> int:
     stored, given = (GL.GL_R32F, GL.GL_RED) if values.ndim == 2 else (GL.GL_RGBA32F, GL.GL_RGBA)
     data = np.ascontiguousarray(values, np.float32)
     GL.glTexImage2D(kind, 0, stored, width, height, 0, given, GL.GL_FLOAT, data)
+    beyond = GL.GL_MIRRORED_REPEAT if mirrored else GL.GL_CLAMP_TO_EDGE
     for name, value in (
         (GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR),
         (GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR),
-        (GL.GL_TEXTURE_WRAP_S, GL.GL_CLAMP_TO_EDGE),
-        (GL.GL_TEXTURE_WRAP_T, GL.GL_CLAMP_TO_EDGE),
+        (GL.GL_TEXTURE_WRAP_S, beyond),
+        (GL.GL_TEXTURE_WRAP_T, beyond),
     ):
         GL.glTexParameteri(kind, name, value)
     return texture

@@ -105,9 +105,10 @@ class Session:
             return self.scene.losses
         lines = (*self.scene.losses, *self.backend.losses(self.scene))
         if any(self.scene.haze):
-            from scenec.backends.picture.haze import LOSS
+            from scenec.backends.picture.haze import GOBO_LOSS, LOSS
 
-            lines += (LOSS,)
+            suns = (sun for lighting in self.scene.lighting for sun in lighting.suns)
+            lines += (LOSS, GOBO_LOSS) if any(sun.gobo for sun in suns) else (LOSS,)
         return lines
 
     def passes(self, wanted: Sequence[str] | None, camera: Camera) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scenec.backends.stage.labels import LabelTable
 from scenec.backends.stage.scene import (
     UPRIGHT,
     Dome,
+    Gobo,
     Haze,
     Lamp,
     Lighting,
@@ -21,7 +23,7 @@ from scenec.backends.stage.scene import (
     Sun,
 )
 from scenec.backends.stage.sources import Sources
-from scenec.backends.stage.unread import LIGHTS
+from scenec.backends.stage.unread import LIGHTS, gobo_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -90,11 +92,53 @@ def _over_time(
         return _dome(prim, time, strength, sources)
 
     read = values.kept(values.own(prim), light)
+    gobos = _gobos(prim, frame, times, sources)
     # Scaled to nothing: there is no direction that it shines in.
     dark = _flat(matrices) & (prim.GetTypeName() != "SphereLight")
     for k in np.flatnonzero(~dark).tolist():
-        found[samples[k]] = read(times[samples[k]])(matrices[k], poses[k])
+        made = read(times[samples[k]])(matrices[k], poses[k])
+        found[samples[k]] = replace(made, gobo=gobos[samples[k]]) if isinstance(made, Sun) else made
     return found
+
+
+def _gobos(
+    prim: Usd.Prim, frame: StageFrame, times: list[Usd.TimeCode], sources: Sources
+) -> list[Gobo | None]:
+    """What a light shines through at each time.
+
+    Raises:
+        StageError: A size is not two numbers above 0, or a filter has no extent.
+    """
+    made = gobo_of(prim)
+    if made is None:
+        return [None] * len(times)
+    matrices = values.matrices(made, times, of_world=True)
+    if _flat(matrices).any():
+        raise StageError(f"{made.GetPath()}: is scaled to nothing")
+    poses = frame.pose(matrices)
+    return [_gobo(made, p, frame, time, sources) for p, time in zip(poses, times, strict=True)]
+
+
+def _gobo(
+    prim: Usd.Prim,
+    pose: NDArray[np.float64],
+    frame: StageFrame,
+    time: Usd.TimeCode,
+    sources: Sources,
+) -> Gobo | None:
+    """The picture of a filter in a pose [4, 4]."""
+    file = sources.picture(prim.GetAttribute(names.ATTR_GOBO_FILE), time)
+    if file is None:
+        return None
+    size = values.vector(prim.GetAttribute(names.ATTR_GOBO_SIZE), 2, time)
+    if size is None or not min(size) > 0.0:
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_GOBO_SIZE} is {size}, expected two numbers above 0"
+        )
+    width, height = (side * frame.meters_per_unit for side in size)
+    # The picture's rows go down, against the filter's y.
+    rows = np.stack([pose[:3, 0] / width, -pose[:3, 1] / height])
+    return Gobo(file, np.column_stack([rows, 0.5 - rows @ pose[:3, 3]]))
 
 
 def _flat(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:

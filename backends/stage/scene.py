@@ -385,6 +385,22 @@ class Lidar:
 
 
 @dataclass(frozen=True)
+class Gobo:
+    """A picture that a sun shines through: which share of its light arrives where.
+
+    ``picture.gobo`` looks it up: bilinear between texel centers, mirrored beyond its borders.
+
+    Attributes:
+        file: One channel of 8 or 16 bits, raw.
+        to_picture: From a place in the world to (u, v), float64 [2, 4]: (0, 0) is the picture's
+            upper left corner, (1, 1) the lower right one.
+    """
+
+    file: Path
+    to_picture: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Sun:
     """A distant disc light.
 
@@ -393,6 +409,7 @@ class Sun:
         irradiance: On a surface facing it, linear Rec.709, float64 [3].
         diameter_rad: Full angular diameter; 0 is a point.
         path, normalized: Of the prim; whether its intensity is an irradiance, not a radiance.
+        gobo: What it shines through; None: nothing.
     """
 
     to_light: NDArray[np.float64]
@@ -400,6 +417,7 @@ class Sun:
     diameter_rad: float
     path: str = ""
     normalized: bool = True
+    gobo: Gobo | None = None
 
 
 #: A dome's frame stood up: its pole, +Y, goes to +Z, as OrientToStageUpAxis does.

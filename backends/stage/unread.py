@@ -108,6 +108,7 @@ _PRODUCT = frozenset(
 )
 _SETTINGS = frozenset(("camera", "products", "aspectRatioConformPolicy", "renderingColorSpace"))
 
+_FILTERS = "light:filters"
 #: Of the same effect as what holds without them.
 _NEUTRAL = (("inputs:texture:format", "latlong"),)
 
@@ -119,6 +120,20 @@ _TEXTURED = {name: kind for kind, name in INPUTS.items()}
 _ASIDE = frozenset(
     ("useSpecularWorkflow", "opacityThreshold", "opacityMode", "clearcoatRoughness", "occlusion")
 )
+
+
+def gobo_of(light: Usd.Prim) -> Usd.Prim | None:
+    """The filter that a DistantLight shines through, if it is a picture and there is no other.
+
+    Raises:
+        StageError: ``light:filters`` cannot be read.
+    """
+    if light.GetTypeName() != "DistantLight":
+        return None
+    found = [light.GetStage().GetPrimAtPath(path) for path in values.targets(light, _FILTERS)]
+    if len(found) != 1 or not found[0] or found[0].GetTypeName() != "LightFilter":
+        return None
+    return found[0] if found[0].HasAttribute(names.ATTR_GOBO_FILE) else None
 
 
 class Unread:
@@ -158,7 +173,9 @@ class Unread:
             in_prototype: Whether it is part of an instancer's prototype.
         """
         kind = str(prim.GetTypeName())
-        if kind in LOST:
+        if kind == "LightFilter" and prim.HasAttribute(names.ATTR_GOBO_FILE):
+            self._attributes(prim, ())
+        elif kind in LOST:
             self.add(f"{kind} is not read", prim)
         elif kind and kind not in KNOWN and not any(prim.IsA(schema) for schema in _BASES):
             self.add(f"the type {kind} is not known", prim)
@@ -263,6 +280,7 @@ class Unread:
         for relationship in prim.GetAuthoredRelationships():
             name = relationship.GetName()
             followed = not name.startswith(("light:", "portals", "collection:"))
+            followed |= name == _FILTERS and gobo_of(prim) is not None
             if not followed and relationship.HasAuthoredTargets():
                 self.add(f"{name} of {kind} is not followed", prim)
 

@@ -373,6 +373,18 @@ class Conformance:
         )
         self.hold("sky", case, made, sample, lights.under_sky(made, case), 4 * SAMPLES)
 
+    @pytest.mark.parametrize("case", lights.GOBOS)
+    def test_gobos(self, case: str) -> None:
+        """The picture that a sun shines through lies on ground of any height."""
+        made, sample = self.case(
+            "gobos", case, lights.GOBOS, lambda: lights.gobo_scene(self.folder())
+        )
+        expected = reference.picture(made, sample, side=8)
+        for around in made.lighting[sample].domes:
+            radiance = expected.radiance + lights.ALBEDO * np.asarray(around.scale)
+            expected = dataclasses.replace(expected, radiance=radiance)
+        self.hold("gobos", case, made, sample, expected, 2 * SAMPLES)
+
     @pytest.mark.parametrize("case", lights.SUN_SHADOWS)
     def test_sun_shadows(self, case: str) -> None:
         """They lie where suns throw them, and those of what is out of view do."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import BOUNCES
 from scenec.backends.picture.sky import combine, lookup
-from scenec.backends.stage.scene import Dome, Lamp, Lighting, RenderScene, Sun
+from scenec.backends.stage.scene import Dome, Gobo, Lamp, Lighting, RenderScene, Sun
 from scenec.backends.testing.scenes import (
     affine,
     at_samples,
@@ -164,6 +164,42 @@ def under_sky(made: RenderScene, case: str) -> NDArray[np.float64]:
     weight = np.maximum(side * w[:, axis], 0.0) * np.sin(t).ravel() * (np.pi / 360) ** 2
     total: NDArray[np.float64] = (lookup(sky, w).astype(float) * weight[:, None]).sum(axis=0)
     return ALBEDO / np.pi * total
+
+
+# Pictures that suns shine through
+
+#: Suns, and width and height of the picture before the first, meters.
+GOBOS: dict[str, tuple[Sequence[Sun | Dome], tuple[float, float]]] = {
+    "overhead": ([sun(90.0)], (6.0, 4.0)),
+    "high": ([sun(50.0, 30.0)], (6.0, 4.0)),
+    "low": ([sun(15.0, 200.0)], (6.0, 1.5)),
+    # What is seen lies beyond its borders, too.
+    "mirrored": ([sun(60.0, 110.0)], (1.7, 1.3)),
+    "beside a sun and a sky": ([sun(50.0, 30.0), sun(30.0, 80.0, 600.0, 1.0), dome(20.0)], (6, 4)),
+}
+
+
+def gobo_scene(folder: Path) -> RenderScene:
+    """A gray pyramid, each of whose places sees all of the sky, under a sun with a picture."""
+    from PIL import Image
+
+    codes = np.random.default_rng(8).integers(0, 65536, (10, 16)).astype(np.uint16)
+    file = folder / "gobo.png"
+    Image.fromarray(codes).save(file)
+    points = np.array([[-3.0, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0], [0.4, 0.3, 1.6]])
+    faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    made = scene([mesh(points, faces)], [surface((ALBEDO,) * 3)])
+    lighting = []
+    for around, (width, height) in GOBOS.values():
+        first = around[0]
+        assert isinstance(first, Sun)
+        z = first.to_light
+        x = np.cross([0.0, 0.0, 1.0] if z[2] < 0.9 else [0.0, 1.0, 0.0], z)
+        x /= np.sqrt((x * x).sum())
+        rows = np.stack([x / width, -np.cross(z, x) / height])
+        gobo = Gobo(file, np.column_stack([rows, [0.45, 0.6]]))
+        lighting.append(lighting_of([dataclasses.replace(first, gobo=gobo), *around[1:]]))
+    return at_samples(made, lighting, look_at((0, 0, 10), (0, 0, 0), 48, 32, 25.0))
 
 
 # Shadows

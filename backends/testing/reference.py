@@ -28,6 +28,7 @@ from scenec.backends.stage.scene import (
 )
 from scenec.backends.surface import lobes, merges
 from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.gobo import passed
 from scenec.backends.surface.maps import face_tangents
 from scenec.backends.surface.pictures import Point, has_maps, values_at
 from scenec.backends.surface.reflectance import brdf
@@ -371,7 +372,8 @@ def _from_sun(reach: _Reach, points: Points, sun: Sun, disc: int, number: int) -
         toward = unit(toward + radius * aside)
     way = np.broadcast_to(toward, points.position.shape)
     clear = _reaches(reach, points, way, np.inf)
-    return Light(way, clear[:, None] * np.asarray(sun.irradiance, np.float64) / disc, clear)
+    share = clear * passed(sun, points.position) / disc
+    return Light(way, share[:, None] * np.asarray(sun.irradiance, np.float64), clear)
 
 
 def _from_lamp(reach: _Reach, points: Points, lamp: Lamp) -> Light:

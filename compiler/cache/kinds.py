@@ -12,7 +12,7 @@ _OF: dict[str, tuple[str, ...]] = {
     "objects.lod": ("Levels",),
     "scene.rig": ("Between", "Focus", "Lidar", "LidarNoise", "OpenShutter", "Rig", "Sensor"),
     "scene.scene": (
-        "Cells", "Far", "Georeference", "Ground", "GroundLayer", "Haze", "Lamp",
+        "Cells", "Far", "Georeference", "Gobo", "Ground", "GroundLayer", "Haze", "Lamp",
         "Material", "MaterialMaps", "MeshPart", "Picture",
         "Placed", "Prototype", "Reflectance", "Scatter", "Scene", "SkyLabelMaps",
         "SkyLight", "Sources", "SunLight", "Tile",

@@ -66,7 +66,7 @@ def _drawn(
 
 def _sun(node: dict[str, Any], streams: Streams, path: str, samples: int) -> SunLight:
     """A distant disc whose keys are the fields of ``SunLight``; one without a color is white."""
-    drawn = _drawn(node, streams, path, samples)
+    drawn: dict[str, Any] = {**_drawn(node, streams, path, samples)}
     if node.get("type") == "earthshine":
         drawn["irradiance"] = earthshine_irradiance(
             drawn.pop("phase_deg"), drawn.pop("solar_irradiance"), drawn.pop("geometric_albedo")

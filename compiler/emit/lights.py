@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
+from scenec.compiler.assets.pictures import png
 from scenec.compiler.cache.memo import memoized_file
-from scenec.compiler.emit.layer import author, matrix, new_layer
+from scenec.compiler.emit.layer import TYPES, author, custom, matrix, new_layer
 from scenec.compiler.emit.maps import TEXTURES
-from scenec.compiler.geometry.poses import cross
+from scenec.compiler.geometry.poses import facing
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.scene import Lamp, Scene, SkyLight, SunLight
+from scenec.compiler.scene.scene import Gobo, Lamp, Scene, SkyLight, SunLight
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
 
@@ -24,8 +25,9 @@ _POINT_M = 1e-3
 
 
 def write_lights(path: Path, scene: Scene) -> None:
-    """Writes ``lights.usdc`` and the sky's pictures beside it, in ``textures/``."""
+    """Writes ``lights.usdc`` and the pictures of sky and gobos beside it, in ``textures/``."""
     sky = scene.sky
+    gobo = None if scene.sun is None else scene.sun.gobo
     with new_layer(path) as stage:
         UsdGeom.Scope.Define(stage, LIGHTS)
         if scene.sun is not None:
@@ -43,6 +45,10 @@ def write_lights(path: Path, scene: Scene) -> None:
             shutil.copyfile(picture, file)
         else:
             _write_picture(file, picture)
+    for name, share in gobo.pictures.items() if gobo is not None else ():
+        file = path.parent / TEXTURES / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(png(share[..., None]))
 
 
 @memoized_file("emit")
@@ -62,18 +68,26 @@ def _write_sun(stage: Usd.Stage, name: str, sun: SunLight) -> None:
     author(light.CreateIntensityAttr(), sun.irradiance.tolist())
     author(light.CreateAngleAttr(), sun.diameter_deg.tolist())
     author(light.CreateColorAttr(), [Gf.Vec3f(*color) for color in sun.color.tolist()])
+    if sun.gobo is not None:
+        _write_gobo(stage, light, sun.gobo)
 
 
 def _pointing_from(to_light: np.ndarray) -> Gf.Matrix4d:
     """Transform of a light that shines along its -Z: its Z axis points to the light."""
-    z = to_light
-    # Any axis that is not parallel will do: a disc has no up.
-    helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    x = cross(helper, z)
-    x = x / np.sqrt((x * x).sum())
-    y = cross(z, x)
-    # Gf matrices act on row vectors: the axes are rows.
-    return Gf.Matrix4d(*x, 0.0, *y, 0.0, *z, 0.0, 0.0, 0.0, 0.0, 1.0)
+    return matrix(np.pad(facing(to_light), ((0, 0), (0, 1))))
+
+
+def _write_gobo(stage: Usd.Stage, light: UsdLux.DistantLight, gobo: Gobo) -> None:
+    """A filter in the light's own frame, whose picture lies square to the way of its light."""
+    made = UsdLux.LightFilter.Define(stage, light.GetPath().AppendChild("Clouds"))
+    middles = [Gf.Vec3d(x, y, 0.0) for x, y in gobo.middle_m.tolist()]
+    author(made.AddTranslateOp().GetAttr(), middles)
+    # An empty path at samples that it throws no shadow at.
+    files = [Sdf.AssetPath(f"./{TEXTURES}/{name}" if name else "") for name in gobo.texture]
+    author(custom(made.GetPrim(), names.ATTR_GOBO_FILE, TYPES.Asset), files)
+    sizes = [Gf.Vec2d(*size) for size in gobo.size_m.tolist()]
+    author(custom(made.GetPrim(), names.ATTR_GOBO_SIZE, TYPES.Double2), sizes)
+    light.CreateFiltersRel().SetTargets([made.GetPath()])
 
 
 def _write_lamp(stage: Usd.Stage, lamp: Lamp) -> None:

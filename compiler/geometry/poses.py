@@ -108,6 +108,17 @@ def camera_poses(rig: Rig, sensor: Sensor) -> NDArray[np.float64]:
     return np.concatenate([at_samples, some.reshape(-1, 4, 4)])
 
 
+def facing(z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A right-handed frame whose third axis is a unit vector; columns are its axes, float64 [3, 3].
+
+    The first is level wherever the third is 26 degrees or more from the vertical.
+    """
+    helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = cross(helper, z)
+    x = x / np.sqrt((x * x).sum())
+    return np.stack([x, cross(z, x), z], axis=1)
+
+
 def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cross product of two vectors [3], written out: NumPy's own is not on our list."""
     return np.array(

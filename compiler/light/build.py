@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.clear_sky import build_sky, level_sun_irradiance
+from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.clouds import add_clouds
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.overcast import build_overcast
@@ -45,10 +46,13 @@ class Light:
 
 
 @memoized("light")
-def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Light:
+def build_light(
+    plan: LightPlan, samples: int, color: bool, labels: bool, land: Land | None = None
+) -> Light:
     """The light of a batch.
 
     Args:
+        land: Where shadows of clouds can fall; None: nowhere.
         color: Whether an output shows it; without, there is none.
         labels: Whether an output shows labels; without, a panorama's are left out.
 
@@ -78,11 +82,12 @@ def build_light(plan: LightPlan, samples: int, color: bool, labels: bool) -> Lig
         assert sky is not None, "clouds before no sky"
         assert isinstance(plan.sky, ClearSkyPlan | AtmospherePlan), "clouds before another sky"
         ground = plan.sky.ground_color
-        sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples)
+        sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples, land)
     irradiance = _sky_irradiance(sky, samples)
     for one in (sun, *plan.more_suns.values()):
+        shares = np.ones(samples) if one is None or one.gobo is None else one.gobo.mean
         for i in range(samples):
-            irradiance[i] += luminance(level_sun_irradiance(one, i))
+            irradiance[i] += shares[i] * luminance(level_sun_irradiance(one, i))
     haze = plan.haze if plan.haze is not None and plan.haze.extinction.any() else None
     return Light(sun, sky, plan.more_suns, haze, label_maps, irradiance, facts)
 

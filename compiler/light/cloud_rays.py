@@ -47,6 +47,8 @@ _LONGER = 1.55
 _REACH = 6.0
 #: Steps of the sun's own way through a layer.
 _BEAM = 200
+#: Optical depth beyond which a beam is followed no further: less than 1e-8 is left.
+_DARK = 20.0
 
 
 class Shine(NamedTuple):
@@ -264,13 +266,19 @@ def draw_rows(first, last, turned, cumulus, cirrus, shine, picture):  # type: ig
 
 
 @kernel
-def beam_left(way: NDArray, cumulus: Cumulus, cirrus: Cirrus) -> float:
-    """Share of a beam from a direction above the horizon that reaches the ground directly."""
+def beam_left(way: NDArray, east: float, north: float, cumulus: Cumulus, cirrus: Cirrus) -> float:
+    """Share of a beam from a direction above the horizon that reaches a place directly.
+
+    Args:
+        way: Unit vector to where it comes from.
+        east, north: The place, at z = 0, meters.
+        cumulus, cirrus: The layers.
+    """
     depth = 0.0
     if cirrus.depth > 0.0:
         far = _distance(cirrus.height_m, way[2])
         slant = way[2] + far * (1.0 - way[2] * way[2]) / _PLANET_M
-        depth += cirrus_depth_at(cirrus, way[0] * far, way[1] * far) / slant
+        depth += cirrus_depth_at(cirrus, east + way[0] * far, north + way[1] * far) / slant
     if cumulus.extinction > 0.0:
         start = _distance(cumulus.base_m, way[2])
         end = _distance(cumulus.base_m + cumulus.thickness_m, way[2])
@@ -278,10 +286,19 @@ def beam_left(way: NDArray, cumulus: Cumulus, cirrus: Cirrus) -> float:
         bent = (1.0 - way[2] * way[2]) / (2.0 * _PLANET_M)
         for k in range(_BEAM):
             t = start + (k + 0.5) * step
-            east, north = way[0] * t, way[1] * t
+            x, y = east + way[0] * t, north + way[1] * t
             above = t * way[2] + t * t * bent - cumulus.base_m
-            rise = rise_at(cumulus, east, north)
+            rise = rise_at(cumulus, x, y)
             if rise > -0.5:
-                density = density_at(cumulus, rise, east, north, above, 0.0)
+                density = density_at(cumulus, rise, x, y, above, 0.0)
                 depth += density * cumulus.extinction * step
+                if depth > _DARK:
+                    break
     return elementary.exp(-depth)
+
+
+@kernel
+def beams_left(first, last, way, places, cumulus, cirrus, out):  # type: ignore[no-untyped-def]
+    """``beam_left`` at places, float64 [n, 2], of some of them."""
+    for k in range(first, last):
+        out[k] = beam_left(way, places[k, 0], places[k, 1], cumulus, cirrus)

@@ -1,9 +1,9 @@
 """Draws clouds into the pictures of a sky, and takes what they hide from its sun.
 
 Clouds are seen from the middle of the world's ground, as the sky is. The one that is drawn before
-the sun's disc is the one that shades the scene: the sun of a sample has what comes through of it
-everywhere. Shadows of clouds are hundreds of meters wide, so this is right where a scene lies in
-one; a scene that one's edge crosses is shaded evenly here.
+the sun's disc is the one that shades that place. Where all the land has the same light, the sun of
+a sample has what comes through of it; where shadows of cumulus cross the land, it shines through a
+picture of them (``cloud_shadows``).
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from scenec.compiler.light.cloud_fields import (
     no_cirrus,
     no_cumulus,
 )
-from scenec.compiler.light.cloud_rays import Shine, beam_left, draw_rows
+from scenec.compiler.light.cloud_rays import Shine, beam_left, beams_left, draw_rows
+from scenec.compiler.light.cloud_shadows import Land, Shadows, cloud_shadows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
 from scenec.compiler.light.overcast import NIL
 from scenec.compiler.scene.light_plan import CloudsPlan
-from scenec.compiler.scene.scene import SkyLight, SunLight
+from scenec.compiler.scene.scene import Gobo, SkyLight, SunLight
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
@@ -43,8 +44,9 @@ def add_clouds(
     sun: SunLight | None,
     ground_color: NDArray[np.float64],
     samples: int,
+    land: Land | None = None,
 ) -> tuple[SkyLight, SunLight | None, dict[str, Any]]:
-    """A sky with clouds, what is left of its sun, and facts: transmittance at each sample.
+    """A sky with clouds, what is left of its sun, and facts of that at each sample.
 
     Samples that see the same clouds in the same light share a picture.
 
@@ -54,10 +56,13 @@ def add_clouds(
         sun: As it is below clear sky.
         ground_color: Albedo of the far ground, [s, 3].
         samples: How many.
+        land: Where shadows can fall; None: the whole land has the middle's light.
     """
     cumulus_field = None if plan.cumulus is None else CumulusField(plan.cumulus)
     cirrus_field = None if plan.cirrus is None else CirrusField(plan.cirrus)
     left = np.ones(samples)
+    shadows: list[Shadows | None] = [None] * samples
+    known: dict[bytes, Shadows | None] = {}
     pictures: dict[str, NDArray[np.float32]] = {}
     names: dict[bytes, str] = {}
     texture = []
@@ -69,6 +74,12 @@ def add_clouds(
             to_sun = np.array(sun.direction(i))
             beam = sun.color[i] * sun.irradiance[i]
             left[i] = _sun_left(sun, i, cumulus, cirrus)
+            if land is not None:
+                radius = 0.5 * float(sun.diameter_deg[i]) * _RADIAN
+                same = np.array([*to_sun, radius, *_numbers(cumulus, cirrus)]).tobytes()
+                if same not in known:
+                    known[same] = cloud_shadows(to_sun, radius, cumulus, cirrus, land)
+                shadows[i] = known[same]
         picture = sky.pictures[sky.texture[i]]
         assert isinstance(picture, np.ndarray), "clouds over a picture from a file"
         numbers = [*to_sun, *beam, *ground_color[i], sky.intensity[i], sky.rotation_deg[i]]
@@ -81,8 +92,41 @@ def add_clouds(
             pictures[names[key]] = clear.astype(np.float32)
         texture.append(names[key])
     shown = replace(sky, pictures={**pictures}, texture=tuple(texture), intensity=np.ones(samples))
-    shaded = None if sun is None else replace(sun, irradiance=sun.irradiance * left)
-    return shown, shaded, {"sun_transmittance": left.tolist()}
+    facts: dict[str, Any] = {"sun_transmittance": left.tolist()}
+    if sun is None:
+        return shown, None, facts
+    gobo = _gobo(shadows)
+    if gobo is not None:
+        facts["shadows"] = {
+            "mean_transmittance": gobo.mean.tolist(),
+            "texel_m": [None if one is None else one.texel_m for one in shadows],
+        }
+    even = np.array([one is None for one in shadows])
+    irradiance = np.where(even, sun.irradiance * left, sun.irradiance)
+    return shown, replace(sun, irradiance=irradiance, gobo=gobo), facts
+
+
+def _gobo(shadows: list[Shadows | None]) -> Gobo | None:
+    """The shadows of all samples; those that are the same share a picture. None without any."""
+    pictures: dict[str, NDArray[np.uint16]] = {}
+    names: dict[int, str] = {}
+    texture, middles, sizes, means = [], [], [], []
+    for i, one in enumerate(shadows):
+        if one is None:
+            texture.append("")
+            middles.append(np.zeros(2))
+            sizes.append(np.ones(2))
+            means.append(1.0)
+            continue
+        name = names.setdefault(id(one), f"clouds_{i:04d}.png")
+        pictures[name] = one.picture
+        texture.append(name)
+        middles.append(one.middle_m)
+        sizes.append(one.size_m)
+        means.append(float(one.picture.mean()) / 65535.0)
+    if not pictures:
+        return None
+    return Gobo(pictures, tuple(texture), np.array(middles), np.array(sizes), np.array(means))
 
 
 def draw_clouds(
@@ -147,7 +191,7 @@ def _sun_left(sun: SunLight, sample: int, cumulus: Cumulus, cirrus: Cirrus) -> f
             way = center + ring * radius * offset
             way /= np.sqrt((way * way).sum())
             if way[2] > 0.0:
-                total += beam_left(way, cumulus, cirrus)
+                total += beam_left(way, 0.0, 0.0, cumulus, cirrus)
                 count += 1
     left = total / count if count else 1.0
     return left if left >= NIL else 0.0
@@ -157,22 +201,13 @@ def _mean_left(to_sun: NDArray[np.float64], cumulus: Cumulus, cirrus: Cirrus) ->
     """``beam_left`` where the sun stands, over places of the ground: a lattice of 32 x 32."""
     if to_sun[2] <= 0.0:
         return 1.0
-    total = 0.0
-    for k in range(1024):
-        # Twice the golden section: the lattice of Korobov in two dimensions, of 16 clouds' width.
-        east, north = 16.0 * (k / 1024.0 - 0.5), 16.0 * ((k * 0.6180339887498949) % 1.0 - 0.5)
-        total += beam_left(to_sun, _moved(cumulus, east, north), cirrus)
-    return total / 1024.0
-
-
-def _moved(layer: Cumulus, east: float, north: float) -> Cumulus:
-    pattern = layer.pattern
-    return layer._replace(
-        pattern=pattern._replace(
-            east_m=pattern.east_m + east * layer.size_m,
-            north_m=pattern.north_m + north * layer.size_m,
-        )
-    )
+    k = np.arange(1024)
+    # Twice the golden section: the lattice of Korobov in two dimensions, of 16 clouds' width.
+    lattice = np.stack([k / 1024.0 - 0.5, (k * 0.6180339887498949) % 1.0 - 0.5], axis=1)
+    left = np.empty(1024)
+    places = 16.0 * cumulus.size_m * lattice
+    over_threads(beams_left, 1024, to_sun, places, cumulus, cirrus, left)
+    return float(left.mean())
 
 
 def _numbers(*layers: Cumulus | Cirrus) -> list[float]:

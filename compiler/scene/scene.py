@@ -390,6 +390,27 @@ class Placed(ObjectClass):
 
 
 @dataclass(frozen=True)
+class Gobo:
+    """Shadows that clouds throw: pictures over the plane square to the sun, at every sample.
+
+    Attributes:
+        pictures: By file name, shares of the sun's light that come through, uint16 [h, w] from 0
+            to 65535; as seen from the sun, the top row toward the second axis of
+            ``poses.facing``. Mirrored beyond their borders.
+        texture: File name in ``pictures`` for each sample; "": all of the light comes through.
+        middle_m: Of the picture, along both axes from the world's origin, [s, 2].
+        size_m: Width and height of the picture, [s, 2].
+        mean: Of the picture, [s].
+    """
+
+    pictures: dict[str, NDArray[np.uint16]]
+    texture: tuple[str, ...]
+    middle_m: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+    mean: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class SunLight:
     """The sun at every sample.
 
@@ -398,6 +419,7 @@ class SunLight:
         irradiance: On a surface facing it, W/m^2, [s].
         diameter_deg: Full angular diameter, [s].
         color: Linear Rec.709, [s, 3], of luminance 1.
+        gobo: What it shines through, or None.
     """
 
     azimuth_deg: NDArray[np.float64]
@@ -405,6 +427,7 @@ class SunLight:
     irradiance: NDArray[np.float64]
     diameter_deg: NDArray[np.float64]
     color: NDArray[np.float64]
+    gobo: Gobo | None = None
 
     def direction(self, sample: int) -> tuple[float, float, float]:
         """Unit vector to the sun."""

@@ -94,7 +94,7 @@ def test_cumulus_lies_over_as_much_ground_as_is_asked_for(coverage: float):
     hit = 0
     for east, north in places:
         there = layer._replace(pattern=layer.pattern._replace(east_m=east, north_m=north))
-        hit += beam_left(UP, there, no_cirrus()) < 0.95
+        hit += beam_left(UP, 0.0, 0.0, there, no_cirrus()) < 0.95
     assert hit / len(places) == pytest.approx(coverage, abs=0.08)
 
 
@@ -102,7 +102,7 @@ def test_the_tallest_cumulus_has_the_optical_depth_that_is_asked_for():
     """Everywhere a cloud of full height, but for what billows take at its top and its base."""
     layer = CumulusField(cumulus_plan(1.0, optical_depth=numbers(3.0))).at(0)
     layer = layer._replace(pattern=layer.pattern._replace(threshold=-9.0))
-    assert -np.log(beam_left(UP, layer, no_cirrus())) == pytest.approx(3.0, rel=0.2)
+    assert -np.log(beam_left(UP, 0.0, 0.0, layer, no_cirrus())) == pytest.approx(3.0, rel=0.2)
 
 
 @pytest.mark.parametrize(("depth", "mu"), [(5.0, 0.6), (20.0, 1.0), (20.0, 0.3), (80.0, 0.6)])
@@ -122,7 +122,7 @@ def test_a_ray_and_a_beam_find_the_same_depth(heaps):
     thin = heaps._replace(extinction=heaps.extinction * 0.05)
     out = np.empty(3)
     seen = np.array([through_cumulus(thin, shine, way, 1e-3, out)[0] for way in to])
-    beams = np.array([beam_left(way, thin, no_cirrus()) for way in to])
+    beams = np.array([beam_left(way, 0.0, 0.0, thin, no_cirrus()) for way in to])
     assert beams.min() < 0.8
     assert np.abs(seen - beams).max() < 0.05
 
@@ -199,7 +199,7 @@ def test_drawn_light_depends_on_the_batch_and_the_cfg_has_its_defaults(tmp_path)
     plans = [draw_light(spec, Streams(1, batch), 3).clouds for batch in (0, 1)]
     for plan in plans:
         assert plan is not None
-        assert plan.resolution == 1024
+        assert plan.resolution == 768
         assert plan.cumulus is not None
         assert plan.cumulus.coverage == pytest.approx(0.35)
         assert plan.cumulus.offset_m.shape == (3, 2)

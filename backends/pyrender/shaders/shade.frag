@@ -50,6 +50,11 @@ uniform vec3 to_sun;
 uniform vec3 sun;                  // Irradiance facing it.
 uniform float sun_alpha;           // Least alpha of a lobe that shows it: its disc's width.
 #endif
+#ifdef WITH_GOBO
+layout(binding = 15) uniform sampler2D gobo;  // Share of the sun's light that comes through.
+uniform vec4 gobo_u;               // From places to coordinates in it.
+uniform vec4 gobo_v;
+#endif
 uniform mat4 shadow_clip[CASCADES];
 uniform vec2 shadow_texel[CASCADES];  // Size in meters, and bias in depth.
 uniform int cascades;
@@ -587,6 +592,10 @@ vec3 shade(uvec2 id, vec3 direction, int number)
     find_lamp(hit.position);
 #endif
     float lit = sunlit(hit);
+#ifdef WITH_GOBO
+    vec4 place = vec4(hit.position, 1.0);
+    lit *= texture(gobo, vec2(dot(gobo_u, place), dot(gobo_v, place))).r;
+#endif
     Around around = around_of(hit, 1.0);
     uvec4 mesh = texelFetch(meshes, 2 * int(hit.mesh));
     uvec4 more = texelFetch(meshes, 2 * int(hit.mesh) + 1);
