@@ -44,7 +44,7 @@ def prints(page: Page) -> str:
         "hold them (three samples a rib, one a wall), it holds nothing of them, and the mesh shows "
         "them where cameras are near: as fine as `terrain.mesh.finest_m` lets it be. Far from "
         "cameras, and where a later operator reshapes the ground, they are left out; three tenths "
-        "of a print's volume stand in its rim, so its mean is 7 parts in 10 of the floor's. The "
+        "of a print's volume stand in its rim, the rest is compacted. The "
         "table has the root mean square error of heights over what is not level, and that of the "
         "volume, if vertices lie so far apart.\n\n"
         "![footprints and crust](pictures/relief_prints.png)\n\n"
