@@ -180,9 +180,17 @@ def _part(
     surface: int,
     uv: NDArray[np.float32] | None,
 ) -> Mesh:
+    faces = whole.faces[chosen]
+    # A renderer that writes instances out would write all parts' vertices with each part.
+    own = np.zeros(len(whole.points), bool)
+    own[faces] = True
     return replace(
         whole,
-        faces=whole.faces[chosen],
+        points=whole.points[own],
+        faces=(np.cumsum(own, dtype=np.int32) - 1)[faces],
+        normals=None if whole.normals is None else whole.normals[own],
+        variation=None if whole.variation is None else whole.variation[own],
+        weights=whole.weights[:, own],
         authored_face=authored[chosen],
         labels={level: ids[chosen] for level, ids in whole.labels.items()},
         layers=(surface,),

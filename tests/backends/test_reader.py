@@ -286,6 +286,9 @@ def test_subsets_of_other_materials_become_parts_that_know_their_faces(tmp_path)
         assert surface.roughness == 0.25
         assert surface.specular == pytest.approx(0.04)
         found[surface.base_color] = mesh.authored_face.tolist()
+        # Of its own vertices only.
+        assert sorted(mesh.faces.ravel().tolist()) == [0, 1, 2]
+        assert len(mesh.points) == 3
     assert found == {(1, 0, 0): [0], (0, 0, 1): [1]}
     assert len(scene.rows.mesh) == 2
 
