@@ -109,7 +109,7 @@ def add_clouds(
 def _gobo(shadows: list[Shadows | None]) -> Gobo | None:
     """The shadows of all samples; those that are the same share a picture. None without any."""
     pictures: dict[str, NDArray[np.uint16]] = {}
-    names: dict[int, str] = {}
+    names: dict[tuple[tuple[int, ...], bytes], str] = {}
     texture, middles, sizes, means = [], [], [], []
     for i, one in enumerate(shadows):
         if one is None:
@@ -118,7 +118,8 @@ def _gobo(shadows: list[Shadows | None]) -> Gobo | None:
             sizes.append(np.ones(2))
             means.append(1.0)
             continue
-        name = names.setdefault(id(one), f"clouds_{i:04d}.png")
+        content = one.picture.shape, one.picture.tobytes()
+        name = names.setdefault(content, f"clouds_{i:04d}.png")
         pictures[name] = one.picture
         texture.append(name)
         middles.append(one.middle_m)
