@@ -353,7 +353,8 @@ def _compilers() -> tuple[type, type]:
 def _owns_nothing(state: Any) -> bool:
     """Whether a function, typed, neither makes nor returns what has owners, as arrays have.
 
-    All that it names is then its caller's, or part of that, for as long as it runs.
+    All that it names is then its caller's, or part of that, for as long as it runs. Putting an
+    array into another one makes a copy, in case they overlap.
     """
     from numba.core import ir
     from numba.core.types.containers import BaseTuple
@@ -382,10 +383,20 @@ def _owns_nothing(state: Any) -> bool:
             return isinstance(state.typemap[value.func.name], NamedTupleClass)
         return value.op in ("getattr", "static_getitem", "build_tuple", "cast", "phi")
 
-    return not is_owned(state.return_type) and all(
-        is_view(each.value) or not is_owned(state.typemap[each.target.name])
-        for block in state.func_ir.blocks.values()
-        for each in block.find_insts(ir.Assign)
+    blocks = state.func_ir.blocks.values()
+    return (
+        not is_owned(state.return_type)
+        and all(
+            is_view(each.value) or not is_owned(state.typemap[each.target.name])
+            for block in blocks
+            for each in block.find_insts(ir.Assign)
+        )
+        and not any(
+            is_owned(state.typemap[each.value.name])
+            for block in blocks
+            for kind in (ir.SetItem, ir.StaticSetItem)
+            for each in block.find_insts(kind)
+        )
     )
 
 

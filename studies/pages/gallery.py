@@ -38,8 +38,8 @@ HEAD = """\
 
 # Gallery
 
-The cfgs that ship, each at seed 1, as Mitsuba draws them with {spp} samples a pixel and
-`--denoise`; below the first view of each the labels of one level. Sample 2 of a cfg is
+The cfgs that ship, each at seed 1, as Mitsuba draws them with {spp} samples a pixel ({less} of
+`forest_edge`) and `--denoise`; below the first view of each the labels of one level. Sample 2 of a cfg is
 
     scenec run CFG --seed 1 --samples 2:3 --backend mitsuba --spp {spp} --denoise -o OUT
 
@@ -69,6 +69,7 @@ class Entry:
         about: What the page says of it.
         level: Which label level.
         weather: What is set for one more view, and of which sample.
+        fewer: What the samples a pixel are divided by: among leaves they are dear.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Entry:
     about: str
     level: str = "surface"
     weather: tuple[str, int] | None = None
+    fewer: int = 1
 
 
 ENTRIES = (
@@ -126,6 +128,7 @@ ENTRIES = (
         "Old spruces, pines, birches and oaks above a meadow, young ones and hazels before them; "
         "ferns, leaf litter, fallen wood; wood and leaves apart in the level part",
         weather=('light.sky.type="overcast"', 0),
+        fewer=4,
     ),
 )
 
@@ -143,7 +146,12 @@ def views(entry: Entry, folder: Path, spp: int) -> Iterator[tuple[str, Frame]]:
         spec = load(CONFIGS / f"{entry.name}.json", [wide, *([setting] if setting else [])])
         compile_cfg(spec, seed=SEED, out=out)
         report = render(
-            out, "mitsuba", spp=spp, denoise=True, passes=("rgb", "label"), samples=samples
+            out,
+            "mitsuba",
+            spp=max(spp // entry.fewer, 1),
+            denoise=True,
+            passes=("rgb", "label"),
+            samples=samples,
         )
         if len(report.frames) < len(samples):
             raise ScenecError(f"{entry.name}: {'; '.join(report.failed) or 'a frame is missing'}")
@@ -225,7 +233,7 @@ def _palette(sheet: Image.Image) -> Image.Image:
 
 def text(spp: int) -> str:
     """The page: a section a cfg."""
-    parts = [HEAD.format(spp=spp)]
+    parts = [HEAD.format(spp=spp, less=spp // ENTRIES[-1].fewer)]
     for entry in ENTRIES:
         cfg = json.loads((CONFIGS / f"{entry.name}.json").read_text())
         levels = ", ".join(f"`{level}`" for level in cfg["labels"])

@@ -362,3 +362,16 @@ def test_a_kernel_whose_parts_are_called_by_a_function_of_numba_is_whole() -> No
 
     pair = found["Pair"](np.ones((2, 3)), np.ones(3))
     assert foreign(pair) == 6.0
+
+
+def test_an_array_put_into_another_is_copied_where_they_overlap() -> None:
+    # That copy has an owner, though the kernel makes no array of its own.
+    text = """
+@kernel
+def shifted(x, by):
+    x[by:] = x[: x.shape[0] - by]
+    x[0] = -1.0
+"""
+    values = np.arange(6.0)
+    made(text)["shifted"](values, 2)
+    assert values.tolist() == [-1.0, 1.0, 0.0, 1.0, 2.0, 3.0]

@@ -30,7 +30,7 @@ from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import CfgError, SceneError
 
 N = 400
-PROTOTYPES = build_prototypes([shape(1, subdivisions=2), shape(2, subdivisions=2)])
+PROTOTYPES = build_prototypes([shape(1, level=2), shape(2, level=2)])
 PROTOTYPE = (np.arange(N) % 2).astype(np.int32)
 TURNS = quaternions(N).astype(np.float16)
 EMBED = np.linspace(0.0, 0.5, N)

@@ -24,8 +24,8 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.schemas.errors import SceneError
 
 
-def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25) -> Shape:
-    common = Common(seed, bumpiness, (1.0, 0.8, 0.6), 3)
+def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: int = 3) -> Shape:
+    common = Common(seed, bumpiness, (1.0, 0.8, 0.6), level)
     return draw_weathered("rock", Streams(seed, 0), 1.0 - angularity, common)
 
 

@@ -267,8 +267,8 @@ def test_no_camera_is_nearer_to_a_rock_than_asked(apart):
 def test_cameras_with_no_way_around_end_in_an_error():
     around = surroundings(np.array([[0.0, 0.0, 1.0]]))
     with pytest.raises(SceneError, match=r"only 0 of 3 found .* have no camera inside"):
-        laid(around, count=3, size_m=200)
-    assert laid(around, count=3, size_m=200, shortfall="fewer").count == 0
+        laid(around, count=3, size_m=400)
+    assert laid(around, count=3, size_m=400, shortfall="fewer").count == 0
 
 
 def test_nowhere_to_lie_and_too_many_are_refused():
