@@ -39,7 +39,8 @@ HEAD = """\
 # Gallery
 
 The cfgs that ship, each at seed 1, as Mitsuba draws them with {spp} samples a pixel ({less} of
-`forest_edge`) and `--denoise`; below the first view of each the labels of one level. Sample 2 of a cfg is
+`forest_edge`) and `--denoise`; below the first view of each the labels of one level. Sample 2 of a
+cfg is
 
     scenec run CFG --seed 1 --samples 2:3 --backend mitsuba --spp {spp} --denoise -o OUT
 
