@@ -49,7 +49,7 @@ class Mitsuba:
     denoiser_extra = "denoise"
     follows_lenses = True
     continues = True
-    load_cost = _LoadCost(row=900.0, triangle=250.0, written=170.0, most_written=3.5e9)
+    load_cost = _LoadCost(row=900.0, triangle=250.0, written=170.0, most_written=4e9)
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)

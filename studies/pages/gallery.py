@@ -129,7 +129,7 @@ ENTRIES = (
         "Old spruces, pines, birches and oaks above a meadow, young ones and hazels before them; "
         "ferns, leaf litter, fallen wood; wood and leaves apart in the level part",
         weather=('light.sky.type="overcast"', 0),
-        fewer=4,
+        fewer=8,
     ),
 )
 
