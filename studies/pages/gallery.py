@@ -128,7 +128,11 @@ ENTRIES = (
         (0, 2),
         "Old spruces, pines, birches and oaks above a meadow, young ones and hazels before them; "
         "ferns, leaf litter, fallen wood; wood and leaves apart in the level part",
-        weather=('light.sky.type="overcast"', 0),
+        weather=(
+            'light.sky={"type": "overcast", "labels": '
+            '{"class": "sky", "surface": "sky", "part": "other"}}',
+            0,
+        ),
         fewer=8,
     ),
 )
