@@ -17,11 +17,11 @@ import socket
 import tempfile
 import tokenize
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, lru_cache, wraps
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, cast
 from zipfile import BadZipFile
 
 from scenec.schemas.errors import OutputError, ScenecError
@@ -44,6 +44,36 @@ def sha256(path: Path) -> str:
     """Hex digest of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _stamp(path: Any) -> tuple[int, int] | None:
+    """What tells a file from what it was before, within a process; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def once_per_file[**P, R](most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Keeps what a function has made of a file, its first argument, until the file changes.
+
+    Args:
+        most: Answers that are kept.
+    """
+
+    def keeping(function: Callable[P, R]) -> Callable[P, R]:
+        @lru_cache(maxsize=most)
+        def kept(_then: object, *args: Any, **kwargs: Any) -> R:
+            return function(*args, **kwargs)
+
+        @wraps(function)
+        def of(*args: Any, **kwargs: Any) -> R:
+            return kept(_stamp(args[0]), *args, **kwargs)
+
+        return cast(Callable[P, R], of)
+
+    return keeping
 
 
 @contextmanager

@@ -9,7 +9,6 @@ last centers clamp.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from scenec.backends.stage.scene import Dome
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import read_rgb
+from scenec.schemas.files import once_per_file
 from scenec.schemas.kernels import kernel
 from scenec.schemas.maps import decode
 from scenec.schemas.threads import over_threads
@@ -96,7 +96,7 @@ def lookup(sky: Sky, directions: NDArray[np.float64]) -> NDArray[np.float32]:
     return out
 
 
-@lru_cache(maxsize=8)
+@once_per_file(most=8)
 def load_picture(path: Path) -> NDArray[np.float32]:
     """A lat-long picture as linear Rec.709, float32 [h, w, 3].
 

@@ -388,7 +388,7 @@ class Lidar:
 class Gobo:
     """A picture that a sun shines through: which share of its light arrives where.
 
-    ``picture.gobo`` looks it up: bilinear between texel centers, mirrored beyond its borders.
+    ``surface.gobo`` looks it up: bilinear between texel centers, mirrored beyond its borders.
 
     Attributes:
         file: One channel of 8 or 16 bits, raw.

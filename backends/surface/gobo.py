@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,10 @@ from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Sun
 from scenec.schemas.errors import StageError
+from scenec.schemas.files import once_per_file
 
 
-@lru_cache(maxsize=8)
+@once_per_file(most=8)
 def load_gobo(file: Path) -> NDArray[np.float32]:
     """Shares of light that come through, in [0, 1], float32 [h, w], top row first.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from scenec.backends.stage.scene import Maps, Mesh, Reading
 from scenec.schemas import maps
 from scenec.schemas.errors import StageError
+from scenec.schemas.files import once_per_file
 
 _PLAIN = Reading()
 
@@ -43,15 +43,20 @@ def map_values(described: Maps, kind: str) -> NDArray[np.float32]:
     return load_map(*map_source(described, kind))
 
 
-@lru_cache(maxsize=64)
 def map_mean(described: Maps, kind: str) -> NDArray[np.float64]:
     """Mean of a map over its picture, [1 or 3]."""
-    mean: NDArray[np.float64] = map_values(described, kind).mean(axis=(0, 1), dtype=np.float64)
+    return _mean(*map_source(described, kind))
+
+
+@once_per_file(most=64)
+def _mean(path: Path, kind: str, flip_green: bool, reading: Reading) -> NDArray[np.float64]:
+    values = load_map(path, kind, flip_green, reading)
+    mean: NDArray[np.float64] = values.mean(axis=(0, 1), dtype=np.float64)
     mean.setflags(write=False)
     return mean
 
 
-@lru_cache(maxsize=32)
+@once_per_file(most=32)
 def load_map(
     path: Path, kind: str, flip_green: bool = False, reading: Reading = _PLAIN
 ) -> NDArray[np.float32]:

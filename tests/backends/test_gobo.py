@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,8 +16,10 @@ from scenec.backends.contract import Radiance
 from scenec.backends.model.collect import coarse_model
 from scenec.backends.picture.airlight import air_of
 from scenec.backends.picture.compose import compose
+from scenec.backends.picture.sky import load_picture
 from scenec.backends.stage.scene import Gobo, Haze
 from scenec.backends.surface.gobo import load_gobo, mean_passed, passed
+from scenec.backends.surface.maps import load_map
 from scenec.backends.testing import lights
 from scenec.backends.testing.scenes import look_at, sun, with_lights
 from scenec.schemas import stage as names
@@ -67,6 +71,19 @@ def test_what_is_no_such_picture_is_said_with_its_file(tmp_path, build, message)
     build(tmp_path / "a.png")
     with pytest.raises(StageError, match=rf"a\.png: .*{message}"):
         load_gobo(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    "load", [load_gobo, load_picture, partial(load_map, kind="height")], ids=["gobo", "sky", "map"]
+)
+def test_a_picture_that_has_changed_is_read_again(tmp_path, load):
+    path = tmp_path / "a.png"
+    for code in (51, 204):
+        Image.fromarray(np.full((2, 2), code, np.uint8)).save(path)
+        os.utime(path, ns=(code, code))
+        expected = ((code / 255 + 0.055) / 1.055) ** 2.4 if load is load_picture else code / 255
+        assert load(path) == pytest.approx(expected)
+        assert load(path) is load(path)
 
 
 def filter_of(stage, light, file="./a.png", size=(4.0, 2.0)):

@@ -15,8 +15,8 @@ from scenec.compiler.objects.families.shape import (
     Carved,
     Common,
     Fine,
-    ball_along,
     block,
+    bowl,
     bowls,
     rough,
     sampling,
@@ -86,13 +86,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
         # Edges shed their crust first.
         tone += 0.3 * (1.0 - gap / 0.08)
     for s in range(len(rock.scars)):
-        cx, cy, cz, size = rock.scars[s]
-        along, square = ball_along(x, y, z, cx, cy, cz, size)
-        if along <= 0.0 or square <= 0.0:
-            continue
-        # Nothing is taken where the ray only touches the ball: no wall behind a bowl's rim.
-        least = (1.0 - 0.3 * square / (size * size)) / h
-        near = 1.0 / max(along - np.sqrt(square), least)
+        near = bowl(rock.scars[s], x, y, z, h)
         if near > h:
             tone += 0.3 * min((near - h) / 0.05, 1.0)
             h = near

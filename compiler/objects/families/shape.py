@@ -209,6 +209,23 @@ def ball_along(x, y, z, cx, cy, cz, radius):  # type: ignore[no-untyped-def]
     return along, along * along - (cx * cx + cy * cy + cz * cz) + radius * radius
 
 
+@inlined
+def bowl(scar, x, y, z, h):  # type: ignore[no-untyped-def]
+    """Inverse radius of the bowl that a ball leaves in a rock, or 0 where there is none.
+
+    Args:
+        scar: Center and radius of the ball, float64 [4].
+        x, y, z: Unit direction.
+        h: Inverse radius of the rock without it.
+    """
+    cx, cy, cz, size = scar
+    along, square = ball_along(x, y, z, cx, cy, cz, size)
+    if along <= 0.0 or square <= 0.0:
+        return 0.0
+    # Nothing is taken where the ray only touches the ball: no wall behind a bowl's rim.
+    return 1.0 / max(along - np.sqrt(square), (1.0 - 0.3 * square / (size * size)) / h)
+
+
 @kernel
 def bowls(normals, distances, scars):  # type: ignore[no-untyped-def]
     """Centers and radii of balls that scar a block, float64 [s, 4].

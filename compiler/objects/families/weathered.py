@@ -13,7 +13,7 @@ from scenec.compiler.objects.families.shape import (
     Carved,
     Common,
     Fine,
-    ball_along,
+    bowl,
     bowls,
     rough,
     sampling,
@@ -62,15 +62,10 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     edge = min(3.0 * (h - top) / width, 1.0)
     tone = 0.12 * edge
     for s in range(len(rock.scars)):
-        cx, cy, cz, size = rock.scars[s]
-        along, square = ball_along(x, y, z, cx, cy, cz, size)
-        if along <= 0.0 or square <= 0.0:
-            continue
-        # Nothing is taken where the ray only touches the ball: no wall behind a bowl's rim.
-        least = (1.0 - 0.3 * square / (size * size)) / h
-        near = 1.0 / max(along - np.sqrt(square), least)
-        tone += 0.35 * min(max(near - h, 0.0) / 0.06, 1.0)
-        h = smooth_max(h, near, 0.05)
+        near = bowl(rock.scars[s], x, y, z, h)
+        if near > 0.0:
+            tone += 0.35 * min(max(near - h, 0.0) / 0.06, 1.0)
+            h = smooth_max(h, near, 0.05)
     r = 1.0 / h
     px, py, pz = r * x, r * y, r * z
     bumps = 0.0

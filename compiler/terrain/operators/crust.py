@@ -53,9 +53,8 @@ class Crust:
     own, so cracks reach down to the soil. A share of them is missing, in gaps of several plates.
     The others lean a little; one in seven is loose, leans more, and its low side sinks into the
     soil: no plate is higher than three times the crust. Walls are a sixteenth of a plate wide in
-    plan. A grid that has a
-    sample on each holds the crust; otherwise it is detail, for meshes finer than the grid, and the
-    grid holds none.
+    plan. A grid that has a sample on each holds the crust; otherwise it is detail, for meshes finer
+    than the grid, and the grid holds none.
 
     Attributes:
         key: Noise key.
