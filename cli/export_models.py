@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         say(f"not in it: {line}")
     for file in files.values():
         say(f"{options.format}: {file} ({file.stat().st_size / 1e6:.1f} MB)")
-    say_next(("view", options.out))
+    say_next(("explain", options.out))
     return 0
 
 
