@@ -16,8 +16,8 @@ import html
 import io
 import json
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -59,8 +59,9 @@ def compile(cfg: WholeCfg | Path | str, out: Path | str, seed: int = 0, **option
     Raises:
         CfgError, SceneError, OutputError: As of ``compile_cfg``.
     """
-    with _as_file(cfg) as path:
-        compile_cfg(path, seed=seed, out=out, **options)
+    # Said of no file: faults have JSON pointers.
+    given = cfg.check() if isinstance(cfg, WholeCfg) else cfg
+    compile_cfg(given, seed=seed, out=out, **options)
     return Output(out)
 
 
@@ -265,19 +266,6 @@ class Frame:
         if error.get("relative_rms") is not None:
             rows["error"] = f"{100.0 * error['relative_rms']:.2g} %"
         return _table(rows) + "".join(_picture(one) for one in shown)
-
-
-@contextmanager
-def _as_file(cfg: WholeCfg | Path | str) -> Iterator[Path]:
-    if not isinstance(cfg, WholeCfg):
-        yield Path(cfg)
-        return
-    # Said of no file: faults have JSON pointers.
-    cfg.check()
-    with tempfile.NamedTemporaryFile("w", suffix=".json", dir=".", encoding="utf-8") as file:
-        file.write(cfg.text())
-        file.flush()
-        yield Path(file.name)
 
 
 def _smaller(camera: Camera, width: int) -> Camera:

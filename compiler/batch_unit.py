@@ -64,7 +64,7 @@ class CompileBatch:
     """Compile a batch into a folder; returns ``Compiled``.
 
     Attributes:
-        cfg, settings: Absolute path of the cfg, and what is set over it.
+        cfg, text: Absolute path of the cfg, by which its files are found; all that it says.
         digest: Of its ``Spec``: what is compiled is what was checked.
         seed, batch, keep: As of ``compile_cfg``.
         first: The attempt to begin with.
@@ -75,7 +75,7 @@ class CompileBatch:
     """
 
     cfg: Path
-    settings: tuple[str, ...]
+    text: bytes
     digest: str
     seed: int
     batch: int
@@ -104,7 +104,7 @@ class CompileBatch:
             OutputError: A file cannot be written.
         """
         lines: list[str] = []
-        spec = keeper.keep(self.holds, lambda: load(self.cfg, self.settings))
+        spec = keeper.keep(self.holds, lambda: load(self.cfg, text=self.text))
         made = self.make(spec, lines.append)
         made.lines = lines
         return made

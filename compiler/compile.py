@@ -120,7 +120,7 @@ def compile_cfg(
         units = [
             CompileBatch(
                 cfg=spec.path.absolute(),
-                settings=spec.settings,
+                text=spec.text,
                 digest=spec.digest,
                 seed=seed,
                 batch=batch,

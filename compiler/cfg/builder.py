@@ -13,14 +13,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tempfile
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.cfg import schema
-from scenec.schemas.errors import CfgError
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec
@@ -72,14 +70,7 @@ class WholeCfg(Part):
         # Imported here: it takes longer than all of this module.
         from scenec.compiler.cfg.load import load
 
-        with tempfile.NamedTemporaryFile("w", suffix=".json", dir=folder, encoding="utf-8") as file:
-            file.write(self.text())
-            file.flush()
-            try:
-                return load(file.name)
-            except CfgError as error:
-                faults = [dataclasses.replace(fault, file="cfg") for fault in error.faults]
-                raise CfgError(faults) from None
+        return load(Path(folder) / "cfg", text=self.text().encode())
 
 
 def read(path: Path | str) -> Any:

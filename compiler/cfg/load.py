@@ -63,19 +63,20 @@ class Spec:
     plugins: Mapping[str, str] = field(default_factory=dict)
 
 
-def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
+def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None = None) -> Spec:
     """Reads and validates a cfg.
 
     Args:
         path: The file, or ``package:configs/NAME``; see ``sources.read``.
         settings: What is set over it, each ``path=value``.
+        text: JSON in place of the file's content; the file need not be there.
 
     Raises:
         CfgError: With every fault of the file, in its order; of a text that cannot be read, the
             first.
     """
     path = located(FilePath(path))
-    source = read(path, settings)
+    source = read(path, settings, text)
     document = source.document
     duplicates = [
         Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
@@ -103,10 +104,18 @@ def load(path: FilePath | str, settings: Sequence[str] = ()) -> Spec:
     filled = fill(document.value)
     plugins = schema.origins(fields)
     digest = digest_of(filled, files, plugins)
-    text, is_verbatim = source.text, source.is_verbatim
     warnings = tuple(sorted(locate(improbable(fields), document)))
-    given = tuple(settings)
-    return Spec(filled, path, files, digest, text, is_verbatim, given, warnings, plugins)
+    return Spec(
+        filled,
+        path,
+        files,
+        digest,
+        source.text,
+        source.is_verbatim,
+        tuple(settings),
+        warnings,
+        plugins,
+    )
 
 
 def digest_of(

@@ -47,24 +47,28 @@ class Source:
     is_verbatim: bool
 
 
-def read(path: FilePath, settings: Sequence[str] = ()) -> Source:
+def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None) -> Source:
     """Reads a cfg, what it extends, and settings over it.
 
     Args:
         path: The file, see ``located``: YAML by its suffix, else JSON.
         settings: Each ``path=value``, as in ``terrain.relief[0].amplitude_m=2``.
+        text: JSON in place of the file's content; the file need not be there.
 
     Raises:
         CfgError: One of the files cannot be read, or a setting has no place.
     """
-    data, document = _read_file(path, Position(1, 1, str(path)))
+    if text is None:
+        data, document = _read_file(path, Position(1, 1, str(path)))
+    else:
+        data, document = text, json_positions.parse(text, str(path))
     nulls: list[Path] = []
     extends = isinstance(document.value, dict) and EXTENDS in document.value
     if extends:
         document = _extended(path, document, (path.resolve(),), nulls)
         _take_away(document, nulls)
-    for text in settings:
-        _set(document, text)
+    for setting in settings:
+        _set(document, setting)
     if not (extends or settings) and _is_json(data):
         return Source(document, data, True)
     if extends:

@@ -106,7 +106,7 @@ def test_units_are_the_same_after_a_journey(tmp_path):
         OfSession(opening, "a table", methodcaller("write_instances", tmp_path)),
         OfBackend("mitsuba", print),
         CompileBatch(
-            tmp_path / "cfg.json", (), "00", 1, 0, Keep.SEEN, 0, False, None, tmp_path, tmp_path
+            tmp_path / "cfg.json", b"", "00", 1, 0, Keep.SEEN, 0, False, None, tmp_path, tmp_path
         ),
     ]
     for unit in units:
@@ -185,7 +185,8 @@ def test_datasets_have_the_same_bytes_whoever_writes_them(out, tmp_path, who, mo
 def test_what_a_worker_cannot_write_is_named_as_this_process_names_it(cfg, tmp_path):
     told = []
     folder = tmp_path / ("x" * 300)
-    asked = cfg.absolute(), (), load(cfg).digest, 1, 0, Keep.SEEN, 0, False, None, folder
+    spec = load(cfg)
+    asked = cfg.absolute(), spec.text, spec.digest, 1, 0, Keep.SEEN, 0, False, None, folder
     unit = CompileBatch(*asked, Path("somewhere"))
     for who in ("0", "1"):
         with MAKERS[who]() as executor:

@@ -6,6 +6,7 @@ import base64
 import io
 import os
 import re
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
 
+from scenec.backends.run.executors import make_executor
 from scenec.backends.stage.read import read_stage
 from scenec.cli import notebook
 from scenec.compiler.cfg import builder
 from scenec.schemas.errors import CfgError, OutputError
+from scenec.schemas.manifest import read_manifest
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -41,7 +44,28 @@ def test_a_cfg_in_python_compiles_as_its_file_does(output: notebook.Output, tmp_
     ours, theirs = ({p.name: p.read_bytes() for p in paths} for paths in stages)
     assert ours == theirs
     assert len(ours) > 3
-    assert not list(Path.cwd().glob("tmp*.json"))
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_cfg_in_python_is_no_file_and_names_files_of_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
+) -> None:
+    hills = tmp_path / "hills"
+    hills.mkdir()
+    np.save(hills / "dem.npy", np.ones((8, 8)))
+    cfg = small_cfg(samples=1)
+    cfg["terrain"]["relief"] = [{"type": "dem", "file": "dem.npy", "pixel_m": 9}]
+    path = write_cfg(hills, cfg)
+    monkeypatch.chdir(hills)
+    cfg = builder.read(path)
+    path.unlink()
+    there = []
+    with ExitStack() as stack:
+        executor = stack.enter_context(make_executor(workers, None)) if workers else None
+        options = {"executor": executor, "progress": lambda *_: there.extend(os.listdir())}
+        output = notebook.compile(cfg, tmp_path / "out", seed=3, **options)
+    assert set(there) == {"dem.npy"}
+    assert list(read_manifest(output.path)["cfg"]["inputs"]) == ["terrain/relief/0/file"]
 
 
 def test_a_stage_shows_what_its_cameras_see(output: notebook.Output) -> None:
