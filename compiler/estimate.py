@@ -39,7 +39,9 @@ _TRIANGLE: Final = (45.0, 0.5e-6)
 #: Of all pictures, and of the one that is being made.
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BEING_MADE: Final = 45.0
-_CLOUD_PIXEL: Final = (22.0, 6e-6)
+#: With cumulus, and of cirrus alone (``docs/clouds.md``).
+_CUMULUS_PIXEL: Final = (22.0, 4e-6)
+_CIRRUS_PIXEL: Final = (22.0, 0.3e-6)
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
 _SAMPLE: Final = (1000.0, 3.5e-3)
 _CLASS: Final = (150e3, 3e-2)
@@ -190,7 +192,8 @@ def _light(spec: Spec) -> Iterator[Need]:
         pictures = int(spec.cfg["samples"]) if varies else 1
         pixels = 2 * clouds["resolution"] * clouds["resolution"]
         key = "light/clouds/resolution"
-        all_ = _need(key, pictures * pixels, "pixels of skies with clouds", _CLOUD_PIXEL)
+        cost = _CIRRUS_PIXEL if clouds["cumulus"] is None else _CUMULUS_PIXEL
+        all_ = _need(key, pictures * pixels, "pixels of skies with clouds", cost)
         yield replace(all_, bytes=all_.bytes + 2.0 * _SKY_BEING_MADE * pixels)
 
 
