@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, Vt
 
-from scenec.importers.poses import quaternion_of, without_scale
+from scenec.importers.poses import without_scale
+from scenec.schemas.quaternions import quaternion
 
 _POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
@@ -24,7 +25,7 @@ def track_writer(times_s: Sequence[float], poses: Sequence[NDArray[np.float64]])
         poses: From the rig's frame (x right, y down, z ahead) to the world, [4, 4] each.
     """
     rows = [
-        (time, *pose[:3, 3], *quaternion_of(pose[:3, :3]))
+        (time, *pose[:3, 3], *np.roll(quaternion(pose[:3, :3]), 1))
         for time, pose in zip(times_s, poses, strict=True)
     ]
     return _csv_writer(("time_s", *_POSE), rows)
@@ -41,7 +42,7 @@ def table_writer(poses: Sequence[NDArray[np.float64]], **columns: Sequence[float
     rows = []
     for pose, *others in zip(poses, *given.values(), strict=True):
         rotation, scale = without_scale(pose[:3, :3])
-        rows.append((*pose[:3, 3], *quaternion_of(rotation), scale, *others))
+        rows.append((*pose[:3, 3], *np.roll(quaternion(rotation), 1), scale, *others))
     return _csv_writer((*_POSE, "scale", *given), rows)
 
 

@@ -20,23 +20,6 @@ def rotation_of(quaternion: Sequence[float]) -> NDArray[np.float64]:
     return from_quaternion(np.zeros(3), np.asarray(quaternion, float))[:3, :3]
 
 
-def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """w, x, y, z of a rotation matrix, w not below 0 (Shepperd 1978)."""
-    r = rotation
-    squares = 1.0 + np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) @ np.diag(r)
-    turns = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
-    sums = (r[1, 0] + r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2])
-    rows = [
-        [squares[0], *turns],
-        [turns[0], squares[1], sums[0], sums[1]],
-        [turns[1], sums[0], squares[2], sums[2]],
-        [turns[2], sums[1], sums[2], squares[3]],
-    ]
-    found = np.array(rows[int(np.argmax(squares))])
-    found /= np.linalg.norm(found)
-    return -found if found[0] < 0 else found
-
-
 def turns_of(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
     """Turns about x, then y, then z, fixed axes, in degrees, that make a rotation."""
     r = rotation

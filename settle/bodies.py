@@ -11,6 +11,7 @@ from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.objects.placed import PlacedPlan
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.schemas.quaternions import quaternion as quaternion_of
 from scenec.settle.shapes import Shape, shape_of
 
 
@@ -77,7 +78,7 @@ def bodies_of(
             matrix = laid.to_world[n, 0]
             columns = matrix[:, :3]
             scale = float(np.sqrt((columns * columns).sum() / 3.0))
-            quaternion, position = quaternion_of_matrix(columns / scale), matrix[:, 3]
+            quaternion, position = np.roll(quaternion_of(columns / scale), 1), matrix[:, 3]
             model = which
         else:
             x, y, z, w = laid.orientations[n].astype(np.float64)
@@ -89,27 +90,3 @@ def bodies_of(
             model = -1 if isinstance(plan, PlacedPlan) else int(plan.prototype[number - 1])
         found.append(Body(laid.name, number, model, shapes[which], position, quaternion, scale))
     return found
-
-
-def quaternion_of_matrix(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The unit quaternion (w, x, y, z), w >= 0, of a rotation matrix, [4].
-
-    By its largest component (Shepperd 1978), so that nothing cancels.
-    """
-    trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
-    squares = np.array([trace, turn[0, 0], turn[1, 1], turn[2, 2]])
-    k = int(np.argmax(squares))
-    out = np.empty(4)
-    if k == 0:
-        out[0] = 1.0 + trace
-        out[1] = turn[2, 1] - turn[1, 2]
-        out[2] = turn[0, 2] - turn[2, 0]
-        out[3] = turn[1, 0] - turn[0, 1]
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        out[0] = turn[m, j] - turn[j, m]
-        out[k] = 1.0 + turn[i, i] - turn[j, j] - turn[m, m]
-        out[1 + j] = turn[j, i] + turn[i, j]
-        out[1 + m] = turn[m, i] + turn[i, m]
-    out /= np.sqrt((out * out).sum())
-    return -out if out[0] < 0.0 else out

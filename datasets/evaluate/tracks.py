@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import SUN, Attribute, Attributes, filled, sun_elevation
 from scenec.datasets.evaluate.report import Cell, Evaluation, Table
-from scenec.datasets.formats.poses import quaternion
 from scenec.datasets.source import Source, sequences
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.quaternions import quaternions
 from scenec.schemas.sidecars import read_sidecar
 
 ALIGNMENTS = ("se3", "sim3", "origin", "none")
@@ -106,9 +106,8 @@ def track_of(source: Source) -> Track:
         at = found[0][int(np.argmax(np.diff(times) <= 0.0)) + 1]
         raise OutputError(f"{at.stem}.json: its time is not after that of the frame before")
     poses = np.array([one["camera_to_world"] for one in sidecars], np.float64)
-    turns = np.array([quaternion(pose[:3, :3]) for pose in poses])
     sun = np.array([sun_elevation(one) for one in sidecars])
-    return Track(source.out, times, poses[:, :3, 3], turns, sun)
+    return Track(source.out, times, poses[:, :3, 3], quaternions(poses[:, :3, :3]), sun)
 
 
 def evaluate_track(

@@ -34,13 +34,13 @@ from scenec.datasets.formats.poses import (
     number,
     numbers,
     pinhole,
-    quaternion,
     relative,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
+from scenec.schemas.quaternions import quaternion
 
 _NANO = 1_000_000_000
 #: What ASL calls lenses of ours: k1, k2, p1, p2, or Kannala and Brandt's four.

@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.encode import encoded, picture_png, write_bytes
-from scenec.datasets.formats.poses import quaternion
 from scenec.datasets.source import LoadedFrame
 from scenec.datasets.splits import ALL
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_rgb
 from scenec.schemas.files import atomic, write_json
+from scenec.schemas.quaternions import quaternion
 
 #: OAISYS' depth where nothing is hit, meters.
 SKY_DEPTH = 1e10

@@ -20,36 +20,6 @@ from scenec.schemas.errors import OutputError
 RIGID = 1e-6
 
 
-def quaternion(rotation: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The unit quaternion (x, y, z, w; w >= 0) of a rotation matrix, float64 [4].
-
-    Divides by the largest of the four components, which is at least 1/2, and so is as exact for
-    half turns as elsewhere (S. W. Shepperd, Quaternion from rotation matrix, 1978).
-
-    Args:
-        rotation: [3, 3].
-    """
-    r = np.asarray(rotation, np.float64)
-    squares = np.array(
-        [
-            1.0 + r[0, 0] - r[1, 1] - r[2, 2],
-            1.0 - r[0, 0] + r[1, 1] - r[2, 2],
-            1.0 - r[0, 0] - r[1, 1] + r[2, 2],
-            1.0 + r[0, 0] + r[1, 1] + r[2, 2],
-        ]
-    )
-    largest = int(np.argmax(squares))
-    i, j, k = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 1, 2))[largest]
-    q = np.empty(4)
-    if largest == 3:
-        q[:] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], squares[3]
-    else:
-        q[i], q[j], q[k] = squares[largest], r[j, i] + r[i, j], r[k, i] + r[i, k]
-        q[3] = r[k, j] - r[j, k]
-    q /= np.sqrt((q * q).sum())
-    return (-q if q[3] < 0.0 else q) + 0.0
-
-
 def rotation_matrix(xyzw: NDArray[np.floating]) -> NDArray[np.float64]:
     """The rotation matrix of a quaternion (x, y, z, w) of any length but 0, float64 [3, 3]."""
     q = np.asarray(xyzw, np.float64)

@@ -43,12 +43,13 @@ from numpy.typing import NDArray
 from scenec.datasets import pictures
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.poses import distortion, opencv_intrinsics, quaternion
+from scenec.datasets.formats.poses import distortion, opencv_intrinsics
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.frames import BESIDE
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
+from scenec.schemas.quaternions import quaternion
 
 #: What sensor_msgs/CameraInfo calls lenses of ours, and how many of their coefficients it takes.
 _LENSES = {

@@ -34,10 +34,11 @@ from scenec.datasets.formats.depth_png import (
     to_16_bits,
     write_png,
 )
-from scenec.datasets.formats.poses import number, numbers, pinhole, quaternion, require_pinhole
+from scenec.datasets.formats.poses import number, numbers, pinhole, require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.quaternions import quaternion
 
 _MICRO = 1_000_000
 

@@ -23,6 +23,7 @@ from PIL import Image
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.quaternions import quaternions
 from scenec.schemas.versions import version_of
 
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -452,24 +453,6 @@ def decomposed(
     axes[mirrored, :, 0] *= -1.0
     scale = np.where(mirrored[:, None] & (np.arange(3) == 0), -scale, scale)
     return matrices[:, :, 3], quaternions(axes), scale, int(sheared.sum())
-
-
-def quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit quaternions (x, y, z, w), w >= 0, of rotation matrices [n, 3, 3] (Shepperd 1978)."""
-    r = rotations
-    trace = r[:, 0, 0] + r[:, 1, 1] + r[:, 2, 2]
-    # 4 q q^T, whose row of the largest diagonal entry is q up to its length.
-    outer = np.empty((len(r), 4, 4))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        outer[:, i, i] = 1.0 + 2.0 * r[:, i, i] - trace
-        outer[:, i, 3] = outer[:, 3, i] = r[:, k, j] - r[:, j, k]
-        outer[:, i, j] = outer[:, j, i] = r[:, j, i] + r[:, i, j]
-    outer[:, 3, 3] = 1.0 + trace
-    best = np.diagonal(outer, axis1=1, axis2=2).argmax(axis=1)
-    q = outer[np.arange(len(r)), best]
-    q /= np.sqrt((q * q).sum(axis=1, keepdims=True))
-    return np.where(q[:, 3:] < 0.0, -q, q)
 
 
 def _toward(to_light: NDArray[np.float64]) -> NDArray[np.float64]:

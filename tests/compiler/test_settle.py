@@ -10,9 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
-from hypothesis import given
-from hypothesis import strategies as st
 from overhangs import shelter, write
 from small import small_cfg, write_cfg
 
@@ -26,7 +23,6 @@ from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.settle.bodies import quaternion_of_matrix
 from scenec.settle.settle import settle
 from scenec.settle.shapes import shape_of
 from scenec.settle.world import Options
@@ -421,13 +417,3 @@ def test_what_is_flat_gets_some_thickness():
     )  # fmt: skip
     (hull,) = shape_of(sheet).hulls
     assert 1e-3 < np.ptp(hull[:, 2]) < 1e-2
-
-
-@examples(200)
-@given(st.integers(0, 2**32 - 1))
-def test_a_quaternion_of_a_matrix_gives_the_matrix(seed):
-    q = np.random.default_rng(seed).normal(size=4)
-    q[np.random.default_rng(seed + 1).integers(4)] *= 1e-9
-    matrix = from_quaternion(np.zeros(3), q)[:3, :3]
-    again = from_quaternion(np.zeros(3), quaternion_of_matrix(matrix))[:3, :3]
-    assert again == pytest.approx(matrix, abs=1e-14)

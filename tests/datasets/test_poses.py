@@ -16,11 +16,11 @@ from scenec.datasets.formats.poses import (
     number,
     opencv,
     product,
-    quaternion,
     relative,
     rotation_matrix,
 )
 from scenec.schemas.errors import OutputError
+from scenec.schemas.quaternions import quaternion
 
 angles = st.floats(-np.pi, np.pi)
 rotations = st.builds(lambda a, b, c: Rotation.from_euler("xyz", [a, b, c]), angles, angles, angles)

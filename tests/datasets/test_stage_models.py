@@ -18,7 +18,8 @@ from small import small_cfg, write_cfg
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.cli.main import main
-from scenec.datasets.models.gltf import decomposed, quaternions
+from scenec.datasets.models.gltf import decomposed
+from scenec.schemas.quaternions import quaternions
 
 TEXELS = "texels=16384"
 
