@@ -29,6 +29,7 @@ from scenec.datasets.formats.encode import file_bytes, picture_png
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic, check_output
+from scenec.schemas.versions import optional
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -76,7 +77,7 @@ def log_frames(
         OutputError: Rerun is not installed, its viewer does not start, a label id has more than 16
             bits, or the recording cannot be written.
     """
-    rerun = _import()
+    rerun = optional("rerun", "Rerun is not installed; get it with: pip install 'scenec[rerun]'")
     source = Source(out, backend)
     names = source.labels()
     large = [i for table in names.values() for i in table if i > _MOST_LABEL]
@@ -100,16 +101,6 @@ def log_frames(
         # Closes the file.
         stream.disconnect()
     return report
-
-
-def _import() -> ModuleType:
-    try:
-        import rerun
-    except ImportError as error:
-        raise OutputError(
-            "Rerun is not installed; get it with: pip install 'scenec[rerun]'"
-        ) from error
-    return rerun
 
 
 def _log_all(

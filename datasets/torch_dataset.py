@@ -20,13 +20,15 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets import pictures
 from scenec.datasets.filters import make_filters
-from scenec.datasets.formats.encode import instance_label, picture8
+from scenec.datasets.formats.encode import instance_label
 from scenec.datasets.remap import Remap, parse_remap, read_remap
 from scenec.datasets.source import FrameRef, LoadedFrame, Source
 from scenec.datasets.splits import assign, parse_splits
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.spelling import nearest
+from scenec.schemas.versions import optional
 
 Sample = dict[str, Any]
 
@@ -213,7 +215,7 @@ class FrameDataset:
 
     def _array(self, frame: LoadedFrame, name: str) -> NDArray[Any]:
         if name == "rgb" and self._rgb == "srgb":
-            picture = picture8(frame).astype(np.float32) / np.float32(255.0)
+            picture = pictures.picture(frame).astype(np.float32) / np.float32(255.0)
             return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
         array = frame.passes[name]
         if array.dtype.kind == "u":
@@ -314,10 +316,7 @@ def _choose_passes(wanted: Sequence[str] | None, there: Sequence[str]) -> tuple[
 
 
 def _import_torch() -> Any:
-    try:
-        import torch
-    except ImportError as error:
-        raise OutputError(
-            "tensors need the package torch: pip install 'scenec[torch]'; or give as_numpy=True"
-        ) from error
-    return torch
+    return optional(
+        "torch",
+        "tensors need the package torch: pip install 'scenec[torch]'; or give as_numpy=True",
+    )

@@ -1,8 +1,12 @@
-"""Versions of what is installed."""
+"""What is installed: packages of extras, and versions."""
 
 from __future__ import annotations
 
+import importlib
 from functools import cache
+from typing import Any
+
+from scenec.schemas.errors import OutputError
 
 
 @cache
@@ -19,3 +23,15 @@ def version_of(distribution: str = "scenec") -> str:
     from importlib.metadata import version
 
     return version(distribution)
+
+
+def optional(package: str, message: str) -> Any:
+    """A package that an extra brings.
+
+    Raises:
+        OutputError: It is not installed; ``message`` says what to do.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise OutputError(message) from error

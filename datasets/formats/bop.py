@@ -41,13 +41,8 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.depth_png import (
-    LARGEST,
-    fitting_scale,
-    positive,
-    to_16_bits,
-    write_png,
-)
+from scenec.datasets.formats.depth_png import LARGEST, fitting_scale, to_16_bits
+from scenec.datasets.formats.encode import number_option
 from scenec.datasets.formats.poses import (
     inverse,
     opencv_intrinsics,
@@ -59,6 +54,7 @@ from scenec.schemas.amodal import amodal_path
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.instances import BATCH_TABLE, InstanceTable, read_table
+from scenec.schemas.picture import write_png
 from scenec.schemas.spelling import nearest
 
 _FILES = {"camera": "scene_camera.json", "gt": "scene_gt.json", "info": "scene_gt_info.json"}
@@ -85,7 +81,7 @@ class Bop(Format):
 
     def __init__(self, info: Info) -> None:
         super().__init__(info)
-        self._step_mm = positive(self.option("depth_scale"), "format bop, option depth_scale")
+        self._step_mm = number_option(self, "depth_scale")
         self._patterns = self.option("objects").split("|")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Narrowed
-from scenec.schemas.errors import OutputError
-from scenec.schemas.files import atomic
 
 #: The most steps that 16 bits hold.
 LARGEST = 65535
@@ -65,30 +61,3 @@ def fitting_scale(farthest: float) -> float:
     most = LARGEST / farthest
     unit = 10.0 ** (math.floor(math.log10(most)) - 1)
     return math.floor(most / unit * (1.0 + 1e-12)) * unit
-
-
-def write_png(path: Path, pixels: NDArray[Any]) -> None:
-    """Write uint16 or uint8 [h, w] as PNG, by atomic rename.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    from PIL import Image
-
-    with atomic(path) as temporary:
-        Image.fromarray(np.ascontiguousarray(pixels)).save(temporary, format="PNG")
-
-
-def positive(text: str, what: str) -> float:
-    """An option that must be a number above 0.
-
-    Raises:
-        OutputError: It is none; ``what`` says which.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise OutputError(f"{what}: expected a number above 0, not {text!r}")
-    return value

@@ -106,17 +106,8 @@ def narrowed(
     return np.ascontiguousarray(ids, dtype)
 
 
-def picture8(frame: LoadedFrame) -> NDArray[np.uint8]:
-    """The 8-bit sRGB picture of a frame, uint8 [h, w, 3] (``scenec.datasets.pictures``).
-
-    Raises:
-        FrameError: It has none, or the file is damaged.
-    """
-    return picture(frame)
-
-
 def picture_png(frame: LoadedFrame) -> bytes:
-    """The same as a PNG file: the frame's own where it is there.
+    """The 8-bit sRGB picture of a frame as a PNG file: the frame's own where it is there.
 
     Raises:
         FrameError: It has none, or the file cannot be read.
@@ -124,7 +115,7 @@ def picture_png(frame: LoadedFrame) -> bytes:
     path = frame.png
     if path is not None and path.is_file():
         return file_bytes(path)
-    return encoded(picture8(frame))
+    return encoded(picture(frame))
 
 
 def file_bytes(path: Path) -> bytes:

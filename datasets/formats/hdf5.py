@@ -37,15 +37,15 @@ from scenec.datasets.formats.encode import (
     chunks,
     label_type,
     narrowed,
-    picture8,
     resolutions,
     whole_option,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
-from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import BESIDE, CONVENTIONS, SHUTTER_CONVENTION
 from scenec.schemas.picture import DESCRIPTION
+from scenec.schemas.versions import optional
 
 if TYPE_CHECKING:
     import h5py
@@ -300,7 +300,7 @@ class _File:
                 if rgb != "srgb8":
                     found[name] = np.ascontiguousarray(array, np.float32)
                 if rgb != "linear":
-                    found[RGB8] = np.ascontiguousarray(picture8(frame))
+                    found[RGB8] = np.ascontiguousarray(pictures.picture(frame))
             elif name.startswith("label."):
                 names = self._form.info.labels.get(name.removeprefix("label."), {})
                 found[name] = narrowed(frame, name, label_type(names))
@@ -308,7 +308,7 @@ class _File:
                 kind = np.uint32 if array.dtype.kind == "u" else np.float32
                 found[name] = np.ascontiguousarray(array, kind)
         if pictures.taken(frame.sidecar) and rgb == "linear":
-            found[PICTURE] = np.ascontiguousarray(picture8(frame))
+            found[PICTURE] = np.ascontiguousarray(pictures.picture(frame))
         for beside in pictures.kinds(frame.sidecar):
             found[beside] = np.ascontiguousarray(pictures.beside(frame, beside))
         return found
@@ -479,10 +479,4 @@ def _text(group: h5py.Group, name: str, values: list[str]) -> None:
 
 
 def _import_h5py() -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise OutputError(
-            "format hdf5 needs the package h5py: pip install 'scenec[hdf5]'"
-        ) from error
-    return h5py
+    return optional("h5py", "format hdf5 needs the package h5py: pip install 'scenec[hdf5]'")

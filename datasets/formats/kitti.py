@@ -45,7 +45,7 @@ from scenec.datasets.formats.contract import (
     Task,
     Written,
 )
-from scenec.datasets.formats.depth_png import LARGEST, to_16_bits, write_png
+from scenec.datasets.formats.depth_png import LARGEST, to_16_bits
 from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.formats.poses import (
     RIGID,
@@ -59,6 +59,7 @@ from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.picture import write_png
 
 #: Of the depth benchmark.
 DEPTH_SCALE = 256.0

@@ -43,6 +43,7 @@ from scenec.datasets.splits import ALL
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import BESIDE
+from scenec.schemas.versions import optional
 
 #: Bytes of rows that are held back until they are written as a row group.
 _GROUP = 32_000_000
@@ -322,10 +323,7 @@ def _arrow(feature: _Feature) -> Any:
 
 
 def _import_pyarrow() -> Any:
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise OutputError(
-            "format parquet needs the package pyarrow: pip install 'scenec[parquet]'"
-        ) from error
-    return pyarrow
+    return optional(
+        "pyarrow",
+        "format parquet needs the package pyarrow: pip install 'scenec[parquet]'",
+    )

@@ -27,17 +27,13 @@ import numpy as np
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.depth_png import (
-    LARGEST,
-    fitting_scale,
-    positive,
-    to_16_bits,
-    write_png,
-)
+from scenec.datasets.formats.depth_png import LARGEST, fitting_scale, to_16_bits
+from scenec.datasets.formats.encode import number_option
 from scenec.datasets.formats.poses import number, numbers, pinhole, require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.picture import write_png
 from scenec.schemas.quaternions import quaternion
 
 _MICRO = 1_000_000
@@ -71,7 +67,7 @@ class Tum(Format):
 
     def __init__(self, info: Info) -> None:
         super().__init__(info)
-        self._scale = positive(self.option("depth_scale"), "format tum, option depth_scale")
+        self._scale = number_option(self, "depth_scale")
         trajectory.start_ticks(self, _MICRO)
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

@@ -33,7 +33,6 @@ from scenec.datasets.formats.encode import (
     file_bytes,
     label_type,
     narrowed,
-    picture8,
     picture_png,
     resolutions,
     whole_option,
@@ -192,7 +191,7 @@ class WebDataset(Format):
     def _picture(self, frame: LoadedFrame) -> bytes:
         if self.option("picture") == "png":
             return picture_png(frame)
-        return encoded(picture8(frame), "JPEG", quality=_QUALITY, subsampling=0)
+        return encoded(pictures.picture(frame), "JPEG", quality=_QUALITY, subsampling=0)
 
     def _array(self, found: dict[str, bytes], name: str, array: NDArray[Any]) -> None:
         store = io.BytesIO()

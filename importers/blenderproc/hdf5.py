@@ -17,6 +17,7 @@ from scenec.importers.poses import FLIP
 from scenec.importers.report import DROPPED, TRANSLATED
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.spelling import shown
+from scenec.schemas.versions import optional
 
 
 def read_hdf5(files: Sequence[Path], imported: Imported) -> Scene:
@@ -25,12 +26,7 @@ def read_hdf5(files: Sequence[Path], imported: Imported) -> Scene:
     Raises:
         ScenecError: One cannot be read, or does not say where its camera is; h5py is missing.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise ScenecError(
-            "reading .hdf5 needs the extra 'hdf5': pip install 'scenec[hdf5]'"
-        ) from error
+    h5py = optional("h5py", "reading .hdf5 needs the extra 'hdf5': pip install 'scenec[hdf5]'")
     scene = Scene()
     for number, file in enumerate(files):
         try:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
-from scenec.datasets.formats.depth_png import LARGEST, positive, to_16_bits
+from scenec.datasets.formats.contract import Info
+from scenec.datasets.formats.depth_png import LARGEST, to_16_bits
 from scenec.datasets.formats.poses import (
     inverse,
     number,
@@ -19,6 +20,7 @@ from scenec.datasets.formats.poses import (
     relative,
     rotation_matrix,
 )
+from scenec.datasets.formats.tum import Tum
 from scenec.schemas.errors import OutputError
 from scenec.schemas.quaternions import quaternion
 
@@ -97,4 +99,4 @@ def test_depth_at_the_end_of_the_range_is_kept_and_beyond_it_is_none():
 @pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "fast", ""])
 def test_a_scale_that_makes_no_sense_is_refused(text):
     with pytest.raises(OutputError, match="expected a number above 0"):
-        positive(text, "option depth_scale")
+        Tum(Info("x", {}, "class", (), (), {"depth_scale": text}))
