@@ -9,7 +9,7 @@ MARKED := -m "not slow or invariant"
 # Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
 EXAMPLES := quick
 
-BENCHMARKS := adapters agreement annotation blur coco cold compile estimate exposure \
+BENCHMARKS := adapters agreement annotation blur coco cold estimate exposure \
   hdf5 imaging incremental lenses memory mesh million prune relief \
   sampling scatter tracks
 EXPERIMENTS := head_to_head ego_motion segmentation instances
