@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas import stage as names
 from scenec.schemas.kernels import kernel
@@ -32,21 +30,13 @@ class Relief:
     suns: tuple[tuple[float, float] | None, ...]
 
 
-def read_relief(stage: Path, cells: int) -> Relief:
-    """The ground of a stage: all that is no instance.
+def relief_of(scene: RenderScene, cells: int) -> Relief:
+    """The ground of a scene: all that is no instance.
 
     Args:
-        stage: USD file.
+        scene: The stage, as it was read.
         cells: Along the longer side.
-
-    Raises:
-        StageError: It cannot be read.
     """
-    return relief_of(read_stage(stage), cells)
-
-
-def relief_of(scene: RenderScene, cells: int) -> Relief:
-    """As ``read_relief``, of a stage that is read."""
     suns = tuple(
         _angles(lighting.suns[0].to_light) if lighting.suns else None for lighting in scene.lighting
     )

@@ -84,12 +84,6 @@ def matrices(
     return out
 
 
-def turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Angle between two unit quaternions' turns, radians, in [0, pi]."""
-    turn = _log(_difference(a, b))
-    return float(np.sqrt((turn * turn).sum()))
-
-
 @inlined
 def _times(a, b):  # type: ignore[no-untyped-def]
     """The quaternion product a * b."""

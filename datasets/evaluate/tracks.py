@@ -22,7 +22,6 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.quaternions import quaternions
 from scenec.schemas.sidecars import read_sidecar
 
-ALIGNMENTS = ("se3", "sim3", "origin", "none")
 TRUTH = "groundtruth.txt"
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
 #: Least poses that positions can be aligned by.

@@ -206,28 +206,6 @@ def triplanar(
     return total
 
 
-def triplanar_normal(
-    picture: NDArray[np.floating], size_m: float, positions: NDArray, normals: NDArray
-) -> NDArray[np.float64]:
-    """The leaned normals of a map of normals; arguments as of ``triplanar``.
-
-    Unit vectors [..., 3] on the side of ``normals``, which is where those point outward.
-    """
-    shares = triplanar_weights(normals)
-    n = np.asarray(normals, np.float64)
-    at = np.asarray(positions, np.float64) / size_m
-    total = np.zeros(n.shape)
-    for axis, (u, v) in enumerate(PLANES):
-        mapped = sample(picture, at[..., u], at[..., v])
-        part = n.copy()
-        part[..., u] += mapped[..., 0]
-        part[..., v] += mapped[..., 1]
-        part[..., axis] *= mapped[..., 2]
-        total += shares[..., axis, None] * part
-    leaned: NDArray[np.float64] = total / np.sqrt((total * total).sum(axis=-1, keepdims=True))
-    return leaned
-
-
 def uv_normal(
     mapped: NDArray[np.floating], normals: NDArray, along_u: NDArray, along_v: NDArray
 ) -> NDArray[np.float64]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenec.backends.stage.ground import read_relief
-from scenec.schemas.errors import StageError
+from scenec.backends.stage.ground import relief_of
+from scenec.backends.stage.read import read_stage
 
 STAGE = """#usda 1.0
 (
@@ -56,7 +56,7 @@ def Xform "World"
 def test_heights_are_those_of_the_highest_ground_and_instances_are_none(tmp_path):
     path = tmp_path / "stage.usda"
     path.write_text(STAGE)
-    found = read_relief(path, 80)
+    found = relief_of(read_stage(path), 80)
     assert found.heights.shape == (40, 80)
     assert found.step == pytest.approx((0.1, 0.1))
     assert found.corner == pytest.approx((10.05, 20.05))
@@ -70,7 +70,7 @@ def test_heights_are_those_of_the_highest_ground_and_instances_are_none(tmp_path
 def test_the_sun_stands_where_its_light_comes_from(tmp_path):
     path = tmp_path / "stage.usda"
     path.write_text(STAGE)
-    found = read_relief(path, 8)
+    found = relief_of(read_stage(path), 8)
     assert len(found.suns) == 2
     # Along -z, turned by 60 degrees about x: from 30 degrees above the southern horizon.
     assert found.suns[0] == pytest.approx((30.0, 180.0))
@@ -79,11 +79,6 @@ def test_the_sun_stands_where_its_light_comes_from(tmp_path):
 def test_holes_have_no_height(tmp_path):
     path = tmp_path / "stage.usda"
     path.write_text(STAGE.replace("[3, 3]", "[3]").replace("[0, 1, 2, 0, 2, 3]", "[0, 1, 2]"))
-    heights = read_relief(path, 80).heights
+    heights = relief_of(read_stage(path), 80).heights
     assert np.isnan(heights[39, 0])
     assert np.isfinite(heights[0, 79])
-
-
-def test_what_is_no_stage_is_said(tmp_path):
-    with pytest.raises(StageError, match="no such file"):
-        read_relief(tmp_path / "none.usda", 8)

@@ -19,7 +19,7 @@ from scenec.backends.picture import subframes
 from scenec.backends.picture.adaptive import Target
 from scenec.backends.picture.subframes import Blur, measure, share_out, sub_frames
 from scenec.backends.run.session import Session
-from scenec.backends.stage.scene import Camera, Focus, Haze, OpenShutter, RenderScene
+from scenec.backends.stage.scene import Camera, Focus, Haze, OpenShutter
 from scenec.backends.testing.scenes import dome, mesh, scene, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
@@ -34,10 +34,6 @@ def panning(shutter: Shutter, speed: float, camera: Camera | None = None) -> Cam
     """Moves to the right, so that what is 2 m away moves left by so many pixels a second."""
     camera = ahead(32, 24, FOCAL) if camera is None else camera
     return shaken(camera, shutter, lambda t: ([speed * 2.0 / FOCAL * t, 0.0, 0.0], 0.0))
-
-
-def blur_of(of: RenderScene, camera: Camera) -> Blur | None:
-    return measure(camera, ExactCaster(of))
 
 
 def edges(values: NDArray[np.floating], low: float = 0.0) -> NDArray[np.float64]:

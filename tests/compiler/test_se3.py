@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
 
-from scenec.compiler.geometry.se3 import METHODS, interpolate, matrices, turn_between
+from scenec.compiler.geometry.se3 import METHODS, interpolate, matrices
 
 ALL = list(METHODS)
 
@@ -245,10 +245,3 @@ def test_straight_down_and_up_are_turns_like_any_other():
     _, quaternion = interpolate(np.linspace(0, 1, 37), np.zeros((37, 3)), q, at)
     steps = (rotations(quaternion[:-1]).inv() * rotations(quaternion[1:])).magnitude()
     assert np.allclose(steps, 2 * np.pi / 999, rtol=0, atol=1e-12)
-
-
-def test_the_angle_between_turns_is_that_of_scipy():
-    r = Rotation.random(100, random_state=2)
-    q = quaternions(r)
-    ours = [turn_between(q[i], q[i + 1]) for i in range(99)]
-    assert np.allclose(ours, (r[:-1].inv() * r[1:]).magnitude(), rtol=0, atol=1e-14)
