@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 
 from scenec.schemas.passes import PASSES, is_pass, pass_names
 from scenec.schemas.spelling import nearest, shown
@@ -12,15 +13,24 @@ from scenec.schemas.spelling import nearest, shown
 FAULTS = ("stop", "skip", "redraw")
 
 
-def seed(text: str) -> int:
-    """A whole number from 0 to 2^64 - 1."""
-    try:
-        value = int(text, 10)
-    except ValueError:
-        value = -1
-    if not 0 <= value < 2**64:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 0 to 2^64 - 1")
-    return value
+def whole(low: int, high: float, expected: str) -> Callable[[str], int]:
+    """What reads a whole number between two bounds."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text, 10)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r}: expected {expected}")
+        return value
+
+    return read
+
+
+seed = whole(0, 2**64 - 1, "a whole number from 0 to 2^64 - 1")
+#: Far beyond what converges, and short of what overflows.
+positive = whole(1, 2**20, f"a whole number from 1 to {2**20}")
 
 
 def add_cfg(parser: argparse.ArgumentParser) -> None:
@@ -79,21 +89,6 @@ def span(text: str) -> range:
             f"{text!r}: expected A:B with 0 <= A < B (it holds A to B-1), or one number"
         )
     return range(start, stop)
-
-
-#: Far beyond what converges, and short of what overflows.
-_MOST = 2**20
-
-
-def positive(text: str) -> int:
-    """A whole number from 1 to 2^20."""
-    try:
-        value = int(text, 10)
-    except ValueError:
-        value = 0
-    if not 1 <= value <= _MOST:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 1 to {_MOST}")
-    return value
 
 
 def amount(text: str) -> float:
@@ -195,18 +190,11 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def count(text: str) -> int:
-    """A whole number from 0 to 1024."""
-    if not text.isdecimal() or int(text) > 1024:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number from 0 to 1024")
-    return int(text)
-
-
 def add_executor(parser: argparse.ArgumentParser, default: str = "$SCENEC_WORKERS, or 1") -> None:
     """Who works."""
     parser.add_argument(
         "--workers",
-        type=count,
+        type=whole(0, 1024, "a whole number from 0 to 1024"),
         metavar="N",
         help="processes that work side by side, each with its share of the cores; 0: none but this "
         f"one (default: {default})",
@@ -220,8 +208,8 @@ def add_executor(parser: argparse.ArgumentParser, default: str = "$SCENEC_WORKER
 
 
 def names(text: str) -> list[str]:
-    """A list such as ``lander,logs``."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+    """A list such as ``lander,logs``, each once."""
+    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
 
 def add_settle_options(parser: argparse.ArgumentParser) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 
-from scenec.cli.arguments import add_json
+from scenec.cli.arguments import add_json, whole
 from scenec.cli.ladder_arguments import add_ladder_options
 
 
@@ -18,18 +19,10 @@ def add_explain_options(parser: argparse.ArgumentParser) -> None:
         "an instance id as frames have it (4711), or a prim path (/World/Terrain/tile_000_000)",
     )
     parser.add_argument(
-        "--batch", type=_batch, metavar="N", help="only this batch (--why: default the first)"
+        "--batch",
+        type=whole(0, math.inf, "the number of a batch, from 0"),
+        metavar="N",
+        help="only this batch (--why: default the first)",
     )
     add_json(parser)
     add_ladder_options(parser)
-
-
-def _batch(text: str) -> int:
-    """A whole number from 0."""
-    try:
-        value = int(text, 10)
-    except ValueError:
-        value = -1
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected the number of a batch, from 0")
-    return value

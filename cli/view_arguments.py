@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_json, amount, positive
-
-
-def _names(text: str) -> list[str]:
-    """A list such as ``mitsuba,cycles``."""
-    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+from scenec.cli.arguments import add_json, amount, names, positive
 
 
 def add_view_options(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +13,7 @@ def add_view_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="HTML", help="default: OUT/view.html")
     parser.add_argument(
         "--backend",
-        type=_names,
+        type=names,
         metavar="A,B,…",
         help="whose frames (default: all there are; with --rerun the first)",
     )
