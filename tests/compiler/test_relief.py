@@ -7,9 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
-from hypothesis import given
-from hypothesis import strategies as st
 
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -174,19 +171,6 @@ def test_a_file_that_is_no_dem_is_named(tmp_path, name, content):
         apply(replace(DEM, file=tmp_path / name), Grid.with_spacing((8.0, 8.0), 1.0))
 
 
-def test_a_geotiff_is_read_with_its_scale_offset_and_nodata(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-    samples = np.arange(90, dtype=np.int16).reshape(9, 10)
-    path = tmp_path / "a.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", width=10, height=9, count=1, dtype="int16", nodata=-1
-    ) as file:
-        file.write(samples, 1)
-        file.scales, file.offsets = (0.5,), (10.0,)
-    grid = Grid.with_spacing((9.0, 8.0), 1.0)
-    assert np.allclose(apply(replace(DEM, file=path), grid), samples * 0.5 + 10.0)
-
-
 @pytest.mark.parametrize("variant", ["fbm", "hetero", "ridged"])
 def test_relief_scales_with_its_amplitude_and_is_about_centered(variant):
     grid = Grid.with_spacing((400.0, 400.0), 2.0)
@@ -210,24 +194,3 @@ def test_octaves_finer_than_the_grid_are_left_out_and_counted():
     grid = Grid.with_spacing((10.0, 10.0), 1.0)
     _, report = FRACTAL.apply(grid, np.zeros(grid.shape))
     assert (report["octaves"], report["octaves_below_grid"]) == (3, 5)
-
-
-@examples(60)
-@given(
-    octaves=st.integers(0, 24),
-    lacunarity=st.floats(1.0, 8.0),
-    gain=st.floats(0.0, 2.0),
-    amplitude=st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
-    size=st.sampled_from([1e-3, 1.0, 1e3, 1e6]),
-    variant=st.sampled_from(["fbm", "hetero", "ridged"]),
-    offset=st.floats(0.0, 2.0),
-)
-def test_relief_is_finite_over_the_whole_range(
-    octaves, lacunarity, gain, amplitude, size, variant, offset
-):
-    grid = Grid.with_spacing((size, size), size / 16)
-    operator = Multifractal(3, amplitude, size / 3, octaves, lacunarity, gain, variant, offset)
-    height = apply(operator, grid)
-    assert np.isfinite(height).all()
-    if amplitude == 0.0 or octaves == 0:
-        assert np.abs(height).max() == 0.0

@@ -21,7 +21,6 @@ from scenec.compiler.objects.seating import seat
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
-from scenec.schemas.errors import SceneError
 
 
 def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: int = 3) -> Shape:
@@ -60,28 +59,6 @@ def test_the_icosphere_is_that_of_an_independent_library(subdivisions):
     assert np.allclose(np.linalg.norm(points, axis=1), 1.0, atol=1e-15)
 
 
-@pytest.mark.parametrize("angularity", [0.0, 0.6, 1.0])
-@pytest.mark.parametrize("bumpiness", [0.0, 0.3, 1.0])
-def test_every_rock_is_closed_and_faces_outward(angularity, bumpiness):
-    for seed in range(4):
-        (rock,) = build_prototypes([shape(seed, angularity=angularity, bumpiness=bumpiness)])
-        mesh = trimesh.Trimesh(rock.points.astype(np.float64), rock.faces, process=False)
-        assert mesh.is_watertight
-        assert mesh.is_winding_consistent
-        assert mesh.volume > 0.02
-        assert 2 * np.linalg.norm(rock.points, axis=1).max() == pytest.approx(1.0, abs=1e-6)
-        assert np.allclose(np.linalg.norm(rock.normals, axis=1), 1.0, atol=1e-5)
-
-
-def test_angular_rocks_have_flatter_faces_than_rounded_ones():
-    def flatness(angularity: float) -> float:
-        (rock,) = build_prototypes([shape(3, angularity=angularity, bumpiness=0.0)])
-        mesh = trimesh.Trimesh(rock.points.astype(np.float64), rock.faces, process=False)
-        return float(np.median(mesh.face_adjacency_angles))
-
-    assert flatness(1.0) < 0.6 * flatness(0.0)
-
-
 def test_the_count_is_exact_and_the_first_points_stay_when_it_grows():
     u = np.random.default_rng(0).random((1000, 3))
     few = place(relief(), NoiseDensity(5, 6.0, 3, 4.0), u[:300], "rocks")
@@ -91,20 +68,6 @@ def test_the_count_is_exact_and_the_first_points_stay_when_it_grows():
     assert np.array_equal(few[1], many[1][:300])
 
 
-def test_positions_follow_the_density():
-    field = relief()
-    density = NoiseDensity(5, 6.0, 3, 2.0)
-    u = np.random.default_rng(1).random((200_000, 3))
-    x, y = place(field, density, u, "rocks")
-    found, _, _ = np.histogram2d(y, x, bins=20, range=[[-20, 20], [-20, 20]])
-    grid_y, grid_x = np.meshgrid(*[(np.arange(100) + 0.5) * 0.4 - 20.0] * 2, indexing="ij")
-    wanted = density.at(grid_x.ravel(), grid_y.ravel()).reshape(20, 5, 20, 5).sum(axis=(1, 3))
-    wanted *= len(x) / wanted.sum()
-    chi2 = ((found - wanted) ** 2 / np.maximum(wanted, 1.0)).sum()
-    # 399 degrees of freedom: mean 399, standard deviation 28.
-    assert 280 < chi2 < 540
-
-
 def test_uniform_density_fills_the_terrain_evenly():
     u = np.random.default_rng(2).random((50_000, 3))
     x, y = place(relief(), UniformDensity(), u, "rocks")
@@ -112,15 +75,6 @@ def test_uniform_density_fills_the_terrain_evenly():
     assert (np.abs(y) <= 20).all()
     assert abs(x.mean()) < 0.2
     assert x.std() == pytest.approx(40 / np.sqrt(12), rel=0.01)
-
-
-def test_a_density_of_zero_is_refused():
-    class Nowhere(NoiseDensity):
-        def at(self, x, y):
-            return np.zeros(x.shape)
-
-    with pytest.raises(SceneError, match="zero everywhere"):
-        place(relief(), Nowhere(1, 1.0, 1, 1.0), np.zeros((1, 3)), "rocks")
 
 
 def test_a_uniform_density_needs_no_cells_and_places_as_equal_cells_would():

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from elsewhere import digest_elsewhere
 from laying import laid, plan, surroundings
-from scipy import stats
 from scipy.spatial import cKDTree
 
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
@@ -58,45 +57,6 @@ def test_the_law_holds_at_its_ends(k):
     size = {"type": "golombek_rapp", "k": k, "min": 0.2, "max": 20}
     scatter = laid(surroundings(), size_m=size)
     assert scatter.count == pytest.approx(1280 * golombek_rapp_per_m2(0.2, 20, k), abs=1)
-
-
-def gr_cdf(low: float, high: float, k: float):
-    """The law's distribution function, integrated by scipy."""
-    q = 1.79 + 0.152 / k
-    at = np.geomspace(low, high, 200_001)
-    density = np.exp(-q * (at - low)) / at**2
-    sums = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(at))])
-    return lambda d: np.interp(d, at, sums / sums[-1])
-
-
-def test_sizes_pass_a_kolmogorov_smirnov_test_against_every_law():
-    lows = {
-        "golombek_rapp": ({"k": 0.19, "min": 0.1, "max": 5}, gr_cdf(0.1, 5, 0.19)),
-        "power_law": (
-            {"exponent": 2.5, "min": 0.1, "max": 5},
-            lambda d: (0.1**-1.5 - d**-1.5) / (0.1**-1.5 - 5**-1.5),
-        ),
-        "exponential": (
-            {"scale": 0.4, "min": 0.1, "max": 5},
-            stats.truncexpon(4.9 / 0.4, 0.1, 0.4).cdf,
-        ),
-        "log_normal": (
-            {"median": 0.3, "sigma": 0.6, "min": 0.1, "max": 2},
-            lambda d: (
-                (stats.norm.cdf(np.log(d / 0.3) / 0.6) - stats.norm.cdf(np.log(1 / 3) / 0.6))
-                / (stats.norm.cdf(np.log(2 / 0.3) / 0.6) - stats.norm.cdf(np.log(1 / 3) / 0.6))
-            ),
-        ),
-        "uniform": ({"min": 0.1, "max": 5}, stats.uniform(0.1, 4.9).cdf),
-        "log_uniform": ({"min": 0.1, "max": 5}, lambda d: np.log(d / 0.1) / np.log(50)),
-        "histogram": (
-            {"edges": [0.1, 0.3, 1.0], "weights": [3, 1]},
-            lambda d: np.interp(d, [0.1, 0.3, 1.0], [0, 0.75, 1]),
-        ),
-    }
-    for kind, (shape, cdf) in lows.items():
-        sizes = plan(count=100_000, size_m={"type": kind, **shape}).scale
-        assert stats.kstest(sizes, cdf).pvalue > 1e-3, kind
 
 
 def test_a_number_per_square_meter_is_that_of_the_part_where_they_may_lie():
