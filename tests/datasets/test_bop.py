@@ -276,11 +276,6 @@ def test_a_batch_whose_table_is_gone_is_refused(made, tmp_path):
         export(out, "bop")
 
 
-def test_the_same_frames_give_the_same_bytes_in_another_folder(made, dataset, tmp_path):
-    export(made.out, "bop", tmp_path / "d")
-    assert (tmp_path / "d/SHA256SUMS").read_bytes() == (dataset / "SHA256SUMS").read_bytes()
-
-
 @pytest.mark.slow
 def test_a_compiled_and_rendered_scene_agrees_with_itself_from_frame_to_frame(tmp_path):
     cfg = small_cfg(samples=2)

@@ -25,7 +25,6 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.outlines import outlines
@@ -371,14 +370,6 @@ def test_amodal_masks_go_along_where_a_frame_has_them(tmp_path):
     masks_file.write_bytes(masks_file.read_bytes()[:-9])
     with pytest.raises(FrameError, match=r"amodal\.npz.*changed since"):
         export(out, "coco", tmp_path / "again")
-
-
-def test_the_same_bytes_come_from_one_process_and_from_two(tmp_path):
-    out = make_output(tmp_path / "out", batches=3)
-    export(out, "coco", tmp_path / "by_1")
-    with Processes(2) as executor:
-        export(out, "coco", tmp_path / "by_2", executor=executor)
-    assert same_tree(tmp_path / "by_1", tmp_path / "by_2")
 
 
 def test_an_export_that_was_killed_goes_on_to_the_same_bytes(tmp_path):

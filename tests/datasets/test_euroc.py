@@ -135,12 +135,6 @@ def test_the_body_frame_is_stated_and_every_yaml_is_one(mav0):
     assert estimate["T_BS"]["data"] == np.eye(4).ravel().tolist()
 
 
-def test_the_same_frames_give_the_same_bytes_in_another_folder(made, mav0, tmp_path):
-    export(made.out, "euroc", tmp_path / "d")
-    there = made.out / "datasets/euroc/SHA256SUMS"
-    assert (tmp_path / "d/SHA256SUMS").read_bytes() == there.read_bytes()
-
-
 def test_a_camera_that_moves_on_its_rig_is_refused(tmp_path):
     out = make_out(tmp_path / "out", (LEFT, RIGHT), 3).out
     path = out / "batch_0000/frames/mitsuba/rover_right/000002.json"

@@ -26,7 +26,6 @@ from made_frames import (
 )
 from PIL import Image
 
-from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.trajectory import rigs
 from scenec.datasets.source import Source
@@ -161,13 +160,6 @@ def test_a_damaged_frame_of_a_pair_leaves_out_both_and_lines_follow_the_names(ma
     assert [path[-10:] for path in data.cam3_files] == names
     assert [t.total_seconds() for t in data.timestamps] == [0.0, 0.2, 0.3]
     assert len(data.poses) == 3
-
-
-@pytest.mark.slow
-def test_the_same_frames_give_the_same_bytes_however_many_processes(made, dataset, tmp_path):
-    with Processes(2) as executor:
-        export(made.out, "kitti", tmp_path / "d", BOTH, executor=executor)
-    assert (tmp_path / "d/SHA256SUMS").read_bytes() == (dataset / "SHA256SUMS").read_bytes()
 
 
 @pytest.mark.parametrize(

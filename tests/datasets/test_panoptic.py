@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from PIL import Image
 from pycocotools import mask as coco_mask
 
-from scenec.backends.run.executors import Processes
 from scenec.datasets.colors import label_colors
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
@@ -237,15 +236,6 @@ def test_splits_have_folders_of_their_own(tmp_path):
     assert {i["batch"] for i in train["images"]} == {0}
     assert {i["batch"] for i in val["images"]} == {1}
     assert train["categories"] == val["categories"]
-
-
-@pytest.mark.slow
-def test_the_same_bytes_come_from_one_process_and_from_two(tmp_path):
-    out = make_output(tmp_path / "out", batches=3)
-    export(out, "panoptic", tmp_path / "by_1")
-    with Processes(2) as executor:
-        export(out, "panoptic", tmp_path / "by_2", executor=executor)
-    assert same_tree(tmp_path / "by_1", tmp_path / "by_2")
 
 
 def test_an_export_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path):

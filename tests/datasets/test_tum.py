@@ -112,11 +112,6 @@ def test_another_scale_reaches_farther(made, tmp_path):
     assert off_surface(lift(depths[0], k, poses[0])).max() < 1.5 * 0.5 / 50.0
 
 
-def test_the_same_frames_give_the_same_bytes_in_another_folder(made, dataset, tmp_path):
-    export(made.out, "tum", tmp_path / "d", Choice())
-    assert (tmp_path / "d/SHA256SUMS").read_bytes() == (dataset / "SHA256SUMS").read_bytes()
-
-
 def test_equal_time_stamps_are_refused_and_numbers_of_samples_take_their_place(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 3, times=[0.0, 1.0, 1.0 + 2e-7]).out
     with pytest.raises(OutputError, match=r"batch_0000/rover_left/000002: its time stamp .*times="):

@@ -1,0 +1,36 @@
+"""Every format writes the same bytes, wherever it writes and however many processes do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from made_frames import LEFT, RIGHT, make_out
+
+from scenec.backends.run.executors import Processes
+from scenec.datasets.export import export
+from scenec.datasets.formats.registry import format_names
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_out(tmp_path_factory.mktemp("out") / "made", (LEFT, RIGHT), 3, batches=2).out
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Processes]:
+    with Processes(2) as executor:
+        yield executor
+
+
+# Not of Sintel, which needs flow: these frames have none.
+@pytest.mark.parametrize("name", sorted({*format_names()} - {"sintel"}))
+def test_the_same_frames_give_the_same_bytes(
+    out: Path, two: Processes, tmp_path: Path, name: str
+) -> None:
+    export(out, name, tmp_path / "one")
+    export(out, name, tmp_path / "ä b" / "two", executor=two)
+    sums = [(tmp_path / place / "SHA256SUMS").read_text() for place in ("one", "ä b/two")]
+    assert sums[0] == sums[1]
+    assert len(sums[0].splitlines()) > 3
