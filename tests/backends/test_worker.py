@@ -67,20 +67,6 @@ def test_a_foreign_stage_renders_every_camera_and_sample(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_a_worker_killed_amid_a_frame_costs_nothing_but_time(stage, monkeypatch):
-    calm = run(stage, noise_seed=5)
-    undisturbed = [read_frame(f).passes["depth"] for f in calm.frames]
-    killed = assassin(monkeypatch, sample=1, times=1)
-    lines: list[str] = []
-    report = run(stage, noise_seed=6, warn=lines.append)
-    assert len(killed) == 1
-    assert (report.rendered, report.deaths) == (6, 1)
-    assert any("SIGKILL" in line and "trying again" in line for line in lines)
-    for path, depth in zip(report.frames, undisturbed, strict=True):
-        np.testing.assert_array_equal(read_frame(path).passes["depth"], depth)
-
-
-@pytest.mark.slow
 def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monkeypatch):
     killed = assassin(monkeypatch, sample=1, times=99)
     report = run(stage)
