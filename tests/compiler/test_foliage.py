@@ -18,6 +18,7 @@ from scenec.compiler.objects.foliage import LEVELS, foliage_chain
 from scenec.compiler.objects.lod import see_levels
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.scene import MeshPart, Prototype, Scatter
+from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import Views
 
 MODELS = Path(__file__).parents[2] / "assets" / "models"
@@ -213,7 +214,7 @@ def test_levels_leave_places_and_ids_as_they_are(tmp_path):
             "type": "meshes", "models": [{"file": "package:assets/models/fern.glb"}], "count": 60,
             "labels": cfg["objects"]["rocks"]["labels"], "lod_px": lod_px,
         }  # fmt: skip
-        compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out", keep="unpruned")
+        compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out", keep=Keep.UNPRUNED)
         batch = next((folder / "out").glob("batch_*"))
         ferns = json.loads((batch / "report.json").read_text())["objects"]["ferns"]
         found[lod_px] = (read_stage(next(batch.glob("*.usda"))), ferns)
