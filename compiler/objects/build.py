@@ -120,7 +120,8 @@ def _scattered_bare(
     """The same without its meshes, which the chains hold."""
     facts: dict[str, Any] = {}
     laid = scatter(plan, chains, around, facts)
-    levels = see_levels(laid, chains, views, unseen, plan.lod_px)
+    leaves = isinstance(plan.source, ModelSource)
+    levels = see_levels(laid, chains, views, unseen, plan.lod_px, leaves)
     return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts
 
 

@@ -75,7 +75,12 @@ class Levels:
 
 
 def see_levels(
-    scatter: Scatter, chains: Sequence[Chain], views: Views, unseen: float, tolerance_px: float
+    scatter: Scatter,
+    chains: Sequence[Chain],
+    views: Views,
+    unseen: float,
+    tolerance_px: float,
+    small_pieces: bool = False,
 ) -> Levels:
     """What the levels of a class would show in the views.
 
@@ -83,6 +88,8 @@ def see_levels(
         scatter: Instances of the finest levels.
         views: The cameras; what hides behind the ground counts as seen, for a rock stands over it.
         unseen: Part that a pixel counts where no view shows the instance.
+        small_pieces: Whether what differs between levels are leaves, each near to its corners, so
+            that large instances are looked at in parts.
     """
     lengths = np.array([len(chain) for chain in chains], np.int64)
     first = np.cumsum(lengths) - lengths
@@ -97,6 +104,7 @@ def see_levels(
             near = pixels_of_balls(
                 views, scatter.positions.astype(np.float64), radius, unseen, nearest
             )
+        if tolerance_px > 0.0 and small_pieces:
             coarsest = np.array([chain[-1].error for chain in chains])[scatter.prototype]
             which = np.flatnonzero(coarsest * near * scatter.scales.max(axis=1) > tolerance_px)
             _look_closer(

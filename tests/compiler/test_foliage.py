@@ -186,7 +186,7 @@ def test_a_tree_counts_as_near_as_its_nearest_leaf():
         np.zeros(8, np.float32),
     )  # fmt: skip
     views = _looking_about(eye)
-    levels = see_levels(scatter, (chain,), views, 1.0, 0.5)
+    levels = see_levels(scatter, (chain,), views, 1.0, 0.5, small_pieces=True)
     for i, x in enumerate(far.tolist()):
         nearest = np.sqrt((np.add(model.points, (x, 0, 0) - eye) ** 2).sum(axis=1)).min()
         assert 500.0 / nearest <= levels.near[i] * 1.0001
