@@ -10,7 +10,7 @@ MARKED := -m "not slow or invariant"
 EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation blur coco cold estimate exposure \
-  hdf5 imaging incremental lenses memory mesh million prune relief \
+  foliage hdf5 imaging incremental lenses memory mesh million prune relief \
   sampling scatter tracks
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import cached_model
+from scenec.compiler.assets.model import Model, cached_model
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.objects.coatings import coat
+from scenec.compiler.objects.foliage import foliage_chain
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
 from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype
@@ -71,7 +72,7 @@ def build_objects(
         with timed(f"objects/{plan.name}"):
             own = facts[plan.name] = {}
             if isinstance(plan, PlacedPlan):
-                models = _prototypes(plan, plan, looks, own)
+                models = tuple(mesh for mesh, _ in _prototypes(plan, plan, looks, own))
                 placed = place_objects(plan, models, around.surface, times)
                 own |= _report(placed)
                 found.append(placed)
@@ -119,7 +120,8 @@ def _scattered_bare(
     """The same without its meshes, which the chains hold."""
     facts: dict[str, Any] = {}
     laid = scatter(plan, chains, around, facts)
-    levels = see_levels(laid, chains, views, unseen, plan.lod_px)
+    leaves = isinstance(plan.source, ModelSource)
+    levels = see_levels(laid, chains, views, unseen, plan.lod_px, leaves)
     return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts
 
 
@@ -149,7 +151,10 @@ def _strings_in(plan: ScatterPlan) -> set[str]:
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:
     if isinstance(plan.source, ModelSource):
-        return tuple((model,) for model in _prototypes(plan, plan.source, looks, facts))
+        models = _prototypes(plan, plan.source, looks, facts)
+        if plan.lod_px > 0.0:
+            return tuple(foliage_chain(mesh, model) for mesh, model in models)
+        return tuple((mesh,) for mesh, _ in models)
     # A tolerance of 0 asks for the finest level only.
     chains = build_chains(plan.source.shapes, coarser=plan.lod_px > 0.0)
     if looks is None or not plan.source.coatings or not len(plan.embed):
@@ -162,14 +167,15 @@ def _prototypes(
     source: ModelSource | PlacedPlan,
     looks: Looks | None,
     facts: dict[str, Any],
-) -> tuple[Prototype, ...]:
-    """A class's models; what of their files is left out is noted."""
+) -> tuple[tuple[Prototype, Model], ...]:
+    """A class's models, and what they were made of; what of their files is left out is noted."""
     found = []
     notes: list[str] = []
     for index, model in enumerate(source.models):
         loaded = cached_model(model.file, model.unit_m, model.up, model.part)
         notes.extend(f"{model.file.name}: {note}" for note in loaded.notes)
-        found.append(build_prototype(plan, source, _prim_name(index, model), loaded, looks))
+        mesh = build_prototype(plan, source, _prim_name(index, model), loaded, looks)
+        found.append((mesh, loaded))
     if notes:
         facts["left_out"] = list(dict.fromkeys(notes))
     return tuple(found)

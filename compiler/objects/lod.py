@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 from scenec.schemas.errors import SceneError
+
+#: A ball of this radius is looked at in parts.
+LARGE_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,12 @@ class Levels:
 
 
 def see_levels(
-    scatter: Scatter, chains: Sequence[Chain], views: Views, unseen: float, tolerance_px: float
+    scatter: Scatter,
+    chains: Sequence[Chain],
+    views: Views,
+    unseen: float,
+    tolerance_px: float,
+    small_pieces: bool = False,
 ) -> Levels:
     """What the levels of a class would show in the views.
 
@@ -78,6 +88,8 @@ def see_levels(
         scatter: Instances of the finest levels.
         views: The cameras; what hides behind the ground counts as seen, for a rock stands over it.
         unseen: Part that a pixel counts where no view shows the instance.
+        small_pieces: Whether what differs between levels are leaves, each near to its corners, so
+            that large instances are looked at in parts.
     """
     lengths = np.array([len(chain) for chain in chains], np.int64)
     first = np.cumsum(lengths) - lengths
@@ -92,6 +104,15 @@ def see_levels(
             near = pixels_of_balls(
                 views, scatter.positions.astype(np.float64), radius, unseen, nearest
             )
+        if tolerance_px > 0.0 and small_pieces:
+            coarsest = np.array([chain[-1].error for chain in chains])[scatter.prototype]
+            which = np.flatnonzero(coarsest * near * scatter.scales.max(axis=1) > tolerance_px)
+            _look_closer(
+                scatter,
+                which,
+                near,
+                partial(pixels_of_balls, views, unseen=unseen, nearest_m=nearest),
+            )
     return Levels(
         scatter,
         meshes,
@@ -102,6 +123,53 @@ def see_levels(
         near,
         tolerance_px,
     )
+
+
+def _look_closer(
+    scatter: Scatter,
+    which: NDArray[np.int64],
+    near: NDArray[np.float64],
+    pixels: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+) -> None:
+    """Pixels of a meter at large models by what of them is nearest, not by the ball around all.
+
+    Args:
+        which: The instances that are looked at, of which some are large.
+        near: Of the balls around instances; becomes what their parts have.
+        pixels: Of balls, by their middles and radii.
+    """
+    radii = scatter.radii()
+    for index, mesh in enumerate(scatter.prototypes):
+        some = which[(scatter.prototype[which] == index) & (radii[which] > LARGE_M)]
+        if not len(some):
+            continue
+        middles, reach = _balls(mesh.points.astype(np.float64))
+        scale = scatter.scales[some].astype(np.float64).max(axis=1)
+        turns = turned(scatter.orientations[some], scatter.scales[some])
+        at = scatter.positions[some].astype(np.float64)[:, None] + (
+            turns[:, None] * middles[:, None]
+        ).sum(axis=-1)
+        found = pixels(at.reshape(-1, 3), (scale[:, None] * reach).ravel())
+        near[some] = np.minimum(near[some], found.reshape(len(some), -1).max(axis=1))
+
+
+def _balls(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Balls that hold points together, one for each part of a grid that has any: [b, 3], [b]."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = high - low
+    side = max(0.6 * float(extent.min()), 0.2 * float(extent.max()))
+    cells = np.minimum((points - low) / side, 5.0).astype(np.int64)
+    _, cell = np.unique(cells[:, 0] + 8 * (cells[:, 1] + 8 * cells[:, 2]), return_inverse=True)
+    count = int(cell.max()) + 1
+    lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(lowest, cell, points)
+    np.maximum.at(highest, cell, points)
+    middles = 0.5 * (lowest + highest)
+    away = points - middles[cell]
+    squares = np.zeros(count)
+    np.maximum.at(squares, cell, (away * away).sum(axis=1))
+    # Of the numbers' rounding, too.
+    return middles, np.sqrt(squares) * (1.0 + 1e-6)
 
 
 def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0) -> float | None:

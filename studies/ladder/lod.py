@@ -70,7 +70,7 @@ def lod(base: Base, rungs: int) -> list[Ladder] | str:
         and plan.lod_px > 0.0
     }
     if not shapes:
-        return "no object has levels of detail: models have none, and lod_px 0 asks for none"
+        return "no rock has levels of detail: this ladder is of rocks, and lod_px 0 asks for none"
     objects = base.finest_objects
     clock = Clock()
     classes = []

@@ -120,7 +120,7 @@ ENTRIES = (
         "rover.sensors.mast",
         (0, 2),
         "24,000 tufts of grasses, living and dead, flowers, shrubs and trees; a track, a plowed "
-        "field, a dry channel",
+        "field, a dry channel; a hedge and a wood behind",
     ),
     Entry(
         "forest_edge",

@@ -113,12 +113,12 @@ def _oak(
 
 def oak() -> Model:
     """An oak of some forty years that stands free, 9 m: crooked strong limbs, a wide crown."""
-    return _oak("oak", 9.2, 3.4, 0.19, 1600, 2.4, 0.13)
+    return _oak("oak", 9.2, 3.4, 0.19, 1600, 2.4, 0.08)
 
 
 def oak_young() -> Model:
     """A young oak of 5 m, upright and still open."""
-    return _oak("oak_young 2", 5.0, 1.5, 0.065, 620, 1.5, 0.11)
+    return _oak("oak_young 2", 5.0, 1.5, 0.065, 620, 1.5, 0.075)
 
 
 def oak_old() -> Model:
@@ -177,12 +177,12 @@ def _hang(skeleton: Skeleton, chance: Chance, step: float) -> None:
 
 def birch() -> Model:
     """A silver birch of 11 m: white trunk, ascending limbs, twigs that hang."""
-    return _birch("birch", 11.0, 2.0, 0.095, 700, 0.22, 0.105)
+    return _birch("birch", 11.0, 2.0, 0.095, 700, 0.22, 0.075)
 
 
 def birch_young() -> Model:
     """A young silver birch of 5 m, slender."""
-    return _birch("birch_young", 5.2, 0.9, 0.036, 300, 0.14, 0.085)
+    return _birch("birch_young", 5.2, 0.9, 0.036, 300, 0.14, 0.065)
 
 
 def birch_old() -> Model:
@@ -301,7 +301,7 @@ def _sprays(chance: Chance, twigs: Twigs, path: Floats, every: float) -> None:
 
 def spruce() -> Model:
     """A Norway spruce of 11 m that stands free, branches to the ground."""
-    return _spruce("spruce", 11.0, 2.3, 0.14, 26, 0.35, 0.12)
+    return _spruce("spruce", 11.0, 2.4, 0.14, 34, 0.35, 0.126)
 
 
 def spruce_young() -> Model:
