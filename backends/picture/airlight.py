@@ -5,18 +5,16 @@ Haze is one layer of extinction s exp(-z / H) over level ground (plane-parallel,
 tau(z_0), tau = tau(z_0) - w_z t, with the optical depth t of the ray. Part ``albedo`` of the light
 it meets is scattered, by the phase function p of Henyey and Greenstein (1941). The airlight is
 
-    A = integral over the ray of J dt + (exp(-k t) - exp(-t)) integral of p(w . v) L(v) dv,
+    A = integral over the ray of J dt + (exp(-k t) - exp(-t)) L(w),
     J = albedo sum over suns E (q exp(-k (tau / mu + t)) + (p - q) exp(-(tau / mu + t)))
-        + albedo (1 - f) / (4 pi) (2 P(tau) + 3 g' N(tau) w_z) exp(-k t).
+        + exp(-k t) sum over j of c_j(w) exp(-r_j tau - o_j).
 
-E is a sun's irradiance above the layer, mu the sine of its elevation, L the radiance of sky and
-ground. What is scattered once of suns is exact: p exp(-(tau / mu + t)). The rest approximates. Part
-f = g^2 of scattering is straight on (delta-Eddington, Joseph, Wiscombe and Weinman 1976), so light
-is weakened by k = 1 - f albedo only; that which was turned a little on either way is turned by q,
-the phase of two scatterings, whose asymmetry is g^2. P and N are sum and difference of diffuse
-irradiance from above and below, by the two-stream equations, g' = g / (1 + g). What is turned a
-little of the light behind the ray is that of sky and ground around it. Radiance that is the same
-everywhere stays so.
+E is a sun's irradiance above the layer, mu the sine of its elevation. What is scattered once of
+suns is exact: p exp(-(tau / mu + t)). What is scattered again, and of the light of sky and ground,
+is the second sum, which discrete ordinates give (``ordinates``). Part f = g^16 of scattering is
+straight on for them, so that light is weakened by k = 1 - f albedo only. Of suns, that which was
+turned by as little on either way is turned by q, the phase of two scatterings, whose asymmetry is
+g^2; of what is behind the ray it is the radiance L of sky and ground there.
 
 All is exponential in t, so the integral has a closed form: of exp(-m tau - v t) it is
 exp(-m tau_0) (1 - exp(-x)) / (v - m w_z), x = t (v - m w_z). There is no quadrature, and its error
@@ -29,11 +27,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.picture.ordinates import (
+    STREAMS,
+    Beams,
+    Layer,
+    Source,
+    sky_modes,
+    solve,
+)
 from scenec.backends.picture.sky import (
     MIN_SUN_DIAMETER_RAD,
     Sky,
@@ -47,25 +53,21 @@ from scenec.schemas.threads import POINTS, over_threads
 
 #: A ray's length, meters, that ends in the sky: finite, so that products are.
 FAR_M = 1e30
-#: Least part that is absorbed: the equations' solution for none is a limit.
-_LEAST_ABSORBED = 1e-12
-#: Weight of the net flux in J, at most: then what is scattered back is never negative.
-_MOST_TILT = 2.0
-#: Rows of the picture of scattered skylight: cells of 2.8 degrees.
+#: Rows of the picture of ``Air.diffuse``: cells of 2.8 degrees.
 _ROWS = 64
 
 
 class Medium(NamedTuple):
     """The layer and its source, for kernels.
 
-    The source is a sum over terms of (level + tilt w_z) exp(-(rate tau + offset + sight t)). Of k
-    suns, the k terms before the last k have the beams that were turned a little, and the last k
-    those that were not.
+    The source is a sum over terms of strength exp(-(rate tau + offset + sight t)). Of k suns, the k
+    terms before the last k have the beams that were turned a little, and the last k those that were
+    not. All but these k have a strength for each direction of sight.
 
     Attributes:
         extinction: Per meter at z = 0, float64 [3].
         scale_height_m: H.
-        rate, offset, sight, level, tilt: Of each term, float64 [j, 3].
+        rate, offset, sight: Of each term, float64 [j, 3].
         beam: Albedo times irradiance above the layer of each sun, float64 [k, 3].
         to_light: Of suns, unit vectors, float64 [k, 3].
         asymmetry: g.
@@ -77,8 +79,6 @@ class Medium(NamedTuple):
     rate: NDArray[np.float64]
     offset: NDArray[np.float64]
     sight: NDArray[np.float64]
-    level: NDArray[np.float64]
-    tilt: NDArray[np.float64]
     beam: NDArray[np.float64]
     to_light: NDArray[np.float64]
     asymmetry: float
@@ -91,13 +91,14 @@ class Air:
 
     Attributes:
         medium: Layer and source.
-        diffuse: Light of sky and ground, scattered once, by direction of sight; or None.
+        diffuse: By direction of sight, 3 (1 + j - k) channels: light of sky and ground, then
+            strengths of the medium's terms but for the last k.
         floor_m: Height of the ground that a sky's picture shows below the horizon.
         dimming: Irradiance of that ground, over what it is without haze, float64 [3].
     """
 
     medium: Medium
-    diffuse: Sky | None
+    diffuse: Sky
     floor_m: float
     dimming: NDArray[np.float64]
 
@@ -120,31 +121,6 @@ def risen(sun: Sun) -> float:
     return min(max(0.5 + 0.5 * float(sun.to_light[2]) / math.sin(half), 0.0), 1.0)
 
 
-class Beams(NamedTuple):
-    """Suns above the layer.
-
-    Attributes:
-        sine: Of their elevations, float64 [k].
-        irradiance: On what faces them, float64 [k, 3].
-    """
-
-    sine: NDArray[np.float64]
-    irradiance: NDArray[np.float64]
-
-
-class Streams(NamedTuple):
-    """What the two-stream equations say of a layer.
-
-    Attributes:
-        terms: Of the source, (rate, offset, sight, level, tilt), float64 [3] each, see ``Medium``:
-            two of the sky, one of each sun.
-        arrives: Irradiance of the ground, float64 [3].
-    """
-
-    terms: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]]
-    arrives: NDArray[np.float64]
-
-
 def air_of(haze: Haze, suns: tuple[Sun, ...], sky: Sky | None, floor_m: float) -> Air:
     """Haze under suns and a sky.
 
@@ -158,23 +134,32 @@ def air_of(haze: Haze, suns: tuple[Sun, ...], sky: Sky | None, floor_m: float) -
     # Clouds leave it their mean: there are no shafts of light.
     strength = [sun.irradiance * risen(sun) * mean_passed(sun) for sun in up]
     irradiance = np.array(strength).reshape(-1, 3)
-    beams = Beams(np.array([sine_of(sun) for sun in up]), irradiance)
+    azimuth = np.array([math.atan2(sun.to_light[1], sun.to_light[0]) for sun in up])
+    beams = Beams(np.array([sine_of(sun) for sun in up]), azimuth, irradiance)
     picture, above, ground = _halves(sky)
     light = above + (beams.sine[:, None] * irradiance).sum(axis=0)
     reflected = np.minimum(_ratio(ground, light, 0.0), 1.0)
-    extinction = np.asarray(haze.extinction, np.float64)
-    streams = two_stream(haze, depth_above(haze, floor_m), beams, above, reflected)
-    dimming = _ratio(streams.arrives, light, 1.0)
-    zero, one = np.zeros(3), np.ones(3)
-    terms = [*streams.terms, *((one / mu, zero, one, zero, zero) for mu in beams.sine)]
-    diffuse = None
+    sources = _sources(haze, depth_above(haze, floor_m), beams, picture, reflected)
+    dimming = _ratio(np.array([of.arrives for of in sources]), light, 1.0)
+    rate, offset = (np.array([getattr(of, n) for of in sources]).T for n in ("rate", "offset"))
+    sight = np.broadcast_to([of.sight for of in sources], rate.shape)
+    glow = np.stack([of.strength for of in sources], axis=-1)
     if haze.airlight is not None:
-        terms, up, irradiance = [(zero, zero, one, haze.airlight, zero)], [], irradiance[:0]
-    elif picture is not None:
-        below = texel_directions(*picture.picture.shape[:2]) @ picture.to_world[2] < 0.0
-        dimmed = np.where(below[..., None], dimming * picture.picture, picture.picture)
-        diffuse = scattered(Sky(dimmed.astype(np.float32), picture.to_world), haze.asymmetry)
-    rate, offset, sight, level, tilt = (np.array(column) for column in zip(*terms, strict=True))
+        zero, irradiance, up = np.zeros((1, 3)), irradiance[:0], []
+        rate, offset, sight = zero, zero, zero + 1.0
+        glow = np.broadcast_to(haze.airlight, (2, 4, 1, 3))
+    around = np.zeros((*glow.shape[:2], 3))
+    if haze.airlight is None and picture is not None:
+        below = (_up(picture.shape[0]) < 0.0)[:, None, None]
+        dimmed = np.where(below, dimming * picture, picture).astype(np.float32)
+        to = texel_directions(*glow.shape[:2]) @ UPRIGHT.T
+        around = lookup(Sky(dimmed, UPRIGHT), to.reshape(-1, 3)).reshape(around.shape)
+    # Of suns what comes in straight lines, unchanged and unscattered.
+    mu = np.repeat(beams.sine[: len(up), None], 3, axis=1)
+    rate = np.vstack([rate, 1.0 / mu])
+    offset = np.vstack([offset, np.zeros_like(mu)])
+    sight = np.vstack([sight, np.ones_like(mu)])
+    extinction = np.asarray(haze.extinction, np.float64)
     by_color = np.vstack([extinction, rate, offset, sight])
     medium = Medium(
         extinction=extinction,
@@ -182,80 +167,51 @@ def air_of(haze: Haze, suns: tuple[Sun, ...], sky: Sky | None, floor_m: float) -
         rate=rate,
         offset=offset,
         sight=sight,
-        level=level,
-        tilt=tilt,
         beam=haze.albedo * irradiance,
         to_light=np.array([sun.to_light for sun in up], np.float64).reshape(-1, 3),
         asymmetry=haze.asymmetry,
         gray=bool((by_color == by_color[:, :1]).all()),
     )
-    return Air(medium, diffuse, floor_m, dimming)
+    glow = np.concatenate([around[:, :, None], glow], axis=2)
+    glow = glow.reshape(*glow.shape[:2], -1)
+    return Air(medium, Sky(np.ascontiguousarray(glow, np.float32), UPRIGHT), floor_m, dimming)
+
+
+def _sources(
+    haze: Haze,
+    depth: NDArray[np.float64],
+    beams: Beams,
+    picture: NDArray[np.float64] | None,
+    reflected: NDArray[np.float64],
+) -> list[Source]:
+    """What is scattered more than once, and of the sky, of each color."""
+    to = texel_directions(_ROWS, 2 * _ROWS) @ UPRIGHT.T
+    sines, azimuth = to[:, 0, 2], np.arctan2(to[_ROWS // 2, :, 1], to[_ROWS // 2, :, 0])
+    sky = np.zeros((2 * STREAMS, STREAMS, 3), complex)
+    if picture is not None:
+        columns = texel_directions(1, picture.shape[1])[0] @ UPRIGHT.T
+        sky = sky_modes(picture, np.arctan2(columns[:, 1], columns[:, 0]))
+    albedo = np.broadcast_to(haze.albedo, 3)
+    gray = bool((depth == depth[0]).all() and (albedo == albedo[0]).all())
+    found: list[Source] = []
+    for colors in (slice(0, 3),) if gray else (slice(c, c + 1) for c in range(3)):
+        of = Layer(
+            float(depth[colors][0]), float(albedo[colors][0]), haze.asymmetry,
+            Beams(beams.sine, beams.azimuth, beams.irradiance[:, colors]),
+            sky[..., colors], reflected[colors],
+        )  # fmt: skip
+        made = solve(of, sines, azimuth)
+        found += [
+            made._replace(strength=made.strength[..., c], arrives=made.arrives[c])
+            for c in range(len(made.arrives))
+        ]
+    return found
 
 
 def _ratio(
     part: NDArray[np.float64], whole: NDArray[np.float64], otherwise: float
 ) -> NDArray[np.float64]:
     return np.asarray(np.divide(part, whole, out=np.full(3, otherwise), where=whole > 0.0))
-
-
-def two_stream(
-    haze: Haze,
-    depth: NDArray[np.float64],
-    beams: Beams,
-    sky: NDArray[np.float64],
-    reflected: NDArray[np.float64],
-) -> Streams:
-    """Solve for the light within a layer over ground that reflects as Lambert's law says.
-
-    With P the sum and N the difference of diffuse irradiance from above and from below, f = g^2,
-    g' = g / (1 + g), m = (1 - f albedo) / mu and a sun's S = (1 - f) albedo E exp(-m tau):
-
-        dP/dtau = -1.5 (1 - albedo g) N + 1.5 g' mu S,   dN/dtau = -2 (1 - albedo) P + S.
-
-    Args:
-        haze: Its albedo and asymmetry.
-        depth: Optical depth of the layer, float64 [3].
-        beams: The suns.
-        sky: Irradiance of the sky on the layer, float64 [3].
-        reflected: Part of the light on it that the ground reflects, float64 [3].
-    """
-    albedo = np.minimum(haze.albedo, 1.0 - _LEAST_ABSORBED)
-    g = haze.asymmetry
-    forward, turned = (g * g, g / (1.0 + g)) if g > 0.0 else (0.0, g)
-    unturned = 1.0 - forward * albedo
-    a, b = 1.5 * (1.0 - albedo * g), 2.0 * (1.0 - albedo)
-    k = np.sqrt(a * b)
-    slope, fade = k / a, np.exp(-k * depth)
-    zero = np.zeros(3)
-    # Boundary conditions: from above comes the sky alone, and upward goes what is reflected.
-    top, bottom, arrives = 2.0 * sky, zero, zero
-    of_suns = []
-    for mu, irradiance in zip(*beams, strict=True):
-        m = unturned / mu
-        # Where both rates are one, the form of the solution is another: it is approached.
-        m = np.where(np.abs(m - k) < 1e-6 * m, m * (1.0 + 2e-6), m)
-        source = (1.0 - forward) * albedo * irradiance
-        p = (a + 1.5 * turned * mu * m) * source / ((k - m) * (k + m))
-        n = (b * p - source) / m
-        left = np.exp(-m * depth)
-        top = top - (p + n)
-        bottom = bottom + left * (n - p + reflected * (p + n + 2.0 * mu * irradiance))
-        arrives = arrives + left * (0.5 * (p + n) + mu * irradiance)
-        of_suns.append((m, zero, p, n))
-    # P = x exp(-k tau) + y exp(-k (depth - tau)), N = slope (x ... - y ...), and the suns'.
-    near, far = 1.0 + slope, 1.0 - slope
-    last, first = near - reflected * far, far - reflected * near
-    whole = near * last - far * first * fade * fade
-    x = (top * last - bottom * far * fade) / whole
-    y = (bottom * near - top * first * fade) / whole
-    arrives = arrives + 0.5 * (x * fade * near + y * far)
-    parts = [(k, zero, x, slope * x), (-k, k * depth, y, -slope * y), *of_suns]
-    scale = (1.0 - forward) * haze.albedo / (4.0 * np.pi)
-    lean = max(3.0 * turned, -_MOST_TILT)
-    terms = [
-        (rate, offset, unturned, 2.0 * scale * p, lean * scale * n) for rate, offset, p, n in parts
-    ]
-    return Streams(terms, arrives)
 
 
 def phase(cosine: NDArray[np.float64], asymmetry: float) -> NDArray[np.float64]:
@@ -273,9 +229,7 @@ def phase(cosine: NDArray[np.float64], asymmetry: float) -> NDArray[np.float64]:
 
 
 def ambient(air: Air, directions: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Light of sky and ground, scattered once, by directions [n, 3] of sight, float32 [n, 3]."""
-    if air.diffuse is None:
-        return np.zeros((len(directions), 3), np.float32)
+    """``Air.diffuse`` in directions [n, 3] of sight, float32 [n, 3 (1 + j - k)]."""
     return lookup(air.diffuse, directions)
 
 
@@ -393,14 +347,14 @@ def _arrive(first, last, air, origins, directions, t, sky, out):  # type: ignore
                         rate = air.rate[k, c]
                         begin = max(rate * whole[c] + air.offset[k, c], 0.0)
                         reach = _integral(begin, depth[c], air.sight[k, c] - rate * up)
-                    source = air.level[k, c] + air.tilt[k, c] * up
+                    source = sky[i, 3 + 3 * k + c] if k < terms - suns else 0.0
                     own = k - terms + 2 * suns
                     if own >= 0:
                         source += air.beam[own % suns, c] * lobes[own]
                     added[c] += reach * source
             for c in range(3):
                 out[0, i, c] += passed[c]
-                # The two-stream equations approximate: less than nothing is none.
+                # A sum of exponentials approximates: less than nothing is none.
                 out[1, i, c] += max(added[c], 0.0)
         for c in range(3):
             if ends == 0:
@@ -412,27 +366,38 @@ def _arrive(first, last, air, origins, directions, t, sky, out):  # type: ignore
 
 def _halves(
     sky: Sky | None,
-) -> tuple[Sky | None, NDArray[np.float64], NDArray[np.float64]]:
-    """A sky in fewer texels, and irradiance of level planes that look up and down, float64 [3]."""
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float64], NDArray[np.float64]]:
+    """A sky upright and in fewer texels, and irradiance of level planes that look up and down."""
     if sky is None:
         return None, np.zeros(3), np.zeros(3)
     if sky.constant:
         picture = np.broadcast_to(sky.picture, (_ROWS, 2 * _ROWS, 3)).astype(np.float64)
-        to_world = UPRIGHT
     else:
-        picture, to_world = _reduced(sky.picture), sky.to_world
+        picture = _reduced(sky.picture)
+        if not np.array_equal(sky.to_world, UPRIGHT):
+            world = texel_directions(*picture.shape[:2]) @ UPRIGHT.T
+            turned = Sky(picture.astype(np.float32), sky.to_world)
+            picture = lookup(turned, world.reshape(-1, 3)).reshape(picture.shape).astype(float)
     rows, columns = picture.shape[:2]
     edges = np.cos(np.arange(rows + 1) * (np.pi / rows))
-    rise = texel_directions(rows, columns) @ to_world[2]
-    weight = rise * ((edges[:-1] - edges[1:]) * (2.0 * np.pi / columns))[:, None]
-    above = (np.maximum(weight, 0.0)[..., None] * picture).sum(axis=(0, 1))
-    below = (np.maximum(-weight, 0.0)[..., None] * picture).sum(axis=(0, 1))
-    return Sky(np.ascontiguousarray(picture, np.float32), to_world), above, below
+    weight = _up(rows) * (edges[:-1] - edges[1:]) * (2.0 * np.pi / columns)
+    above, below = (
+        (np.maximum(side * weight, 0.0)[:, None, None] * picture).sum(axis=(0, 1))
+        for side in (1.0, -1.0)
+    )
+    return picture, above, below
+
+
+def _up(rows: int) -> NDArray[np.float64]:
+    """Sines of the elevations of rows of an upright picture, float64 [rows]."""
+    return np.cos((np.arange(rows) + 0.5) * (np.pi / rows))
 
 
 def _reduced(picture: NDArray[np.float32]) -> NDArray[np.float64]:
     """Means over blocks of a picture that has more texels than matter here, float64."""
-    side = picture.shape[0] // (4 * _ROWS)
+    half = picture.shape[0] // 2
+    # None lies on both sides of the horizon.
+    side = next((n for n in range(picture.shape[0] // _ROWS, 1, -1) if half % n == 0), 1)
     out = picture.astype(np.float64)
     for axis in (0, 1) if side > 1 else ():
         starts = np.arange(0, out.shape[axis], side)
@@ -440,58 +405,3 @@ def _reduced(picture: NDArray[np.float32]) -> NDArray[np.float64]:
         shape = [-1 if a == axis else 1 for a in range(3)]
         out = np.add.reduceat(out, starts, axis=axis) / counts.reshape(shape)
     return out
-
-
-def scattered(sky: Sky, asymmetry: float) -> Sky:
-    """The light of a sky after one scattering, by direction of sight: its picture times the phase.
-
-    Of a disc in the picture, however small, the lobe is within 2 % where g is at most 0.7
-    (``tests/backends/test_airlight.py``).
-    """
-    picture = sky.picture
-    rows, columns = _ROWS, 2 * _ROWS
-    # So fine that each cell gets its part of each texel.
-    finer = [-(-2 * n // m) for n, m in zip((rows, columns), picture.shape[:2], strict=True)]
-    for axis, times in enumerate(finer):
-        picture = np.repeat(picture, times, axis) if times > 1 else picture
-    height = picture.shape[0]
-    part = np.empty((height, columns, 4))
-    over_threads(_over_columns, height, picture, part)
-    edges = np.cos(np.arange(height + 1) * (np.pi / height))
-    part *= (edges[:-1] - edges[1:])[:, None, None]
-    # A texel's light goes to the two rows beside it, so that its place stays.
-    at = np.clip((np.arange(height) + 0.5) * (rows / height) - 0.5, 0.0, rows - 1.0)
-    low = np.minimum(at.astype(np.int64), rows - 2)
-    share = (at - low)[:, None, None]
-    coarse = np.zeros((rows, columns, 4))
-    np.add.at(coarse, low, (1.0 - share) * part)
-    np.add.at(coarse, low + 1, share * part)
-    # Rows of cells turn into each other by circular convolution over columns.
-    polar = (np.arange(rows) + 0.5) * (np.pi / rows)
-    turn = np.cos(np.arange(columns) * (2.0 * np.pi / columns))
-    sines, cosines = np.sin(polar), np.cos(polar)
-    light = np.fft.rfft(coarse, axis=1)
-    out = np.empty((rows, columns, 4))
-    for row in range(rows):
-        cosine = (sines[row] * sines)[:, None] * turn + (cosines[row] * cosines)[:, None]
-        kernel = np.fft.rfft(phase(cosine, asymmetry), axis=1)
-        out[row] = np.fft.irfft((kernel[..., None] * light).sum(axis=0), columns, axis=0)
-    smooth = np.maximum(out[..., :3], 0.0) / out[..., 3:]
-    return Sky(np.ascontiguousarray(smooth, np.float32), sky.to_world)
-
-
-@kernel
-def _over_columns(first, last, picture, out):  # type: ignore[no-untyped-def]
-    """Each row's texels, and their number, shared out to the two cells beside each."""
-    width, columns = picture.shape[1], out.shape[1]
-    for i in range(first, last):
-        out[i] = 0.0
-        for j in range(width):
-            at = (j + 0.5) * columns / width - 0.5
-            low = math.floor(at)
-            share = at - low
-            a, b = int(low) % columns, (int(low) + 1) % columns
-            for c in range(4):
-                value = picture[i, j, c] if c < 3 else 1.0
-                out[i, a, c] += (1.0 - share) * value
-                out[i, b, c] += share * value

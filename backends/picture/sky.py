@@ -88,8 +88,11 @@ def texel_directions(height: int, width: int) -> NDArray[np.float64]:
 
 
 def lookup(sky: Sky, directions: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Radiance from world directions (any length), float64 [n, 3] -> float32 [n, 3]."""
-    out = np.empty((len(directions), 3), np.float32)
+    """Radiance from world directions (any length), float64 [n, 3] -> float32 [n, 3].
+
+    Of a picture with other channels, all of them.
+    """
+    out = np.empty((len(directions), sky.picture.shape[2]), np.float32)
     over_threads(
         _lookup, len(directions), sky.picture, np.ascontiguousarray(sky.to_world.T), directions, out
     )
@@ -162,7 +165,7 @@ def _lookup(first, last, picture, to_dome, directions, out):  # type: ignore[no-
         c1 = (c0 + 1) % width
         r0 = int(v0)
         r1 = min(r0 + 1, height - 1)
-        for k in range(3):
+        for k in range(picture.shape[2]):
             top = (1 - fu) * picture[r0, c0, k] + fu * picture[r0, c1, k]
             bottom = (1 - fu) * picture[r1, c0, k] + fu * picture[r1, c1, k]
             out[i, k] = (1 - fv) * top + fv * bottom

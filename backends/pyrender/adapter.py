@@ -21,6 +21,7 @@ from scenec.backends.pyrender.ambience import (
     world_bounds,
 )
 from scenec.backends.pyrender.camera import camera_view, pixel_rays
+from scenec.backends.pyrender.canopy import make_canopy
 from scenec.backends.pyrender.detail import add_levels
 from scenec.backends.pyrender.lamps import lamp_shadow_maps
 from scenec.backends.pyrender.lighting import CASCADES, DARK, fit_shadow_maps, losses, smooth_sky
@@ -152,6 +153,9 @@ class Pyrender:
                 self._tables = make_tables(scene, self._geometry)
                 renderer.set_tables(self._tables)
                 self._ground = self._find_ground(renderer, self._tables)
+                canopy = make_canopy(scene)
+                if canopy is not None:
+                    renderer.set_canopy(canopy)
                 self._ambience = None
             light = np.concatenate(
                 [

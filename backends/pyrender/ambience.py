@@ -19,7 +19,7 @@ from scenec.backends.pyrender.geometry import Geometry, Selection, View
 from scenec.backends.pyrender.laws import even_albedo
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.posing import moving
-from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, RenderScene
+from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, Mesh, RenderScene
 from scenec.backends.surface.gobo import passed
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -71,14 +71,19 @@ def world_bounds(scene: RenderScene) -> NDArray[np.float64]:
         to_world = scene.rows.to_world[(scene.rows.mesh == index) & stands]
         if len(mesh.faces) == 0 or len(to_world) == 0:
             continue
-        points = mesh.points.astype(np.float64)
-        center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        half = 0.5 * (points.max(axis=0) - points.min(axis=0))
-        middle = (to_world[:, :, :3] * center).sum(axis=2) + to_world[:, :, 3]
-        reach = (np.abs(to_world[:, :, :3]) * half).sum(axis=2)
-        low = np.minimum(low, (middle - reach).min(axis=0))
-        high = np.maximum(high, (middle + reach).max(axis=0))
+        ends = mesh_bounds(mesh, to_world)
+        low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
     return np.stack([low, high])
+
+
+def mesh_bounds(mesh: Mesh, to_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Box around a mesh's rows, float64 [2, 3]."""
+    points = mesh.points.astype(np.float64)
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    half = 0.5 * (points.max(axis=0) - points.min(axis=0))
+    middle = (to_world[:, :, :3] * center).sum(axis=2) + to_world[:, :, 3]
+    reach = (np.abs(to_world[:, :, :3]) * half).sum(axis=2)
+    return np.stack([(middle - reach).min(axis=0), (middle + reach).max(axis=0)])
 
 
 def view_from_above(bounds: NDArray[np.float64]) -> View:

@@ -106,7 +106,10 @@ def losses(scene: RenderScene) -> tuple[str, ...]:
             "estimates on a coarse height field, other light from surface to surface is left out"
         )
     if domes:
-        lines.append("pyrender's sky is smooth (second order); small things hide nothing of it")
+        lines.append(
+            "pyrender's sky is smooth (second order); leaves hide a share of it on a coarse "
+            "lattice, other small things nothing"
+        )
     if any(s.specular or s.metallic or (s.maps and s.maps.metallic) for s in surfaces):
         lines.append("pyrender's gloss and metals mirror suns and a blurred sky, no surfaces")
     if domes and any(s.reflectance is not None for s in surfaces):

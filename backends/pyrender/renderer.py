@@ -21,6 +21,7 @@ from pyrender.shader_program import ShaderProgramCache
 
 from scenec.backends.pyrender import platforms, resources
 from scenec.backends.pyrender.ambience import Ambience, Ground
+from scenec.backends.pyrender.canopy import Canopy
 from scenec.backends.pyrender.geometry import Geometry, Selection, View
 from scenec.backends.pyrender.laws import LAW_ROWS
 from scenec.backends.pyrender.lighting import (
@@ -41,6 +42,7 @@ SHADERS = Path(__file__).parent / "shaders"
 UNITS = (
     "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
     "laws", "maps", "shadows", "ground_sky", "ground_light", "uvs", "gobo",
+    "canopy",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -79,6 +81,7 @@ class Renderer(pyrender.Renderer):
         self._pictures: dict[str, int] = {}
         # File of the one of them that a sun shines through.
         self._gobo: Path | None = None
+        self._canopy: Canopy | None = None
         numbers = (GL.GL_MAJOR_VERSION, GL.GL_MINOR_VERSION)
         found = tuple(int(GL.glGetIntegerv(number)) for number in numbers)
         # Either may be missing where OpenGL has it: PyOpenGL keeps the list of extensions of the
@@ -198,6 +201,14 @@ class Renderer(pyrender.Renderer):
             self._pictures["laws"] = resources.lookup_texture(tables.laws)
             self._defines["LAW_ROWS"] = LAW_ROWS
 
+    def set_canopy(self, canopy: Canopy) -> None:
+        """Bring what leaves leave of the sky, if this OpenGL has a texture unit for it."""
+        if int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_IMAGE_UNITS)) <= UNITS.index("canopy"):
+            return
+        self._pictures["canopy"] = resources.volume_texture(canopy.open)
+        self._canopy = canopy
+        self._defines["WITH_CANOPY"] = 1
+
     def set_ground(self, ground: Ground, ambience: Ambience, origin: NDArray[np.float64]) -> None:
         """Bring what ``shade`` is to know of the ground, seen from an origin."""
         for name, values in (("ground_sky", ambience.sky), ("ground_light", ambience.ground)):
@@ -263,6 +274,11 @@ class Renderer(pyrender.Renderer):
             _bind("ground_sky", GL.GL_TEXTURE_2D, self._pictures["ground_sky"])
             _bind("ground_light", GL.GL_TEXTURE_2D, self._pictures["ground_light"])
             program.set_uniform("ground_place", self._ground_place)
+        if self._canopy is not None:
+            _bind("canopy", GL.GL_TEXTURE_3D, self._pictures["canopy"])
+            program.set_uniform("canopy_scale", 1.0 / self._canopy.size)
+            place = (origin - self._canopy.low) / self._canopy.size
+            program.set_uniform("canopy_offset", place)
         program.set_uniform("samples", samples)
         program.set_uniform("rays", rays)
         program.set_uniform("ground_share", float(not sky.dark))

@@ -217,6 +217,23 @@ def lookup_texture(values: NDArray[np.float32], mirrored: bool = False) -> int:
     return texture
 
 
+def volume_texture(values: NDArray[np.float32]) -> int:
+    """A table in three dimensions, linear between centers, constant beyond: float32 [z, y, x]."""
+    texture = int(GL.glGenTextures(1))
+    kind = GL.GL_TEXTURE_3D
+    GL.glBindTexture(kind, texture)
+    deep, height, width = values.shape
+    GL.glTexImage3D(
+        kind, 0, GL.GL_R16F, width, height, deep, 0, GL.GL_RED, GL.GL_FLOAT,
+        np.ascontiguousarray(values, np.float32),
+    )  # fmt: skip
+    for name in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
+        GL.glTexParameteri(kind, name, GL.GL_LINEAR)
+    for name in (GL.GL_TEXTURE_WRAP_S, GL.GL_TEXTURE_WRAP_T, GL.GL_TEXTURE_WRAP_R):
+        GL.glTexParameteri(kind, name, GL.GL_CLAMP_TO_EDGE)
+    return texture
+
+
 def map_texture(layers: NDArray[np.float16]) -> int:
     """Repeating pictures in layers with coarser levels, float16 [layers, h, w, 4], bottom first."""
     texture = int(GL.glGenTextures(1))

@@ -29,17 +29,14 @@ from scipy.integrate import quad
 from scenec.backends.picture.airlight import (
     FAR_M,
     Air,
-    Beams,
     air_of,
     ambient,
     arrive,
     depth_above,
     optical_depth,
     phase,
-    scattered,
-    two_stream,
 )
-from scenec.backends.picture.sky import Sky, lookup, texel_directions
+from scenec.backends.picture.sky import Sky, texel_directions
 from scenec.backends.stage.scene import Haze, Sun
 from scenec.backends.testing import scenes as ms
 
@@ -77,7 +74,8 @@ def through(
 def source(air: Air, direction: NDArray, depth: NDArray, way: NDArray) -> NDArray:
     """J of the module at optical depths [n] below the top and along the ray, float64 [n, 3]."""
     of, cosine = air.medium, air.medium.to_light @ direction
-    strength = of.level + of.tilt * direction[2]
+    strength = ambient(air, direction[None])[0, 3:].reshape(-1, 3).astype(float)
+    strength = np.vstack([strength, np.zeros((len(cosine), 3))])
     lobes = phase(cosine, of.asymmetry**2)
     lobes = np.concatenate([lobes, phase(cosine, of.asymmetry) - lobes])
     if len(lobes):
@@ -206,36 +204,58 @@ def test_airlight_is_the_integral_of_its_source(e, up, log_depth, above, g, albe
         expected = (weights[:, None] * lit).sum(axis=0) * length / abs(direction[2])
         end = (top if e >= 0.0 else whole - top) / abs(direction[2])
         blurred = np.exp(-air.medium.sight[0] * end) - np.exp(-end)
-        expected += blurred * ambient(air, direction[None])[0]
+        expected += blurred * ambient(air, direction[None])[0, :3]
         np.testing.assert_allclose(added, expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("depth_", [1e-6, 0.1, 3.0, 1e3, 1e6])
 @pytest.mark.parametrize("g", [-0.5, 0.0, 0.85])
 def test_a_layer_that_absorbs_nothing_loses_no_light(depth_, g):
-    """What comes down and is not reflected leaves through the top."""
-    beams = Beams(np.array([0.5, 0.02]), np.array([[1000.0] * 3, [300.0] * 3]))
-    sky, part = np.array([100.0, 0.0, 30.0]), np.array([0.0, 0.4, 0.9])
-    found = two_stream(haze(g=g), np.full(3, depth_), beams, sky, part)
-    rate, offset, _, level, tilt = (np.array(column) for column in zip(*found.terms, strict=True))
-    forward, turned = (g * g, g / (1.0 + g)) if g > 0.0 else (0.0, g)
-    scale = (1.0 - forward) / (4.0 * np.pi)
-    assert ((found.arrives >= 0.0) & (found.arrives <= 2e3)).all()
-    for depth_here in (0.0, 0.3 * depth_, depth_):
-        weight = np.exp(-(rate * depth_here + offset))
-        total = (level / (2.0 * scale) * weight).sum(axis=0)
-        assert (total > -1e-6).all()
-        if turned != 0.0:
-            net = (tilt / (max(3.0 * turned, -2.0) * scale) * weight).sum(axis=0)
-            for mu, irradiance in zip(*beams, strict=True):
-                net = net + mu * irradiance * np.exp(-(1.0 - forward) * depth_here / mu)
-            np.testing.assert_allclose(net, (1.0 - part) * found.arrives, atol=1e-2)
+    """What comes down and is not taken by the ground leaves through the top."""
+    suns, part = (sun(30.0), sun(5.0, 300.0, 80.0)), 0.4
+    comes = np.pi * 100.0 + sum(each.irradiance[0] * each.to_light[2] for each in suns)
+    ground = part * comes / np.pi
+    picture = np.full((64, 128, 3), 100.0, np.float32)
+    picture[32:] = ground
+    air = air_of(haze(60.0 * 3.912 / depth_, 60.0, g), suns, Sky(picture, ms.DOME_Z_UP), 0.0)
+    x, weight = np.polynomial.legendre.leggauss(24)
+    leaves = 0.0
+    for sine, share in zip(0.5 * (x + 1.0), 0.5 * weight, strict=True):
+        for bearing in np.arange(0.0, 360.0, 10.0):
+            way = toward(-np.degrees(np.arcsin(sine)), bearing)
+            passed, added = through(air, way, 1800.0 / sine, 1800.0)
+            sent = passed[0] * ground * air.dimming[0] + added[0]
+            leaves += sent * sine * share * 2.0 * np.pi / 36.0
+    assert comes == pytest.approx(leaves + (1.0 - part) * comes * air.dimming[0], rel=0.01)
+
+
+@pytest.mark.parametrize("up", [5.0, 30.0, 90.0])
+def test_endless_air_that_scatters_alike_reflects_as_chandrasekhars_function_says(up):
+    """I = albedo E mu_0 H(mu) H(mu_0) / (4 pi (mu + mu_0)), with H by iteration of its equation."""
+    albedo = 0.95
+    x, weight = np.polynomial.legendre.leggauss(64)
+    nodes, weight = 0.5 * (x + 1.0), 0.5 * weight
+
+    def h(mu: NDArray, at_nodes: NDArray) -> NDArray:
+        whole = (weight * nodes * at_nodes / (mu[:, None] + nodes)).sum(axis=1)
+        return 1.0 / (np.sqrt(1.0 - albedo) + 0.5 * albedo * whole)
+
+    values = np.ones(64)
+    for _ in range(300):
+        values = h(nodes, values)
+    air = air_of(haze(1.0, 60.0, g=0.0, albedo=albedo), (sun(up),), None, 0.0)
+    sine = np.sin(np.radians(up))
+    for e in (-5.0, -40.0, -90.0):
+        mu = np.sin(np.radians(-e))
+        at = h(np.array([mu, sine]), values)
+        expected = albedo * 1000.0 * sine * at.prod() / (4.0 * np.pi * (mu + sine))
+        _, added = through(air, toward(e, 70.0), 1200.0 / mu, 1200.0)
+        assert added[0] == pytest.approx(expected, rel=0.02)
 
 
 def test_a_layer_that_scatters_nothing_weakens_suns_alone_by_beers_law():
-    beams = Beams(np.array([0.5]), np.full((1, 3), 1000.0))
-    found = two_stream(haze(albedo=0.0), np.full(3, 1.2), beams, np.zeros(3), np.zeros(3))
-    np.testing.assert_allclose(found.arrives, 500.0 * np.exp(-2.4), rtol=1e-12)
+    air = air_of(haze(60.0 * 3.912 / 1.2, 60.0, albedo=0.0), (sun(30.0),), None, 0.0)
+    np.testing.assert_allclose(air.dimming, np.exp(-2.4), rtol=1e-12)
     air = air_of(haze(albedo=0.0), (sun(30.0),), FLAT, 0.0)
     assert not through(air, toward(10.0), 1e3)[1].any()
 
@@ -343,7 +363,8 @@ def test_suns_add_up_and_one_that_has_set_adds_nothing():
         return through(air_of(haze(), suns, None, 0.0), way, 50.0, 20.0)[1]
 
     one, other = sun(20.0), sun(50.0, 300.0, 80.0)
-    np.testing.assert_allclose(added(one, other), added(one) + added(other), rtol=1e-9)
+    # Its sum of exponentials is fitted to all of the light.
+    np.testing.assert_allclose(added(one, other), added(one) + added(other), rtol=0.01)
     np.testing.assert_array_equal(added(one, sun(-1.0)), added(one))
     assert not added(sun(-1.0)).any()
 
@@ -362,47 +383,33 @@ def test_colors_are_alike_where_all_are_one_and_stay_apart_where_not():
         assert one[1][c] == pytest.approx(other[1][c], rel=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(5, 8), (64, 128), (300, 512)])
-def test_scattered_skylight_is_the_integral_over_the_picture(shape):
-    rng = np.random.default_rng(1)
-    picture = rng.uniform(0.0, 2.0, (*shape, 3)).astype(np.float32)
-    sky = Sky(picture, ms.DOME_Z_UP)
-    to = rng.normal(size=(8, 3))
-    to /= np.linalg.norm(to, axis=1)[:, None]
-    found = lookup(scattered(sky, 0.6), to)
-    # Each texel a constant, by points a quarter of it apart.
-    fine = np.repeat(np.repeat(picture, 4, 0), 4, 1).astype(float)
-    rows, columns = fine.shape[:2]
-    from_there = (texel_directions(rows, columns) @ ms.DOME_Z_UP.T).reshape(-1, 3)
-    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    solid = np.repeat((edges[:-1] - edges[1:]) * (2 * np.pi / columns), columns)
-    for direction, value in zip(to, found, strict=True):
-        weight = solid * phase(from_there @ direction, 0.6)
-        expected = (weight[:, None] * fine.reshape(-1, 3)).sum(axis=0)
-        np.testing.assert_allclose(value, expected, rtol=0.01)
-
-
-def test_a_sun_in_the_picture_is_scattered_like_a_sun():
+@pytest.mark.parametrize("turned", [0.0, 100.0])
+def test_a_sun_in_the_skys_picture_is_scattered_like_a_sun(turned):
+    """But for what is within the width of the lobe that is straight on."""
     picture = np.zeros((512, 1024, 3), np.float32)
     row, column = 150, 700
     picture[row, column] = 1e6
-    sky = Sky(picture, ms.DOME_Z_UP)
-    to_sun = (texel_directions(512, 1024) @ ms.DOME_Z_UP.T)[row, column]
+    c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    sky = Sky(picture, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ ms.DOME_Z_UP)
+    to_sun = (texel_directions(512, 1024) @ sky.to_world.T)[row, column]
     edges = np.cos(np.arange(row, row + 2) * np.pi / 512)
     irradiance = 1e6 * (edges[0] - edges[1]) * (2 * np.pi / 1024)
+    same = Sun(to_sun, np.full(3, irradiance), np.radians(0.53))
+    of = haze(60.0 * 3.912, 60.0)
+    pictured, lit = air_of(of, (), sky, 0.0), air_of(of, (same,), None, 0.0)
+    np.testing.assert_allclose(pictured.dimming, lit.dimming, rtol=0.03)
     rng = np.random.default_rng(2)
-    to = np.vstack([rng.normal(size=(500, 3)), to_sun + 0.3 * rng.normal(size=(500, 3))])
-    to /= np.linalg.norm(to, axis=1)[:, None]
-    expected = irradiance * phase(to @ to_sun, 0.7)
-    np.testing.assert_allclose(lookup(scattered(sky, 0.7), to)[:, 0], expected, rtol=0.02)
+    for way in rng.normal(size=(60, 3)):
+        way /= np.linalg.norm(way)
+        if way @ to_sun < 0.9 and abs(way[2]) > 0.05:
+            far = FAR_M if way[2] > 0.0 else 10.0 / -way[2]
+            expected = through(lit, way, far, 10.0)[1]
+            np.testing.assert_allclose(through(pictured, way, far, 10.0)[1], expected, rtol=0.1)
 
 
 @pytest.mark.parametrize("g", [0.0, 0.7])
 def test_it_is_what_mitsuba_renders_of_a_volume(g):
-    """Single scattering to its noise; all of it, under sun and sky over ground, to 30 %.
-
-    The latter is what two streams approximate; it is worst at the horizon opposite the sun.
-    """
+    """Single scattering to its noise; all of it, under sun and sky over ground, to 2 % beyond."""
     # In a process of its own: Mitsuba and Blender do not share one.
     script = Path(__file__).with_name("mitsuba_volume.py")
     done = subprocess.run(
@@ -425,4 +432,4 @@ def test_it_is_what_mitsuba_renders_of_a_volume(g):
         behind = SKY if e > 0.0 else ground * air.dimming[0]
         expected = passed[0] * behind + added[0]
         assert error < 0.03 * expected
-        assert abs(mean - expected) < 0.3 * mean
+        assert abs(mean - expected) < 4.0 * error + 0.02 * mean

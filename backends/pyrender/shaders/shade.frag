@@ -31,6 +31,11 @@ layout(binding = 13) uniform sampler2D ground_light;  // Radiance of the ground 
 uniform float ground_share;          // 0 leaves its light out.
 uniform vec4 ground_place;         // From x and y to their coordinates: scale, then offset.
 #endif
+#ifdef WITH_CANOPY
+layout(binding = 16) uniform sampler3D canopy;  // What leaves leave of the light from all around.
+uniform vec3 canopy_scale;         // From positions to its coordinates.
+uniform vec3 canopy_offset;
+#endif
 uniform int samples;               // Per side of a pixel.
 uniform mat3 rays;                 // (u, v, 1) in pixels to a direction.
 uniform vec3 sky[9];               // Irradiance as spherical harmonics of the normal.
@@ -238,6 +243,11 @@ Around around_of(Hit hit, float side)
     float up = dot(hit.normal, hit.flat_normal) * side < 0.0 ? -hit.normal.z : hit.normal.z;
     around.taken = share.a + 0.5 - 0.5 * up;
     around.ground = ground_share * texture(ground_light, place).rgb;
+#endif
+#ifdef WITH_CANOPY
+    float open = texture(canopy, hit.position * canopy_scale + canopy_offset).r;
+    around.share *= open;
+    around.ground *= open;
 #endif
     return around;
 }
