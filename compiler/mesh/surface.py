@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.detail import Detail, Finer, finer, finer_than, joined, local
+from scenec.compiler.terrain.detail import Detail, Finer, finer, finer_than, joined, local, over
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -67,7 +67,8 @@ class Surface:
             for layer, share in zip(self.displacements, self._shares(sides, x.size), strict=True):
                 if layer is not None:
                     there = np.flatnonzero(share)
-                    height[there] += share[there] * layer.at(x[there], y[there])
+                    added = over(layer, x[there], y[there], height[there])
+                    height[there] += share[there] * added
         return height
 
     def lift_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

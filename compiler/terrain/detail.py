@@ -78,6 +78,24 @@ class Detail(Protocol):
 
 
 @runtime_checkable
+class Reshaping(Protocol):
+    """Detail that depends on the heights that it is added to."""
+
+    def over(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], below: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Meters to add at points to the heights below, float64 [n]."""
+        ...
+
+
+def over(
+    detail: Detail, x: NDArray[np.float64], y: NDArray[np.float64], below: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Meters that any detail adds at points to the heights below, float64 [n]."""
+    return detail.over(x, y, below) if isinstance(detail, Reshaping) else detail.at(x, y)
+
+
+@runtime_checkable
 class Local(Protocol):
     """Detail that is nothing in most places; its spectrum counts where it reaches."""
 
@@ -135,10 +153,16 @@ class Sum:
     parts: tuple[Detail, ...]
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Meters to add at points, float64 [n]."""
+        """On level ground at height 0: meters to add at points, float64 [n]."""
+        return self.over(x, y, np.zeros(x.shape))
+
+    def over(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], below: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Meters to add at points to the heights below, float64 [n]."""
         out = np.zeros(x.shape)
         for part in self.parts:
-            out += part.at(x, y)
+            out += over(part, x, y, below + out)
         return out
 
     def spectrum(self) -> Spectrum:

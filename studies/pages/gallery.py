@@ -87,7 +87,7 @@ ENTRIES = (
         "jacksboro",
         "rover.sensors.front",
         (0, 2),
-        "Measured relief, scaled; three grounds mixed by noise",
+        "Measured relief, scaled; pebbly sand, gravel, mud where it is level",
     ),
     Entry(
         "mars_yard",
@@ -112,7 +112,7 @@ ENTRIES = (
         "volcanic_desert",
         "rover.sensors.mast",
         (1, 3),
-        "An eroded cinder cone at its angle of repose, lava flows, ash, pale dunes in the hollows",
+        "An eroded cinder cone at its angle of repose, flows of clinker, ash, gray-buff dunes",
         weather=('light.clouds={"cumulus": {}}', 1),
     ),
     Entry(

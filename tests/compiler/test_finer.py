@@ -22,6 +22,7 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.smooth import Smooth
+from scenec.compiler.terrain.operators.terraces import Terraces
 from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.plane import Plane
@@ -164,6 +165,49 @@ def test_parts_of_a_displacement_add_up():
     assert sorted(both.spectrum().wavelength_m) == sorted(
         [*GRAINS.spectrum().wavelength_m, *other.spectrum().wavelength_m]
     )
+
+
+def test_ledges_of_a_material_are_the_operators_steps_at_any_point():
+    layers = Terraces(3, 0.3, 0.2, 0.1, 0.7, 0.5, 6.0)
+    grid = Grid((8.0, 6.0), (121, 161))
+    height = ROUGH.apply(grid, np.zeros(grid.shape))[0]
+    stepped = layers.apply(grid, height)[0]
+    added = layers.everywhere().over(*grid.points(), height.ravel())
+    np.testing.assert_allclose(height.ravel() + added, stepped.ravel(), rtol=0, atol=1e-14)
+    assert np.abs(added).max() > 0.1
+
+
+@examples(30)
+@given(slope=st.floats(0.1, 1.5), riser=st.floats(0.1, 0.9), tread=st.floats(0.0, 0.5))
+def test_a_slope_with_ledges_is_treads_of_a_part_of_its_slope_between_steep_risers(
+    slope, riser, tread
+):
+    grid = Grid((12.0, 2.0), (21, 121))
+    plane = HeightField(grid, slope * grid.points()[0].reshape(grid.shape))
+    layers = Terraces(3, 0.2, riser, tread, 0.0, 0.0, 1.0)
+    shelf = Surface(plane, (), (), (Sum((layers.everywhere(),)),))
+    x = np.linspace(-5.0, 5.0, 200_001)
+    height = shelf.height_at(x, np.zeros(x.size))
+    rise = np.diff(height) / np.diff(x)
+    # Of a layer's width the riser's part is steep, the rest a tread.
+    level = np.abs(rise - tread * slope) < 1e-5 * slope
+    assert level.mean() == pytest.approx(1.0 - riser, abs=0.03)
+    assert rise.min() > -1e-9
+    assert rise.max() == pytest.approx((tread + 1.5 * (1.0 - tread) / riser) * slope, rel=1e-2)
+    assert np.abs(height - slope * x).max() < 0.2
+
+
+def test_ledges_cut_what_stands_before_them_in_the_list():
+    steps = Terraces(3, 0.01, 0.05, 0.0, 0.0, 0.0, 1.0).everywhere()
+    x, y = np.random.default_rng(6).uniform(-9.0, 9.0, (2, 4000))
+
+    def on_treads(parts: tuple) -> float:
+        # Layers of no irregularity begin at whole steps.
+        over = Sum(parts).over(x, y, np.zeros(x.size)) / 0.01
+        return float((np.abs(over - np.round(over)) < 1e-9).mean())
+
+    assert on_treads((GRAINS, steps)) == pytest.approx(0.95, abs=0.02)
+    assert on_treads((steps, GRAINS)) < 0.02
 
 
 def test_the_error_left_is_within_the_tolerance(fine):

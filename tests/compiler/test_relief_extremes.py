@@ -163,7 +163,7 @@ def test_detail_finer_than_float64_can_place_is_left_out(scale, lacunarity):
     grid = Grid.with_spacing((20.0, 14.0), 0.5)
     x = np.linspace(-10.0, 10.0, 101)
     found = []
-    for kind, variants in ((Multifractal, FRACTALS), (Worley, ("f1", "f2-f1"))):
+    for kind, variants in ((Multifractal, FRACTALS), (Worley, ("f1", "f2-f1", "blocks"))):
         for variant in variants:
             if kind is Worley:
                 noise = Worley(2, 1.0, scale, variant, 1.0, 24, lacunarity, 0.5)

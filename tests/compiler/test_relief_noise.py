@@ -12,10 +12,16 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from scenec.compiler.noise.fractal import Fractal
-from scenec.compiler.noise.lattice import subkey, subkeys
+from scenec.compiler.noise.lattice import hash2, mix, subkey, subkeys
 from scenec.compiler.noise.octaves import octave_at, tabulate
 from scenec.compiler.noise.perlin import perlin2
-from scenec.compiler.noise.worley import feature_point, worley2, worley2_points
+from scenec.compiler.noise.worley import (
+    block,
+    blocks2_points,
+    feature_point,
+    worley2,
+    worley2_points,
+)
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley
@@ -168,7 +174,7 @@ def test_a_warp_moves_the_noise_by_its_strength_at_most():
     gain=st.floats(0.0, 2.0),
     amplitude=st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
     size=st.sampled_from([1e-3, 1.0, 1e3, 1e6]),
-    variant=st.sampled_from([*VARIANTS, "f1", "f2-f1"]),
+    variant=st.sampled_from([*VARIANTS, "f1", "f2-f1", "blocks"]),
     offset=st.floats(-2.0, 2.0),
     distortion=st.sampled_from([0.0, 0.5, 10.0]),
 )
@@ -232,3 +238,45 @@ def test_cells_finer_than_the_grid_are_left_out_and_counted():
     height, report = replace(CELLS, octaves=5).apply(GRID, np.zeros(GRID.shape))
     assert (report["octaves"], report["octaves_below_grid"]) == (3, 2)
     assert np.array_equal(height, apply(replace(CELLS, octaves=3)))
+
+
+def test_rubble_is_the_highest_of_all_blocks_near_and_far():
+    key = np.uint64(5)
+    u, v = np.random.default_rng(2).uniform(-3.0, 3.0, (2, 2_000))
+    out = np.empty(u.size)
+    blocks2_points(key, u, v, 1.0, out)
+    expected = np.zeros(u.size)
+    for i in range(-7, 7):
+        for j in range(-7, 7):
+            x, y = feature_point(key, i, j, 1.0)
+            form = np.uint64(mix(np.uint64(hash2(key, i, j))))
+            heights = [block(form, a - x, b - y) for a, b in zip(u, v, strict=True)]
+            expected = np.maximum(expected, heights)
+    assert np.allclose(out, expected, rtol=0, atol=1e-12)
+    assert 0.5 < (out > 0.0).mean() < 0.9
+    assert out.max() <= 1.2
+
+
+def test_rubble_has_level_ground_tilted_tops_and_sides_of_one_slope():
+    step = 1e-6
+    u, v = np.random.default_rng(3).uniform(-50.0, 50.0, (2, 20_000))
+    here, right, up = (np.empty(u.size) for _ in range(3))
+    for out, x, y in ((here, u, v), (right, u + step, v), (up, u, v + step)):
+        blocks2_points(np.uint64(7), x, y, 0.9, out)
+    slope = np.hypot(right - here, up - here) / step
+    kinds = [slope < 1e-6, (slope > 1e-6) & (slope < 0.6 * np.sqrt(2.0) + 1e-6),
+             np.abs(slope - 3.0) < 1e-4]  # fmt: skip
+    # All but what lies on an edge.
+    assert sum(kind.mean() for kind in kinds) > 0.9999
+    assert min(kind.mean() for kind in kinds) > 0.1
+    # Turned any way: no side of the compass has more of the sides than another.
+    turned = np.arctan2(up - here, right - here)[kinds[2]]
+    assert np.histogram(turned, 8, (-np.pi, np.pi))[0].min() > 0.1 * kinds[2].sum()
+
+
+def test_relief_of_blocks_is_their_height_in_cells_times_its_amplitude():
+    height = apply(replace(CELLS, distance="blocks"))
+    expected = np.empty(1)
+    x, y = np.array([GRID.x()[11] / 8.0]), np.array([GRID.y()[7] / 8.0])
+    blocks2_points(part(CELLS.key, 0), x, y, 1.0, expected)
+    assert height[7, 11] == 2.0 * expected[0]

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.terrain.detail import Spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.schemas.kernels import inlined, kernel
-from scenec.schemas.threads import over_threads
+from scenec.schemas.threads import POINTS, over_threads
 
 _GAIN = 0.5
 _LACUNARITY = 2.0
@@ -60,14 +61,63 @@ class Terraces:
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Terraced heights."""
         octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
-        noise = Fractal(self.key, octaves, _GAIN, _LACUNARITY, scale_m=self.bend_scale_m)
-        bend = self.bend_m * noise.on(grid.x(), grid.y())
+        out = height + self._change(
+            height, self.bend_m * self._bends(octaves).on(grid.x(), grid.y())
+        )
+        return out, changed(out, height)
+
+    def everywhere(self) -> Ledges:
+        """The steps as detail, of any fineness."""
+        return Ledges(self)
+
+    def change(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], height: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """What the steps add to heights at points, meters, float64 [n]."""
+        if self.bend_m == 0.0:
+            return self._change(height, np.zeros(height.shape))
+        return self._change(height, self.bend_m * self._bends(_OCTAVES).at(x, y))
+
+    def _bends(self, octaves: int) -> Fractal:
+        return Fractal(self.key, octaves, _GAIN, _LACUNARITY, scale_m=self.bend_scale_m)
+
+    def _change(
+        self, height: NDArray[np.float64], bend: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         layers = Layers(
             np.uint64(self.key), self.step_m, self.riser, self.tread_slope, self.irregularity
         )
-        out = np.empty(height.shape)
-        over_threads(_terraced_part, len(height), height, bend, layers, out)
-        return out, changed(out, height)
+        out = np.empty(height.size)
+        raised = np.ascontiguousarray(height + bend).ravel()
+        over_threads(_terraced_part, raised.size, raised, layers, out, least=POINTS)
+        return out.reshape(height.shape)
+
+
+@dataclass(frozen=True)
+class Ledges:
+    """Steps in whatever a ground is: a ``detail.Reshaping``.
+
+    Attributes:
+        relief: The steps.
+    """
+
+    relief: Terraces
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """On level ground at height 0: meters to add at points, float64 [n]."""
+        return self.over(x, y, np.zeros(x.shape))
+
+    def over(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], below: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Meters to add at points to heights below, float64 [n]."""
+        return self.relief.change(x, y, below)
+
+    def spectrum(self) -> Spectrum:
+        """One wave a layer, of slopes of 1 in 2; half of what a tread's end is moved by."""
+        relief = self.relief
+        moved = (1.0 - relief.riser) * (1.0 - relief.tread_slope) * relief.step_m
+        return Spectrum(np.array([2.0 * relief.step_m]), np.array([0.5 * moved]))
 
 
 @inlined
@@ -78,24 +128,20 @@ def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
 
 
 @kernel
-def _terraced_part(
-    first: int, last: int, height: NDArray, bend: NDArray, layers: Layers, out: NDArray
-) -> None:
-    _ny, nx = height.shape
+def _terraced_part(first: int, last: int, height: NDArray, layers: Layers, out: NDArray) -> None:
     key, step, riser, tread_slope, irregularity = layers
-    for j in range(first, last):
-        for i in range(nx):
-            level = (height[j, i] + bend[j, i]) / step
-            layer = np.int64(np.floor(level))
-            # Boundaries are within a quarter of a step of whole numbers.
-            if level < _boundary(key, layer, irregularity):
-                layer -= 1
-            elif level >= _boundary(key, layer + 1, irregularity):
-                layer += 1
-            bottom = _boundary(key, layer, irregularity)
-            thickness = _boundary(key, layer + 1, irregularity) - bottom
-            t = (level - bottom) / thickness
-            # The riser is the upper part of a layer: a smooth step over it.
-            s = min(max((t - 1.0 + riser) / riser, 0.0), 1.0)
-            s = tread_slope * t + (1.0 - tread_slope) * s * s * (3.0 - 2.0 * s)
-            out[j, i] = height[j, i] + step * thickness * (s - t)
+    for n in range(first, last):
+        level = height[n] / step
+        layer = np.int64(np.floor(level))
+        # Boundaries are within a quarter of a step of whole numbers.
+        if level < _boundary(key, layer, irregularity):
+            layer -= 1
+        elif level >= _boundary(key, layer + 1, irregularity):
+            layer += 1
+        bottom = _boundary(key, layer, irregularity)
+        thickness = _boundary(key, layer + 1, irregularity) - bottom
+        t = (level - bottom) / thickness
+        # The riser is the upper part of a layer: a smooth step over it.
+        s = min(max((t - 1.0 + riser) / riser, 0.0), 1.0)
+        s = tread_slope * t + (1.0 - tread_slope) * s * s * (3.0 - 2.0 * s)
+        out[n] = step * thickness * (s - t)

@@ -1,4 +1,4 @@
-"""Shapes cellular relief: bumps, pits and polygons."""
+"""Shapes cellular relief: bumps, pits, polygons and rubble."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.octaves import BLOCK, next_octave
-from scenec.compiler.noise.worley import worley2_points
+from scenec.compiler.noise.worley import blocks2_points, worley2_points
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.multifractal import LARGEST_M, octaves_held, octaves_shown
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
+
+_KINDS = ("f1", "f2-f1", "blocks")
+#: Of each, half of what it mostly spans.
+_SPANS = (0.75, 0.75, 0.4)
 
 
 @dataclass(frozen=True)
@@ -24,14 +28,15 @@ class Worley:
 
     F is the distance to the nearest feature point (``f1``: cones that meet in ridges) or what the
     second nearest is farther away (``f2-f1``: plateaus between grooves), in cells. It is 0 at the
-    points, or on the cells' borders, and at most 1.6. Octaves finer than two grid spacings are
+    points, or on the cells' borders, and at most 1.6. Or F is the height of the highest of angular
+    blocks, one a cell (``blocks``), 0 between them. Octaves finer than two grid spacings are
     ``detail`` (counted in the report).
 
     Attributes:
         key: Noise key.
         amplitude_m: Factor on all of it, meters; below 0 for pits and ridges.
         scale_m: Width of a cell, meters.
-        distance: Which distance.
+        distance: Which distance, or blocks.
         jitter: How far feature points are from a square lattice, 0 to 1.
         octaves: Number of octaves at most.
         lacunarity: Ratio of successive frequencies.
@@ -41,7 +46,7 @@ class Worley:
     key: int
     amplitude_m: float
     scale_m: float
-    distance: Literal["f1", "f2-f1"]
+    distance: Literal["f1", "f2-f1", "blocks"]
     jitter: float
     octaves: int
     lacunarity: float
@@ -80,7 +85,8 @@ class Worley:
         self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int
     ) -> NDArray[np.float64]:
         """Octaves from ``shown`` on at points, in units of the amplitude: float64 [n]."""
-        cells = Cells(shown, self.gain, self.lacunarity, self.jitter, self.distance == "f2-f1")
+        kind = _KINDS.index(self.distance)
+        cells = Cells(shown, self.gain, self.lacunarity, self.jitter, kind)
         keys = subkeys(np.uint64(self.key), self.octaves)
         out = np.empty(x.size)
         x, y = x / self.scale_m, y / self.scale_m
@@ -89,13 +95,13 @@ class Worley:
 
 
 class Cells(NamedTuple):
-    """Of a ``Worley``, in numbers: octaves that are left out, and what it has of that name."""
+    """Of a ``Worley``, in numbers: octaves left out; ``distance`` by its place in ``_KINDS``."""
 
     shown: int
     gain: float
     lacunarity: float
     jitter: float
-    difference: bool
+    kind: int
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,7 @@ class WorleyDetail:
             range(self.shown, relief.octaves),
             relief.lacunarity,
             relief.gain,
-            0.75 * relief.amplitude_m,
+            _SPANS[_KINDS.index(relief.distance)] * relief.amplitude_m,
         )
 
 
@@ -144,8 +150,11 @@ def _points_part(
         weight = 1.0
         for octave in range(keys.size):
             if octave >= cells.shown:
-                worley2_points(keys[octave], u, v, cells.jitter, first, second)
+                if cells.kind == 2:
+                    blocks2_points(keys[octave], u, v, cells.jitter, first)
+                else:
+                    worley2_points(keys[octave], u, v, cells.jitter, first, second)
                 for k in range(n):
-                    value[k] += weight * (second[k] - first[k] if cells.difference else first[k])
+                    value[k] += weight * (second[k] - first[k] if cells.kind == 1 else first[k])
             weight *= cells.gain
             next_octave(u, v, cells.lacunarity)
