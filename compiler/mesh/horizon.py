@@ -40,7 +40,7 @@ _BORDER_M = 2.0
 #: Patches of albedo are so many times as large as on the terrain.
 _PATCHES = 40.0
 #: Cells across the land on which objects lie.
-_NEAR_CELLS = 512
+_NEAR_CELLS = 384
 #: Share of the tolerance that errors between samples may take, where triangles are halved by rows
 #: and columns: in the world these are not evenly spaced.
 _AIM = 0.7
