@@ -23,6 +23,7 @@ from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.mesh.cover import lay
+from scenec.compiler.mesh.horizon import Land as FarLand
 from scenec.compiler.mesh.horizon import build_horizon
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
@@ -30,7 +31,7 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import HorizonPlan, Plan
+from scenec.compiler.scene.plan import HorizonPlan, Plan, ScatterPlan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import (
     Georeference,
@@ -131,7 +132,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         views = views_of(rigs, hills, surface.amplitude_m())
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
         require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
-    built = stand_objects(plan, surface, rigs, looks, log)
+    with log.timed("ground"):
+        land = build_land(plan, surface, log)
+    built = stand_objects(plan, surface, rigs, looks, log, land)
     objects = built.objects
     # Of millions of objects what was drawn for them takes more than what became of it.
     plan = replace(plan, objects=())
@@ -151,7 +154,8 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         log.facts["ground"] = meshed
         ground = Ground(plan.terrain.layers, tiles)
         if plan.terrain.horizon is not None:
-            around = _horizon(plan, plan.terrain.horizon, surface, tiles, views, color, log)
+            assert land is not None
+            around = _horizon(plan, plan.terrain.horizon, surface, land, tiles, views, color, log)
             ground = replace(ground, horizon=around)
     _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
     with log.timed("outputs"):
@@ -275,31 +279,47 @@ def _shaded_land(plan: Plan, terrain: HeightField) -> Land | None:
     return Land((-east, -north, low), (east, north, high), reach)
 
 
+def build_land(plan: Plan, terrain: Surface, log: BuildLog) -> FarLand | None:
+    """What lies beyond the terrain's border, before it is meshed; None where nothing does.
+
+    Args:
+        plan: The batch.
+        terrain: Its ground.
+        log: Receives errors.
+    """
+    horizon = plan.terrain.horizon
+    if horizon is None:
+        return None
+    east, north = (size + 2.0 * horizon.reach_m for size in plan.terrain.size_m)
+    relief = run(horizon.relief, Grid.with_spacing((east, north), horizon.spacing_m))
+    log.facts["horizon"] = {"relief": relief.steps}
+    far = Surface(relief.field, details=relief.details)
+    return FarLand.around(terrain, far, horizon.blend_m)
+
+
 def _horizon(
     plan: Plan,
     horizon: HorizonPlan,
     terrain: Surface,
+    land: FarLand,
     tiles: tuple[Tile, ...],
     views: Views,
     color: bool,
     log: BuildLog,
 ) -> Horizon:
     """What lies around the terrain."""
-    east, north = (size + 2.0 * horizon.reach_m for size in plan.terrain.size_m)
-    relief = run(horizon.relief, Grid.with_spacing((east, north), horizon.spacing_m))
     made, facts = build_horizon(
         terrain,
-        Surface(relief.field, details=relief.details),
+        land,
         tiles,
         horizon.layer,
         horizon.reach_m,
-        horizon.blend_m,
         plan.terrain.variation_key,
         plan.terrain.meshing,
         views,
         color=color,
     )
-    log.facts["horizon"] = {**facts, "relief": relief.steps}
+    log.facts["horizon"] |= facts
     return made
 
 
@@ -354,7 +374,12 @@ def stand_rigs(
 
 
 def stand_objects(
-    plan: Plan, surface: Surface, rigs: tuple[Rig, ...], looks: Looks | None, log: BuildLog
+    plan: Plan,
+    surface: Surface,
+    rigs: tuple[Rig, ...],
+    looks: Looks | None,
+    log: BuildLog,
+    land: FarLand | None = None,
 ) -> Built:
     """The objects on the ground, in the cfg's order.
 
@@ -364,17 +389,24 @@ def stand_objects(
         rigs: Its cameras.
         looks: Receives the materials of models; None where no color is asked for.
         log: Receives errors and times.
+        land: ``build_land``, where it is known.
 
     Raises:
         SceneError: Something cannot be built or placed.
     """
-    views = views_of(rigs)
-    around = Surroundings(surface, views.eye, views, plan.terrain.meshing.unseen)
+    views, unseen = views_of(rigs), plan.terrain.meshing.unseen
+    around = Surroundings(surface, views.eye, views, unseen)
+    for beyond_m in {one.beyond_m: None for one in plan.objects if isinstance(one, ScatterPlan)}:
+        if beyond_m:
+            land = land or build_land(plan, surface, BuildLog())
+            assert land is not None
+            near = Surroundings(land.near(beyond_m), views.eye, views, unseen)
+            around.beyond[beyond_m] = near
     built = build_objects(
         plan.objects,
         around,
         views,
-        plan.terrain.meshing.unseen,
+        unseen,
         _times(rigs, plan.samples),
         looks,
         plan.object_triangles,

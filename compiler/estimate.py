@@ -170,7 +170,8 @@ def _objects(spec: Spec, streams: Streams) -> Iterator[Need]:
                 key, law = "size_m", cfg["size_m"]
                 assert isinstance(law, Distribution)
                 number = golombek_rapp_per_m2(law.min, law.max, law.shape)
-            number *= size[0] * size[1]
+            beyond = resolve(cfg["beyond_m"], streams, f"{path}/beyond_m") or 0.0
+            number *= (size[0] + 2.0 * beyond) * (size[1] + 2.0 * beyond)
         yield _need(f"{path}/{key}", number, "instances", _INSTANCE)
     if classes:
         yield _need("objects", classes, "classes", _CLASS)

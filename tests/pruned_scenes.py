@@ -29,6 +29,8 @@ def drawn_cfg(
 ) -> dict[str, Any]:
     """Hills and craters, low suns, rocks from 5 cm to 10 m, all kinds of views, things that move.
 
+    Every third has land beyond its border, and rocks on it.
+
     Args:
         seed: Of the draw.
         folder: Receives a table of poses, and shall hold the cfg.
@@ -99,7 +101,7 @@ def drawn_cfg(
             x, y = (pick.uniform(-0.7 * half, 0.7 * half) for _ in range(2))
             rows.append(f"{2 * log},{time},{x:.3f},{y:.3f},0")
     (folder / "logs.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return {
+    cfg: dict[str, Any] = {
         "version": 1,
         "name": "pruned",
         "samples": 2,
@@ -134,6 +136,17 @@ def drawn_cfg(
         },
         "rigs": {name: rig(*kinds[name]) for name in chosen},
     }
+    if seed % 3 == 1:
+        cfg["terrain"]["horizon"] = {
+            "reach_m": 1000,
+            "blend_m": 30,
+            "relief": relief[:2],
+            "material": "sand",
+            "labels": {"class": "ground"},
+        }
+        size = {"type": "uniform", "min": 0.3, "max": 8}
+        cfg["objects"]["far"] = rocks | {"count": 300, "size_m": size, "beyond_m": 80}
+    return cfg
 
 
 _MODELS = Path(__file__).resolve().parent.parent / "assets" / "models"

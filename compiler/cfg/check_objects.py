@@ -27,6 +27,7 @@ def check_objects(cfg: Node) -> Iterator[Finding]:
             yield from _check_rocks(thing)
         if thing["type"] in ("rocks", "meshes"):
             yield from _check_count(thing)
+            yield from _check_beyond(cfg, thing)
         if thing["type"] == "meshes":
             yield from _check_weights(thing)
         if thing["type"] == "placed":
@@ -72,6 +73,28 @@ def _check_count(thing: Node) -> Iterator[Finding]:
             return
         hint = ', or a size_m of the type "golombek_rapp", which says how many there are'
     yield thing.fault(f"expected either the key count or the key per_m2{hint}")
+
+
+def _check_beyond(cfg: Node, thing: Node) -> Iterator[Finding]:
+    if "beyond_m" not in thing:
+        return
+    if "horizon" not in cfg.at("terrain"):
+        yield thing.key_fault("nothing is there: expected a terrain.horizon", "beyond_m")
+        return
+    beyond, reach = thing.span("beyond_m"), cfg.at("terrain", "horizon").span("reach_m")
+    if beyond and reach and beyond[1] > reach[0]:
+        yield thing.fault(
+            f"{beyond[1]:g} m, and the land ends {reach[0]:g} m beyond the border (reach_m): "
+            "expected it within",
+            "beyond_m",
+        )
+    for condition in thing.each("where", "*"):
+        if condition["type"] == "material":
+            yield condition.fault(
+                "layers of the ground end at the terrain's border: expected another condition "
+                "with beyond_m",
+                "type",
+            )
 
 
 def _check_weights(thing: Node) -> Iterator[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from scenec.compiler.draw.of_keys import Setting, of_keys
 from scenec.compiler.objects.conditions import (
     FromCameras,
     FromObjects,
+    OffTerrain,
     OnMaterial,
     OnRelief,
     PlacementCondition,
@@ -73,6 +75,11 @@ def draw_scattered(
         SceneError: There would be too many objects.
     """
     path, streams = f"objects/{name}", setting.streams
+    beyond, where = node["beyond_m"] or 0.0, ()
+    if beyond:
+        where = (OffTerrain((0.5 * setting.size_m[0], 0.5 * setting.size_m[1])),)
+        wide, deep = (size + 2.0 * beyond for size in setting.size_m)
+        setting = replace(setting, size_m=(wide, deep))
     count = _count(path, cfg, node, streams, size_key)
     n = _most(path, count, setting)
     turned = cfg["orientation"] or orientation
@@ -94,9 +101,12 @@ def draw_scattered(
         source=source,
         count=count,
         density=_density(node["density"], f"{path}/density", setting),
-        where=tuple(
-            _place(condition, f"{path}/where/{i}", setting)
-            for i, condition in enumerate(node["where"])
+        where=(
+            *where,
+            *(
+                _place(condition, f"{path}/where/{i}", setting)
+                for i, condition in enumerate(node["where"])
+            ),
         ),
         spacing=apart and Spacing(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
         fewer=cfg["shortfall"] == "fewer",
@@ -110,6 +120,7 @@ def draw_scattered(
         embed=draw_number(cfg["embed"], streams, f"{path}/embed", n).astype(np.float64),
         variation=2.0 * streams.uniforms(f"{path}/variation", n) - 1.0,
         lod_px=cfg["lod_px"],
+        beyond_m=beyond,
     )
 
 

@@ -23,6 +23,7 @@ from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import albedo_variation
 from scenec.compiler.scene.scene import GroundLayer, Horizon, Tile
+from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import Views, pixels_of_balls
 
 #: Prim of it.
@@ -38,6 +39,8 @@ _NO_FOCAL = 500.0
 _BORDER_M = 2.0
 #: Patches of albedo are so many times as large as on the terrain.
 _PATCHES = 40.0
+#: Cells across the land on which objects lie.
+_NEAR_CELLS = 384
 #: Share of the tolerance that errors between samples may take, where triangles are halved by rows
 #: and columns: in the world these are not evenly spaced.
 _AIM = 0.7
@@ -62,9 +65,10 @@ class Land:
     blend_m: float
 
     @classmethod
-    def around(cls, terrain: Surface, surface: Surface, blend_m: float, columns: int) -> Land:
+    def around(cls, terrain: Surface, surface: Surface, blend_m: float) -> Land:
         """Land whose heights begin as those of a terrain's border."""
         half = terrain.field.grid.size_m[0] * 0.5, terrain.field.grid.size_m[1] * 0.5
+        columns = 4 * _SIDE * _MOST_SIDES
         x, y = _rectangles(half, np.zeros(1), columns)
         height = terrain.field.height_at(x[0], y[0])
         # So many columns to each side, of a side's at its middle, where they are widest.
@@ -90,6 +94,16 @@ class Land:
         own[some] += (1.0 - share[some]) * (self._border_at(x[some], y[some]) - own[some])
         return own
 
+    def near(self, beyond_m: float) -> Surface:
+        """Its heights up to so far beyond the border, in cells, for what lies there.
+
+        Those inside of the border go on from it and mean nothing.
+        """
+        span = 2.0 * max(self.half_m) + 2.0 * beyond_m
+        size = 2.0 * self.half_m[0] + 2.0 * beyond_m, 2.0 * self.half_m[1] + 2.0 * beyond_m
+        grid = Grid.with_spacing(size, span / _NEAR_CELLS)
+        return Surface(HeightField(grid, self.height_at(*grid.points()).reshape(grid.shape)))
+
     def _border_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of the border where a column through points begins, float64 [n]."""
         away = self.distance_m(x, y)
@@ -109,11 +123,10 @@ class Land:
 @memoized("ground")
 def build_horizon(
     terrain: Surface,
-    far: Surface,
+    land: Land,
     tiles: Sequence[Tile],
     layer: GroundLayer,
     reach_m: float,
-    blend_m: float,
     variation_key: int,
     meshing: Meshing,
     views: Views,
@@ -124,11 +137,10 @@ def build_horizon(
 
     Args:
         terrain: What the tiles stand for, with its merges.
-        far: The land's own relief, level where it is not known.
+        land: What it stands for.
         tiles: All of the terrain's, whose float32 positions are exact as far off as its border.
         layer: What the land is.
         reach_m: How far beyond the border it goes.
-        blend_m: Width over which the border's heights and materials give way to its own.
         variation_key: See ``build_tiles``.
         meshing: The terrain's: tolerance, budget, and what pixels count where no view looks.
         views: The cameras.
@@ -141,7 +153,6 @@ def build_horizon(
     focal = float(views.focal.max(initial=0.0)) or _NO_FOCAL
     sides = int(np.ceil(2.0 * elementary.PI * focal / (_CELL_PX * 4 * _SIDE)))
     columns = 4 * _SIDE * min(max(sides, 1), _MOST_SIDES)
-    land = Land.around(terrain, far, blend_m, columns)
     x, y = _rectangles(land.half_m, _distances(land.half_m, reach_m, columns), columns)
     height = land.height_at(x.ravel(), y.ravel()).reshape(x.shape)
     pixels = _pixels(views, x, y, height, meshing.unseen)

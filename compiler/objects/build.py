@@ -80,7 +80,7 @@ def build_objects(
             else:
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
-                near = around.only(_strings_in(plan))
+                near = around.only(_strings_in(plan), plan.beyond_m)
                 levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
                 own |= facts_of_it
                 found.append(levels)

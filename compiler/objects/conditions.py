@@ -71,6 +71,23 @@ class OnMaterial(PlacementCondition):
 
 
 @dataclass(frozen=True)
+class OffTerrain(PlacementCondition):
+    """Beyond the terrain's border, in cells that are off it as a whole.
+
+    Attributes:
+        half_m: Half the terrain's sides.
+    """
+
+    half_m: tuple[float, float]
+
+    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+        """1 or 0."""
+        on_x = np.abs(lattice.x) < self.half_m[0] + 0.5 * lattice.dx
+        on_y = np.abs(lattice.y) < self.half_m[1] + 0.5 * lattice.dy
+        return np.where(on_y[:, None] & on_x, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
 class _Distance(PlacementCondition):
     """A distance in plan, from ``min_m`` to ``max_m``."""
 

@@ -26,6 +26,7 @@ class Surroundings:
         views: What these see, for what of the ground's detail shows.
         unseen: Part that a pixel counts where no view shows an object.
         objects: Those laid before, by class.
+        beyond: The same on the land up to so far beyond the terrain's border, by that distance.
     """
 
     surface: Surface
@@ -33,6 +34,7 @@ class Surroundings:
     views: Views = NO_VIEWS
     unseen: float = 0.0
     objects: dict[str, Circles] = field(default_factory=dict)
+    beyond: dict[float, Surroundings] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         #: Of the relief.
@@ -45,10 +47,15 @@ class Surroundings:
             self._pyramids.append(HeightPyramid.of(self.surface.field))
         return self._pyramids[0]
 
-    def only(self, names: Container[str]) -> Surroundings:
-        """The same with no other classes than some; what is computed once is shared."""
-        own = copy(self)
+    def only(self, names: Container[str], beyond_m: float = 0.0) -> Surroundings:
+        """The same with no other classes than some; what is computed once is shared.
+
+        Args:
+            beyond_m: Above 0 for those on the land so far beyond the border.
+        """
+        own = copy(self.beyond[beyond_m] if beyond_m else self)
         own.objects = {name: self.objects[name] for name in self.objects if name in names}
+        own.beyond = {}
         return own
 
 

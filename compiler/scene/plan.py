@@ -163,6 +163,7 @@ class ScatterPlan:
         embed: Part of the height below ground, float64 [n].
         variation: Albedo variation, float64 [n], in [-1, 1].
         lod_px: Largest error of a level of detail, in pixels of the nearest view.
+        beyond_m: How far beyond the terrain's border they lie, on the land; 0: on the terrain.
     """
 
     name: str
@@ -185,6 +186,7 @@ class ScatterPlan:
     embed: NDArray[np.float64]
     variation: NDArray[np.float64]
     lod_px: float
+    beyond_m: float = 0.0
 
 
 @dataclass(frozen=True)

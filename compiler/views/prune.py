@@ -124,7 +124,7 @@ def prune(
     if keep is not Keep.SEEN or not len(views.eye) or not tiles:
         whole = [np.full(one.count, _CODE[Reason.ALL], np.uint8) for one in scene.objects]
         return Pruned(scene, [], _record(scene.objects, whole, {}))
-    relief = relief_of_tiles(tiles, scene.bounds, len(views.eye))
+    relief = relief_of_tiles(_ground_of(scene), scene.bounds, len(views.eye))
     if not hills:
         relief.whole[:] = False
     views = with_horizon(views, relief)
@@ -159,6 +159,20 @@ def prune(
         _record(scene.objects, reasons, gone),
         facts,
     )
+
+
+def _ground_of(scene: Scene) -> tuple[Tile, ...]:
+    """All that is ground where objects are: a horizon, too, where they lie beyond the border."""
+    tiles = scene.ground.tiles
+    if scene.ground.horizon is None:
+        return tiles
+    ends = [t.translate + pick(t.points, axis=0) for t in tiles for pick in (np.min, np.max)]
+    within = np.min(ends, axis=0), np.max(ends, axis=0)
+    for one in scene.objects:
+        middles = one.balls()[0]
+        if ((middles < within[0]) | (middles > within[1]))[:, :2].any():
+            return scene.ground.meshes
+    return tiles
 
 
 def _seen(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _Balls:

@@ -52,7 +52,7 @@ def horizon(page: Page) -> str:
     size = (plan.terrain.size_m[0] + 2 * far.reach_m, plan.terrain.size_m[1] + 2 * far.reach_m)
     relief = run(far.relief, Grid.with_spacing(size, far.spacing_m))
     terrain = build_surface(plan, BuildLog())
-    land = Land.around(terrain, Surface(relief.field, details=relief.details), far.blend_m, 1024)
+    land = Land.around(terrain, Surface(relief.field, details=relief.details), far.blend_m)
     rows = []
     for tolerance in (0.25, 0.5, 1.0, 2.0):
         meshing = replace(plan.terrain.meshing, tolerance_px=tolerance)

@@ -82,7 +82,7 @@ def land(plan):
     horizon = plan.terrain.horizon
     size = tuple(side + 2.0 * REACH for side in plan.terrain.size_m)
     far = run(horizon.relief, Grid.with_spacing(size, horizon.spacing_m))
-    return Land.around(terrain, Surface(far.field, details=far.details), BLEND, 512)
+    return Land.around(terrain, Surface(far.field, details=far.details), BLEND)
 
 
 def triangles(tiles):
