@@ -30,7 +30,7 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import HorizonPlan, Plan
+from scenec.compiler.scene.plan import HorizonPlan, Plan, ScatterPlan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import (
     Georeference,
@@ -128,11 +128,12 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
-        views = views_of(rigs, hills, surface.amplitude_m())
+        margin_m = surface.amplitude_m() + _heaped_m(plan)
+        views = views_of(rigs, hills, margin_m)
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
         require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
     built = stand_objects(plan, surface, rigs, looks, log)
-    objects = built.objects
+    objects, surface = built.objects, built.surface
     # Of millions of objects what was drawn for them takes more than what became of it.
     plan = replace(plan, objects=())
     with log.timed("ground"):
@@ -163,7 +164,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     if color:
         with log.timed("surfaces"):
             shown_to = needed.with_color(rigs, keep)
-            seen = views if shown_to is rigs else views_of(shown_to, hills, surface.amplitude_m())
+            seen = views if shown_to is rigs else views_of(shown_to, hills, margin_m)
             # Without cameras nothing is too small to see.
             shown_to = () if keep is Keep.ALL else shown_to
             reached_px = meshed.get("mesh", {}).get("tolerance_reached_px")
@@ -369,12 +370,13 @@ def stand_objects(
         SceneError: Something cannot be built or placed.
     """
     views = views_of(rigs)
-    around = Surroundings(surface, views.eye, views, plan.terrain.meshing.unseen)
+    meshing = plan.terrain.meshing
+    around = Surroundings(surface, views.eye, views, meshing.unseen, meshing.tolerance_px)
     built = build_objects(
         plan.objects,
         around,
         views,
-        plan.terrain.meshing.unseen,
+        meshing.unseen,
         _times(rigs, plan.samples),
         looks,
         plan.object_triangles,
@@ -382,6 +384,12 @@ def stand_objects(
     )
     log.facts |= built.facts
     return built
+
+
+def _heaped_m(plan: Plan) -> float:
+    """What objects raise the ground about their feet by at most, meters."""
+    scattered = (one for one in plan.objects if isinstance(one, ScatterPlan))
+    return sum(one.fillet.highest_m(one.scale) for one in scattered if one.fillet is not None)
 
 
 def _finished(

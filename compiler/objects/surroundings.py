@@ -25,6 +25,7 @@ class Surroundings:
         cameras: Where any camera is at any sample, float64 [c, 3], meters.
         views: What these see, for what of the ground's detail shows.
         unseen: Part that a pixel counts where no view shows an object.
+        tolerance_px: What may show of the ground's error, pixels; None where its mesh is its grid.
         objects: Those laid before, by class.
     """
 
@@ -32,6 +33,7 @@ class Surroundings:
     cameras: NDArray[np.float64]
     views: Views = NO_VIEWS
     unseen: float = 0.0
+    tolerance_px: float | None = None
     objects: dict[str, Circles] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
