@@ -19,6 +19,8 @@ from scenec.schemas.threads import over_threads
 
 #: How much a ramp varies about its stone, at most and in waves of noise a unit circle has across.
 _VARIES, _MOST_VARIED, _WAVES = 1.3, 0.7, 1.1
+#: Ramps lower than so many tolerances of the mesh are left out: they cost triangles, and show less.
+_LEAST = 2.0
 #: Part of what stands out of the ground that a ramp hides at most, before it varies.
 _OF_EXPOSED = 0.3
 #: Between the noises of two stones, in waves.
@@ -48,8 +50,8 @@ class FilletPlan:
 def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surface, int]:
     """The ground with fines about a class of stones, for all that is placed after it.
 
-    Stones have none whose ramp is lower than the error that may show in the view that is nearest,
-    wherever it looks: what stays is the same whatever is pruned.
+    Stones have none whose ramp is lower than twice the error that may show in the view that is
+    nearest, wherever it looks: what stays is the same whatever is pruned.
 
     Args:
         stones: At their finest level, where they stand.
@@ -68,11 +70,12 @@ def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surfa
     near = pixels_of_balls(
         around.views, middles, radii + reach, 1.0, min(NEAREST_M, float(radii.min()))
     )
-    some = np.flatnonzero((height * near >= tolerance_px) & (height > 0.0) & (reach > 0.0))
+    least = _LEAST * tolerance_px
+    some = np.flatnonzero((height * near >= least) & (height > 0.0) & (reach > 0.0))
     feet = _feet(stones, some, surface, (height[some], reach[some]))
     share = np.empty(feet.outline.shape)
     _shares(np.uint64(plan.key), own[some], directions(), share)
-    shown = feet.height * near[some] >= tolerance_px
+    shown = feet.height * near[some] >= least
     standing = np.flatnonzero(shown & (feet.outline.max(axis=1) > 0.0))
     if not len(standing):
         return surface, 0

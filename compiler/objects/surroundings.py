@@ -50,6 +50,8 @@ class Surroundings:
     def only(self, names: Container[str]) -> Surroundings:
         """The same with no other classes than some; what is computed once is shared."""
         own = copy(self)
+        # What is placed does not heed it, and is not made again where it changes.
+        own.tolerance_px = None
         own.objects = {name: self.objects[name] for name in self.objects if name in names}
         return own
 

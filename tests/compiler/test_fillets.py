@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def ground(amplitude_m: float = 0.0, size=SIZE, spacing: float = 0.4) -> Surface
     return Surface(HeightField(grid, height))
 
 
-def among(surface: Surface, eye=(0.0, -15.0), tolerance_px: float | None = 0.5) -> Surroundings:
+def among(surface: Surface, eye=(0.0, -15.0), tolerance_px: float | None = 0.2) -> Surroundings:
     views = views_of((test_adaptive.one_rig(surface.field, eye),))
     return Surroundings(surface, np.zeros((0, 3)), views, 0.125, tolerance_px)
 
@@ -233,7 +234,8 @@ def test_the_mesh_follows_ramps_within_the_tolerance_and_is_no_finer_elsewhere(m
 def _cfg() -> dict:
     cfg = small_cfg(samples=1, batches=1)
     rocks = cfg["objects"]["rocks"]
-    rocks |= {"orientation": "normal", "fillet": {}, "count": 60}
+    rocks |= {"orientation": "normal", "fillet": {}, "count": 60, "size_m": 1.5}
+    cfg["terrain"]["mesh"] = {"tolerance_px": 0.5}
     cfg["rigs"]["rover"]["sensors"]["front"]["outputs"] = ["label", "instance", "depth"]
     return cfg
 
@@ -264,6 +266,8 @@ def test_annotation_is_the_same_pruned_or_not(tmp_path, workers_here):
             tmp_path / keep, "reference", passes=("depth", "instance", "label")
         ).frames
         passes.append(read_frame(frame).passes)
+        report = json.loads((tmp_path / keep / "batch_0000" / "report.json").read_text())
+        assert report["objects"]["rocks"]["fillets"] > 10
     assert passes[0].keys() == passes[1].keys() >= {"depth"}
     for name, values in passes[0].items():
         assert np.array_equal(values, passes[1][name], equal_nan=True)
