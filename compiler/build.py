@@ -387,7 +387,7 @@ def stand_objects(
 
 
 def _heaped_m(plan: Plan) -> float:
-    """What objects raise the ground about their feet by at most, meters."""
+    """About how high the ground is heaped about the feet of objects, meters."""
     scattered = (one for one in plan.objects if isinstance(one, ScatterPlan))
     return sum(one.fillet.highest_m(one.scale) for one in scattered if one.fillet is not None)
 

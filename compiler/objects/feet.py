@@ -12,7 +12,7 @@ from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.bodies import Bodies, vertices_of
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.scene import Scatter
-from scenec.compiler.terrain.fillets import CORE, SIDES, Feet, Fillets, directions
+from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -43,8 +43,8 @@ class FilletPlan:
     key: int
 
     def highest_m(self, size: NDArray[np.float64]) -> float:
-        """What no ramp about stones of such sizes rises by more, meters."""
-        return CORE * (1.0 + _MOST_VARIED) * float((self.height * size).max(initial=0.0))
+        """About how high ramps about stones of such sizes get, meters."""
+        return float((self.height * size).max(initial=0.0))
 
 
 def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surface, int]:

@@ -24,7 +24,7 @@ from scenec.schemas.threads import POINTS, over_threads
 SIDES = 24
 #: Part of its reach within which a ramp bends level under its stone; how high it then is, in
 #: heights at the outline.
-_LEVEL, CORE = 0.5, 1.5
+_LEVEL, _CORE = 0.5, 1.5
 
 
 class Feet(NamedTuple):
@@ -123,7 +123,7 @@ def _side(dx: float, dy: float) -> float:
 def _ramp(feet: Feet, n: int, dx: float, dy: float) -> float:
     """Height of a stone's ramp so far from its middle, meters."""
     r = np.sqrt(dx * dx + dy * dy)
-    core = CORE * feet.height[n]
+    core = _CORE * feet.height[n]
     if r == 0.0:
         return core
     side = _side(dx, dy)
