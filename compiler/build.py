@@ -178,9 +178,12 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         what = f"over {facts['extent_m']:.6g} m up to {np.abs(bounds).max():.6g} m away"
         unseen = plan.terrain.meshing.unseen
         refuse(rigs, terrain, unseen, facts["float32_error_max_m"], what)
-    if isinstance(terrain, MeshSurface) and any(plan.terrain.displacements):
-        what = "materials: their displacement"
-        _note_left_out(log, entry("ground", what, "the terrain is a mesh"))
+    if isinstance(terrain, MeshSurface):
+        heaped = [name for name, own in built.facts["objects"].items() if "fillets" in own]
+        whats = [f"objects/{name}: fillet" for name in heaped]
+        if any(plan.terrain.displacements):
+            whats.append("materials: their displacement")
+        _note_left_out(log, *(entry("ground", what, "the terrain is a mesh") for what in whats))
     _require_finite(objects, light.sky, rigs)
     scene = Scene(
         name=plan.name,

@@ -14,10 +14,14 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from laying import SIZE, plan
+from overhangs import shelter, write
 from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface
@@ -255,6 +259,19 @@ def digest() -> str:
 @pytest.mark.slow
 def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
     assert digest_elsewhere("test_fillets") == digest()
+
+
+def test_on_a_mesh_there_are_none_and_the_report_says_so(tmp_path):
+    write(tmp_path / "cave.ply", *shelter(8))
+    cfg = small_cfg()
+    cfg["terrain"] |= {"size_m": [20, 20], "spacing_m": 0.4}
+    cfg["terrain"]["relief"] = [{"type": "mesh", "file": "cave.ply", "unit_m": 1, "up": "z"}]
+    cfg["objects"]["rocks"] |= {"count": 10, "fillet": {}}
+    log = BuildLog()
+    build(draw(load(write_cfg(tmp_path, cfg)), 3, 0), log)
+    assert log.facts["objects"]["rocks"]["fillets"] == 0
+    what = [(e["what"], e["why"]) for e in log.facts["left_out"] if "fillet" in e["what"]]
+    assert what == [("objects/rocks: fillet", "the terrain is a mesh")]
 
 
 def test_annotation_is_the_same_pruned_or_not(tmp_path, workers_here):
