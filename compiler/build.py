@@ -129,13 +129,14 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
-        views = views_of(rigs, hills, surface.amplitude_m())
+        margin_m = surface.amplitude_m() + _heaped_m(plan)
+        views = views_of(rigs, hills, margin_m)
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
         require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
     with log.timed("ground"):
         land = build_land(plan, surface, log)
     built = stand_objects(plan, surface, rigs, looks, log, land)
-    objects = built.objects
+    objects, surface = built.objects, built.surface
     # Of millions of objects what was drawn for them takes more than what became of it.
     plan = replace(plan, objects=())
     with log.timed("ground"):
@@ -167,7 +168,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     if color:
         with log.timed("surfaces"):
             shown_to = needed.with_color(rigs, keep)
-            seen = views if shown_to is rigs else views_of(shown_to, hills, surface.amplitude_m())
+            seen = views if shown_to is rigs else views_of(shown_to, hills, margin_m)
             # Without cameras nothing is too small to see.
             shown_to = () if keep is Keep.ALL else shown_to
             reached_px = meshed.get("mesh", {}).get("tolerance_reached_px")
@@ -181,9 +182,12 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         what = f"over {facts['extent_m']:.6g} m up to {np.abs(bounds).max():.6g} m away"
         unseen = plan.terrain.meshing.unseen
         refuse(rigs, terrain, unseen, facts["float32_error_max_m"], what)
-    if isinstance(terrain, MeshSurface) and any(plan.terrain.displacements):
-        what = "materials: their displacement"
-        _note_left_out(log, entry("ground", what, "the terrain is a mesh"))
+    if isinstance(terrain, MeshSurface):
+        heaped = [name for name, own in built.facts["objects"].items() if "fillets" in own]
+        whats = [f"objects/{name}: fillet" for name in heaped]
+        if any(plan.terrain.displacements):
+            whats.append("materials: their displacement")
+        _note_left_out(log, *(entry("ground", what, "the terrain is a mesh") for what in whats))
     _require_finite(objects, light.sky, rigs)
     scene = Scene(
         name=plan.name,
@@ -394,19 +398,19 @@ def stand_objects(
     Raises:
         SceneError: Something cannot be built or placed.
     """
-    views, unseen = views_of(rigs), plan.terrain.meshing.unseen
-    around = Surroundings(surface, views.eye, views, unseen)
+    views, meshing = views_of(rigs), plan.terrain.meshing
+    around = Surroundings(surface, views.eye, views, meshing.unseen, meshing.tolerance_px)
     for beyond_m in {one.beyond_m: None for one in plan.objects if isinstance(one, ScatterPlan)}:
         if beyond_m:
             land = land or build_land(plan, surface, BuildLog())
             assert land is not None
-            near = Surroundings(land.near(beyond_m), views.eye, views, unseen)
+            near = Surroundings(land.near(beyond_m), views.eye, views, meshing.unseen)
             around.beyond[beyond_m] = near
     built = build_objects(
         plan.objects,
         around,
         views,
-        unseen,
+        meshing.unseen,
         _times(rigs, plan.samples),
         looks,
         plan.object_triangles,
@@ -414,6 +418,12 @@ def stand_objects(
     )
     log.facts |= built.facts
     return built
+
+
+def _heaped_m(plan: Plan) -> float:
+    """About how high the ground is heaped about the feet of objects, meters."""
+    scattered = (one for one in plan.objects if isinstance(one, ScatterPlan))
+    return sum(one.fillet.highest_m(one.scale) for one in scattered if one.fillet is not None)
 
 
 def _finished(

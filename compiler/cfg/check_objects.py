@@ -88,6 +88,10 @@ def _check_beyond(cfg: Node, thing: Node) -> Iterator[Finding]:
             "expected it within",
             "beyond_m",
         )
+    if "fillet" in thing:
+        yield thing.key_fault(
+            "the land beyond the border is not heaped: expected no fillet with beyond_m", "fillet"
+        )
     for condition in thing.each("where", "*"):
         if condition["type"] == "material":
             yield condition.fault(

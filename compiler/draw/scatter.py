@@ -35,6 +35,7 @@ from scenec.compiler.objects.density import (
     UniformDensity,
     WorleyDensity,
 )
+from scenec.compiler.objects.feet import FilletPlan
 from scenec.compiler.scene.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
 from scenec.compiler.scene.scene import Labels
 from scenec.schemas.errors import SceneError
@@ -121,7 +122,20 @@ def draw_scattered(
         variation=2.0 * streams.uniforms(f"{path}/variation", n) - 1.0,
         lod_px=cfg["lod_px"],
         beyond_m=beyond,
+        fillet=_fillet(cfg.get("fillet"), f"{path}/fillet", streams, n),
     )
+
+
+def _fillet(
+    cfg: Mapping[str, Any] | None, path: str, streams: Streams, n: int
+) -> FilletPlan | None:
+    if cfg is None:
+        return None
+    height, reach = (
+        draw_number(cfg[key], streams, f"{path}/{key}", n).astype(np.float64)
+        for key in ("height", "reach")
+    )
+    return FilletPlan(height, reach, streams.key(path))
 
 
 def uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.float64]:

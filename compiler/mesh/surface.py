@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.detail import Detail, Finer, finer, finer_than, joined, local, over
+from scenec.compiler.terrain.detail import Detail, finer, finer_than, joined, local, over
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -108,8 +108,7 @@ class Surface:
             somewhere = local(detail)
             if somewhere is not None:
                 x, y = np.ascontiguousarray(balls[0][:, :2].T)
-                near = np.flatnonzero(somewhere.reaches(x, y, balls[1]))
-                _add_finer(near, length_m, finer([detail.spectrum()]), out)
+                out += somewhere.finer_at(x, y, balls[1], length_m)
         return out
 
     def amplitude_m(self) -> float:
@@ -151,13 +150,6 @@ def _largest(faces, shares, length, tables):  # type: ignore[no-untyped-def]
                 total += shares[faces[f, k], layer] * of_layers[layer]
             out[f] = max(out[f], total)
     return out
-
-
-@kernel
-def _add_finer(some: NDArray, length: NDArray, table: Finer, out: NDArray) -> None:
-    """Adds a spectrum's finer part to some faces."""
-    for f in some:
-        out[f] += finer_than(table, 0, length[f])
 
 
 @inlined

@@ -88,7 +88,7 @@ class Touching(NamedTuple):
 
 
 @kernel
-def _vertices_of(bodies, n, room):  # type: ignore[no-untyped-def]
+def vertices_of(bodies, n, room):  # type: ignore[no-untyped-def]
     """Vertices of object n: x, y in the world, z over its origin; in room, [3, k], k or more."""
     first, end = bodies.offsets[bodies.prototype[n]], bodies.offsets[bodies.prototype[n] + 1]
     # One by one, they are known to have no gaps between their numbers: loops become vector code.
@@ -136,7 +136,7 @@ def touching(bound: Kernel, below: Kernel) -> Any:
         kept = np.empty(most, np.int64)
         room = np.empty((4, np.diff(bodies.offsets).max()))
         for n in range(first, last):
-            x, y, z = _vertices_of(bodies, n, room[:3])
+            x, y, z = vertices_of(bodies, n, room[:3])
             left, right = _extent(x)
             front, back = _extent(y)
             bottom, top = _extent(z)
@@ -190,4 +190,4 @@ def vertices(bodies: Bodies) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 @kernel
 def _vertices(bodies, starts, out):  # type: ignore[no-untyped-def]
     for n in range(len(starts)):
-        _vertices_of(bodies, n, out[:, starts[n] :])
+        vertices_of(bodies, n, out[:, starts[n] :])

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model, cached_model
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.coatings import coat
+from scenec.compiler.objects.feet import heap
 from scenec.compiler.objects.foliage import foliage_chain
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
@@ -32,10 +34,12 @@ class Built(NamedTuple):
     """The objects of a batch, in the plans' order.
 
     Attributes:
+        surface: The ground with the fines that are heaped about their feet.
         facts: For report.json: of each class, and of the budget, if there is one.
     """
 
     objects: tuple[Scatter | Placed, ...]
+    surface: Surface
     facts: dict[str, Any]
 
     def float32_errors(self) -> list[float]:
@@ -85,6 +89,8 @@ def build_objects(
                 own |= facts_of_it
                 found.append(levels)
                 around.objects[plan.name] = footprints(levels.scatter)
+                if plan.fillet is not None:
+                    around.surface, own["fillets"] = heap(plan.fillet, levels.scatter, around)
     scattered = [levels for levels in found if isinstance(levels, Levels)]
     single = sum(facts[one.name]["triangles"] for one in found if isinstance(one, Placed))
     factor = None
@@ -100,7 +106,7 @@ def build_objects(
             scatter, chosen = choose_levels(one, factor)
             facts[scatter.name] |= chosen
             objects.append(scatter)
-    return Built(tuple(objects), told)
+    return Built(tuple(objects), around.surface, told)
 
 
 def _scattered(

@@ -25,6 +25,7 @@ class Surroundings:
         cameras: Where any camera is at any sample, float64 [c, 3], meters.
         views: What these see, for what of the ground's detail shows.
         unseen: Part that a pixel counts where no view shows an object.
+        tolerance_px: What may show of the ground's error, pixels; None where its mesh is its grid.
         objects: Those laid before, by class.
         beyond: The same on the land up to so far beyond the terrain's border, by that distance.
     """
@@ -33,6 +34,7 @@ class Surroundings:
     cameras: NDArray[np.float64]
     views: Views = NO_VIEWS
     unseen: float = 0.0
+    tolerance_px: float | None = None
     objects: dict[str, Circles] = field(default_factory=dict)
     beyond: dict[float, Surroundings] = field(default_factory=dict)
 
@@ -54,6 +56,8 @@ class Surroundings:
             beyond_m: Above 0 for those on the land so far beyond the border.
         """
         own = copy(self.beyond[beyond_m] if beyond_m else self)
+        # What is placed does not heed it, and is not made again where it changes.
+        own.tolerance_px = None
         own.objects = {name: self.objects[name] for name in self.objects if name in names}
         own.beyond = {}
         return own

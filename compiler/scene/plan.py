@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from scenec.compiler.objects.conditions import PlacementCondition
     from scenec.compiler.objects.density import Density
     from scenec.compiler.objects.families.shape import Shape
+    from scenec.compiler.objects.feet import FilletPlan
     from scenec.compiler.objects.placed import PlacedPlan
     from scenec.compiler.objects.prototypes import ModelPlan, PartRule
     from scenec.compiler.scene.light_plan import LightPlan
@@ -163,6 +164,7 @@ class ScatterPlan:
         embed: Part of the height below ground, float64 [n].
         variation: Albedo variation, float64 [n], in [-1, 1].
         lod_px: Largest error of a level of detail, in pixels of the nearest view.
+        fillet: Fines heaped about their feet, or None.
         beyond_m: How far beyond the terrain's border they lie, on the land; 0: on the terrain.
     """
 
@@ -186,6 +188,7 @@ class ScatterPlan:
     embed: NDArray[np.float64]
     variation: NDArray[np.float64]
     lod_px: float
+    fillet: FilletPlan | None = None
     beyond_m: float = 0.0
 
 

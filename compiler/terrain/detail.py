@@ -97,12 +97,16 @@ def over(
 
 @runtime_checkable
 class Local(Protocol):
-    """Detail that is nothing in most places; its spectrum counts where it reaches."""
+    """Detail that is nothing in most places, and says where it is how large."""
 
-    def reaches(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], radius_m: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
-        """Whether it may be anything within disks, bool [n], from float64 [n] each."""
+    def finer_at(
+        self,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        radius_m: NDArray[np.float64],
+        length_m: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """About how large what is finer than lengths is in disks, meters, float64 [n]."""
         ...
 
 

@@ -132,6 +132,7 @@ def test_the_same_bytes_each_time(tmp_path):
     [
         ({"beyond_m": 3000}, "/objects/far/beyond_m", "2000 m beyond the border"),
         ({"beyond_m": 0}, "/objects/far/beyond_m", "0"),
+        ({"fillet": {}}, "/objects/far/fillet", "not heaped"),
         (
             {"where": [{"type": "material", "material": "sand"}]},
             "/objects/far/where/0/type",

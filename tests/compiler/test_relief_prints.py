@@ -154,8 +154,8 @@ def test_bins_find_every_print(seed, stride, length):
     # No disk without prints has any.
     radius = rng.uniform(0.0, 3.0, x.size)
     turn, part = rng.uniform(0.0, 6.3, x.size), rng.uniform(0.0, 1.0, x.size)
-    reached = detail.reaches(x + part * radius * np.cos(turn), y + part * radius * np.sin(turn),
-                             radius * (1.0 + 1e-9))  # fmt: skip
+    reached = detail.finer_at(x + part * radius * np.cos(turn), y + part * radius * np.sin(turn),
+                              radius * (1.0 + 1e-9), np.full(x.size, np.inf)) > 0.0  # fmt: skip
     assert reached[inside & (expected != 0.0)].all()
 
 

@@ -13,7 +13,8 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.fractal import fbm2
-from scenec.compiler.terrain.detail import Spectrum
+from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned
+from scenec.compiler.terrain.detail import Finer, Spectrum, finer, finer_than
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import inlined, kernel
@@ -40,8 +41,6 @@ DISPLACED = 0.3
 _SWING, _SWINGS = 1.2, 20.0
 _TOES, _TOES_SCATTER, _DEPTH_SCATTER = 0.12, 0.12, 0.3
 _FINEST = 3.0
-# Bins that tell where prints are, at most.
-_BINS = 1 << 20
 
 
 class Sole(NamedTuple):
@@ -60,24 +59,6 @@ class Sole(NamedTuple):
     tread: float
     pitch: float
     rim: float
-
-
-class Bins(NamedTuple):
-    """Squares of the terrain, and which prints reach into each.
-
-    Attributes:
-        x0, y0, size: Corner of the first, and width of each, meters.
-        start: Of each bin's members, row by row, int64 [ny * nx + 1].
-        member: Indices of prints, int64 [m].
-        before: How many members bins to the south-west have, int64 [ny + 1, nx + 1].
-    """
-
-    x0: float
-    y0: float
-    size: float
-    start: NDArray[np.int64]
-    member: NDArray[np.int64]
-    before: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,11 +140,17 @@ class FootprintsDetail:
         over_threads(_heights_part, x.size, *pressed, x, y, out, least=POINTS)
         return out
 
-    def reaches(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], radius_m: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
-        """Whether prints may reach into disks, bool [n]."""
-        out: NDArray[np.bool_] = _reached(self.bins, x, y, radius_m)
+    def finer_at(
+        self,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        radius_m: NDArray[np.float64],
+        length_m: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """About how large what is finer than lengths is in disks, meters, float64 [n]."""
+        out: NDArray[np.float64] = _amplitudes(
+            self.bins, x, y, radius_m, length_m, finer([self.spectrum()])
+        )
         return out
 
     def spectrum(self) -> Spectrum:
@@ -248,61 +235,21 @@ def _reach(length_m: float) -> float:
 def _binned(of: Footprints) -> Bins:
     reach = _reach(of.length_m)
     sizes = [size + 2.0 * reach for size in of.size_m]
-    size = max(2.0 * reach, max(sizes) / math.sqrt(_BINS))
-    nx, ny = (math.ceil(each / size) for each in sizes)
-    x0, y0 = (-0.5 * each for each in sizes)
-    count = np.zeros(ny * nx, np.int64)
-    frame = (x0, y0, size, nx, ny)
-    nothing = np.zeros(0, np.int64)
-    _enter(of.prints, reach, frame, count, nothing, nothing)
-    start = np.concatenate([[0], np.cumsum(count)])
-    member = np.empty(start[-1], np.int64)
-    _enter(of.prints, reach, frame, np.zeros_like(count), start, member)
-    before = np.zeros((ny + 1, nx + 1), np.int64)
-    before[1:, 1:] = np.cumsum(np.cumsum(count.reshape(ny, nx), axis=0), axis=1)
-    return Bins(x0, y0, size, start, member, before)
+    x, y = np.ascontiguousarray(of.prints[:, :2].T)
+    corner = (-0.5 * sizes[0], -0.5 * sizes[1])
+    extent = (corner, (sizes[0], sizes[1]))
+    return binned(x, y, np.full(len(x), reach), extent, 2.0 * reach)
 
 
 @kernel
-def _enter(
-    prints: NDArray,
-    reach: float,
-    frame: tuple[float, float, float, int, int],
-    count: NDArray,
-    start: NDArray,
-    member: NDArray,
-) -> None:
-    """Counts the prints that reach into each bin, and notes which if there is room for them."""
-    x0, y0, size, nx, ny = frame
-    for n in range(len(prints)):
-        i0, i1 = _bins_between(prints[n, 0] - reach, prints[n, 0] + reach, x0, size, nx)
-        j0, j1 = _bins_between(prints[n, 1] - reach, prints[n, 1] + reach, y0, size, ny)
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                at = j * nx + i
-                if start.size:
-                    member[start[at] + count[at]] = n
-                count[at] += 1
-
-
-@inlined
-def _bins_between(low: float, high: float, first: float, size: float, n: int) -> tuple[int, int]:
-    """First and last bin along an axis that an interval meets; what is outside counts as there."""
-    a = min(max((low - first) / size, 0.0), n - 1.0)
-    b = min(max((high - first) / size, 0.0), n - 1.0)
-    return int(a), int(b)
-
-
-@kernel
-def _reached(bins: Bins, x: NDArray, y: NDArray, radius: NDArray) -> NDArray:
-    out = np.empty(x.size, np.bool_)
-    ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
+def _amplitudes(
+    bins: Bins, x: NDArray, y: NDArray, radius: NDArray, length: NDArray, table: Finer
+) -> NDArray:
+    """Of what is finer than lengths in disks that prints may reach into, float64 [n]."""
+    out = np.zeros(x.size)
     for n in range(x.size):
-        i0, i1 = _bins_between(x[n] - radius[n], x[n] + radius[n], bins.x0, bins.size, nx)
-        j0, j1 = _bins_between(y[n] - radius[n], y[n] + radius[n], bins.y0, bins.size, ny)
-        before = bins.before
-        inside = before[j1 + 1, i1 + 1] - before[j0, i1 + 1] - before[j1 + 1, i0] + before[j0, i0]
-        out[n] = inside > 0
+        if any_within(bins, x[n], y[n], radius[n]):
+            out[n] = finer_than(table, 0, length[n])
     return out
 
 
@@ -317,11 +264,8 @@ def _heights_part(
     y: NDArray,
     out: NDArray,
 ) -> None:
-    ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
     for n in range(first, last):
-        i, _ = _bins_between(x[n], x[n], bins.x0, bins.size, nx)
-        j, _ = _bins_between(y[n], y[n], bins.y0, bins.size, ny)
-        at = j * nx + i
+        at = bin_at(bins, x[n], y[n])
         total = 0.0
         for m in range(bins.start[at], bins.start[at + 1]):
             px, py, c, s, deeper = prints[bins.member[m]]
