@@ -354,7 +354,8 @@ def rows() -> list[Row]:
     for size in (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e7):
         eye = (0.0, 0.0, 0.1 * size)
         work = partial(plane, eye=eye, size=(size, size), spacing=size / 64)
-        found.append(Row(f"scene: {size:g} m", work, exact))
+        step = "1e-6 of the depth: float32's step in a tile" if size > 1e6 else exact
+        found.append(Row(f"scene: {size:g} m", work, step))
     found += [
         Row(f"scene: {height:g} m up", partial(high, height=height), exact)
         for height in (1e3, 1e6, 1e9)
@@ -412,11 +413,11 @@ def rows() -> list[Row]:
         truth = 1000 / math.pi * half_disc(elevation, 40)
         work = partial(lit, light=sun(elevation, 40), material=white, truth=truth)
         found.append(Row(f"light: sun 40° wide, {elevation}° high", work, promised))
-    for side in (4096, 16384):
-        sensor, truth = EYE | {"resolution": [side, side]}, 1000 / math.pi * half_disc(45, 0.53)
+    for height in (1024, 4096, 16384):
+        sensor, truth = EYE | {"resolution": [16384, height]}, 1000 / math.pi * half_disc(45, 0.53)
         work = partial(lit, light=sun(45), material=white, truth=truth, sensor=sensor, spp=1)
-        what = f"radiance: {side:,} × {side:,} pixels, 1 sample"
-        found.append(Row(what, work, "its noise", side > 4096))
+        what = f"radiance: 16,384 × {height:,} pixels, 1 sample"
+        found.append(Row(what, work, "noise of 1 sample", height > 1024))
     mirror = white | {"specular": 1, "roughness": 0}
     found += [
         Row("light: black ground", partial(lit, light=sun(90), material=black, truth=0.0), "0"),
