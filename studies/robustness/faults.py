@@ -3,12 +3,14 @@
     python studies/robustness/faults.py [--runs N] [--seed S] [--commands A,B,...] [--only A,B,...]
 
 Each run takes a command (compile, render, scan, export, view, sweep) and a fault: signals, a full
-disk, a folder that becomes read-only, one that the user may not write to, a clock that goes back,
-a folder for temporary files that goes away, no shared memory, few file descriptors, little memory.
+disk, a quota, a folder that becomes read-only, one that the user may not write to, a clock that
+goes back, a folder for temporary files that goes away, no shared memory, few file descriptors,
+little memory, a file system that stalls, one that answers errors for a while.
 Then the fault is gone, and the same command is given until it succeeds. It is an error if a command
 that ends by itself says nothing, or shows a traceback; if one leaves a process; if it does not
 succeed once nothing disturbs it; if the files then differ from undisturbed ones; or if anything
-temporary is left. Faults that need to mount something are left out where that is not allowed.
+temporary is left. Pairs of fault and command are taken in a random order, none twice before all
+were; without ``--runs`` each is taken once. Faults whose tools are not there are left out.
 """
 
 from __future__ import annotations
@@ -41,6 +43,10 @@ from small import small_cfg, write_cfg
 
 #: Bytes of a disk that is full before anything is finished.
 SMALL_DISK = 300_000
+#: Bytes of an image of a file system; only what is written takes space.
+IMAGE = 512 << 20
+#: Seconds for which a file system stalls, or fails.
+STALLED_S = 2.0
 #: Seconds that no command takes.
 LONGEST_S = 300.0
 #: In the environment of all processes of a run.
@@ -99,14 +105,64 @@ def _stopped(on: Disturbed, after_s: float) -> Iterator[None]:
     yield
 
 
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
 def _full(on: Disturbed, after_s: float) -> Iterator[None]:
-    used = sum(path.stat().st_size for path in on.folder.rglob("*") if path.is_file())
-    with _mounted(on.folder, int(used * 1.05) + int(SMALL_DISK * after_s)):
+    size = int(_size(on.folder) * 1.05) + int(SMALL_DISK * after_s)
+    with _mounted(on.folder, f"mount -t tmpfs -o size={size} tmpfs"):
         yield
 
 
+def _quota(on: Disturbed, after_s: float) -> Iterator[None]:
+    # Btrfs counts what is written at once, other file systems' quotas need the kernel's support.
+    with _imaged(on.folder, "mkfs.btrfs"):
+        _tool("btrfs", "quota", "enable", on.folder)
+        _tool("btrfs", "quota", "rescan", "-w", on.folder)
+        size = int(_size(on.folder) * 1.05) + int(SMALL_DISK * after_s)
+        _tool("sync", "-f", on.folder)
+        _tool("btrfs", "qgroup", "limit", str(size), "0/5", on.folder)
+        yield
+
+
+def _stalling(on: Disturbed, after_s: float) -> Iterator[None]:
+    with _imaged(on.folder, "mkfs.ext4"):
+
+        def moment(process: subprocess.Popen[bytes]) -> None:
+            _sleep(process, after_s)
+            _tool("fsfreeze", "--freeze", on.folder)
+            # Whoever writes waits in the kernel, and not even a signal ends that.
+            time.sleep(STALLED_S)
+            _tool("fsfreeze", "--unfreeze", on.folder)
+
+        on.moment = moment
+        yield
+
+
+def _shimmed(fault: str, for_s: float) -> Callable[[Disturbed, float], Iterator[None]]:
+    def begun(on: Disturbed, after_s: float) -> Iterator[None]:
+        library, when = on.folder.parent / "shim.so", on.folder.parent / "when"
+        source = Path(__file__).with_name("shim.c")
+        _tool("cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl")
+        below = {"SHIM_BELOW": str(on.folder)} if fault == "share" else {}
+        on.environment |= {"LD_PRELOAD": str(library), "SHIM": fault, "SHIM_WHEN": str(when)}
+        on.environment |= below
+
+        def moment(process: subprocess.Popen[bytes]) -> None:
+            _sleep(process, after_s)
+            when.touch()
+            _sleep(process, for_s)
+            when.unlink()
+
+        on.moment = moment
+        yield
+
+    return begun
+
+
 def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
-    with _mounted(on.folder, 1 << 30):
+    with _mounted(on.folder, "mount -t tmpfs tmpfs"):
 
         def moment(process: subprocess.Popen[bytes]) -> None:
             _sleep(process, after_s)
@@ -116,7 +172,7 @@ def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
 
         on.moment = moment
         yield
-        subprocess.run(["mount", "-o", "remount,rw", on.folder], check=True)
+        _tool("mount", "-o", "remount,rw", on.folder)
 
 
 def _not_permitted(on: Disturbed, _after_s: float) -> Iterator[None]:
@@ -131,8 +187,7 @@ def _not_permitted(on: Disturbed, _after_s: float) -> Iterator[None]:
             os.chown(path, os.getuid(), os.getgid())
 
 
-def _clock_back(on: Disturbed, _after_s: float) -> Iterator[None]:
-    # As all that is there looks to a clock that has gone back by ten days.
+def _future(on: Disturbed, _after_s: float) -> Iterator[None]:
     later = time.time() + 864_000
     for path in on.folder.rglob("*"):
         os.utime(path, (later, later))
@@ -173,34 +228,63 @@ FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
     "hang up": _signalled(signal.SIGHUP),
     "stop and go on": _stopped,
     "disk full": _full,
+    "quota": _quota,
+    "share stalls": _stalling,
+    "share fails": _shimmed("share", STALLED_S),
     "read-only": _read_only,
     "no permission": _not_permitted,
-    "clock back": _clock_back,
+    "output from the future": _future,
+    "clock back": _shimmed("clock", LONGEST_S),
     "TMPDIR gone": _no_temporary,
     "no /dev/shm": _no_shared_memory,
     "few descriptors": _limited(resource.RLIMIT_NOFILE, 24),
     "little memory": _limited(resource.RLIMIT_AS, 700 << 20),
     "small files only": _limited(resource.RLIMIT_FSIZE, 20_000),
 }
-MOUNTING = ("disk full", "read-only", "no /dev/shm")
-AS_ROOT = ("no permission", *MOUNTING)
+AS_ROOT = ("no permission", "disk full", "quota", "share stalls", "read-only", "no /dev/shm")
+#: What a fault needs.
+TOOLS = {
+    "quota": ("mkfs.btrfs", "btrfs"),
+    "share stalls": ("mkfs.ext4", "fsfreeze"),
+    "share fails": ("cc",),
+    "clock back": ("cc",),
+    "no permission": ("setpriv",),
+}
+
+
+def _tool(*words: str | Path) -> None:
+    subprocess.run(words, check=True, capture_output=True)
 
 
 @contextmanager
-def _mounted(folder: Path, size: int) -> Iterator[None]:
+def _mounted(folder: Path, mount: str) -> Iterator[None]:
     """A file system of its own in the place of a folder, with its content; later a plain folder."""
     aside = folder.with_name("aside")
     shutil.copytree(folder, aside, symlinks=True)
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=True)
+    _tool(*mount.split(), folder)
     shutil.copytree(aside, folder, dirs_exist_ok=True, symlinks=True)
     shutil.rmtree(aside)
     try:
         yield
     finally:
         shutil.copytree(folder, aside, symlinks=True)
-        subprocess.run(["umount", "-l", folder], check=True)
+        _tool("umount", "-l", folder)
         shutil.rmtree(folder)
         aside.rename(folder)
+
+
+@contextmanager
+def _imaged(folder: Path, make: str) -> Iterator[None]:
+    """One in a file."""
+    image = folder.with_name("image")
+    with image.open("wb") as file:
+        file.truncate(IMAGE)
+    _tool(make, "-q", image)
+    with _mounted(folder, f"mount -o loop {image}"):
+        # Not a folder of ours, and digests are of all that is there.
+        shutil.rmtree(folder / "lost+found", ignore_errors=True)
+        yield
+    image.unlink()
 
 
 def _sleep(process: subprocess.Popen[bytes], seconds: float) -> None:
@@ -369,20 +453,34 @@ def main(study: Study) -> None:
     faults = list(study.options.only or FAULTS)
     if os.geteuid() or sys.platform != "linux":
         faults = [fault for fault in faults if fault not in AS_ROOT]
-    runs = len(faults) if study.fast else study.options.runs
-    bad, ends = 0, Counter[tuple[str, str]]()
-    for number in range(runs):
-        fault, name = faults[number % len(faults)], rng.choice(commands)
+    for fault in [fault for fault in faults if not all(map(shutil.which, TOOLS.get(fault, ())))]:
+        study.say(f"left out: {fault} (it needs {', '.join(TOOLS[fault])})")
+        faults.remove(fault)
+    pairs: list[tuple[str, str]] = []
+    runs = len(faults) if study.fast else study.options.runs or len(faults) * len(commands)
+    while len(pairs) < runs:
+        every = [(fault, name) for name in commands for fault in faults]
+        pairs += rng.sample(every, len(every))
+    ends: dict[str, Counter[str]] = {fault: Counter() for fault in faults}
+    times, wronged = Counter[tuple[str, str]](), 0
+    for number, (fault, name) in enumerate(pairs[:runs]):
         ended, wrong = tried(study, made, timed[name], cfg, name, fault, rng)
-        ends[fault, ended.partition(":")[0]] += 1
-        bad += bool(wrong)
+        ends[fault][ended.partition(":")[0]] += 1
+        times[fault, name] += 1
+        wronged += bool(wrong)
         print(json.dumps([number, name, fault, ended, wrong]), flush=True)
         for each in wrong:
             study.say(f"- run {number}, {name}, {fault}: {each}")
-    rows = [[fault, ended, times] for (fault, ended), times in sorted(ends.items())]
-    study.table(["fault", "command ended with", "times"], rows)
-    study.say(f"{runs} runs, {bad} with something wrong")
+    rows = [
+        [fault, *(times[fault, name] for name in commands), _text(ends[fault])] for fault in faults
+    ]
+    study.table(["fault", *commands, "the command ended with"], rows)
+    study.say(f"{runs} runs, {wronged} with something wrong")
+
+
+def _text(ends: Counter[str]) -> str:
+    return ", ".join(f"{ended} ({times})" for ended, times in sorted(ends.items()))
 
 
 if __name__ == "__main__":
-    run(main, runs=100, seed=0, commands=names, only=names)
+    run(main, runs=0, seed=0, commands=names, only=names)

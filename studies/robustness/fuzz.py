@@ -15,13 +15,19 @@ from __future__ import annotations
 import gc
 import json
 import os
+import shutil
+import subprocess
+import sys
 import tempfile
+import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -35,8 +41,6 @@ import models
 from made_output import make_output
 from small import small_cfg, write_cfg
 
-#: Mutants of kinds of which each takes seconds: one in so many.
-SLOW = 50
 #: Faults that are shown.
 SHOWN = 10
 
@@ -51,7 +55,8 @@ class Kind:
         read: Takes the path of a mutant.
         text: Whether it is made of words.
         vouched: Whether a digest elsewhere says what its bytes are.
-        slow: Whether reading takes seconds.
+        together: Whether all files of the pattern are damaged at once.
+        load: Called in the process that forks those that read.
         said_of: What an error names, where that is not the file.
     """
 
@@ -60,12 +65,15 @@ class Kind:
     read: Callable[[Path], object]
     text: bool = False
     vouched: bool = False
-    slow: bool = False
+    together: bool = False
+    load: Callable[[], object] = dict
     said_of: str | None = None
 
 
 def _kinds() -> dict[str, Kind]:
-    return {**_cfgs(), **_stages(), **_models(), **_pictures(), **_tables(), **_outputs()}
+    found = {**_cfgs(), **_stages(), **_models(), **_pictures(), **_tables(), **_outputs()}
+    # Behind all others, which fork no process that has loaded Blender.
+    return found | _blends()
 
 
 def _cfgs() -> dict[str, Kind]:
@@ -167,14 +175,79 @@ def _models() -> dict[str, Kind]:
         for suffix in ("ply", "stl", "off")
     }
     found["model mtl"] = Kind(own("obj"), "box.mtl", read_obj, text=True, said_of="box")
-    found["model blend"] = Kind(_blend, "box.blend", read, slow=True)
     return found
+
+
+def _blends() -> dict[str, Kind]:
+    from scenec.compiler.assets.model import read_model
+
+    def read(path: Path) -> None:
+        with mock.patch.object(subprocess, "Popen", _Forked):
+            read_model(path, unit_m=1.0, up="z")
+
+    return {"model blend": Kind(_blend, "box.blend", read, load=_load_blender)}
+
+
+def _load_blender() -> None:
+    # On one core it has no threads that work, without which a fork would wait for ever.
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    import bpy  # noqa: F401
+
+    os.sched_setaffinity(0, cores)
+    warnings.simplefilter("ignore", DeprecationWarning)
+    time.sleep(1.0)
 
 
 def _blend(folder: Path) -> None:
     import bpy
 
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "box.blend"), compress=False)
+
+
+class _Forked:
+    """Takes the place of ``Popen`` of a Blender: a fork of this process, which has loaded it.
+
+    To start one takes eight times as long as to read a file.
+    """
+
+    def __init__(self, words: list[str], *, stdout: Any, cwd: Path, env: Any, **_: Any) -> None:
+        from scenec.compiler.assets.blend_worker import main as work
+
+        self.returncode: int | None = None
+        self.pid = os.fork()
+        if self.pid:
+            return
+        status = 1
+        try:
+            os.dup2(stdout.fileno(), 1)
+            os.dup2(stdout.fileno(), 2)
+            os.environ |= env
+            os.chdir(cwd)
+            work(Path(words[-2]), Path(words[-1]))
+            status = 0
+        except BaseException:  # noqa: BLE001 (as an interpreter that ends)
+            traceback.print_exc()
+            sys.stderr.flush()
+        os._exit(status)
+
+    def poll(self) -> int | None:
+        if self.returncode is None:
+            found, status = os.waitpid(self.pid, os.WNOHANG)
+            if found:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def wait(self, timeout: float = 1e9) -> int:
+        end = time.monotonic() + timeout
+        while (code := self.poll()) is None:
+            if time.monotonic() > end:
+                raise subprocess.TimeoutExpired([], timeout)
+            time.sleep(0.005)
+        return code
+
+    def kill(self) -> None:
+        os.kill(self.pid, 9)
 
 
 def _pictures() -> dict[str, Kind]:
@@ -255,12 +328,18 @@ def _tables() -> dict[str, Kind]:
 
 def _outputs() -> dict[str, Kind]:
     from scenec.backends.check.files import check_files
+    from scenec.schemas.amodal import Amodal, read_amodal, write_amodal
     from scenec.schemas.frames import read_frame
-    from scenec.schemas.instances import read_frame_table
+    from scenec.schemas.instances import read_frame_table, read_table
     from scenec.schemas.manifest import find_batches, read_manifest
+    from scenec.schemas.scans import read_scan
 
     def write(folder: Path) -> None:
         make_output(folder / "out", batches=1, samples=1)
+
+    def masks(folder: Path) -> None:
+        runs, starts = np.array([50, 3, 43, 0, 96]), np.array([0, 3, 5])
+        write_amodal(folder / "000000.amodal.npz", Amodal((8, 12), np.array([5, 9]), runs, starts))
 
     def manifest(path: Path) -> None:
         find_batches(path.parent)
@@ -276,10 +355,31 @@ def _outputs() -> dict[str, Kind]:
         # Of a frame of which they say something else an error names either.
         "sidecar": Kind(write, "out/**/0*.json", read_frame, text=True, said_of="000000"),
         "frame exr": Kind(write, "out/**/0*.exr", read_frame, vouched=True),
+        "frame's masks": Kind(masks, "*.npz", read_amodal),
+        "instances": Kind(_seen, "out/**/instances.npz", read_table),
+        "scan": Kind(_seen, "out/**/000000.npz", read_scan, vouched=True),
+        "scan's sidecar": Kind(
+            _seen, "out/**/scans/**/000000.json", read_scan, text=True, said_of="000000"
+        ),
         "frame table": Kind(write, "out/**/*.instances.csv", read_frame_table, text=True),
         "stage file": Kind(write, "out/**/stage.usda", listed, text=True, vouched=True),
-        "cache entry": Kind(_cached, "entry/*/*.step", _recompiled, slow=True),
+        "cache entry": Kind(_cached, "steps/steps/*/*.step", _recompiled, together=True),
     }
+
+
+def _seen(folder: Path) -> None:
+    """An output with a frame's table of instances and a scan."""
+    from scenec.backends.run.executors import Here
+    from scenec.backends.run.render import render
+    from scenec.backends.run.scan import scan_output
+    from scenec.compiler.compile import compile_cfg
+
+    cfg = _tiny_cfg() | {"samples": 1}
+    beams = {"beams": 3, "elevation_deg": [-20, 0], "azimuths": 8}
+    cfg["rigs"]["rover"]["lidars"] = {"top": beams}
+    out = compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out").out
+    render(out, "annotation", passes=("instance",), executor=Here())
+    scan_output(out, executor=Here())
 
 
 def _compiled(folder: Path) -> dict[str, str]:
@@ -295,26 +395,22 @@ def _compiled(folder: Path) -> dict[str, str]:
 
 
 def _cached(folder: Path) -> None:
-    """One of the steps that a compilation keeps is to be damaged."""
+    """All steps that a compilation keeps are to be damaged."""
     write_cfg(folder, _tiny_cfg())
     (folder / "whole.json").write_text(json.dumps(_compiled(folder)), encoding="utf-8")
-    entries = sorted((folder / "steps").rglob("*.step"), key=lambda path: path.stat().st_size)
-    chosen = entries[len(entries) // 2]
-    copy = folder / "entry" / chosen.parent.name / chosen.name
-    copy.parent.mkdir(parents=True)
-    copy.write_bytes(chosen.read_bytes())
 
 
 def _recompiled(path: Path) -> None:
-    folder = path.parents[2]
-    (entry,) = (folder / "steps").rglob(path.name)
-    entry.write_bytes(path.read_bytes())
+    folder = path.parents[3]
     if _compiled(folder) != json.loads((folder / "whole.json").read_text(encoding="utf-8")):
         raise AssertionError(f"{path}: other bytes")
 
 
-def written(kind: Kind, folder: Path) -> Path:
-    """Path of a sound file, made in a process of its own: OpenUSD's threads outlive no fork."""
+def written(kind: Kind, folder: Path) -> list[Path]:
+    """Path of a sound file, or those of all that are damaged together.
+
+    They are made in a process of its own: OpenUSD's threads outlive no fork.
+    """
     folder.mkdir()
     if not (child := os.fork()):
         try:
@@ -325,39 +421,43 @@ def written(kind: Kind, folder: Path) -> Path:
             os._exit(1)
     if os.waitpid(child, 0)[1]:
         raise ScenecError(f"{folder.name}: no sound file could be made")
-    return next(iter(sorted(folder.glob(kind.file))))
+    found = sorted(folder.glob(kind.file))
+    return found if kind.together else found[:1]
 
 
 def outcomes(
-    kind: Kind, file: Path, count: int, seed: int, jail: Path, kept: Path | None
+    kind: Kind, files: list[Path], count: int, seed: int, jail: Path, kept: Path | None
 ) -> Iterator[Outcome]:
     """What mutants come to; the first is the sound file itself.
 
     Args:
         kind: Of file.
-        file: The sound one; damaged ones stand in its place.
-        count: Of mutants.
+        files: The sound ones; damaged ones stand in their places.
+        count: Of mutants, of each file.
         seed: Other ones.
         jail: Does not exist; for what reading might write.
         kept: Folder for mutants that end in a fault.
     """
-    sound = file.read_bytes()
+    sound = {file: file.read_bytes() for file in files}
     rng = np.random.default_rng(seed)
+    file = files[0]
     said_of = kind.said_of or file.name
     yield tried(lambda: kind.read(file), said_of, jail)
     for number in range(count):
-        data = sound
-        while data == sound:
-            data = mutant(sound, kind.text, rng)
-        file.write_bytes(data)
+        for each, whole in sound.items():
+            while (data := mutant(whole, kind.text, rng)) == whole:
+                pass
+            each.write_bytes(data)
         found = tried(lambda: kind.read(file), said_of, jail)
         if kind.vouched and found.kind == "taken":
             found = Outcome("unnoticed", "", found.seconds, found.peak)
         if found.fault and kept is not None:
             kept.mkdir(parents=True, exist_ok=True)
-            (kept / f"{found.kind}_{number}{file.suffix}").write_bytes(data)
+            for each in files:
+                shutil.copy(each, kept / f"{found.kind}_{number}_{each.name}")
         yield found
-    file.write_bytes(sound)
+    for each, whole in sound.items():
+        each.write_bytes(whole)
 
 
 def main(study: Study) -> None:
@@ -370,20 +470,23 @@ def main(study: Study) -> None:
     for name, kind in _kinds().items():
         if wanted is not None and not {name, name.split()[0]} & {*wanted}:
             continue
-        file = written(kind, study.scratch / name.replace(" ", "_"))
+        kind.load()
+        files = written(kind, study.scratch / name.replace(" ", "_"))
         gc.collect()
         gc.freeze()
-        some = -(-count // SLOW) if kind.slow else count
-        sound, *found = outcomes(kind, file, some, study.options.seed, study.scratch / "jail", kept)
+        times = -(-count // len(files))
+        jail = study.scratch / "jail"
+        sound, *found = outcomes(kind, files, times, study.options.seed, jail, kept)
         if sound.kind != "taken":
             faults.append(f"{name}: the sound file: {sound.kind}: {sound.text}")
-        of = Counter(each.kind for each in found)
+        of = Counter({k: n * len(files) for k, n in Counter(e.kind for e in found).items()})
         total += of
         bad = [each for each in found if each.fault]
         faults += [f"{name}: {each.kind}: {each.text.strip()[:300]}" for each in bad]
         cells = [of["taken"], of["refused"], of["crash told"], len(bad)]
         slowest = max(each.seconds for each in found)
-        rows.append([name, some, *cells, slowest, max(each.peak for each in found) / 2**20])
+        most = max(each.peak for each in found) / 2**20
+        rows.append([name, times * len(files), *cells, slowest, most])
         print(" ".join(map(str, rows[-1])), flush=True)
     study.table(header, rows)
     study.say(f"{sum(total.values()):,} mutants: {dict(total)}")

@@ -3,20 +3,22 @@
     python studies/robustness/soak.py [--frames N] [--compiles N] [--works A,B,...] [-o FILE]
 
 Each work runs in a fresh process that nothing supervises, so that nothing is replaced when it
-grows. After each frame or output its resident memory, Python's blocks, file descriptors, threads
-and child processes are counted. The first quarter warms up. Growth is the slope of a line through
-the means of the rest's parts, which are long, so that allocators' steps average out within them;
-its standard error is that of the parts about the line.
+grows. Forty-eight times, after a frame or an output, its resident memory, what it has allocated by
+the C library, Python's blocks, file descriptors, threads and child processes are counted; before
+that, what is free goes back to the system. The first quarter warms up. Growth is the slope of a
+line through the means of twelve parts of the rest; its standard error is that of the parts about
+the line. ``openusd`` writes layers of twenty prims by OpenUSD alone: what of a compilation's growth
+is not scenec's.
 """
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import math
 import shutil
 import sys
 import time
-from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,34 +32,66 @@ from scenec.studies.runner import Study, apart, names, run
 # Behind ``runner``, which says where these are.
 from small import small_cfg, write_cfg
 
-#: Share of the turns that warm up, and parts of the others.
-WARM, PARTS = 0.25, 12
+#: Readings; the share of them that warm up, and parts of the others.
+READINGS, WARM, PARTS = 48, 0.25, 12
 RENDERERS = {"annotation": 1, "mitsuba": 4, "cycles": 4, "pyrender": 1}
 PASSES = ("label", "instance", "depth", "normal")
 
 
+class _MallInfo(ctypes.Structure):
+    """``struct mallinfo2`` of glibc 2.33."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks",
+                     "uordblks", "fordblks", "keepcost")
+    )  # fmt: skip
+
+
+def _allocated() -> int:
+    """Bytes that this process holds of the C library, once what is free has gone back."""
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "mallinfo2"):
+        return 0
+    libc.malloc_trim(0)
+    libc.mallinfo2.restype = _MallInfo
+    found = libc.mallinfo2()
+    return int(found.uordblks + found.hblkhd)
+
+
 @dataclass
 class Count:
-    """What a process holds after each turn: bytes, Python's blocks, and numbers of the others."""
+    """What a process holds after some turns: bytes, Python's blocks, and numbers of the others.
 
-    memory: array[int]
-    blocks: array[int]
-    descriptors: array[int]
-    threads: array[int]
-    processes: array[int]
+    Attributes:
+        every: Turns between two readings.
+        turns: Of the work.
+    """
+
+    every: int
+    memory: list[int]
+    allocated: list[int]
+    blocks: list[int]
+    descriptors: list[int]
+    threads: list[int]
+    processes: list[int]
+    turns: int = 0
     seconds: float = 0.0
 
     @classmethod
-    def none(cls) -> Count:
-        """Before the first turn."""
-        return cls(*(array("q") for _ in range(5)))
+    def of(cls, turns: int) -> Count:
+        """Before the first one."""
+        return cls(max(1, turns // READINGS), *([] for _ in range(6)))
 
     def take(self) -> None:
         """Looks at this process."""
+        self.turns += 1
+        if self.turns % self.every:
+            return
         own = psutil.Process()
         # What is only in cycles is not held.
-        if len(self.memory) % 50 == 0:
-            gc.collect()
+        gc.collect()
+        self.allocated.append(_allocated())
         self.memory.append(own.memory_info().rss)
         self.blocks.append(sys.getallocatedblocks())
         self.descriptors.append(own.num_fds())
@@ -100,9 +134,9 @@ def scans(out: Path, count: int) -> Count:
 
 
 def _counted(work: Callable[[Callable[..., None]], Any], count: int) -> Count:
-    found, start = Count.none(), time.process_time()
+    found, start = Count.of(count), time.process_time()
     work(lambda *_: found.take())
-    assert len(found.memory) >= count, f"{len(found.memory)} of {count}"
+    assert found.turns >= count, f"{found.turns} of {count}"
     found.seconds = time.process_time() - start
     return found
 
@@ -111,7 +145,7 @@ def compiles(folder: Path, count: int) -> Count:
     """Compiles cfgs, each another one, with a cache as a command has it."""
     from scenec.compiler.compile import compile_cfg
 
-    found, start = Count.none(), time.process_time()
+    found, start = Count.of(count), time.process_time()
     for seed in range(count):
         cfg = _cfg(folder, 2, seed)
         compile_cfg(cfg, seed=seed, out=folder / "out", cache=folder / "steps")
@@ -121,8 +155,22 @@ def compiles(folder: Path, count: int) -> Count:
     return found
 
 
+def layers(count: int) -> Count:
+    """Makes layers of twenty prims in memory, with nothing of scenec's."""
+    from pxr import Sdf
+
+    found, start = Count.of(count), time.process_time()
+    for _ in range(count):
+        layer = Sdf.Layer.CreateAnonymous()
+        for number in range(20):
+            Sdf.CreatePrimInLayer(layer, f"/World/Prim_{number}")
+        found.take()
+    found.seconds = time.process_time() - start
+    return found
+
+
 def slope(values: Sequence[int]) -> tuple[float, float]:
-    """Growth a turn after warming up, and its standard error."""
+    """Growth a reading after warming up, and its standard error."""
     settled = np.asarray(values[int(WARM * len(values)) :], dtype=np.float64)
     parts = np.array_split(settled, PARTS)
     y = np.array([part.mean() for part in parts])
@@ -142,7 +190,7 @@ def main(study: Study) -> None:
     """Prints a row a work."""
     count = 40 if study.fast else study.options.frames
     compiled = 24 if study.fast else study.options.compiles
-    chosen = study.options.works or (*RENDERERS, "scan", "compile")
+    chosen = study.options.works or (*RENDERERS, "scan", "compile", "openusd")
     out = study.batch(_cfg(study.scratch, count)).parent
     rows = []
     for name in chosen:
@@ -150,21 +198,29 @@ def main(study: Study) -> None:
             folder = study.scratch / "compiles"
             folder.mkdir()
             cost = apart(compiles, folder, compiled)
+        elif name == "openusd":
+            cost = apart(layers, count)
         elif name == "scan":
             cost = apart(scans, out, count)
         else:
             cost = apart(frames, name, out, count)
         found: Count = cost.value
-        row: list[str | float] = [name, len(found.memory), found.seconds / len(found.memory)]
+        row: list[str | float] = [name, found.turns, found.seconds / found.turns]
         row += [found.memory[int(WARM * len(found.memory))] / 2**20, found.memory[-1] / 2**20]
-        for values, unit in ((found.memory, 1024.0), (found.blocks, 1.0)):
-            growth, error = slope(values)
-            row.append(f"{growth / unit:.3g} ± {error / unit:.2g}")
+        for values, unit in ((found.memory, 1024), (found.allocated, 1024), (found.blocks, 1)):
+            growth, error = (each / (unit * found.every) for each in slope(values))
+            row.append(f"{growth:.3g} ± {error:.2g}")
         row += [_of(found.descriptors), _of(found.threads), _of(found.processes)]
         rows.append(row)
         print(row, flush=True)
     header = ["work", "turns", "CPU s a turn", "MiB warm", "MiB at the end", "KiB a turn"]
-    header += ["Python's blocks a turn", "descriptors", "threads", "child processes"]
+    header += [
+        "KiB allocated a turn",
+        "Python's blocks a turn",
+        "descriptors",
+        "threads",
+        "child processes",
+    ]
     study.table(header, rows)
 
 

@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 from small import small_cfg, write_cfg
 
+from scenec.backends.run.executors import Here
+from scenec.backends.run.render import render
 from scenec.cli.main import main
+from scenec.compiler.compile import compile_cfg
+from scenec.datasets.export import export
+from scenec.schemas.files import sha256
 
 COMMANDS = ("run", "compile", "settle", "import", "render", "scan", "check", "sheet", "view",
             "export", "converge", "explain", "doctor")  # fmt: skip
@@ -92,17 +97,66 @@ def test_letters_beyond_ascii_work_where_the_locale_has_none(cfg, tmp_path):
         assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.fixture(scope="module")
+def called(cfg, tmp_path_factory) -> dict[str, str]:
+    """Digests of what Python calls make in a folder with a plain name."""
+    out = compile_cfg(cfg, seed=1, out=tmp_path_factory.mktemp("called") / "out").out
+    render(out, "reference", executor=Here())
+    export(out, "coco", out / "set")
+    return digests(out)
+
+
+def digests(out: Path) -> dict[str, str]:
+    """Of every file but those that say how long it took: timings, and sidecars of frames."""
+    return {
+        path.relative_to(out).as_posix(): sha256(path)
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.name not in ("timings.json", "000000.json", "view.html")
+    }
+
+
 @pytest.mark.parametrize("name", ODD)
-def test_odd_names_of_folders_work(cfg, tmp_path, monkeypatch, capsys, name):
+def test_odd_names_of_folders_work_and_commands_make_the_bytes_of_calls(
+    cfg, called, tmp_path, monkeypatch, capsys, name
+):
     monkeypatch.chdir(tmp_path)
     out = f"./{name}" if name.startswith("-") else name
     assert main(["compile", str(cfg), "--seed", "1", "-o", out]) == 0
     assert main(["render", out, "--backend", "reference"]) == 0
     assert main(["check", out]) == 0
-    assert main(["export", out, "--format", "coco", "-o", f"{out}.set"]) == 0
+    assert main(["export", out, "--format", "coco", "-o", f"{out}/set"]) == 0
     assert main(["view", out]) == 0
     assert (tmp_path / name / "view.html").is_file()
     assert "Traceback" not in capsys.readouterr().err
+    assert digests(tmp_path / name) == called
+
+
+#: Runs commands one after another in one process.
+_COMMANDS = """
+import json, sys
+from scenec.cli.main import main
+raise SystemExit(any(main(words) for words in json.loads(sys.argv[1])))
+"""
+
+
+def test_commands_make_the_bytes_of_calls_in_another_locale_and_zone_with_one_thread(
+    cfg, called, tmp_path
+):
+    elsewhere = {"LC_ALL": "tr_TR.UTF-8", "TZ": "Asia/Kathmandu", "PYTHONHASHSEED": "4711"}
+    threads = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "PXR_WORK_THREAD_LIMIT")
+    words = [
+        ["compile", str(cfg), "--seed", "1", "-o", "out"],
+        ["render", "out", "--backend", "reference"],
+        ["export", "out", "--format", "coco", "-o", "out/set"],
+    ]
+    subprocess.run(
+        [sys.executable, "-c", _COMMANDS, json.dumps(words)],
+        cwd=tmp_path,
+        env=os.environ | elsewhere | dict.fromkeys(threads, "1"),
+        check=True,
+        capture_output=True,
+    )
+    assert digests(tmp_path / "out") == called
 
 
 def test_a_name_that_is_too_long_is_refused_in_one_line(cfg, tmp_path, monkeypatch, capsys):

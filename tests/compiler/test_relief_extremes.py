@@ -1,4 +1,4 @@
-"""All operators on everything: extents from a millimeter to a thousand kilometers, any ground."""
+"""All operators on everything: extents from a millimeter to ten thousand kilometers, any ground."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import SceneError
 
-EXTENTS = [1e-3, 1.0, 1e3, 1e6]
+EXTENTS = [1e-3, 1.0, 1e3, 1e6, 1e7]
 
 
 def operators(size: float, folder) -> list:
