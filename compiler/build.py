@@ -31,7 +31,7 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import HorizonPlan, Plan, ScatterPlan
+from scenec.compiler.scene.plan import HorizonPlan, Plan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import (
     Georeference,
@@ -129,7 +129,8 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     with log.timed("ground"):
         # Under an overhang one sees what its roof would hide.
         hills = None if isinstance(terrain, MeshSurface) else terrain
-        margin_m = surface.amplitude_m() + _heaped_m(plan)
+        # Fines about feet are not counted: what a hill hides but for them is meshed as unseen.
+        margin_m = surface.amplitude_m()
         views = views_of(rigs, hills, margin_m)
         near = pixels_per_meter(terrain, views, plan.terrain.meshing.unseen) if rigs else None
         require_resolvable(rigs, terrain, near, plan.terrain.meshing.unseen)
@@ -418,12 +419,6 @@ def stand_objects(
     )
     log.facts |= built.facts
     return built
-
-
-def _heaped_m(plan: Plan) -> float:
-    """About how high the ground is heaped about the feet of objects, meters."""
-    scattered = (one for one in plan.objects if isinstance(one, ScatterPlan))
-    return sum(one.fillet.highest_m(one.scale) for one in scattered if one.fillet is not None)
 
 
 def _finished(

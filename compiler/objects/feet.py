@@ -42,10 +42,6 @@ class FilletPlan:
     reach: NDArray[np.float64]
     key: int
 
-    def highest_m(self, size: NDArray[np.float64]) -> float:
-        """About how high ramps about stones of such sizes get, meters."""
-        return float((self.height * size).max(initial=0.0))
-
 
 def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surface, int]:
     """The ground with fines about a class of stones, for all that is placed after it.

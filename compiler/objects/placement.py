@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from scenec.compiler.objects.seating import seat, seat_on_detail
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.plan import ScatterPlan
 from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.terrain.fillets import Fillets
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls
@@ -45,7 +47,10 @@ class Placement:
         self._around = around
         self._radius = np.array([p.radius for p in prototypes], np.float64)
         self.surface = around.surface
-        self._amplitude = self.surface.amplitude_m() if self.surface.smooth else 0.0
+        details = self.surface.details if self.surface.smooth else ()
+        self._fillets = [detail for detail in details if isinstance(detail, Fillets)]
+        everywhere = tuple(detail for detail in details if not isinstance(detail, Fillets))
+        self._amplitude = replace(self.surface, details=everywhere).amplitude_m()
         n = len(plan.scale)
         #: As rounded, float64 [n].
         self.x, self.y, self.z = (np.zeros(n) for _ in range(3))
@@ -107,8 +112,11 @@ class Placement:
         z += self.surface.lift_at(x, y)
         # ... unless one could see that.
         at = np.stack([x, y, z], axis=1)
-        near = self._pixels_per_m(at, self._radii(which), least)
-        seen = np.flatnonzero(near * self._amplitude > _SHOWS_PX)
+        radius, amplitude = self._radii(which), np.full(len(x), self._amplitude)
+        near = self._pixels_per_m(at, radius, least)
+        for fillets in self._fillets:
+            amplitude += fillets.finer_at(x, y, radius, np.full(len(x), np.inf))
+        seen = np.flatnonzero(near * amplitude > _SHOWS_PX)
         if len(seen):
             z[seen] = seat_on_detail(self.surface, self.ground, bodies.some(seen))
         self.on_detail[which] = False
