@@ -76,7 +76,8 @@ def draw_scattered(
         SceneError: There would be too many objects.
     """
     path, streams = f"objects/{name}", setting.streams
-    beyond, where = node["beyond_m"] or 0.0, ()
+    beyond: float = node["beyond_m"] or 0.0
+    where: tuple[PlacementCondition, ...] = ()
     if beyond:
         where = (OffTerrain((0.5 * setting.size_m[0], 0.5 * setting.size_m[1])),)
         wide, deep = (size + 2.0 * beyond for size in setting.size_m)
