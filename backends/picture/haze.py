@@ -58,7 +58,7 @@ _LATTICE = (1, 3, 0, 2)
 _SHARE = 0.125
 #: Second difference of transmittance from which on it changes: an 8-bit step.
 _STEP = 1.0 / 256.0
-#: Rays that are cast at once.
+#: Rays that are cast, or go through haze, at once.
 _PART = 1 << 20
 #: Rows of the lattice on which haze before a sky is computed for light: 0.7 degrees.
 _ROWS = 256
@@ -213,8 +213,7 @@ def veil(
         coverage: What surfaces cover of each pixel, as the renderer has it, [h, w].
         edges: Whether what changes within a pixel is averaged.
     """
-    glow = ambient(air, rays.directions)
-    passed, added = arrive(air, rays.origins, rays.directions[:, None], t[:, None], glow)
+    passed, added = _through(air, rays.origins, rays.directions[:, None], t[:, None])
     hit, covered = np.isfinite(t).reshape(rays.shape), coverage > 0.0
     passed, added, changes = _between_centers(passed, added, hit, covered, edges)
     index = np.zeros(0, np.int64)
@@ -224,7 +223,7 @@ def veil(
         if len(index) > most:
             order = np.argsort(-changes.ravel()[index], kind="stable")
             index = np.sort(index[order[:most]])
-        _refine(air, camera, caster, rays, glow, index, passed, added)
+        _refine(air, camera, caster, rays, index, passed, added)
     behind, before = np.ones_like(passed), np.zeros_like(added)
     open_sky = np.flatnonzero(coverage.ravel() < 1.0)
     behind[open_sky], before[open_sky] = _behind(
@@ -240,6 +239,21 @@ def veil(
     return Veil(passed, added, behind, before, len(index))
 
 
+def _through(
+    air: Air,
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    t: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """As ``arrive``, with the light around each bundle's first ray, which takes much memory."""
+    out = np.empty((2, len(t), 3))
+    for start in range(0, len(t), _PART):
+        part = slice(start, start + _PART)
+        glow = ambient(air, directions[part, 0])
+        out[:, part] = arrive(air, origins[part], directions[part], t[part], glow)
+    return out[0], out[1]
+
+
 def _behind(
     air: Air,
     origins: NDArray[np.float64],
@@ -252,8 +266,7 @@ def _behind(
     down = directions[:, 2] < 0.0
     t = np.full(len(directions), FAR_M)
     t[down] = np.maximum(origins[down, 2] - air.floor_m, 0.0) / -directions[down, 2]
-    glow = ambient(air, directions)
-    passed, added = arrive(air, origins, directions[:, None], np.minimum(t, FAR_M)[:, None], glow)
+    passed, added = _through(air, origins, directions[:, None], np.minimum(t, FAR_M)[:, None])
     passed[down] *= air.dimming
     return passed, added
 
@@ -343,7 +356,6 @@ def _refine(
     camera: Camera,
     caster: ExactCaster,
     rays: Rays,
-    glow: NDArray[np.float32],
     index: NDArray[np.int64],
     passed: NDArray[np.float64],
     added: NDArray[np.float64],
@@ -359,5 +371,5 @@ def _refine(
         table = Rays(np.repeat(origins, SUBRAYS, axis=0), around.reshape(-1, 3), shape)
         t = caster.cast(table)[2].reshape(shape)
         some = np.isfinite(t).any(axis=1)
-        mean_passed, mean_added = arrive(air, origins, around, t, glow[part])
+        mean_passed, mean_added = _through(air, origins, around, t)
         passed[part[some]], added[part[some]] = mean_passed[some], mean_added[some]

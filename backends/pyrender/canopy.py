@@ -61,7 +61,12 @@ def make_canopy(scene: RenderScene) -> Canopy | None:
     size = np.maximum(high - low, 1e-6)
     area = np.zeros(CELLS[::-1])
     for mesh, to_world, share in sheets:
-        _spread(*_faces(mesh, len(to_world)), to_world, low, size, share, area)
+        middles, areas = _faces(mesh, len(to_world))
+        stretch = np.cbrt(np.abs(np.linalg.det(to_world[:, :, :3]))).mean()
+        side = stretch * np.sqrt(np.median(areas) * len(areas) / len(mesh.faces))
+        # Cloth that is larger than cells is no foliage.
+        if side <= 2.0 * float((size / CELLS).max()):
+            _spread(middles, areas, to_world, low, size, share, area)
     if not area.any():
         return None
     cell = size / CELLS

@@ -7,6 +7,9 @@ script. Every frame is rendered by all three backends from one stage; the table 
 FLIP and seconds. Needs all backends, bpy's HDRIs and the extra "flip"; takes ten minutes or so on
 two cores. With --keep, compiled stages and frames stay in FOLDER, and frames that are there are not
 made again.
+
+Pictures of haze, which docs/light.md shows, are made where --only names them (fog, dust), by
+Mitsuba alone.
 """
 
 from __future__ import annotations
@@ -54,6 +57,7 @@ class Case:
         look: Its target: distance_m, bearing_deg, height_m above the ground.
         about: What the page says to it.
         ev: Stops more than the metered exposure.
+        bearings: Of cameras side by side, which one renderer draws, in place of ``look``'s.
     """
 
     name: str
@@ -66,6 +70,7 @@ class Case:
     ev: float = 0.0
     fov_deg: float = 60.0
     more: dict[str, Any] = field(default_factory=dict)
+    bearings: tuple[float, ...] = ()
 
 
 def _sun(elevation: float, azimuth: float) -> dict[str, Any]:
@@ -157,6 +162,45 @@ CASES = (
     ),
 )
 
+#: Of docs/light.md.
+HAZY = (
+    Case(
+        "fog",
+        "Morning fog",
+        "meadow_edge",
+        {
+            "sun": _sun(9, 130),
+            "sky": {"type": "atmosphere", "scattering": "multiple", "altitude_m": 400},
+            "haze": {"visibility_m": 50, "scale_height_m": 2.5, "asymmetry": 0.85},
+        },
+        (0, 0, 1.7),
+        (12, 0, 0.9),
+        "",
+        bearings=(126, 310),
+    ),
+    Case(
+        "dust",
+        "Dust on Mars",
+        "mars_yard",
+        {
+            "sun": _sun(35, 130),
+            "sky": {"type": "atmosphere", "planet": "mars", "scattering": "multiple"},
+            "haze": {
+                "visibility_m": 150,
+                "scale_height_m": 30,
+                "asymmetry": 0.65,
+                "albedo": [0.95, 0.85, 0.7],
+            },
+        },
+        (0, 0, 1.9),
+        (12, 0, 0.6),
+        "",
+        bearings=(120, 310),
+    ),
+)
+#: Pixels of each of their views, and samples a pixel, without noise afterwards.
+HAZY_SIZE, HAZY_SPP = (576, 324), 16
+
 
 def make_cfg(case: Case, folder: Path) -> Path:
     """The cfg of a case, in a folder that stands beside configs/."""
@@ -166,9 +210,10 @@ def make_cfg(case: Case, folder: Path) -> Path:
     cfg["light"]["sky"]["labels"] = labels
     cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb", "depth"]}
     x, y, height = case.place
-    distance, bearing, target = case.look
+    distance, towards, target = case.look
+    size = HAZY_SIZE if case.bearings else SIZE
     cfg["rigs"] = {
-        "view": {
+        f"view{bearing:g}" if case.bearings else "view": {
             "pose": {
                 "type": "random_target",
                 "position": {"x_m": x, "y_m": y, "height_m": height},
@@ -178,8 +223,9 @@ def make_cfg(case: Case, folder: Path) -> Path:
                     "height_m": target,
                 },
             },
-            "sensors": {"eye": {"resolution": list(SIZE), "fov_deg": case.fov_deg}},
+            "sensors": {"eye": {"resolution": list(size), "fov_deg": case.fov_deg}},
         }
+        for bearing in case.bearings or (towards,)
     }
     if case.ev:
         cfg["rigs"]["view"]["sensors"]["eye"]["exposure"] = {
@@ -193,18 +239,46 @@ def make_cfg(case: Case, folder: Path) -> Path:
     return path
 
 
+def compiled(case: Case, folder: Path) -> Path:
+    """The folder of a case's stage.
+
+    Raises:
+        ScenecError: It cannot be compiled.
+    """
+    # Files that a cfg names lie relative to it.
+    (folder / "configs").mkdir(parents=True, exist_ok=True)
+    if not (folder / "assets").exists():
+        (folder / "assets").symlink_to(ROOT / "assets")
+    compile_cfg(make_cfg(case, folder / "configs"), seed=SEED, out=folder / case.name)
+    return folder / case.name
+
+
+def views(case: Case, folder: Path, spp: int) -> Image.Image:
+    """Views of a case side by side, as Mitsuba draws them.
+
+    Raises:
+        ScenecError: It cannot be compiled, or a frame could not be made.
+    """
+    report = render(compiled(case, folder), "mitsuba", spp=spp, passes=("rgb",), denoise=True)
+    if report.failed:
+        raise ScenecError(f"{case.name}: {'; '.join(report.failed)}")
+    width, height = HAZY_SIZE
+    made = Image.new("RGB", (len(report.frames) * (width + _GAP) - _GAP, height), (255, 255, 255))
+    by_camera = {path.parent.name: path for path in report.frames}
+    for i, bearing in enumerate(case.bearings):
+        frame = read_frame(by_camera[f"view{bearing:g}_eye"])
+        shown = develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"]))
+        made.paste(Image.fromarray(shown), (i * (width + _GAP), 0))
+    return made
+
+
 def frames(case: Case, folder: Path, spp: int) -> dict[str, Frame]:
     """The frame of each backend.
 
     Raises:
         ScenecError: It cannot be compiled, or a frame could not be made.
     """
-    # Files that a cfg names lie relative to it.
-    (folder / "configs").mkdir(parents=True, exist_ok=True)
-    if not (folder / "assets").exists():
-        (folder / "assets").symlink_to(ROOT / "assets")
-    out = folder / case.name
-    compile_cfg(make_cfg(case, folder / "configs"), seed=SEED, out=out)
+    out = compiled(case, folder)
     found = {}
     for backend in BACKENDS:
         report = render(out, backend, spp=spp, passes=("rgb", "depth"))
@@ -266,6 +340,11 @@ They are single readings on a machine that had other work.
 def main(page: Page) -> None:
     """Renders, and writes the page where no light was chosen."""
     options, rows, parts = page.options, [], []
+    for case in HAZY if options.only else ():
+        if case.name in options.only:
+            made = views(case, options.keep or page.scratch, 2 if page.fast else HAZY_SPP)
+            with atomic(page.picture(case.name)) as target:
+                made.save(target, format="PNG", optimize=True)
     for case in CASES:
         if options.only and case.name not in options.only:
             continue

@@ -53,3 +53,8 @@ def test_under_leaves_as_much_of_the_sky_is_left_as_rays_find(leaf_area):
     # Above the leaves is all of it, and what is no sheet hides nothing.
     assert found.open[-1].mean() > 0.95
     assert make_canopy(ms.scene([leaves], [ms.surface((0.0,) * 3)])) is None
+
+
+def test_cloth_hides_nothing_of_its_own_sky():
+    cloth = replace(ms.surface((0.5,) * 3), diffuse_transmission=0.5)
+    assert make_canopy(ms.scene([ms.mesh(*ms.plane(2.0))], [cloth])) is None
