@@ -1,28 +1,25 @@
 """HDF5 export against plain writing: the same frames, the same disk, the same run.
 
-    python studies/benchmarks/hdf5.py [--folder FOLDER] [--frames OUT] [--fast]
+    python studies/benchmarks/hdf5.py [--folder FOLDER] [--fast]
 
 Frames are in memory. *Plain* writes the bytes of their arrays to one file and syncs it; *hdf5*
 writes the same arrays through the exporter's own file and syncs that. They take turns, and the
 figure is the median of the ratios of rounds that follow each other: on a busy machine a single one
-says little. With ``--frames``, an output folder with frames, there is the whole way as well:
-reading and checking EXR (ZIP inside), the table, digests and statistics, writing.
+says little.
 """
 
 from __future__ import annotations
 
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.contract import Info
 from scenec.datasets.formats.hdf5 import Hdf5
-from scenec.datasets.source import FrameRef, LoadedFrame, Source
+from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.studies.runner import Study, in_turns, run
 
 #: A file of the exporter has up to 500; these are few different ones, over and over.
@@ -69,8 +66,6 @@ def main(study: Study) -> None:
     """Prints the tables."""
     with tempfile.TemporaryDirectory(dir=study.options.folder) as work:
         in_memory(study, Path(work))
-        if study.options.frames:
-            end_to_end(study, study.options.frames, Path(work))
 
 
 def in_memory(study: Study, work: Path) -> None:
@@ -110,18 +105,5 @@ def in_memory(study: Study, work: Path) -> None:
     study.table([*header, "CPU s", "speed by plain's, median of rounds"], rows)
 
 
-def end_to_end(study: Study, out: Path, work: Path) -> None:
-    """Exports an output folder with one worker, and says what reading alone costs of it."""
-    source = Source(out)
-    start = time.perf_counter()
-    raw = sum(a.nbytes for ref in source.frames for a in source.load(ref).passes.values()) / 1e6
-    reading = time.perf_counter() - start
-    start = time.perf_counter()
-    export(out, "hdf5", work / "dataset", Choice())
-    whole = time.perf_counter() - start
-    header = ["frames end to end, one worker", "s", "MB/s", "reading and checking the EXR alone, s"]
-    study.table(header, [[len(source), whole, raw / whole, reading]])
-
-
 if __name__ == "__main__":
-    run(main, folder=Path, frames=Path)
+    run(main, folder=Path)

@@ -1,27 +1,24 @@
-"""What pictures through lenses cost, and how far off they are, each way: prints two tables.
+"""What pictures through lenses cost, and how far off they are, each way: prints a table.
 
     python studies/benchmarks/lenses.py [--backends A,B] [--fast]
 
-*Rays*: CPU seconds per million pixels to compute a picture's exact rays, over a pinhole's, and what
-rays interpolated between the pixels' corners are off by, in pixels. *Pictures*: 160 x 120 pixels of
-stones around the camera, without light, so that coverage alone is compared: with that of 16 x 16
-exact rays a pixel. Its rms error over pixels at edges (which holds the noise of as many samples,
-and is beside that of a pinhole drawn by the same backend), the error of its mean, and processor
-seconds over the pinhole's of the same size and samples. Each backend draws lenses by its own rays
-where it can, and by resampled pinhole views; Mitsuba is shown both ways.
+160 x 120 pixels of stones around the camera, without light, so that coverage alone is compared:
+with that of 16 x 16 exact rays a pixel. Its rms error over pixels at edges (which holds the noise of
+as many samples, and is beside that of a pinhole drawn by the same backend), the error of its mean,
+and processor seconds over the pinhole's of the same size and samples. Each backend
+draws lenses by its own rays where it can, and by resampled pinhole views; Mitsuba is shown both
+ways.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from itertools import count
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.camera.lens import ray_table
 from scenec.backends.camera.rays import camera_rays, subpixel_directions
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
@@ -86,31 +83,8 @@ def exact_coverage(camera: Camera, world: RenderScene) -> NDArray[np.float64]:
     return out.reshape(rays.shape)
 
 
-def rays() -> Iterator[list[Cell]]:
-    """The rows of the first table."""
-    plain = None
-    for name, camera in CAMERAS.items():
-        k = camera.intrinsics.copy()
-        k[:2] *= 4.0
-        wide = dataclasses.replace(camera, width=640, height=480, intrinsics=k)
-        each = min(times(lambda wide=wide: camera_rays(wide), 3).cpu) / 0.3072
-        plain = plain or each
-        if camera.lens is None:
-            yield [name, each, 1.0, None, None]
-            continue
-
-        def fresh(wide: Camera = wide, shifts: Iterator[int] = count()) -> Any:  # noqa: B008
-            # Another K each time: tables are kept.
-            moved = wide.intrinsics.copy()
-            moved[0, 2] += 1e-9 * next(shifts)
-            return ray_table(dataclasses.replace(wide, intrinsics=moved))
-
-        cost = min(times(fresh, 3).cpu) / 0.3072
-        yield [name, each, each / plain, cost, ray_table(wide).error_px]
-
-
 def pictures(study: Study, backends: tuple[str, ...]) -> Iterator[list[Cell]]:
-    """The rows of the second table."""
+    """The rows of the table."""
     world = stones()
     cameras = dict(list(CAMERAS.items())[: 2 if study.fast else None])
     truth = {name: exact_coverage(camera, world) for name, camera in cameras.items()}
@@ -141,8 +115,7 @@ def pictures(study: Study, backends: tuple[str, ...]) -> Iterator[list[Cell]]:
 
 
 def main(study: Study) -> None:
-    """Prints the tables."""
-    study.table(["lens", "s / Mpx", "pinhole = 1", "table s / Mpx", "off, px"], rays())
+    """Prints the table."""
     header = ["backend", "lens", "way", "views", "edge rms", "mean", "pinhole = 1"]
     chosen = study.options.backends[: 1 if study.fast else None]
     study.table(header, pictures(study, chosen))

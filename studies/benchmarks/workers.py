@@ -1,6 +1,6 @@
-"""What workers bring: frames an hour with one, two, and dask; what a unit and a done frame cost.
+"""What workers bring: frames an hour with one, two, and dask; what a unit costs.
 
-    python studies/benchmarks/workers.py [--frames N] [--backends A,B,...] [--done N] [--fast]
+    python studies/benchmarks/workers.py [--frames N] [--backends A,B,...] [--fast]
 
 The demo (configs/jacksboro.json) at 320×240. ``whole`` counts from the command's first moment, with
 the start of workers and renderers; ``steady`` counts the second half of the frames. A unit's cost
@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -29,12 +27,12 @@ from scenec.studies.runner import DEMO, Cell, Study, run
 WHO = (("1", 1, None), ("2", 2, None), ("dask 2", 2, "local"))
 
 
-def compiled(folder: Path, samples: int, size: tuple[int, int] = (320, 240)) -> Path:
+def compiled(folder: Path, samples: int) -> Path:
     """The demo with another resolution and number of samples."""
     cfg = json.loads(DEMO.read_text(encoding="utf-8")) | {"samples": samples, "batches": 1}
     for rig in cfg["rigs"].values():
         for sensor in rig["sensors"].values():
-            sensor["resolution"] = list(size)
+            sensor["resolution"] = [320, 240]
     file = folder / "cfg.json"
     file.write_text(json.dumps(cfg), encoding="utf-8")
     compile_cfg(file, seed=1, out=folder / "out")
@@ -67,19 +65,6 @@ def cost_of_a_unit(workers: int, cluster: str | None, count: int = 1000) -> floa
         return (time.perf_counter() - start) / count
 
 
-def nothing_to_do(out: Path) -> tuple[float, int]:
-    """Seconds until a command knows that all frames are there; how many there are."""
-    words = [sys.executable, "-m", "scenec.cli.main", "render", str(out), "--json",
-             "--passes", "depth"]  # fmt: skip
-    subprocess.run(words, check=True, capture_output=True)
-    start = time.perf_counter()
-    done = subprocess.run(words, check=True, capture_output=True, text=True)
-    seconds = time.perf_counter() - start
-    told = json.loads(done.stdout)
-    assert told["rendered"] == 0
-    return seconds, told["skipped"]
-
-
 def main(study: Study) -> None:
     """Prints the tables."""
     options = study.options
@@ -103,13 +88,7 @@ def main(study: Study) -> None:
         ["workers", "ms a unit"],
         ([name, 1e3 * cost_of_a_unit(*who, units)] for name, *who in WHO),
     )
-    done = min(options.done, 100) if study.fast else options.done
-    if done:
-        folder = study.scratch / "done"
-        folder.mkdir()
-        seconds, known = nothing_to_do(compiled(folder, done, (8, 6)))
-        study.say(f"{known:,} frames that are there: nothing to do is known after {seconds:.1f} s")
 
 
 if __name__ == "__main__":
-    run(main, frames=40, backends=("mitsuba", "pyrender", "annotation"), done=10_000)
+    run(main, frames=40, backends=("mitsuba", "pyrender", "annotation"))
