@@ -3,11 +3,10 @@
     python studies/benchmarks/lenses.py [--backends A,B] [--fast]
 
 160 x 120 pixels of stones around the camera, without light, so that coverage alone is compared:
-with that of 16 x 16 exact rays a pixel. Its rms error over pixels at edges (which holds the noise of
-as many samples, and is beside that of a pinhole drawn by the same backend), the error of its mean,
-and processor seconds over the pinhole's of the same size and samples. Each backend
-draws lenses by its own rays where it can, and by resampled pinhole views; Mitsuba is shown both
-ways.
+with that of 16 x 16 exact rays a pixel. Its rms error over pixels at edges (which holds the noise
+of as many samples, and is beside that of a pinhole drawn by the same backend), the error of its
+mean, and processor seconds over the pinhole's of the same size and samples. Each backend draws
+lenses by its own rays where it can, and by resampled pinhole views; Mitsuba is shown both ways.
 """
 
 from __future__ import annotations
