@@ -31,7 +31,7 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import HorizonPlan, Plan
+from scenec.compiler.scene.plan import HorizonPlan, Plan, ScatterPlan
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.scene.scene import (
     Georeference,
