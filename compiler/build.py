@@ -183,12 +183,14 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         what = f"over {facts['extent_m']:.6g} m up to {np.abs(bounds).max():.6g} m away"
         unseen = plan.terrain.meshing.unseen
         refuse(rigs, terrain, unseen, facts["float32_error_max_m"], what)
-    if isinstance(terrain, MeshSurface):
+    is_mesh = isinstance(terrain, MeshSurface)
+    if is_mesh or plan.terrain.meshing.tolerance_px is None:
         heaped = [name for name, own in built.facts["objects"].items() if "fillets" in own]
         whats = [f"objects/{name}: fillet" for name in heaped]
-        if any(plan.terrain.displacements):
+        if is_mesh and any(plan.terrain.displacements):
             whats.append("materials: their displacement")
-        _note_left_out(log, *(entry("ground", what, "the terrain is a mesh") for what in whats))
+        why = "the terrain is a mesh" if is_mesh else "the mesh is the plain grid"
+        _note_left_out(log, *(entry("ground", what, why) for what in whats))
     _require_finite(objects, light.sky, rigs)
     scene = Scene(
         name=plan.name,
@@ -355,7 +357,8 @@ def stand_rigs(
 
     Where some depend on objects, all objects are laid once before, among the other rigs only: where
     they then stand is where they stand in the end, unless a rig gets nearer to scattered ones than
-    their clearance, which then give way.
+    their clearance (these then give way), or sees stones so near that fines are heaped about them
+    (``fillet``; classes after these then rise by the ramps).
 
     Args:
         plan: The batch.
@@ -418,6 +421,10 @@ def stand_objects(
         log.timed,
     )
     log.facts |= built.facts
+    for own, one in zip(plan.objects, built.objects, strict=True):
+        if land and isinstance(own, ScatterPlan) and isinstance(one, Scatter) and own.beyond_m:
+            surface = around.beyond[own.beyond_m].surface
+            log.facts["objects"][own.name]["land_error_max_m"] = land.off_m(surface, one.positions)
     return built
 
 

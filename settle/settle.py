@@ -223,7 +223,9 @@ def _build(plan: Plan) -> tuple[Surface, tuple[Scatter | Placed, ...]]:
     log = BuildLog()
     surface = build_surface(plan, log)
     rigs = stand_rigs(plan, surface, None, log)
-    return surface, stand_objects(plan, surface, rigs, None, log).objects
+    built = stand_objects(plan, surface, rigs, None, log)
+    # The ground with the fines about their feet, as it is meshed.
+    return built.surface, built.objects
 
 
 def _dropped(plan: Plan, laid: Sequence[Scatter | Placed], chosen: Sequence[str]) -> list[Body]:

@@ -17,6 +17,9 @@ FAMILIES = (
 )  # fmt: skip
 #: Those that lie as they have formed or broken, where the cfg does not say otherwise.
 LYING = ("slab", "ventifact", "bedded")
+#: Least ``beyond_m`` in the terrain's longer sides: 8 cells of the 384 that the land is taken in
+#: (``mesh.horizon``), of which those off the terrain as a whole count: b / (side + 2 b) = 8 / 384.
+LEAST_BEYOND = 8 / (384 - 2 * 8)
 
 
 def check_objects(cfg: Node) -> Iterator[Finding]:
@@ -88,15 +91,27 @@ def _check_beyond(cfg: Node, thing: Node) -> Iterator[Finding]:
             "expected it within",
             "beyond_m",
         )
+    sides = [cfg.at("terrain", "size_m").span(axis) for axis in (0, 1)]
+    least = LEAST_BEYOND * max(side[1] if side else 0.0 for side in sides)
+    if beyond and beyond[0] < least:
+        yield thing.fault(
+            f"{beyond[0]:g} m is too little for a terrain so wide: expected {least:.3g} m or more, "
+            "a 46th of its longer side",
+            "beyond_m",
+        )
     if "fillet" in thing:
         yield thing.key_fault(
             "the land beyond the border is not heaped: expected no fillet with beyond_m", "fillet"
         )
-    for condition in thing.each("where", "*"):
-        if condition["type"] == "material":
-            yield condition.fault(
-                "layers of the ground end at the terrain's border: expected another condition "
-                "with beyond_m",
+    ends = {"material": "layers of the ground", "crater_freshness": "craters", "rings": "craters"}
+    for node, what in (
+        *((node, "condition") for node in thing.each("where", "*")),
+        (thing.at("density"), "density"),
+    ):
+        if node["type"] in ends:
+            yield node.fault(
+                f"{ends[node['type']]} end at the terrain's border: expected another {what} with "
+                "beyond_m",
                 "type",
             )
 

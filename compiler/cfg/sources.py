@@ -61,7 +61,7 @@ def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None
     if text is None:
         data, document = _read_file(path, Position(1, 1, str(path)))
     else:
-        data, document = text, json_positions.parse(text, str(path))
+        data, document = text, _parsed(text, path)
     nulls: list[Path] = []
     extends = isinstance(document.value, dict) and EXTENDS in document.value
     if extends:
@@ -120,13 +120,17 @@ def _read_file(path: FilePath, named_at: Position, at: Path = ()) -> tuple[bytes
     except ValueError as error:
         # A zero character in the name.
         raise _fault(named_at, at, f"not a file name: {error}") from error
+    return data, _parsed(data, path, path.suffix.lower() in _YAML)
+
+
+def _parsed(data: bytes, path: FilePath, is_yaml: bool = False) -> Document:
     try:
-        if path.suffix.lower() in _YAML:
+        if is_yaml:
             # Here: it takes a twentieth of a second, and most cfgs are JSON.
             from scenec.compiler.cfg import yaml_positions
 
-            return data, yaml_positions.parse(data, str(path))
-        return data, json_positions.parse(data, str(path))
+            return yaml_positions.parse(data, str(path))
+        return json_positions.parse(data, str(path))
     except CfgSyntaxError as error:
         raise _fault(error.position, (), error.message) from error
 

@@ -104,6 +104,11 @@ class Land:
         grid = Grid.with_spacing(size, span / _NEAR_CELLS)
         return Surface(HeightField(grid, self.height_at(*grid.points()).reshape(grid.shape)))
 
+    def off_m(self, near: Surface, positions: NDArray[np.float32]) -> float:
+        """How far ``near`` is off its heights where objects stand, [n, 3], at most, meters."""
+        x, y = np.ascontiguousarray(positions[:, :2].T, np.float64)
+        return float(np.abs(near.height_at(x, y) - self.height_at(x, y)).max(initial=0.0))
+
     def _border_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of the border where a column through points begins, float64 [n]."""
         away = self.distance_m(x, y)

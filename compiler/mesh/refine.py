@@ -267,6 +267,7 @@ def _known(
     the surface between these, and by the detail. Those within a cell: by what was found at the
     middles of their edges, and by what these miss.
     """
+    surface = surface.at_most()
     field, points, shares = surface.field, work.points.rows, work.shares.rows
     center, radius, leg, pixels = balls
     of = of_faces(field, points, faces)

@@ -134,6 +134,8 @@ def _pieces(model: Model, partner: NDArray[np.int64]) -> _Pieces:
     mixed[of_face[key != key[first[of_face]]]] = True
     _, group = np.unique(key[first], return_inverse=True)
     group = np.where((triangles <= MOST_TRIANGLES) & ~mixed, group, -1)
+    if not (group >= 0).any():
+        return _Pieces(of_face, of_vertex, triangles, area, center, long, group)
     number = np.bincount(group[group >= 0], minlength=int(group.max()) + 1)
     group = np.where((group >= 0) & (number[group] >= FEWEST), group, -1)
     return _Pieces(of_face, of_vertex, triangles, area, center, long, group)
@@ -265,13 +267,13 @@ def _join(faces, parent):  # type: ignore[no-untyped-def]
 
 
 def _bits(numbers: NDArray[np.int64], level: int) -> NDArray[np.int64]:
-    """0 or 1 of each number, as if thrown."""
+    """0 or 1 of each number, by a hash of it and the level."""
     out = np.empty(len(numbers), np.int64)
-    _throw(numbers.astype(np.uint64), np.uint64(level), out)
+    _hash_bits(numbers.astype(np.uint64), np.uint64(level), out)
     return out
 
 
 @kernel
-def _throw(numbers, level, out):  # type: ignore[no-untyped-def]
+def _hash_bits(numbers, level, out):  # type: ignore[no-untyped-def]
     for n in range(len(numbers)):
         out[n] = np.int64(mix(mix(numbers[n]) + level) >> np.uint64(63))

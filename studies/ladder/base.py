@@ -19,6 +19,7 @@ from scenec.compiler.build import (
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.build import Built
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.scene.plan import Plan, ScatterPlan
 from scenec.compiler.scene.rig import Rig
@@ -61,7 +62,7 @@ class Base:
 
     @cached_property
     def surface(self) -> Surface:
-        """The ground before it is meshed."""
+        """The ground before it is meshed, and before anything stands on it."""
         return build_surface(self.plan, BuildLog())
 
     @cached_property
@@ -127,9 +128,12 @@ class Base:
         return Looks(dict(self.plan.materials)) if self.color else None
 
     @cached_property
-    def objects(self) -> tuple[Scatter | Placed, ...]:
-        """All objects where they stand, as the stage has them before anything is left out."""
-        return stand_objects(self.plan, self.surface, self.rigs, self.looks, BuildLog()).objects
+    def built(self) -> Built:
+        """All objects where they stand, as the stage has them before anything is left out.
+
+        And the ground that is meshed, with the fines about their feet.
+        """
+        return stand_objects(self.plan, self.surface, self.rigs, self.looks, BuildLog())
 
     @cached_property
     def finest_objects(self) -> tuple[Scatter | Placed, ...]:

@@ -59,7 +59,7 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
     """
     if base.looks is None:
         return "no output shows color, so there are no pictures"
-    objects = base.objects
+    objects = base.built.objects
     pictured = {
         name: material
         for name, material in base.looks.materials.items()
@@ -112,7 +112,7 @@ def _tiles(base: Base) -> tuple[Tile, ...]:
     if base.tiles is None:
         terrain = base.plan.terrain
         base.tiles, _ = build_tiles(
-            base.surface, terrain.variation_key, terrain.meshing, base.near, base.views,
+            base.built.surface, terrain.variation_key, terrain.meshing, base.near, base.views,
             color=base.color, cut_labels=base.labels,
         )  # fmt: skip
     return base.tiles

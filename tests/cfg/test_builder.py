@@ -90,6 +90,15 @@ def test_null_is_told_from_what_is_left_out() -> None:
     assert repr(light) == "Light(sun=None)"
 
 
+def test_text_that_is_no_json_is_a_fault_as_a_file_s_is() -> None:
+    with pytest.raises(CfgError) as info:
+        load("cfg", text=b'{"name": NaN}')
+    (fault,) = info.value.faults
+    assert (fault.file, fault.line, fault.column) == ("cfg", 1, 10)
+    with pytest.raises(CfgError):
+        hills(samples=float("nan")).check()
+
+
 def test_faults_are_told_without_a_file() -> None:
     with pytest.raises(CfgError) as info:
         hills(samples=0, rigs={}).check()

@@ -13,10 +13,13 @@ from scenec.backends.annotation.annotate import annotate
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build, build_land, build_surface
+from scenec.compiler.cfg.check_objects import LEAST_BEYOND
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.estimate import needs_of
+from scenec.compiler.objects.conditions import OffTerrain
+from scenec.compiler.objects.lattice import Lattice
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError
 
@@ -33,6 +36,10 @@ FAR = {
     "embed": 0.25,
 }
 LEVEL = [{"type": "plane", "height_m": 3}]
+CRATERS = {
+    "type": "craters", "min_diameter_m": 1, "max_diameter_m": 4, "density_per_m2": 0.02,
+    "reference_diameter_m": 1, "exponent": 2,
+}  # fmt: skip
 HILLS = [
     {"type": "plane", "slope": [0.02, 0.01]},
     {"type": "multifractal", "variant": "fbm", "amplitude_m": 4, "scale_m": 120, "octaves": 6},
@@ -95,6 +102,32 @@ def test_on_hills_cells_are_near_the_land(tmp_path):
     assert off[away > 0.0].max() < 0.2
 
 
+@pytest.mark.parametrize(("relief", "low", "high"), [(LEVEL, 0.0, 1e-9), (HILLS, 1e-4, 0.2)])
+def test_the_report_states_how_far_the_land_is_from_what_they_are_seated_on(
+    relief, low, high, tmp_path
+):
+    log = BuildLog()
+    plan = draw(load(write_cfg(tmp_path, scene_cfg(relief, relief))), 1, 0)
+    far = build(plan, log, Keep.ALL).objects[1]
+    land = build_land(plan, build_surface(plan, BuildLog()), BuildLog())
+    x, y = np.ascontiguousarray(far.positions[:, :2].T, np.float64)
+    off = np.abs(land.height_at(x, y) - land.near(BEYOND).height_at(x, y)).max()
+    stated = {n: own.get("land_error_max_m") for n, own in log.facts["objects"].items()}
+    assert stated == {"rocks": None, "far": pytest.approx(off, abs=1e-12)}
+    assert low <= stated["far"] <= high
+
+
+def test_the_narrowest_land_is_eight_whole_cells_wide(tmp_path):
+    narrow = LEAST_BEYOND * 2.0 * HALF.max()
+    plan = draw(load(write_cfg(tmp_path, scene_cfg(LEVEL, LEVEL, beyond_m=narrow * 1.001))), 1, 0)
+    land = build_land(plan, build_surface(plan, BuildLog()), BuildLog())
+    lattice = Lattice.over(land.near(narrow * 1.001).field.grid)
+    off = OffTerrain(tuple(HALF)).weight(lattice, None) > 0.0
+    assert [row.tolist() for row in np.argwhere(~off)[[0, -1]]] == [
+        [8, 8], [n - 9 for n in lattice.shape]
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("outputs", [["label", "instance", "depth"], ["rgb", "instance"]])
 def test_what_pruning_leaves_shows_the_same(outputs, tmp_path):
     cfg = scene_cfg(HILLS, HILLS) | {"outputs": outputs, "batches": 1}
@@ -138,11 +171,18 @@ def test_the_same_bytes_each_time(tmp_path):
             "/objects/far/where/0/type",
             "layers of the ground end",
         ),
+        (
+            {"where": [{"type": "crater_freshness", "min": 0.5}]},
+            "/objects/far/where/0/type",
+            "craters end",
+        ),
+        ({"density": {"type": "rings"}}, "/objects/far/density/type", "craters end"),
+        ({"beyond_m": 0.4}, "/objects/far/beyond_m", "expected 0.435 m or more"),
     ],
 )
 def test_faults_have_their_place(changes, pointer, said, tmp_path):
     with pytest.raises(CfgError) as caught:
-        load(write_cfg(tmp_path, scene_cfg(LEVEL, LEVEL, **changes)))
+        load(write_cfg(tmp_path, scene_cfg([*LEVEL, CRATERS], LEVEL, **changes)))
     found = {fault.pointer: str(fault) for fault in caught.value.faults}
     assert said in found[pointer]
 

@@ -34,6 +34,8 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, views_of
 from scenec.schemas.frames import read_frame
+from scenec.studies.ladder.base import Base
+from scenec.studies.ladder.tessellation import tessellation
 
 RNG = np.random.default_rng
 
@@ -120,6 +122,23 @@ def test_where_ramps_overlap_the_highest_counts_and_bins_find_it(seed, n):
     amplitude = heaped.finer_at(x + shift[0], y + shift[1], radius, np.full(400, np.inf))
     assert (amplitude[found > 0.0] > 0.0).all()
     assert not heaped.finer_at(x, y, radius, np.full(400, 2.0 * all_feet.reach.min())).any()
+
+
+@examples(25)
+@given(seed=st.integers(0, 10**6), most=st.sampled_from([0.9, 1.7]))
+def test_bounds_state_no_less_than_there_is(seed, most):
+    rng = RNG(seed)
+    all_feet = feet(rng, 30)
+    all_feet = all_feet._replace(share=rng.uniform(0.3, most, (30, SIDES)))
+    heaped = Fillets.of(all_feet)
+    x, y = rng.uniform(-4.0, 4.0, (2, 400))
+    x[:30], y[:30] = all_feet.x, all_feet.y
+    found, shape = heaped.at(x, y), x.shape
+    stated = heaped.at_most().finer_at(x, y, np.zeros(shape), np.full(shape, np.inf))
+    assert (found <= stated).all()
+    assert found.max() <= heaped.spectrum().amplitude_m[0]
+    # What the height at the outline is not.
+    assert (found > heaped.finer_at(x, y, np.zeros(shape), np.full(shape, np.inf))).any()
 
 
 def test_the_ground_meets_stones_in_their_outlines():
@@ -272,6 +291,27 @@ def test_on_a_mesh_there_are_none_and_the_report_says_so(tmp_path):
     assert log.facts["objects"]["rocks"]["fillets"] == 0
     what = [(e["what"], e["why"]) for e in log.facts["left_out"] if "fillet" in e["what"]]
     assert what == [("objects/rocks: fillet", "the terrain is a mesh")]
+
+
+def test_on_a_plain_grid_there_are_none_and_the_report_says_so(tmp_path):
+    cfg = _cfg()
+    cfg["terrain"]["mesh"] = {"tolerance_px": 0}
+    log = BuildLog()
+    build(draw(load(write_cfg(tmp_path, cfg)), 3, 0), log)
+    assert log.facts["objects"]["rocks"]["fillets"] == 0
+    what = [(e["what"], e["why"]) for e in log.facts["left_out"] if "fillet" in e["what"]]
+    assert what == [("objects/rocks: fillet", "the mesh is the plain grid")]
+
+
+def test_ladders_are_of_the_ground_that_is_meshed(tmp_path):
+    log = BuildLog()
+    spec = load(write_cfg(tmp_path, _cfg()))
+    build(draw(spec, 5, 0), log)
+    (ladder,) = tessellation(Base(spec, 5, 0), 1)
+    (own,), ground = ladder.rungs, log.facts["ground"]
+    assert own.triangles == ground["faces"]
+    bound = ground["mesh"]["finer"]["surface_error_bound_px"]
+    assert own.claimed == max(bound, ground["mesh"]["height_error_max_px"])
 
 
 def test_annotation_is_the_same_pruned_or_not(tmp_path, workers_here):

@@ -151,6 +151,12 @@ def test_what_lets_no_light_through_keeps_all():
     assert len(_chain(_leaves(512, through=0.0))) == 1
 
 
+def test_what_is_one_large_piece_has_one_level():
+    points = [[0.1 * (i // 2), 0.2 * (i % 2), 0.0] for i in range(18)]
+    model = _model(points, [[i, i + 1, i + 2] for i in range(16)], [0] * 16)
+    assert len(_chain(model)) == 1
+
+
 @pytest.mark.parametrize("name", ["oak", "spruce_old", "fern", "grass_tall"])
 def test_models_that_ship_keep_their_colors_areas(name):
     model = cached_model(MODELS / f"{name}.glb", None, None, None)

@@ -15,7 +15,7 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
-from scenec.compiler.build import BuildLog, build_surface
+from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
@@ -127,6 +127,22 @@ def test_a_box_stays_on_a_slope_below_the_angle_of_friction_and_slides_above(
         # Downhill, by about half of g (sin - mu cos) times the square of a second or so.
         assert moved < -0.1
         assert abs(table.position_m[0, 1] - 1.2) < 0.2
+
+
+def test_a_box_beside_a_stone_rests_on_the_fines_about_its_foot(tmp_path):
+    # The ramp is all but level where the box is dropped.
+    heaped = {"height": 0.2, "reach": 10}
+    stone = {"type": "rocks", "count": 1, "size_m": 2, "embed": 0.2, "fillet": heaped}
+    box = placed({"x_m": -6, "y_m": -8, "z_m": 0.2, "scale": 0.1})
+    cfg = cfg_with(tmp_path, {"stone": stone, "b": box})
+    table, report = dropped(tmp_path, cfg)
+    assert report.unsettled == 0
+    plan, log = draw(load(cfg), 1, 0), BuildLog()
+    surface = build_surface(plan, log)
+    ground = stand_objects(plan, surface, stand_rigs(plan, surface, None, log), None, log).surface
+    x, y, z = np.ascontiguousarray(table.position_m[:1].T)
+    assert ground.height_at(x, y)[0] > 0.1
+    assert z[0] == pytest.approx(ground.height_at(x, y)[0] + 0.05, abs=0.01)
 
 
 def test_a_table_on_rough_ground_neither_floats_nor_sinks(tmp_path):
