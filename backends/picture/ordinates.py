@@ -148,7 +148,8 @@ def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]
     forward = layer.asymmetry ** (2 * STREAMS)
     sight = 1.0 - forward * layer.albedo
     albedo = min((1.0 - forward) * layer.albedo / sight, 1.0 - _LEAST_ABSORBED)
-    depth = sight * layer.depth
+    # From next to nothing on: depths are spaced by their logarithms.
+    depth = max(sight * layer.depth, 1e-300)
     moments = (2.0 * _ORDERS + 1.0) * (layer.asymmetry**_ORDERS - forward) / (1.0 - forward)
     free = _free(albedo, moments)
     driven = [_driven(free, albedo, moments, *beam) for beam in zip(*layer.beams, strict=True)]

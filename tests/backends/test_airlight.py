@@ -383,6 +383,22 @@ def test_colors_are_alike_where_all_are_one_and_stay_apart_where_not():
         assert one[1][c] == pytest.approx(other[1][c], rel=1e-9)
 
 
+def test_a_color_that_no_haze_weakens_is_as_without_haze():
+    """Two colors of haze, and ground so high above z = 0 that nothing of the layer is left."""
+    way, suns = toward(-3.0, 20.0), (sun(20.0),)
+    of = Haze(np.array([0.01, 0.01, 0.0]), 60.0)
+    two = air_of(of, suns, FLAT, 0.0)
+    passed, added = through(two, way, 50.0, 20.0)
+    assert (passed[2], added[2], two.dimming[2]) == (1.0, 0.0, pytest.approx(1.0, abs=1e-5))
+    all_three = air_of(replace(of, extinction=np.full(3, 0.01)), suns, FLAT, 0.0)
+    expected = through(all_three, way, 50.0, 20.0)[1]
+    # Its sums of exponentials are fitted to all colors of one depth.
+    np.testing.assert_allclose(added[:2], expected[:2], rtol=1e-3)
+    high = 800.0 * of.scale_height_m
+    passed, added = through(air_of(of, suns, FLAT, high), way, 50.0, high + 20.0)
+    assert ((passed == 1.0) & (added < 1e-300)).all()
+
+
 @pytest.mark.parametrize("turned", [0.0, 100.0])
 def test_a_sun_in_the_skys_picture_is_scattered_like_a_sun(turned):
     """But for what is within the width of the lobe that is straight on."""
