@@ -8,11 +8,11 @@ layer's top,
     J = albedo (integral of p(w . v) R(v) dv + sum over suns E p exp(-tau / mu)),
 
 is solved for 2 N sines (Gauss's on either hemisphere) and 2 N Fourier modes of azimuth. Of the
-phase function of Henyey and Greenstein, with moments g^l, part f = g^(2 N) is straight on
-(delta-M, Wiscombe 1977): depths below are (1 - f albedo) tau. Sums and differences of what is seen
-up and down have symmetric matrices, so that k^2 are their eigenvalues; exp(-k tau) and
-exp(-k (depth - tau)) stay finite for any depth. Over it is a sky, and below it ground that reflects
-as Lambert's law says.
+phase function of Henyey and Greenstein, with moments g^l, part f = g^(2 N) is straight on where
+g > 0, else f = 0 (delta-M, Wiscombe 1977): depths below are (1 - f albedo) tau. Sums and
+differences of what is seen up and down have symmetric matrices, so that k^2 are their eigenvalues;
+exp(-k tau) and exp(-k (depth - tau)) stay finite for any depth. Over it is a sky, and below it
+ground that reflects as Lambert's law says.
 
 What is wanted is J without the suns' first scattering, in all directions, as a sum of few
 exponentials in tau, so that its integral along a ray has a closed form. Those are fitted to it at
@@ -145,7 +145,7 @@ def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]
         layer: The layer.
         sines, azimuth: Of directions of sight, whose grid the strengths are for.
     """
-    forward = layer.asymmetry ** (2 * STREAMS)
+    forward = max(layer.asymmetry, 0.0) ** (2 * STREAMS)
     sight = 1.0 - forward * layer.albedo
     albedo = min((1.0 - forward) * layer.albedo / sight, 1.0 - _LEAST_ABSORBED)
     # From next to nothing on: depths are spaced by their logarithms.
