@@ -11,10 +11,13 @@ it meets is scattered, by the phase function p of Henyey and Greenstein (1941). 
 
 E is a sun's irradiance above the layer, mu the sine of its elevation. What is scattered once of
 suns is exact: p exp(-(tau / mu + t)). What is scattered again, and of the light of sky and ground,
-is the second sum, which discrete ordinates give (``ordinates``). Part f = g^16 of scattering is
-straight on for them, so that light is weakened by k = 1 - f albedo only. Of suns, that which was
-turned by as little on either way is turned by q, the phase of two scatterings, whose asymmetry is
-g^2; of what is behind the ray it is the radiance L of sky and ground there.
+is the second sum, which discrete ordinates give (``ordinates``).
+
+Delta-M treats part f = g^16 of each scattering (0 where g < 0) as unscattered, so diffuse light is
+weakened by k = 1 - f albedo only. Two terms make up for what that omits near the forward direction:
+of the sun, light turned a little once more before or after its scattering, with phase q of
+asymmetry g^2 (two scatterings); of sky and ground, light turned a little on its way to the eye, as
+the radiance L(w) straight behind the ray.
 
 All is exponential in t, so the integral has a closed form: of exp(-m tau - v t) it is
 exp(-m tau_0) (1 - exp(-x)) / (v - m w_z), x = t (v - m w_z). There is no quadrature, and its error

@@ -8,15 +8,18 @@ layer's top,
     J = albedo (integral of p(w . v) R(v) dv + sum over suns E p exp(-tau / mu)),
 
 is solved for 2 N sines (Gauss's on either hemisphere) and 2 N Fourier modes of azimuth. Of the
-phase function of Henyey and Greenstein, with moments g^l, part f = g^(2 N) is straight on
-(delta-M, Wiscombe 1977): depths below are (1 - f albedo) tau. Sums and differences of what is seen
-up and down have symmetric matrices, so that k^2 are their eigenvalues; exp(-k tau) and
-exp(-k (depth - tau)) stay finite for any depth. Over it is a sky, and below it ground that reflects
-as Lambert's law says.
+phase function of Henyey and Greenstein, with moments g^l, part f = g^(2 N) is straight on where
+g > 0, else f = 0 (delta-M, Wiscombe 1977): depths below are (1 - f albedo) tau. Sums and
+differences of what is seen up and down have symmetric matrices, so that k^2 are their eigenvalues;
+exp(-k tau) and exp(-k (depth - tau)) stay finite for any depth. Over it is a sky, and below it
+ground that reflects as Lambert's law says.
 
 What is wanted is J without the suns' first scattering, in all directions, as a sum of few
 exponentials in tau, so that its integral along a ray has a closed form. Those are fitted to it at
-some depths, by least squares of the relative error (up to 1 %).
+some depths, by least squares of the relative error. In 144 layers (depths 0.1 to 30, albedos 0.8 to
+1, g 0 to 0.85, suns at sines 0.05 to 1) its root mean square over directions and depths is 0.8 % on
+average and 4.4 % at most; in the worst direction at the worst depth it is 7 % on average, and 51 %
+at most, with the sun at 0.05, g 0.85 and albedo 0.8.
 """
 
 from __future__ import annotations
@@ -33,8 +36,9 @@ STREAMS = 8
 _LEAST_ABSORBED = 1e-10
 #: Below this part absorbed the least rate is that of its limit.
 _DIFFUSION = 1e-6
-#: Rates of exponentials from either end of the layer, besides the least.
-_RATES = (1.5,)
+#: Rates of exponentials from either end of the layer, besides the least. With a third, strengths of
+#: either sign are so large that float32 leaves steps of 0.2 % in what they add up to.
+_RATES = (1.1, 5.0)
 #: Depths in each half of the layer that they are fitted to; what singular values are left out.
 _DEPTHS, _CONDITION = 12, 1e-6
 #: Of moments and modes, and whether their sum is even, [m, l, 1].
@@ -145,10 +149,11 @@ def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]
         layer: The layer.
         sines, azimuth: Of directions of sight, whose grid the strengths are for.
     """
-    forward = layer.asymmetry ** (2 * STREAMS)
+    forward = max(layer.asymmetry, 0.0) ** (2 * STREAMS)
     sight = 1.0 - forward * layer.albedo
     albedo = min((1.0 - forward) * layer.albedo / sight, 1.0 - _LEAST_ABSORBED)
-    depth = sight * layer.depth
+    # From next to nothing on: depths are spaced by their logarithms.
+    depth = max(sight * layer.depth, 1e-300)
     moments = (2.0 * _ORDERS + 1.0) * (layer.asymmetry**_ORDERS - forward) / (1.0 - forward)
     free = _free(albedo, moments)
     driven = [_driven(free, albedo, moments, *beam) for beam in zip(*layer.beams, strict=True)]

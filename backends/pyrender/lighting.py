@@ -107,8 +107,13 @@ def losses(scene: RenderScene) -> tuple[str, ...]:
         )
     if domes:
         lines.append(
-            "pyrender's sky is smooth (second order); leaves hide a share of it on a coarse "
-            "lattice, other small things nothing"
+            "pyrender's sky is smooth (second order); small things hide nothing of it"
+            + (
+                " but leaves a share, on a coarse lattice, and nothing where OpenGL has no 17 "
+                "texture units"
+                if any(surface.transmits for surface in surfaces)
+                else ""
+            )
         )
     if any(s.specular or s.metallic or (s.maps and s.maps.metallic) for s in surfaces):
         lines.append("pyrender's gloss and metals mirror suns and a blurred sky, no surfaces")

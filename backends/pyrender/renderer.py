@@ -279,6 +279,8 @@ class Renderer(pyrender.Renderer):
             program.set_uniform("canopy_scale", 1.0 / self._canopy.size)
             place = (origin - self._canopy.low) / self._canopy.size
             program.set_uniform("canopy_offset", place)
+            # The lowest direction of ``make_canopy`` rises by its height over nearly six of it.
+            program.set_uniform("canopy_reach", 6.0 * float(self._canopy.size[2]))
         program.set_uniform("samples", samples)
         program.set_uniform("rays", rays)
         program.set_uniform("ground_share", float(not sky.dark))

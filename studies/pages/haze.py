@@ -22,14 +22,18 @@ from scenec.studies.runner import Page, run, table
 
 #: Sun's irradiance above the layer, radiance of the sky, part that the ground reflects.
 SUN, SKY, GROUND = 1000.0, 20.0, 0.2
-#: Of the layer beside Mitsuba, meters; height of the eye, elevations and bearings of rays.
-LAYER_M, EYE_M = 40.0, 10.0
+#: Of the layer beside Mitsuba, meters; eyes: low, and with half of the depth above; elevations and
+#: bearings of rays.
+LAYER_M, LOW_M, HALF_M = 40.0, 10.0, 27.7
 WAYS = [(80, 0), (30, 15), (30, 90), (5, 15), (5, 90), (5, 180), (-5, 30), (-30, 30), (-30, 180)]
-#: Vertical optical depth, g, albedo, elevation of the sun, part that the ground reflects.
+#: Vertical optical depth, g, albedo, elevation of the sun, part that the ground reflects, the eye.
 VOLUMES = [
-    (0.1, 0.7, 1.0, 30, 0.2), (0.3, 0.7, 1.0, 30, 0.2), (1.0, 0.7, 1.0, 30, 0.2),
-    (3.0, 0.7, 1.0, 30, 0.2), (1.0, 0.0, 1.0, 30, 0.2), (1.0, 0.85, 1.0, 30, 0.2),
-    (1.0, 0.7, 1.0, 8, 0.2), (1.0, 0.7, 1.0, 30, 0.8), (0.5, 0.65, 0.9, 30, 0.2),
+    (0.1, 0.7, 1.0, 30, 0.2, LOW_M), (0.3, 0.7, 1.0, 30, 0.2, LOW_M),
+    (1.0, 0.7, 1.0, 30, 0.2, LOW_M), (3.0, 0.7, 1.0, 30, 0.2, LOW_M),
+    (1.0, 0.0, 1.0, 30, 0.2, LOW_M), (1.0, 0.85, 1.0, 30, 0.2, LOW_M),
+    (1.0, 0.7, 1.0, 8, 0.2, LOW_M), (1.0, 0.7, 1.0, 30, 0.8, LOW_M),
+    (0.5, 0.65, 0.9, 30, 0.2, LOW_M), (3.0, 0.85, 1.0, 9, 0.2, LOW_M),
+    (3.0, 0.85, 1.0, 9, 0.2, HALF_M), (5.0, 0.65, 0.97, 30, 0.2, HALF_M),
 ]  # fmt: skip
 
 HEAD = """# Haze, measured
@@ -131,45 +135,51 @@ def volumes(page: Page) -> str:
 
     mi = load_mitsuba()
     rows: list[list[str | float]] = []
-    for depth, g, albedo, sun, reflected in VOLUMES[:2] if page.fast else VOLUMES:
+    for depth, g, albedo, sun, reflected, eye_m in VOLUMES[:2] if page.fast else VOLUMES:
         haze = Haze(np.full(3, depth / LAYER_M), LAYER_M, asymmetry=g, albedo=np.full(3, albedo))
         of, ground = air(haze, sun, reflected)
         errors, noise = [], 0.0
         for degrees in WAYS:
             way = toward(*degrees)
-            length = EYE_M / -way[2] if way[2] < 0.0 else FAR_M
+            length = eye_m / -way[2] if way[2] < 0.0 else FAR_M
             passed, added = arrive(
                 of,
-                np.array([[0.0, 0.0, EYE_M]]),
+                np.array([[0.0, 0.0, eye_m]]),
                 way[None, None],
                 np.array([[length]]),
                 ambient(of, way[None]),
             )
             behind = ground * of.dimming[0] if way[2] < 0.0 else SKY
             ours = float(passed[0, 0] * behind + added[0, 0])
-            theirs, off = rendered(mi, haze, (float(sun), reflected), way, 64)
+            theirs, off = rendered(mi, haze, (float(sun), reflected), (eye_m, way), 64)
             errors.append(ours / theirs - 1.0)
             noise = max(noise, off / theirs)
         worst = max(errors, key=abs)
         of_all = (100.0 * value for value in (np.mean(errors), np.std(errors), worst, noise))
         cells = zip(of_all, ("+.0f", ".0f", "+.0f", ".1f"), strict=True)
-        case = [f"{depth:g}", f"{g:g}", f"{albedo:g}", f"{sun}°", f"{reflected:g}"]
+        case = [f"{depth:g}", f"{g:g}", f"{albedo:g}", f"{sun}°", f"{reflected:g}", f"{eye_m:g} m"]
         rows.append([*case, *(f"{value:{digits}} %" for value, digits in cells)])
     return (
         "## Against a volume in Mitsuba\n\nRadiance along nine rays, air and what is behind it, by "
         f"`volpath` in an exponential layer of {LAYER_M:g} m over level ground, sun {SUN:g} W/m² "
-        f"and a sky of {SKY:g} W/(m² sr); the eye is {EYE_M:g} m up. What is scattered once is "
-        "exact; the rest is computed for 16 sines and 16 modes of azimuth (discrete ordinates).\n\n"
+        f"and a sky of {SKY:g} W/(m² sr); the eye is {LOW_M:g} m up, or {HALF_M:g} m with half of "
+        "the depth above it. What is scattered once is exact; the rest is computed for 16 sines "
+        "and 16 modes of azimuth (discrete ordinates). Mitsuba's noise is the largest standard "
+        "error of a ray.\n\n"
         + table(
-            ["depth", "g", "albedo", "sun", "ground", "mean error", "std over rays", "worst",
-             "Mitsuba's noise"],
+            ["depth", "g", "albedo", "sun", "ground", "eye", "mean error", "std over rays",
+             "worst", "Mitsuba's noise"],
             rows,
         )
     )  # fmt: skip
 
 
 def rendered(
-    mi: Any, haze: Haze, light: tuple[float, float], way: NDArray[np.float64], spp: int
+    mi: Any,
+    haze: Haze,
+    light: tuple[float, float],
+    ray: tuple[float, NDArray[np.float64]],
+    spp: int,
 ) -> tuple[float, float]:
     """What Mitsuba sees along a ray, and its standard error.
 
@@ -177,7 +187,7 @@ def rendered(
         mi: Its module.
         haze: The layer.
         light: Elevation of the sun, and what part of the light the ground reflects.
-        way: Direction, unit.
+        ray: Height of its eye, meters, and its direction, unit.
         spp: Samples in each of 64 pixels.
     """
     place = mi.ScalarTransform4f
@@ -189,7 +199,7 @@ def rendered(
         "type": "gridvolume", "grid": mi.VolumeGrid(density), "to_world": texels, "raw": True,
         "wrap_mode": "clamp",
     }  # fmt: skip
-    eye = np.array([0.0, 0.0, EYE_M])
+    way, eye = ray[1], np.array([0.0, 0.0, ray[0]])
     up = [0, 1, 0] if abs(way[2]) > 0.9 else [0, 0, 1]
     gray = {"type": "rgb", "value": light[1]}
     scene = {

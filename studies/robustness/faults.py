@@ -35,6 +35,7 @@ from typing import Any
 
 import psutil
 
+from scenec.schemas.errors import ScenecError
 from scenec.studies.runner import SCENEC, Study, names, run
 from scenec.studies.runner import command as run_command
 
@@ -452,10 +453,14 @@ def main(study: Study) -> None:
     commands = list(study.options.commands or COMMANDS)
     faults = list(study.options.only or FAULTS)
     if os.geteuid() or sys.platform != "linux":
-        faults = [fault for fault in faults if fault not in AS_ROOT]
+        for fault in [fault for fault in faults if fault in AS_ROOT]:
+            study.say(f"left out: {fault} (it needs root on Linux)")
+            faults.remove(fault)
     for fault in [fault for fault in faults if not all(map(shutil.which, TOOLS.get(fault, ())))]:
         study.say(f"left out: {fault} (it needs {', '.join(TOOLS[fault])})")
         faults.remove(fault)
+    if not faults:
+        raise ScenecError("none of these faults can be made here")
     pairs: list[tuple[str, str]] = []
     runs = len(faults) if study.fast else study.options.runs or len(faults) * len(commands)
     while len(pairs) < runs:

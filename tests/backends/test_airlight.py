@@ -26,6 +26,7 @@ from mitsuba_volume import (
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from scenec.backends.picture import airlight, ordinates
 from scenec.backends.picture.airlight import (
     FAR_M,
     Air,
@@ -381,6 +382,47 @@ def test_colors_are_alike_where_all_are_one_and_stay_apart_where_not():
         one, other = through(colored, way, 50.0, 20.0), through(alone, way, 50.0, 20.0)
         assert one[0][c] == other[0][c]
         assert one[1][c] == pytest.approx(other[1][c], rel=1e-9)
+
+
+def test_a_color_that_no_haze_weakens_is_as_without_haze():
+    """Two colors of haze, and ground so high above z = 0 that nothing of the layer is left."""
+    way, suns = toward(-3.0, 20.0), (sun(20.0),)
+    of = Haze(np.array([0.01, 0.01, 0.0]), 60.0)
+    two = air_of(of, suns, FLAT, 0.0)
+    passed, added = through(two, way, 50.0, 20.0)
+    assert (passed[2], added[2], two.dimming[2]) == (1.0, 0.0, pytest.approx(1.0, abs=1e-5))
+    all_three = air_of(replace(of, extinction=np.full(3, 0.01)), suns, FLAT, 0.0)
+    expected = through(all_three, way, 50.0, 20.0)[1]
+    # Its sums of exponentials are fitted to all colors of one depth.
+    np.testing.assert_allclose(added[:2], expected[:2], rtol=1e-3)
+    high = 800.0 * of.scale_height_m
+    passed, added = through(air_of(of, suns, FLAT, high), way, 50.0, high + 20.0)
+    assert ((passed == 1.0) & (added < 1e-300)).all()
+
+
+@pytest.mark.parametrize(("g", "off"), [(-0.9, 0.11), (-0.7, 0.02), (0.3, 0.02)])
+def test_four_times_as_many_streams_find_the_same_light(g, off, monkeypatch):
+    ways = [toward(e, b) for e in (-60.0, -20.0, -3.0, 3.0, 60.0) for b in (0.0, 90.0, 180.0)]
+
+    def found() -> NDArray:
+        air = air_of(haze(60.0 * 3.912 / 2.0, 60.0, g), (sun(30.0),), aureole(30.0), 0.0)
+        ends = [FAR_M if way[2] > 0.0 else 10.0 / -way[2] for way in ways]
+        return np.array(
+            [through(air, way, end, 10.0)[1][0] for way, end in zip(ways, ends, strict=True)]
+        )
+
+    few = found()
+    orders = np.arange(64)
+    monkeypatch.setattr(ordinates, "STREAMS", 32)
+    monkeypatch.setattr(airlight, "STREAMS", 32)
+    monkeypatch.setattr(ordinates, "_ORDERS", orders)
+    monkeypatch.setattr(ordinates, "_EVEN", ((orders[:, None] + orders) % 2 == 0)[..., None])
+    ordinates._sines.cache_clear()
+    try:
+        many = found()
+    finally:
+        ordinates._sines.cache_clear()
+    np.testing.assert_allclose(few, many, rtol=off)
 
 
 @pytest.mark.parametrize("turned", [0.0, 100.0])

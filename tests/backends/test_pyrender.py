@@ -74,6 +74,10 @@ def test_losses_name_what_a_scene_has_and_the_preview_has_not():
     shiny = ms.scene([plane], [ms.surface(specular=0.1)], lights=[ms.sun(), ms.dome()])
     assert len(backend.losses(shiny)) == 3
     assert all("\n" not in line for line in backend.losses(shiny))
+    leaf = dataclasses.replace(ms.surface(), diffuse_transmission=0.5)
+    leafy = ms.scene([plane], [leaf], lights=[ms.dome()])
+    assert any("leaves" in line and "texture units" in line for line in backend.losses(leafy))
+    assert not any("leaves" in line for line in backend.losses(shiny))
     assert backend.losses(ms.with_lights(plain, [])) == ()
     assert any("lamps" in line for line in backend.losses(lights.lamp_scene()))
     assert any("light no others" in line for line in backend.losses(lights.panel_scene(1.0)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
+from scenec.backends.pyrender import Pyrender
 from scenec.backends.pyrender.canopy import CELLS, make_canopy
 from scenec.backends.testing import scenes as ms
 
@@ -58,3 +59,23 @@ def test_under_leaves_as_much_of_the_sky_is_left_as_rays_find(leaf_area):
 def test_cloth_hides_nothing_of_its_own_sky():
     cloth = replace(ms.surface((0.5,) * 3), diffuse_transmission=0.5)
     assert make_canopy(ms.scene([ms.mesh(*ms.plane(2.0))], [cloth])) is None
+
+
+def test_ground_far_beside_leaves_has_all_of_the_sky():
+    """A clump of leaves, 2 m high, and ground that is seen from above at its foot and 60 m away."""
+    rng = np.random.default_rng(5)
+    first, second = rng.normal(size=(2, 3000, 3)) * 0.05
+    place = rng.uniform([-1.0, -1.0, 0.1], [1.0, 1.0, 2.0], (3000, 3))
+    points = np.stack([place, place + first, place + second], axis=1).reshape(-1, 3)
+    leaves = ms.mesh(points, np.arange(9000).reshape(-1, 3), layers=(1,))
+    black = replace(ms.surface((0.0,) * 3), diffuse_transmission=0.5)
+    ground, surfaces = ms.mesh(*ms.plane(100.0)), [ms.surface(), black]
+
+    def mean(meshes: list, x: float) -> float:
+        backend = Pyrender()
+        backend.load(ms.scene(meshes, surfaces, lights=[ms.dome()]))
+        camera = ms.look_at((x, 0.0, 5.0), (x, 0.0, 0.0), 8, 6, 0.1)
+        return float(backend.radiance(camera, 0, 4, 1).halves[0].mean())
+
+    for x, least, most in ((60.0, 0.98, 1.02), (1.5, 0.0, 0.95)):
+        assert least < mean([ground, leaves], x) / mean([ground], x) < most

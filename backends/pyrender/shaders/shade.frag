@@ -35,6 +35,7 @@ uniform vec4 ground_place;         // From x and y to their coordinates: scale, 
 layout(binding = 16) uniform sampler3D canopy;  // What leaves leave of the light from all around.
 uniform vec3 canopy_scale;         // From positions to its coordinates.
 uniform vec3 canopy_offset;
+uniform float canopy_reach;        // How far beside it leaves hide some of the sky, meters.
 #endif
 uniform int samples;               // Per side of a pixel.
 uniform mat3 rays;                 // (u, v, 1) in pixels to a direction.
@@ -245,7 +246,11 @@ Around around_of(Hit hit, float side)
     around.ground = ground_share * texture(ground_light, place).rgb;
 #endif
 #ifdef WITH_CANOPY
-    float open = texture(canopy, hit.position * canopy_scale + canopy_offset).r;
+    // Beside the lattice and above it all is open.
+    vec3 inside = hit.position * canopy_scale + canopy_offset;
+    vec2 beyond = max(abs(inside.xy - 0.5) - 0.5, 0.0) / (canopy_scale.xy * canopy_reach);
+    float open = texture(canopy, inside).r;
+    open = inside.z > 1.0 ? 1.0 : mix(open, 1.0, min(length(beyond), 1.0));
     around.share *= open;
     around.ground *= open;
 #endif
