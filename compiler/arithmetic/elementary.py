@@ -243,3 +243,14 @@ def _acos_loop(x: NDArray, out: NDArray) -> None:
 def acos_array(x: ArrayLike) -> NDArray[np.float64]:
     """``acos`` of every element: float64 of the same shape."""
     return _map(_acos_loop, x)
+
+
+@kernel
+def _asin_loop(x: NDArray, out: NDArray) -> None:
+    for i in range(x.size):
+        out[i] = asin(x[i])
+
+
+def asin_array(x: ArrayLike) -> NDArray[np.float64]:
+    """``asin`` of every element: float64 of the same shape."""
+    return _map(_asin_loop, x)
