@@ -10,7 +10,8 @@ Then the fault is gone, and the same command is given until it succeeds. It is a
 that ends by itself says nothing, or shows a traceback; if one leaves a process; if it does not
 succeed once nothing disturbs it; if the files then differ from undisturbed ones; or if anything
 temporary is left. Pairs of fault and command are taken in a random order, none twice before all
-were; without ``--runs`` each is taken once. Faults whose tools are not there are left out.
+were; without ``--runs`` each is taken once. A fault that cannot be made on this machine (root, a
+tool, a loop device, a file system that the kernel has) is left out, with a line that says why.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -245,11 +246,14 @@ FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
 AS_ROOT = ("no permission", "disk full", "quota", "share stalls", "read-only", "no /dev/shm")
 #: What a fault needs.
 TOOLS = {
-    "quota": ("mkfs.btrfs", "btrfs"),
-    "share stalls": ("mkfs.ext4", "fsfreeze"),
+    "disk full": ("mount", "umount"),
+    "quota": ("mount", "umount", "sync", "mkfs.btrfs", "btrfs"),
+    "share stalls": ("mount", "umount", "mkfs.ext4", "fsfreeze"),
     "share fails": ("cc",),
+    "read-only": ("mount", "umount"),
     "clock back": ("cc",),
     "no permission": ("setpriv",),
+    "no /dev/shm": ("unshare", "sh", "umount"),
 }
 
 
@@ -286,6 +290,44 @@ def _imaged(folder: Path, make: str) -> Iterator[None]:
         shutil.rmtree(folder / "lost+found", ignore_errors=True)
         yield
     image.unlink()
+
+
+def obstacle(fault: str, folder: Path) -> str | None:
+    """Why a fault cannot be made here; None where it can: a command that does nothing has had it.
+
+    Args:
+        fault: One of ``FAULTS``.
+        folder: An empty one, for files.
+    """
+    if fault in AS_ROOT and (os.geteuid() or sys.platform != "linux"):
+        return "it needs root on Linux"
+    lacking = [tool for tool in TOOLS.get(fault, ()) if not shutil.which(tool)]
+    if lacking:
+        return f"it needs {', '.join(lacking)}"
+    on = Disturbed(folder / "output")
+    on.folder.mkdir()
+    try:
+        with contextmanager(FAULTS[fault])(on, 1.0):
+            line = [*on.words, sys.executable, "-S", "-c", ""]
+            environment = os.environ | on.environment
+            subprocess.run(
+                line, check=True, capture_output=True, env=environment, preexec_fn=on.before
+            )
+    except subprocess.CalledProcessError as error:
+        said = (error.stderr or b"").decode("utf-8", "replace").strip().splitlines()
+        return said[-1] if said else f"{error.cmd[0]}: exit status {error.returncode}"
+    return None
+
+
+def pairs(
+    rng: random.Random, faults: Sequence[str], commands: Sequence[str], runs: int = 0
+) -> list[tuple[str, str]]:
+    """So many pairs of a fault and a command, none twice before all were; 0 runs are all once."""
+    found: list[tuple[str, str]] = []
+    while len(found) < (runs or 1):
+        every = [(fault, name) for name in commands for fault in faults]
+        found += rng.sample(every, len(every))
+    return found[: runs or len(found)]
 
 
 def _sleep(process: subprocess.Popen[bytes], seconds: float) -> None:
@@ -445,30 +487,26 @@ def tried(
 
 def main(study: Study) -> None:
     """Prints a row a run, and how often each fault ended how."""
+    commands = list(study.options.commands or COMMANDS)
+    faults = []
+    for fault in study.options.only or FAULTS:
+        with tempfile.TemporaryDirectory(dir=study.scratch) as folder:
+            why = obstacle(fault, Path(folder))
+        if why:
+            study.say(f"left out: {fault} ({why})")
+        else:
+            faults.append(fault)
+    if not faults:
+        raise ScenecError("none of these faults can be made here")
     rng = random.Random(study.options.seed)
     cfg = _cfg(study.scratch)
     made, timed = prepared(study.scratch, cfg)
     files = ", ".join(sorted({file for some in timed.values() for file in some})) or "none"
     study.say(f"files that differ between undisturbed runs (times are in them): {files}\n")
-    commands = list(study.options.commands or COMMANDS)
-    faults = list(study.options.only or FAULTS)
-    if os.geteuid() or sys.platform != "linux":
-        for fault in [fault for fault in faults if fault in AS_ROOT]:
-            study.say(f"left out: {fault} (it needs root on Linux)")
-            faults.remove(fault)
-    for fault in [fault for fault in faults if not all(map(shutil.which, TOOLS.get(fault, ())))]:
-        study.say(f"left out: {fault} (it needs {', '.join(TOOLS[fault])})")
-        faults.remove(fault)
-    if not faults:
-        raise ScenecError("none of these faults can be made here")
-    pairs: list[tuple[str, str]] = []
-    runs = len(faults) if study.fast else study.options.runs or len(faults) * len(commands)
-    while len(pairs) < runs:
-        every = [(fault, name) for name in commands for fault in faults]
-        pairs += rng.sample(every, len(every))
+    chosen = pairs(rng, faults, commands, len(faults) if study.fast else study.options.runs)
     ends: dict[str, Counter[str]] = {fault: Counter() for fault in faults}
     times, wronged = Counter[tuple[str, str]](), 0
-    for number, (fault, name) in enumerate(pairs[:runs]):
+    for number, (fault, name) in enumerate(chosen):
         ended, wrong = tried(study, made, timed[name], cfg, name, fault, rng)
         ends[fault][ended.partition(":")[0]] += 1
         times[fault, name] += 1
@@ -480,7 +518,7 @@ def main(study: Study) -> None:
         [fault, *(times[fault, name] for name in commands), _text(ends[fault])] for fault in faults
     ]
     study.table(["fault", *commands, "the command ended with"], rows)
-    study.say(f"{runs} runs, {wronged} with something wrong")
+    study.say(f"{len(chosen)} runs, {wronged} with something wrong")
 
 
 def _text(ends: Counter[str]) -> str:
