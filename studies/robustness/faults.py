@@ -313,9 +313,11 @@ def obstacle(fault: str, folder: Path) -> str | None:
             subprocess.run(
                 line, check=True, capture_output=True, env=environment, preexec_fn=on.before
             )
+    except OSError as error:
+        return str(error.strerror)
     except subprocess.CalledProcessError as error:
-        said = (error.stderr or b"").decode("utf-8", "replace").strip().splitlines()
-        return said[-1] if said else f"{error.cmd[0]}: exit status {error.returncode}"
+        said = error.stderr.decode("utf-8", "replace").split("\n")
+        return f"{error.cmd[0]}: exit status {error.returncode}: {said[0]}"
     return None
 
 

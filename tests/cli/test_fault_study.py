@@ -1,0 +1,117 @@
+"""What ``studies/robustness/faults.py`` leaves out on a machine, and how it draws its pairs."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from scenec.studies.robustness.faults import pairs
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="its faults are Linux's")
+STUDY = Path(__file__).resolve().parents[2] / "studies" / "robustness" / "faults.py"
+#: What the kernel lets root do: mount(2), chown(2), unshare(2).
+ROOTS = {"no permission", "disk full", "quota", "share stalls", "read-only", "no /dev/shm"}
+TRIED = """
+import json, tempfile
+from pathlib import Path
+from scenec.studies.robustness.faults import FAULTS, obstacle
+mounts = Path("/proc/self/mounts").read_text()
+with tempfile.TemporaryDirectory() as folder:
+    found = {}
+    for number, fault in enumerate(FAULTS):
+        place = Path(folder) / str(number)
+        place.mkdir()
+        found[fault] = obstacle(fault, place)
+assert Path("/proc/self/mounts").read_text() == mounts
+print(json.dumps(found))
+"""
+
+
+def left_out(*words: str, **environment: str) -> dict[str, str]:
+    """Faults that are left out in a process that the words start, each with the reason."""
+    found: dict[str, str | None] = json.loads(
+        subprocess.run(
+            [*words, sys.executable, "-c", TRIED],
+            env=os.environ | environment,
+            stdout=subprocess.PIPE,
+            check=True,
+        ).stdout
+    )
+    return {fault: why for fault, why in found.items() if why is not None}
+
+
+def can(*words: str) -> bool:
+    return (
+        shutil.which(words[0]) is not None
+        and subprocess.run(words, capture_output=True, check=False).returncode == 0
+    )
+
+
+@pytest.mark.parametrize(
+    "powers", [("--bounding-set=-all", "--inh-caps=-all"), ("--reuid=65534", "--clear-groups")]
+)
+def test_what_the_kernel_grants_to_root_alone_is_left_out_without_its_powers(powers):
+    # Root without capabilities, as in a container, or nobody; other users have nothing to drop.
+    words = () if os.geteuid() else ("setpriv", *powers)
+    if not can(*words, sys.executable, "-c", "import scenec.studies.runner"):
+        pytest.skip("nobody cannot read these files")
+    found = left_out(*words)
+    shimmed = {"share fails", "clock back"} if shutil.which("cc") is None else set()
+    assert set(found) == ROOTS | shimmed
+    assert all(why.strip() and "\n" not in why for why in found.values()), found
+
+
+def test_without_tools_faults_that_run_one_are_left_out(tmp_path):
+    found = left_out(PATH=str(tmp_path))
+    assert set(found) == ROOTS | {"share fails", "clock back"}
+    assert found["clock back"] == found["share fails"] == "it needs cc"
+
+
+def test_where_images_cannot_be_mounted_what_needs_one_is_left_out():
+    # Root of a user namespace mounts tmpfs, but no image.
+    words = ("unshare", "--map-root-user", "--mount")
+    if not can(*words, "true"):
+        pytest.skip("no user namespaces here")
+    found = left_out(*words)
+    assert {"quota", "share stalls"} <= set(found)
+    assert not {"disk full", "read-only"} & set(found), found
+
+
+def test_if_nothing_is_left_the_study_says_why_and_ends(tmp_path):
+    done = subprocess.run(
+        [sys.executable, STUDY, "--only", "quota,clock back"],
+        env=os.environ | {"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "left out: quota (" in done.stdout
+    assert "left out: clock back (it needs cc)\n" in done.stdout
+    assert done.stderr == "faults.py: none of these faults can be made here\n"
+
+
+@pytest.mark.parametrize("runs", [0, 1, 11, 12, 13, 30])
+def test_no_pair_is_taken_twice_before_all_were(runs):
+    faults, commands = ["kill", "quota", "clock back"], ["compile", "scan", "view", "export"]
+    found = pairs(random.Random(3), faults, commands, runs)
+    assert len(found) == (runs or 12)
+    times = Counter(found)
+    counts = [times[pair] for pair in product(faults, commands)]
+    assert sum(counts) == len(found)
+    assert max(counts) - min(counts) <= 1
+
+
+def test_another_seed_is_another_order():
+    faults, commands = [str(number) for number in range(9)], ["compile", "scan"]
+    orders = [pairs(random.Random(seed), faults, commands) for seed in (0, 0, 1)]
+    assert orders[0] == orders[1] != orders[2]
