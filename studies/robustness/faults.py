@@ -7,15 +7,18 @@ disk, a quota, a folder that becomes read-only, one that the user may not write 
 goes back, a folder for temporary files that goes away, no shared memory, few file descriptors,
 little memory, a file system that stalls, one that answers errors for a while.
 Then the fault is gone, and the same command is given until it succeeds. It is an error if a command
-that ends by itself says nothing, or shows a traceback; if one leaves a process; if it does not
-succeed once nothing disturbs it; if the files then differ from undisturbed ones; or if anything
-temporary is left. Pairs of fault and command are taken in a random order, none twice before all
-were; without ``--runs`` each is taken once. A fault that cannot be made on this machine (root, a
+that ends by itself says nothing, shows a traceback, or says what is wrong but not with what; if one
+leaves a process; if it does not succeed once nothing disturbs it; if the files then differ from
+undisturbed ones; or if anything temporary is left.
+
+Pairs of fault and command are taken in a random order, none twice before all were; without
+``--runs`` each is taken once. A fault that cannot be made on this machine (for want of root, a
 tool, a loop device, a file system that the kernel has) is left out, with a line that says why.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -51,8 +54,12 @@ IMAGE = 512 << 20
 STALLED_S = 2.0
 #: Seconds that no command takes.
 LONGEST_S = 300.0
+#: Seconds that workers take to see that their parent has gone.
+LEAVING_S = 10.0
 #: In the environment of all processes of a run.
 MARK = "SCENEC_FAULTS_RUN"
+#: What the C library says of its errors.
+REASONS = {os.strerror(number) for number in errno.errorcode}
 #: Nobody's user and group.
 NOBODY = 65534
 
@@ -431,8 +438,9 @@ def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list
         wrong.append(f"traceback: {said[-500:]}")
     if status > 0 and not said.strip():
         wrong.append("says nothing")
-    # Workers see that their parent has gone.
-    end = time.monotonic() + 10.0
+    if status > 0 and said.strip().split("scenec: ")[-1] in REASONS:
+        wrong.append(f"names no file: {said.strip()[-100:]}")
+    end = time.monotonic() + LEAVING_S
     while (left := _marked(mark)) and time.monotonic() < end:
         time.sleep(0.1)
     if left:

@@ -1,4 +1,4 @@
-"""What ``studies/robustness/faults.py`` leaves out on a machine, and how it draws its pairs."""
+"""What ``studies/robustness/faults.py`` leaves out on a machine, how it draws, what it finds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from scenec.studies.robustness.faults import pairs
+from scenec.studies.robustness import faults as study
+from scenec.studies.robustness.faults import Disturbed, disturbed, pairs
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="its faults are Linux's")
 STUDY = Path(__file__).resolve().parents[2] / "studies" / "robustness" / "faults.py"
@@ -115,3 +116,35 @@ def test_another_seed_is_another_order():
     faults, commands = [str(number) for number in range(9)], ["compile", "scan"]
     orders = [pairs(random.Random(seed), faults, commands) for seed in (0, 0, 1)]
     assert orders[0] == orders[1] != orders[2]
+
+
+@pytest.mark.parametrize(
+    ("script", "wrong"),
+    [
+        ("", []),
+        ("raise SystemExit('scenec: a.json: No space left on device')", []),
+        ("raise ValueError(1)", ["traceback"]),
+        ("raise SystemExit(1)", ["says nothing"]),
+        ("raise SystemExit('scenec: No space left on device')", ["names no file"]),
+        ("raise SystemExit('scaling\\nscenec: File too large')", ["names no file"]),
+    ],
+)
+def test_a_command_that_tells_its_user_too_little_is_found(script, wrong, tmp_path):
+    line = [sys.executable, "-c", script]
+    status, _, found = disturbed(Disturbed(tmp_path), line, mark=f"test {tmp_path}")
+    assert [each.partition(":")[0] for each in found] == wrong
+    assert (status == 0) == (script == "")
+
+
+def test_a_process_that_a_command_leaves_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "LEAVING_S", 0.0)
+    # It ends once its file is gone.
+    stays = "import pathlib, time\nwhile pathlib.Path('here').exists(): time.sleep(0.05)"
+    starts = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {stays!r}])"
+    here = tmp_path / "here"
+    here.touch()
+    monkeypatch.chdir(tmp_path)
+    line = [sys.executable, "-c", starts]
+    _, _, found = disturbed(Disturbed(tmp_path), line, mark=f"test {tmp_path}")
+    here.unlink()
+    assert [each.partition(":")[0] for each in found] == ["leaves processes"]
