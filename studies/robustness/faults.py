@@ -171,17 +171,15 @@ def _shimmed(fault: str, for_s: float) -> Callable[[Disturbed, float], Iterator[
 
 
 def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
-    with _mounted(on.folder, "mount -t tmpfs tmpfs"):
+    # What ext4 does after an error of its disk; a usual remount waits for files that are open.
+    with _imaged(on.folder, "mkfs.ext4"):
 
         def moment(process: subprocess.Popen[bytes]) -> None:
             _sleep(process, after_s)
-            subprocess.run(
-                ["mount", "-o", "remount,ro,force", on.folder], check=False, capture_output=True
-            )
+            _tool("mount", "-o", "remount,abort", on.folder)
 
         on.moment = moment
         yield
-        _tool("mount", "-o", "remount,rw", on.folder)
 
 
 def _not_permitted(on: Disturbed, _after_s: float) -> Iterator[None]:
@@ -217,13 +215,18 @@ def _no_temporary(on: Disturbed, after_s: float) -> Iterator[None]:
 
 
 def _no_shared_memory(on: Disturbed, _after_s: float) -> Iterator[None]:
-    on.words = ["unshare", "-m", "sh", "-c", 'umount -l /dev/shm && exec "$@"', "sh"]
+    # In its place a folder in which nothing can be made: what is below may be writable, too.
+    hide = 'mount -t tmpfs -o ro tmpfs /dev/shm && exec "$@"'
+    on.words = ["unshare", "-m", "sh", "-c", hide, "sh"]
     yield
 
 
-def _limited(which: int, most: int) -> Callable[[Disturbed, float], Iterator[None]]:
+def _limited(
+    which: int, each_s: int, least: int = 0
+) -> Callable[[Disturbed, float], Iterator[None]]:
     def fault(on: Disturbed, after_s: float) -> Iterator[None]:
-        on.before = lambda: resource.setrlimit(which, (int(most * after_s), int(most * after_s)))
+        most = least + int(each_s * after_s)
+        on.before = lambda: resource.setrlimit(which, (most, most))
         yield
 
     return fault
@@ -246,7 +249,7 @@ FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
     "clock back": _shimmed("clock", LONGEST_S),
     "TMPDIR gone": _no_temporary,
     "no /dev/shm": _no_shared_memory,
-    "few descriptors": _limited(resource.RLIMIT_NOFILE, 24),
+    "few descriptors": _limited(resource.RLIMIT_NOFILE, 6, least=4),
     "little memory": _limited(resource.RLIMIT_AS, 700 << 20),
     "small files only": _limited(resource.RLIMIT_FSIZE, 20_000),
 }
@@ -257,10 +260,10 @@ TOOLS = {
     "quota": ("mount", "umount", "sync", "mkfs.btrfs", "btrfs"),
     "share stalls": ("mount", "umount", "mkfs.ext4", "fsfreeze"),
     "share fails": ("cc",),
-    "read-only": ("mount", "umount"),
+    "read-only": ("mount", "umount", "mkfs.ext4"),
     "clock back": ("cc",),
     "no permission": ("setpriv",),
-    "no /dev/shm": ("unshare", "sh", "umount"),
+    "no /dev/shm": ("unshare", "sh", "mount"),
 }
 
 
