@@ -62,13 +62,14 @@ EFFECTS = {
     "share fails": AGAIN + "(out / 'there').read_text()",
     "read-only": AGAIN + "(out / 'new').write_text('new')",
     "no permission": "(out / 'new').write_text('new')",
-    "output from the future": "raise OSError(int((out / 'there').stat().st_mtime > time.time() + 8e5))",
+    "output from the future": "later = (out / 'there').stat().st_mtime - time.time()\n"
+    "raise OSError(int(later > 8e5))",
     "clock back": "start = time.time()\n"
     + AGAIN + "if time.time() < start - 8e5: raise OSError(1)",
     "TMPDIR gone": "import tempfile\n" + AGAIN + "tempfile.NamedTemporaryFile().close()",
     "no /dev/shm": "from multiprocessing.shared_memory import SharedMemory\n"
     "SharedMemory(create=True, size=1)",
-    "few descriptors": "every = [open(out / 'there') for _ in range(30)]",
+    "few descriptors": "every = [open(out / 'there') for _ in range(60)]",
     "little memory": "try:\n  bytearray(3 << 30)\nexcept MemoryError: raise OSError(12)",
     "small files only": FILLS,
 }  # fmt: skip
