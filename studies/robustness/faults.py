@@ -249,7 +249,7 @@ FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
     "clock back": _shimmed("clock", LONGEST_S),
     "TMPDIR gone": _no_temporary,
     "no /dev/shm": _no_shared_memory,
-    "few descriptors": _limited(resource.RLIMIT_NOFILE, 8, least=28),
+    "few descriptors": _limited(resource.RLIMIT_NOFILE, 16, least=16),
     "little memory": _limited(resource.RLIMIT_AS, 700 << 20),
     "small files only": _limited(resource.RLIMIT_FSIZE, 20_000),
 }
