@@ -114,8 +114,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         # What no module foresaw of the file system: names too long, a disk that went away.
         where = f"{error.filename}: " if error.filename else ""
-        most = f" (this process may open {_most_files()})" if error.errno == errno.EMFILE else ""
-        print(f"scenec: {where}{error.strerror or error}{most}", file=sys.stderr)
+        text = f"{where}{error.strerror or error}"
+        if error.errno == errno.EMFILE:
+            text += f" (this process may open {_most_files()})"
+        print(f"scenec: {text}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except Exception:
         # Compiled code turns an interrupt inside of its callbacks into errors of its own.
