@@ -416,6 +416,14 @@ def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[st
     return made, timed
 
 
+def _begin(on: Disturbed) -> None:
+    # Under nohup, or behind a shell's &, this process ignores some, and children would, too.
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    if on.before:
+        on.before()
+
+
 def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list[str]]:
     """Exit status, what was said, and what else is wrong."""
     wrong = []
@@ -426,7 +434,7 @@ def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list
             env=os.environ | on.environment | {MARK: mark},
             stdout=file,
             stderr=file,
-            preexec_fn=on.before,
+            preexec_fn=lambda: _begin(on),
         )
         on.moment(process)
         try:
