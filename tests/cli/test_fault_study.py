@@ -16,6 +16,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from processes import until
 
 from scenec.studies.robustness import faults as study
 from scenec.studies.robustness.faults import FAULTS, Disturbed, disturbed, obstacle, pairs
@@ -28,24 +29,23 @@ TRIED = """
 import json, tempfile
 from pathlib import Path
 from scenec.studies.robustness.faults import FAULTS, obstacle
-mounts = Path("/proc/self/mounts").read_text()
 with tempfile.TemporaryDirectory() as folder:
     found = {}
     for number, fault in enumerate(FAULTS):
         place = Path(folder) / str(number)
         place.mkdir()
         found[fault] = obstacle(fault, place)
-assert Path("/proc/self/mounts").read_text() == mounts
+    assert folder not in Path("/proc/self/mounts").read_text()
 print(json.dumps(found))
 """
 #: A command of a few lines that knows what a fault does, and ends well once it has met that.
-OUT = "import os, sys, time; from pathlib import Path; out = Path(sys.argv[1])\n"
+OUT = "import sys, time; from pathlib import Path; out = Path(sys.argv[1])\n"
 FILLS = """
 with (out / 'new').open('wb', buffering=0) as file:
     while True: file.write(bytes(4096))
 """
 #: Tries again and again; a fault that never comes is one that does nothing.
-AGAIN = "import itertools, signal\nfor turn in range(1500):\n  time.sleep(0.02)\n  "
+AGAIN = "for turn in range(1500):\n  time.sleep(0.02)\n  "
 EFFECTS = {
     "kill": AGAIN + "pass",
     "interrupt": "try:\n  time.sleep(30)\nexcept KeyboardInterrupt: raise OSError(130)",
@@ -217,9 +217,17 @@ def test_a_fault_happens_to_the_command_that_it_is_made_for(fault, tmp_path):
     on.folder.mkdir()
     (on.folder / "there").write_text("there", encoding="utf-8")
     lines = EFFECTS[fault].replace("\n", "\n  ")
-    script = f"{OUT}try:\n  {lines}\nexcept OSError as error: print(error.errno or error.args[0])"
+    script = f"{OUT}(out.parent / 'ready').touch()\ntry:\n  {lines}\n"
+    script += "except OSError as error: print(error.errno or error.args[0])"
     with contextmanager(FAULTS[fault])(on, 1.0):
         line = [sys.executable, "-c", script, str(on.folder)]
+        happens, ready = on.moment, tmp_path / "ready"
+
+        def moment(process: subprocess.Popen[bytes]) -> None:
+            until(ready.exists, process)
+            happens(process)
+
+        on.moment = moment
         status, said, wrong = disturbed(on, line, mark=f"test {tmp_path}")
     assert wrong == []
     if fault in SIGNALS:
