@@ -149,10 +149,6 @@ class Times:
         """Median ratio of the wall seconds of paired runs."""
         return statistics.median(a / b for a, b in zip(self.wall, other.wall, strict=True))
 
-    def cpu_over(self, other: Times) -> float:
-        """The same of CPU seconds."""
-        return statistics.median(a / b for a, b in zip(self.cpu, other.cpu, strict=True))
-
 
 def times(work: Callable[[], object], runs: int = 5) -> Times:
     """Times work; a first call, which may compile, does not count."""

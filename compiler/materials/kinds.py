@@ -6,6 +6,7 @@ from scenec.compiler.materials.grounds import Gravel, MudCracks, Regolith, Sand,
 from scenec.compiler.materials.pavement import Pavement
 from scenec.compiler.materials.rocks import Basalt, Breccia, Granite, Sandstone, Weathered
 from scenec.compiler.materials.surface import Surface
+from scenec.compiler.materials.turf import Turf
 from scenec.schemas.plugins import Kinds
 
 SURFACES: Kinds[type[Surface]] = Kinds(
@@ -22,5 +23,6 @@ SURFACES: Kinds[type[Surface]] = Kinds(
         "regolith": Regolith,
         "soil": Soil,
         "pavement": Pavement,
+        "turf": Turf,
     },
 )

@@ -40,6 +40,7 @@ _STAND_INS: tuple[tuple[tuple[str, ...], str, tuple[float, float, float]], ...] 
     (("gravel", "pebble", "stones"), "gravel", (0.22, 0.2, 0.18)),
     (("sand", "beach", "dune"), "sand", (0.42, 0.31, 0.19)),
     (("regolith", "moon", "lunar", "asteroid"), "regolith", (0.13, 0.12, 0.11)),
+    (("grass", "meadow", "lawn", "moss"), "turf", (0.08, 0.09, 0.03)),
     (("rock", "stone", "cliff"), "weathered", (0.25, 0.21, 0.17)),
     (("",), "soil", (0.2, 0.14, 0.09)),
 )

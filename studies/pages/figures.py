@@ -22,6 +22,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.materials.kinds import SURFACES
 from scenec.datasets.colors import label_colors, paint_instances, paint_labels
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import Frame, read_frame
@@ -194,6 +195,46 @@ def merging(page: Page) -> list[list[Tile]]:
 _LIT = {"cfg": "jacksboro", "place": (0.0, 0.0, 1.8), "look": (9.0, 20.0, 0.3), "fov_deg": 65.0}
 
 
+#: Mean colors of the kinds of surfaces; others are gray.
+_COLORS = {
+    "sand": (0.42, 0.31, 0.19), "mud_cracks": (0.24, 0.18, 0.12), "soil": (0.11, 0.08, 0.055),
+    "turf": (0.08, 0.09, 0.03), "pavement": (0.28, 0.16, 0.09), "sandstone": (0.32, 0.2, 0.12),
+    "basalt": (0.09, 0.085, 0.08), "regolith": (0.12, 0.11, 0.1), "gravel": (0.25, 0.235, 0.205),
+}  # fmt: skip
+
+
+def grounds(page: Page) -> list[list[Tile]]:
+    """A level ground of each kind of surface, under a low sun."""
+    tiles = []
+    for kind in sorted(SURFACES):
+        color = list(_COLORS.get(kind, (0.25, 0.24, 0.22)))
+        maps = {"procedural": {"type": kind}, "cells": {}}
+        cfg = {
+            "version": 1, "name": "ground", "samples": 1, "outputs": ["rgb"],
+            "labels": {"class": {"ground": 1}},
+            "terrain": {
+                "size_m": [24, 24], "spacing_m": 0.25, "relief": [{"type": "plane"}],
+                "ground": [{"material": "m", "labels": {"class": "ground"}}],
+            },
+            "materials": {"m": {"base_color": color, "specular": 0, "maps": maps}},
+            "light": {
+                "sun": {"elevation_deg": 22, "azimuth_deg": 300}, "sky": {"type": "atmosphere"},
+            },
+            "rigs": {"r": {
+                "pose": {
+                    "type": "random_target",
+                    "position": {"x_m": 0, "y_m": -1, "height_m": 1.1},
+                    "target": {"distance_m": 1.2, "bearing_deg": 90, "height_m": 0},
+                },
+                "sensors": {"c": {"resolution": [_WIDTH, 240], "fov_deg": 60}},
+            }},
+        }  # fmt: skip
+        path = _folder(page) / f"ground_{kind}.json"
+        path.write_text(json.dumps(cfg, indent=1), encoding="utf-8")
+        tiles.append((kind, photograph(frame(page, f"ground_{kind}", path, passes=("rgb",)))))
+    return [tiles[i : i + 4] for i in range(0, len(tiles), 4)]
+
+
 def lights(page: Page) -> list[list[Tile]]:
     """Figure 6: one scene in six lights."""
     folder = _configs(page)
@@ -225,6 +266,14 @@ merge smoothly by the weight, labels have a sharp border where it crosses one ha
 cut along that line, so each face has one label. The second layer of the ground:
 
     {json.dumps(merging_cfgs()["merged"]["terrain"]["ground"][1])}
+""",
+    ),
+    "grounds": (
+        grounds,
+        """## Kinds of surfaces
+
+Pictures that the compiler makes for a material's `maps`, each kind with its defaults on level
+ground, seen from 1.1 m under a sun at 22 degrees. Colors are the material's.
 """,
     ),
     "lights": (
