@@ -53,10 +53,12 @@ unit: setup  ## The tests alone (WORKERS=2 processes; PYTEST_ARGS for more).
 	@.venv/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder \
 	  --max-worker-restart 0 --hypothesis-profile $(EXAMPLES) $(MARKED) $(PYTEST_ARGS)
 
-# Python's development mode; what is never closed, deprecated or undefined ends a test.
+# Python's development mode; what is never closed, deprecated or undefined ends a test. Processes of
+# pytest-xdist do not inherit the options of the interpreter.
 audit: setup  ## The fast tests once more, each warning an error (ruff's security rules: make lint).
 	@echo "== Testing, every warning an error"
-	@.venv/bin/python -X dev -W error -m pytest -n $(WORKERS) --dist loadfile \
+	@.venv/bin/python -X dev -W error -m pytest --dist loadfile \
+	  --tx "$(WORKERS)*popen//python=.venv/bin/python -X dev -W error" \
 	  --hypothesis-profile quick -m "not slow" $(PYTEST_ARGS)
 
 browser: setup  ## A browser for the tests of `scenec view`, where there is none.

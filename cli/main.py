@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import gc
 import importlib
 import io
+import math
 import os
 import re
+import resource
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -50,6 +53,8 @@ from scenec.schemas.versions import version_of
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+#: Files that a command opens at a time, at least: below that, even imports fail, some silently.
+_LEAST_FILES = 32
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -70,6 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"scenec: {fault}", file=sys.stderr)
             return EXIT_BAD_INPUT
     options = parser().parse_args(arguments)
+    if (most := _most_files()) < _LEAST_FILES:
+        print(
+            f"scenec: this process may open {most} files at a time; expected {_LEAST_FILES} or "
+            f"more (ulimit -n {_LEAST_FILES})",
+            file=sys.stderr,
+        )
+        return EXIT_BAD_INPUT
     if arguments is None and (ended := supervised(EXIT_BAD_INPUT)) is not None:
         return ended
     interrupt.watch()
@@ -102,7 +114,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         # What no module foresaw of the file system: names too long, a disk that went away.
         where = f"{error.filename}: " if error.filename else ""
-        print(f"scenec: {where}{error.strerror or error}", file=sys.stderr)
+        text = f"{where}{error.strerror or error}"
+        if error.errno == errno.EMFILE:
+            text += f" (this process may open {_most_files()})"
+        print(f"scenec: {text}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except Exception:
         # Compiled code turns an interrupt inside of its callbacks into errors of its own.
@@ -111,6 +126,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("scenec: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     return status
+
+
+def _most_files() -> float:
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return math.inf if most == resource.RLIM_INFINITY else most
 
 
 def _speak_utf8() -> None:

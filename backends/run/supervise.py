@@ -163,17 +163,28 @@ class Supervisor:
         self._done = 0
 
     def _start(self) -> None:
+        try:
+            self._begin()
+        except OSError as error:
+            self.close()
+            # Pipes have no name, and temporary files none that is there when it is read.
+            where = f" (its temporary files are in {tempfile.tempdir})" if tempfile.tempdir else ""
+            raise BackendError(
+                f"a worker process cannot be started: {error.strerror or error}{where}"
+            ) from error
+
+    def _begin(self) -> None:
         # Kept apart from our own output: shown only if the worker dies.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._pipe, theirs = Pipe()
-        note = tempfile.TemporaryFile()  # noqa: SIM115 - the mapping keeps it
-        note.truncate(SIZE)
-        self._note = Note(note.fileno())
-        shared = theirs.fileno(), note.fileno()
-        environment = dict(os.environ)
-        if self._threads is not None:
-            environment |= dict.fromkeys(THREADS, str(self._threads))
-        with theirs, note:
+        with theirs, tempfile.TemporaryFile() as note:
+            # The mapping keeps what is in it.
+            note.truncate(SIZE)
+            self._note = Note(note.fileno())
+            shared = theirs.fileno(), note.fileno()
+            environment = dict(os.environ)
+            if self._threads is not None:
+                environment |= dict.fromkeys(THREADS, str(self._threads))
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "scenec.backends.run.worker", *map(str, shared)],
                 stdin=subprocess.DEVNULL,

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 
@@ -74,7 +75,7 @@ class Pool:
 
     Args:
         sources: Where the frames are.
-        workers: How many processes; 1 uses this one.
+        workers: How many processes; 1 uses this one, and so does a machine that can have no others.
     """
 
     def __init__(self, sources: Sequence[Source], workers: int) -> None:
@@ -84,13 +85,15 @@ class Pool:
 
     def __enter__(self) -> Pool:
         if self._workers > 1:
-            self._pool = ProcessPoolExecutor(
-                self._workers,
-                multiprocessing.get_context("spawn"),
-                _begin_process,
-                (os.getpid(), self._sources),
-            )
-        else:
+            # Without semaphores, which live in /dev/shm, the same is made here, more slowly.
+            with suppress(OSError, ImportError, NotImplementedError):
+                self._pool = ProcessPoolExecutor(
+                    self._workers,
+                    multiprocessing.get_context("spawn"),
+                    _begin_process,
+                    (os.getpid(), self._sources),
+                )
+        if self._pool is None:
             _begin(self._sources)
         return self
 
@@ -103,7 +106,7 @@ class Pool:
         """What became of each task, in order.
 
         Raises:
-            OutputError: A process was killed.
+            OutputError: A process was killed, or cannot be started.
         """
         yield from self.over(_make, tasks)
 
@@ -111,7 +114,7 @@ class Pool:
         """``function`` of each item, in order; a few are in work at a time.
 
         Raises:
-            OutputError: A process was killed.
+            OutputError: A process was killed, or cannot be started.
         """
         if self._pool is None:
             yield from map(function, items)
@@ -120,12 +123,22 @@ class Pool:
         waiting: deque[Future[B]] = deque()
         try:
             for item in islice(rest, _AHEAD * self._workers):
-                waiting.append(self._pool.submit(function, item))
+                waiting.append(self._submitted(function, item))
             while waiting:
                 yield waiting.popleft().result()
                 for item in islice(rest, 1):
-                    waiting.append(self._pool.submit(function, item))
+                    waiting.append(self._submitted(function, item))
         except BrokenProcessPool as error:
             raise OutputError(
                 "a process that read frames was killed (out of memory?); try --workers 1"
+            ) from error
+
+    def _submitted[A, B](self, function: Callable[[A], B], item: A) -> Future[B]:
+        assert self._pool is not None
+        try:
+            return self._pool.submit(function, item)
+        except OSError as error:
+            raise OutputError(
+                f"a process that reads frames cannot be started: {error.strerror or error}; "
+                "try --workers 1"
             ) from error

@@ -7,14 +7,18 @@ disk, a quota, a folder that becomes read-only, one that the user may not write 
 goes back, a folder for temporary files that goes away, no shared memory, few file descriptors,
 little memory, a file system that stalls, one that answers errors for a while.
 Then the fault is gone, and the same command is given until it succeeds. It is an error if a command
-that ends by itself says nothing, or shows a traceback; if one leaves a process; if it does not
-succeed once nothing disturbs it; if the files then differ from undisturbed ones; or if anything
-temporary is left. Pairs of fault and command are taken in a random order, none twice before all
-were; without ``--runs`` each is taken once. Faults whose tools are not there are left out.
+that ends by itself says nothing, shows a traceback, or says what is wrong but not with what; if one
+leaves a process; if it does not succeed once nothing disturbs it; if the files then differ from
+undisturbed ones; or if anything temporary is left.
+
+Pairs of fault and command are taken in a random order, none twice before all were; without
+``--runs`` each is taken once. A fault that cannot be made on this machine (for want of root, a
+tool, a loop device, a file system that the kernel has) is left out, with a line that says why.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -27,7 +31,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,8 +54,12 @@ IMAGE = 512 << 20
 STALLED_S = 2.0
 #: Seconds that no command takes.
 LONGEST_S = 300.0
+#: Seconds that workers take to see that their parent has gone.
+LEAVING_S = 10.0
 #: In the environment of all processes of a run.
 MARK = "SCENEC_FAULTS_RUN"
+#: What the C library says of its errors.
+REASONS = {os.strerror(number) for number in errno.errorcode}
 #: Nobody's user and group.
 NOBODY = 65534
 
@@ -163,17 +171,15 @@ def _shimmed(fault: str, for_s: float) -> Callable[[Disturbed, float], Iterator[
 
 
 def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
-    with _mounted(on.folder, "mount -t tmpfs tmpfs"):
+    # What ext4 does after an error of its disk; a usual remount waits for files that are open.
+    with _imaged(on.folder, "mkfs.ext4"):
 
         def moment(process: subprocess.Popen[bytes]) -> None:
             _sleep(process, after_s)
-            subprocess.run(
-                ["mount", "-o", "remount,ro,force", on.folder], check=False, capture_output=True
-            )
+            _tool("mount", "-o", "remount,abort", on.folder)
 
         on.moment = moment
         yield
-        _tool("mount", "-o", "remount,rw", on.folder)
 
 
 def _not_permitted(on: Disturbed, _after_s: float) -> Iterator[None]:
@@ -209,13 +215,18 @@ def _no_temporary(on: Disturbed, after_s: float) -> Iterator[None]:
 
 
 def _no_shared_memory(on: Disturbed, _after_s: float) -> Iterator[None]:
-    on.words = ["unshare", "-m", "sh", "-c", 'umount -l /dev/shm && exec "$@"', "sh"]
+    # In its place a folder in which nothing can be made: what is below may be writable, too.
+    hide = 'mount -t tmpfs -o ro tmpfs /dev/shm && exec "$@"'
+    on.words = ["unshare", "-m", "sh", "-c", hide, "sh"]
     yield
 
 
-def _limited(which: int, most: int) -> Callable[[Disturbed, float], Iterator[None]]:
+def _limited(
+    which: int, each_s: int, least: int = 0
+) -> Callable[[Disturbed, float], Iterator[None]]:
     def fault(on: Disturbed, after_s: float) -> Iterator[None]:
-        on.before = lambda: resource.setrlimit(which, (int(most * after_s), int(most * after_s)))
+        most = least + int(each_s * after_s)
+        on.before = lambda: resource.setrlimit(which, (most, most))
         yield
 
     return fault
@@ -238,18 +249,21 @@ FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
     "clock back": _shimmed("clock", LONGEST_S),
     "TMPDIR gone": _no_temporary,
     "no /dev/shm": _no_shared_memory,
-    "few descriptors": _limited(resource.RLIMIT_NOFILE, 24),
+    "few descriptors": _limited(resource.RLIMIT_NOFILE, 16, least=16),
     "little memory": _limited(resource.RLIMIT_AS, 700 << 20),
     "small files only": _limited(resource.RLIMIT_FSIZE, 20_000),
 }
 AS_ROOT = ("no permission", "disk full", "quota", "share stalls", "read-only", "no /dev/shm")
 #: What a fault needs.
 TOOLS = {
-    "quota": ("mkfs.btrfs", "btrfs"),
-    "share stalls": ("mkfs.ext4", "fsfreeze"),
+    "disk full": ("mount", "umount"),
+    "quota": ("mount", "umount", "sync", "mkfs.btrfs", "btrfs"),
+    "share stalls": ("mount", "umount", "mkfs.ext4", "fsfreeze"),
     "share fails": ("cc",),
+    "read-only": ("mount", "umount", "mkfs.ext4"),
     "clock back": ("cc",),
     "no permission": ("setpriv",),
+    "no /dev/shm": ("unshare", "sh", "mount"),
 }
 
 
@@ -286,6 +300,46 @@ def _imaged(folder: Path, make: str) -> Iterator[None]:
         shutil.rmtree(folder / "lost+found", ignore_errors=True)
         yield
     image.unlink()
+
+
+def obstacle(fault: str, folder: Path) -> str | None:
+    """Why a fault cannot be made here; None where it can: a command that does nothing has had it.
+
+    Args:
+        fault: One of ``FAULTS``.
+        folder: An empty one, for files.
+    """
+    if fault in AS_ROOT and (os.geteuid() or sys.platform != "linux"):
+        return "it needs root on Linux"
+    lacking = [tool for tool in TOOLS.get(fault, ()) if not shutil.which(tool)]
+    if lacking:
+        return f"it needs {', '.join(lacking)}"
+    on = Disturbed(folder / "output")
+    on.folder.mkdir()
+    try:
+        with contextmanager(FAULTS[fault])(on, 1.0):
+            line = [*on.words, sys.executable, "-S", "-c", ""]
+            environment = os.environ | on.environment
+            subprocess.run(
+                line, check=True, capture_output=True, env=environment, preexec_fn=on.before
+            )
+    except OSError as error:
+        return str(error.strerror)
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.decode("utf-8", "replace").split("\n")
+        return f"{error.cmd[0]}: exit status {error.returncode}: {said[0]}"
+    return None
+
+
+def pairs(
+    rng: random.Random, faults: Sequence[str], commands: Sequence[str], runs: int = 0
+) -> list[tuple[str, str]]:
+    """So many pairs of a fault and a command, none twice before all were; 0 runs are all once."""
+    found: list[tuple[str, str]] = []
+    while len(found) < (runs or 1):
+        every = [(fault, name) for name in commands for fault in faults]
+        found += rng.sample(every, len(every))
+    return found[: runs or len(found)]
 
 
 def _sleep(process: subprocess.Popen[bytes], seconds: float) -> None:
@@ -362,6 +416,14 @@ def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[st
     return made, timed
 
 
+def _begin(on: Disturbed) -> None:
+    # Under nohup, or behind a shell's &, this process ignores some, and children would, too.
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    if on.before:
+        on.before()
+
+
 def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list[str]]:
     """Exit status, what was said, and what else is wrong."""
     wrong = []
@@ -372,7 +434,7 @@ def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list
             env=os.environ | on.environment | {MARK: mark},
             stdout=file,
             stderr=file,
-            preexec_fn=on.before,
+            preexec_fn=lambda: _begin(on),
         )
         on.moment(process)
         try:
@@ -387,8 +449,9 @@ def disturbed(on: Disturbed, line: list[str], mark: str) -> tuple[int, str, list
         wrong.append(f"traceback: {said[-500:]}")
     if status > 0 and not said.strip():
         wrong.append("says nothing")
-    # Workers see that their parent has gone.
-    end = time.monotonic() + 10.0
+    if status > 0 and said.strip().split("scenec: ")[-1] in REASONS:
+        wrong.append(f"names no file: {said.strip()[-100:]}")
+    end = time.monotonic() + LEAVING_S
     while (left := _marked(mark)) and time.monotonic() < end:
         time.sleep(0.1)
     if left:
@@ -445,30 +508,26 @@ def tried(
 
 def main(study: Study) -> None:
     """Prints a row a run, and how often each fault ended how."""
+    commands = list(study.options.commands or COMMANDS)
+    faults = []
+    for fault in study.options.only or FAULTS:
+        with tempfile.TemporaryDirectory(dir=study.scratch) as folder:
+            why = obstacle(fault, Path(folder))
+        if why:
+            study.say(f"left out: {fault} ({why})")
+        else:
+            faults.append(fault)
+    if not faults:
+        raise ScenecError("none of these faults can be made here")
     rng = random.Random(study.options.seed)
     cfg = _cfg(study.scratch)
     made, timed = prepared(study.scratch, cfg)
     files = ", ".join(sorted({file for some in timed.values() for file in some})) or "none"
     study.say(f"files that differ between undisturbed runs (times are in them): {files}\n")
-    commands = list(study.options.commands or COMMANDS)
-    faults = list(study.options.only or FAULTS)
-    if os.geteuid() or sys.platform != "linux":
-        for fault in [fault for fault in faults if fault in AS_ROOT]:
-            study.say(f"left out: {fault} (it needs root on Linux)")
-            faults.remove(fault)
-    for fault in [fault for fault in faults if not all(map(shutil.which, TOOLS.get(fault, ())))]:
-        study.say(f"left out: {fault} (it needs {', '.join(TOOLS[fault])})")
-        faults.remove(fault)
-    if not faults:
-        raise ScenecError("none of these faults can be made here")
-    pairs: list[tuple[str, str]] = []
-    runs = len(faults) if study.fast else study.options.runs or len(faults) * len(commands)
-    while len(pairs) < runs:
-        every = [(fault, name) for name in commands for fault in faults]
-        pairs += rng.sample(every, len(every))
+    chosen = pairs(rng, faults, commands, len(faults) if study.fast else study.options.runs)
     ends: dict[str, Counter[str]] = {fault: Counter() for fault in faults}
     times, wronged = Counter[tuple[str, str]](), 0
-    for number, (fault, name) in enumerate(pairs[:runs]):
+    for number, (fault, name) in enumerate(chosen):
         ended, wrong = tried(study, made, timed[name], cfg, name, fault, rng)
         ends[fault][ended.partition(":")[0]] += 1
         times[fault, name] += 1
@@ -480,7 +539,7 @@ def main(study: Study) -> None:
         [fault, *(times[fault, name] for name in commands), _text(ends[fault])] for fault in faults
     ]
     study.table(["fault", *commands, "the command ended with"], rows)
-    study.say(f"{runs} runs, {wronged} with something wrong")
+    study.say(f"{len(chosen)} runs, {wronged} with something wrong")
 
 
 def _text(ends: Counter[str]) -> str:

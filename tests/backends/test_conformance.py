@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -50,14 +52,18 @@ class Definition:
         return Radiance(np.stack([light, light]), expected.coverage, spp, stochastic=False)
 
 
-def checks(**changes) -> Conformance:
+@contextmanager
+def checks(**changes) -> Iterator[Conformance]:
     """The suite, of a changed definition."""
 
     class Held(Conformance):
         backend = staticmethod(lambda: Definition(**changes))
 
     Held.setup_class()
-    return Held()
+    try:
+        yield Held()
+    finally:
+        Held.teardown_class()
 
 
 @pytest.mark.parametrize(
@@ -72,17 +78,18 @@ def checks(**changes) -> Conformance:
     ],
 )
 def test_what_is_off_is_said_with_what_is_allowed(changes, check, case, message):
-    with pytest.raises(
-        AssertionError, match=rf"definition: {check}\[{case}\]: .*{message}"
-    ) as said:
-        getattr(checks(**changes), f"test_{check}")(case)
+    with (
+        checks(**changes) as held,
+        pytest.raises(AssertionError, match=rf"definition: {check}\[{case}\]: .*{message}") as said,
+    ):
+        getattr(held, f"test_{check}")(case)
     assert "llowed" in str(said.value)
 
 
 def test_the_definition_itself_conforms():
-    held = checks()
-    for check, case in (("lambert", "low sun"), ("gloss", "steep"), ("witness", "field")):
-        getattr(held, f"test_{check}")(case)
+    with checks() as held:
+        for check, case in (("lambert", "low sun"), ("gloss", "steep"), ("witness", "field")):
+            getattr(held, f"test_{check}")(case)
 
 
 def picture(light: NDArray, noise: float = 0.0) -> Radiance:
@@ -115,14 +122,13 @@ def test_tolerances_are_of_checks_that_there_are_and_have_reasons():
 
 def test_what_is_lacking_has_to_be_said():
     table = {"lambert": Lacks("it is night")}
-    said = checks(losses=("it is night",))
-    silent = checks()
-    for held in (said, silent):
-        type(held).tolerances = table
-    with pytest.raises(pytest.skip.Exception, match="it is night"):
-        said.test_lambert("low sun")
-    with pytest.raises(pytest.fail.Exception, match="DID NOT RAISE"):
-        silent.test_lambert("low sun")
+    with checks(losses=("it is night",)) as said, checks() as silent:
+        for held in (said, silent):
+            type(held).tolerances = table
+        with pytest.raises(pytest.skip.Exception, match="it is night"):
+            said.test_lambert("low sun")
+        with pytest.raises(pytest.fail.Exception, match="DID NOT RAISE"):
+            silent.test_lambert("low sun")
 
 
 # The reference

@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -301,3 +302,28 @@ def test_workers_offer_themselves_to_the_kernel_before_their_parent(stage, tmp_p
         own = int(Path("/proc/self/oom_score_adj").read_text())
         its = int(Path(f"/proc/{worker.pid}/oom_score_adj").read_text())
     assert its > own
+
+
+@pytest.mark.parametrize(
+    ("which", "most", "words"),
+    [
+        (resource.RLIMIT_FSIZE, lambda: 4096, "File too large"),
+        (resource.RLIMIT_NOFILE, lambda: len(os.listdir("/dev/fd")), "Too many open files"),
+    ],
+)
+def test_a_worker_that_cannot_be_started_is_said_with_the_reason_and_may_be_later(
+    stage, which, most, words
+):
+    unit = open_stage(Opening(str(stage), "plain"))
+    soft, hard = resource.getrlimit(which)
+    before = psutil.Process().num_fds()
+    with closing(Supervisor()) as worker:
+        resource.setrlimit(which, (most(), hard))
+        try:
+            outcome = worker.do(unit)
+        finally:
+            resource.setrlimit(which, (soft, hard))
+        assert isinstance(outcome.error, BackendError)
+        assert f"a worker process cannot be started: {words}" in str(outcome.error)
+        assert psutil.Process().num_fds() == before
+        worker.do(unit).result()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -311,3 +312,35 @@ def test_interrupting_leaves_no_half_written_output(tmp_path):
     assert not [name for name in os.listdir(out) if name.startswith(".")]
     for batch in out.glob("batch_*"):
         assert (batch / "report.json").is_file()
+
+
+@pytest.mark.parametrize("most", [8, 16, 31])
+def test_a_process_that_may_open_too_few_files_says_how_many_it_needs(most, tmp_path):
+    def few() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+    command = [sys.executable, "-m", "scenec.cli.main", "export", str(tmp_path), "--format", "coco"]
+    done = subprocess.run(command, preexec_fn=few, capture_output=True, text=True, check=False)
+    expected = f"this process may open {most} files at a time; expected 32 or more (ulimit -n 32)"
+    assert (done.returncode, done.stderr) == (2, f"scenec: {expected}\n")
+
+
+def test_an_error_of_too_many_open_files_says_how_many_there_may_be(monkeypatch, capsys):
+    def run(options: object) -> int:
+        every = []
+        try:
+            while True:
+                every.append(os.dup(0))
+        finally:
+            for file in every:
+                os.close(file)
+
+    monkeypatch.setattr("scenec.cli.doctor_command.run", run)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+    try:
+        assert main(["doctor"]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    said = "scenec: Too many open files (this process may open 256)\n"
+    assert capsys.readouterr().err == said
