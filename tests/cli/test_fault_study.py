@@ -207,6 +207,7 @@ def test_a_process_that_a_command_leaves_is_found(tmp_path, monkeypatch):
     assert [each.partition(":")[0] for each in found] == ["leaves processes"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_happens_to_the_command_that_it_is_made_for(fault, tmp_path):
     probe = tmp_path / "probe"

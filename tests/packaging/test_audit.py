@@ -29,6 +29,7 @@ def test_uses_what_numpy_calls_invalid():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not shutil.which("make") or not (ROOT / ".venv").exists(), reason="needs make, and its .venv"
 )
