@@ -89,6 +89,8 @@ def page(tmp_path_factory) -> Iterator:
 
 
 def shown(page, mode: str) -> np.ndarray:
+    # What was drawn before the last click says the same of itself.
+    page.eval_on_selector("#space-canvas", "c => delete c.dataset.drawn")
     page.select_option("#space-mode", mode)
     page.wait_for_selector(f'#space-canvas[data-drawn*=" {mode} "]')
     address = page.eval_on_selector("#space-canvas", "c => c.toDataURL()")
