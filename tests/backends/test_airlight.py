@@ -313,6 +313,7 @@ def test_airlight_50_degrees_below_the_sun_is_as_beside_it_in_the_row():
         assert (np.diff(row) < 0.0).all()
 
 
+@pytest.mark.slow
 def test_it_has_no_steps_in_bearing_elevation_distance_or_the_suns_height():
     sky = aureole(5.0)
     air = air_of(haze(80.0, 40.0), (sun(5.0),), sky, 0.0)

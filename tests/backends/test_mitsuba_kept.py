@@ -68,7 +68,7 @@ def in_blocks(values: NDArray) -> NDArray:
     return values.reshape(*values.shape[:-3], 8, 8, 12, 8, 3).mean(axis=(-4, -2))
 
 
-@pytest.mark.parametrize("transmission", [0.0, 0.6])
+@pytest.mark.parametrize("transmission", [pytest.param(0.0, marks=pytest.mark.slow), 0.6])
 def test_pictures_agree_with_those_of_written_instances_within_noise(transmission):
     scene = field(transmission)
     camera = scene.cameras[0][0]

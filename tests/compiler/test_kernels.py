@@ -146,6 +146,7 @@ def test_kernels_are_kept_and_damaged_ones_compiled_again(tmp_path: Path) -> Non
     assert run(tmp_path) == f"{e} [True]"
 
 
+@pytest.mark.slow
 def test_another_numba_compiles_as_it_does(tmp_path: Path) -> None:
     program = """
 import sys
