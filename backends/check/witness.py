@@ -9,7 +9,8 @@ the renderer's scene: a face that is missing, moved, extra or numbered wrongly.
 The hair is 1/64 of a pixel, or what float32 can do wrong where that is more: ``16 * 2**-24`` of the
 coordinates involved (vertices and origin are rounded once, the intersection takes a handful of
 operations). Faces that are smaller than a ring's step are met by no ray of it: there it is enough
-that the renderer's face lies within the radius, at a depth between those of the ring on its row.
+that the renderer's face lies within the radius, at a depth between those of the ring on its row, or
+within a hair and nearer than what the exact ray meets.
 
 Renderers that are not watertight (Embree's fast traversal, in Mitsuba) let a ray slip between two
 faces now and then, and see what lies behind: that is as far off as the nearest edge of the face
@@ -177,6 +178,9 @@ def _explain(
         slack = (high - low) + float32 / length
         within = (t >= low - slack) & (t <= high + slack) & (reach <= ring * scale * pixel)
         radius[within] = np.minimum(radius[within], (ring * scale)[within])
+    # The tip of a leaf or of a needle that the ray passes: no ray of a ring need meet it.
+    ahead = ~none & (t < hits.t[index]) & (reach <= HAIR_PIXELS * scale * pixel)
+    radius[ahead] = np.minimum(radius[ahead], HAIR_PIXELS * scale[ahead])
     left = np.flatnonzero((radius > edge) & (hits.row[index] != NO_ROW))
     if len(left):
         beyond = (hits.t[index] + float32 / length)[left, None] * directions[left]

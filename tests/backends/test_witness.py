@@ -148,6 +148,35 @@ def test_a_ray_that_slips_between_faces_passes_and_one_through_a_face_does_not(r
         assert beyond or witness.beyond == 0
 
 
+@pytest.mark.parametrize(
+    ("pixels", "beyond"), [(1e-3, False), (0.5, False), (3.0, True), (30.0, True)]
+)
+def test_a_tip_that_a_ray_passes_within_a_hair_is_a_fair_answer(pixels, beyond):
+    """A needle ends beside the ray; on a wall behind it, and on nothing."""
+    rays = camera_rays(scenes.camera(20, 14, 60.0))
+    middle = 7 * 20 + 10
+    ray = rays.directions[middle]
+    # Between two of the rings' eight directions, and narrower than they are apart.
+    across, down = rays.directions[middle + 1] - ray, rays.directions[middle + 20] - ray
+    away = np.cos(np.pi / 8) * across + np.sin(np.pi / 8) * down
+    tip = 3.0 * (ray + pixels * HAIR_PIXELS * away)
+    wide = 1e-3 * np.cross(ray, away) / np.linalg.norm(np.cross(ray, away))
+    needle = np.array([tip, tip + 3.0 * away + wide, tip + 3.0 * away - wide])
+    wall = np.array([[9.0, -40.0, -40.0], [9.0, 40.0, -40.0], [9.0, 0.0, 60.0]])
+    one = np.array([[0, 1, 2]], np.int32)
+    meshes = [scenes.mesh(needle, one), scenes.mesh(wall, one)]
+    here = np.eye(4)[:3]
+    for rows in ([(0, here), (1, here)], [(0, here)]):
+        caster = ExactCaster(scenes.scene(meshes, rows))
+        hits = caster.hits(rays)
+        assert hits.row[middle] == (1 if len(rows) == 2 else NO_ROW)
+        row, face = hits.row.copy(), hits.face.copy()
+        row[middle] = face[middle] = 0
+        witness = held(caster, rays, Visibility(row, face))
+        assert witness.differing == 1
+        assert witness.beyond == beyond
+
+
 def test_the_far_side_of_a_stone_is_no_fair_answer():
     """What a renderer shows that culls the faces in front."""
     ball, faces = scenes.icosphere(3)
