@@ -139,13 +139,9 @@ def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _wrapped(i, count):  # type: ignore[no-untyped-def]
-    """The index from 0 to count - 1 that it stands for; without a division, it is never far."""
-    while i < 0:
-        i += count
-    while i >= count:
-        i -= count
-    return i
+def _after(i, count):  # type: ignore[no-untyped-def]
+    """The index after one from 0 to count - 1, the last one's being 0; without a division."""
+    return i + 1 if i + 1 < count else 0
 
 
 @kernel
@@ -158,11 +154,11 @@ def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
     row = np.floor(y)
     across = x - column
     down = y - row
-    i0 = _wrapped(np.int64(column) - 1, wide)
-    j0 = _wrapped(np.int64(row) - 1, high)
-    i1, j1 = _wrapped(i0 + 1, wide), _wrapped(j0 + 1, high)
-    i2, j2 = _wrapped(i1 + 1, wide), _wrapped(j1 + 1, high)
-    i3, j3 = _wrapped(i2 + 1, wide), _wrapped(j2 + 1, high)
+    i0 = (np.int64(column) - 1) % wide
+    j0 = (np.int64(row) - 1) % high
+    i1, j1 = _after(i0, wide), _after(j0, high)
+    i2, j2 = _after(i1, wide), _after(j1, high)
+    i3, j3 = _after(i2, wide), _after(j2, high)
     a = _cubic(plane[j0, i0], plane[j0, i1], plane[j0, i2], plane[j0, i3], across)
     b = _cubic(plane[j1, i0], plane[j1, i1], plane[j1, i2], plane[j1, i3], across)
     c = _cubic(plane[j2, i0], plane[j2, i1], plane[j2, i2], plane[j2, i3], across)

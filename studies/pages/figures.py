@@ -191,10 +191,6 @@ def merging(page: Page) -> list[list[Tile]]:
     return [[*tiles, ("labels", labels(found, "ground"))]]
 
 
-#: The light of each case falls on this scene, seen from here.
-_LIT = {"cfg": "jacksboro", "place": (0.0, 0.0, 1.8), "look": (9.0, 20.0, 0.3), "fov_deg": 65.0}
-
-
 #: Mean colors of the kinds of surfaces; others are gray.
 _COLORS = {
     "sand": (0.42, 0.31, 0.19), "mud_cracks": (0.24, 0.18, 0.12), "soil": (0.11, 0.08, 0.055),
@@ -233,6 +229,10 @@ def grounds(page: Page) -> list[list[Tile]]:
         path.write_text(json.dumps(cfg, indent=1), encoding="utf-8")
         tiles.append((kind, photograph(frame(page, f"ground_{kind}", path, passes=("rgb",)))))
     return [tiles[i : i + 4] for i in range(0, len(tiles), 4)]
+
+
+#: The light of each case falls on this scene, seen from here.
+_LIT = {"cfg": "jacksboro", "place": (0.0, 0.0, 1.8), "look": (9.0, 20.0, 0.3), "fov_deg": 65.0}
 
 
 def lights(page: Page) -> list[list[Tile]]:
