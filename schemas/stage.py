@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.10"
+SCHEMA_VERSION = "1.11"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.
@@ -84,6 +84,9 @@ PRIMVAR_UV = "st"
 ATTR_MAP_SIZE = "scenec:surface:maps:size"
 #: token: "opengl" (the normals' y points up in the picture) or "directx".
 ATTR_NORMAL_CONVENTION = "scenec:surface:maps:normalConvention"
+#: float, 0 where not authored: mean sine of the angles by which the map's normals lean; above 0 its
+#: facets hide and shade each other (docs/stage.md).
+ATTR_MAP_LEAN = "scenec:surface:maps:lean"
 
 #: double (stage units) and uint (0 where not authored): pictures from above lie in cells of
 #: a triangular lattice of this side, each turned and shifted by a table that the seed gives

@@ -53,7 +53,7 @@ class Built:
             self.scene.camera = self.camera
             if scene is not None:
                 self.frame = geometry.scene_frame(scene)
-                if planetary.has_laws(scene):
+                if planetary.surfaces_by_law(scene):
                     self.shares = Shares(bpy, self.scene, self.frame)
                 known = None if self.shares is None else self.shares.light
                 looks = materials.make_materials(bpy, scene, self.frame, known)
@@ -110,7 +110,7 @@ class Built:
             if self.shares is not None:
                 around = 0.0 if sky is None else np.pi * float(sky.picture.mean())
                 albedo = max(max(surface.base_color) for surface in self._render_scene.surfaces)
-                self.shares.prepare(lights, np.inf if self._glows else around, albedo)
+                self.shares.prepare(lights, sky, np.inf if self._glows else around, albedo)
         self._lit_sample = sample
 
 

@@ -20,7 +20,7 @@ from scenec.backends.cycles.geometry import (
 )
 from scenec.backends.cycles.graph import NODES, Graph, is_black
 from scenec.backends.cycles.pictures import Pictures
-from scenec.backends.cycles.planetary import KnownLight, Laws
+from scenec.backends.cycles.planetary import KnownLight, Laws, by_law
 from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
 from scenec.backends.surface import lobes, merges
 from scenec.backends.surface.maps import load_map
@@ -231,9 +231,9 @@ class _Look:
         facing = graph.geometry("Normal") if normal is None else normal
         key: tuple[Any, ...] = (None, normal)
         base = Lobe(None, normal, own.color * own.dull)
-        if surface.reflectance is not None and self._laws is not None:
+        if self._laws is not None and by_law(surface):
             key = ("law", normal)
-            even, lit = self._laws.colors(surface.reflectance, own.color, facing)
+            even, lit = self._laws.colors(surface, own.color, facing, self._pictures.facing)
             known = self._laws.known(facing)
             base = Lobe(None, normal, even * own.dull, lit * own.dull, known)
         gloss = Lobe(NODES.sqrt(own.alpha), normal, _BLACK)

@@ -93,7 +93,10 @@ class Pictures:
             return found, NODES.parts(found)[2]
 
         found = pictures.look_up(NODES, placement, point, texels, entry)
-        if "normal" in found:
+        if "normal" in found and maps.lean > 0.0:
+            # Facets are seen where others are that face the viewer.
+            found["normal"] = projections.sided(NODES, found["normal"], point.normal, self.facing)
+        elif "normal" in found:
             view, leaned = graph.geometry("Incoming"), found["normal"]
             found["normal"] = projections.seen(NODES, leaned, point.normal, self.facing, view)
         return found

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.cycles.graph import NODES, Graph, Value
-from scenec.backends.stage.scene import Reflectance, RenderScene
+from scenec.backends.stage.scene import Reflectance, RenderScene, Surface
+from scenec.backends.surface import facets
 from scenec.backends.surface.reflectance import (
     ALBEDO_NODES,
     albedo,
@@ -33,10 +34,15 @@ from scenec.backends.surface.reflectance import (
 _COSINES = 65
 
 
-def has_laws(scene: RenderScene) -> bool:
-    """Whether a mesh of the scene has a surface with a law other than Lambert's."""
+def surfaces_by_law(scene: RenderScene) -> list[Surface]:
+    """Those of its meshes' surfaces that are ``by_law``."""
     used = {i for mesh in scene.meshes for i in mesh.layers}
-    return any(scene.surfaces[i].reflectance is not None for i in used)
+    return [scene.surfaces[i] for i in sorted(used) if by_law(scene.surfaces[i])]
+
+
+def by_law(surface: Surface) -> bool:
+    """Whether a surface's reflection goes by light and viewer as Lambert's does not."""
+    return surface.reflectance is not None or facets.deviation(surface) > 0.0
 
 
 class KnownLight:
@@ -53,12 +59,18 @@ class KnownLight:
             ("Place", "NodeSocketVector"),
             ("Near", "NodeSocketFloat"),
             ("Blur", "NodeSocketFloat"),
+            ("Aureole", "NodeSocketFloat"),
         ):
             tree.interface.new_socket(name, in_out="OUTPUT", socket_type=kind)
         self._values = tree.nodes.new("NodeGroupOutput").inputs
 
     def set(
-        self, alone: bool, place: NDArray[np.float64], near: bool = False, radius: float = 0.0
+        self,
+        alone: bool,
+        place: NDArray[np.float64],
+        near: bool = False,
+        radius: float = 0.0,
+        aureole: float = 0.0,
     ) -> None:
         """Set the light.
 
@@ -67,15 +79,17 @@ class KnownLight:
             place: Its direction; of a near one its position in Blender's coordinates.
             near: Whether it is a position.
             radius: Of its disc, radians.
+            aureole: Share of the light from all around that comes from about it.
         """
         self._values["Alone"].default_value = float(alone)
         self._values["Place"].default_value = tuple(np.asarray(place, np.float64).tolist())
         self._values["Near"].default_value = float(near)
         # The mean of tan(g/2) over a disc about the viewer's direction: no surge is sharper.
         self._values["Blur"].default_value = radius / 3.0
+        self._values["Aureole"].default_value = aureole
 
     def output(self, graph: Graph, name: str) -> Value:
-        """One of its values in a material or a light: "Alone", "Place", "Near" or "Blur"."""
+        """One of its values in a material or a light: "Alone", "Place", "Near" ..."""
 
         def make() -> Any:
             node = graph.node("ShaderNodeGroup")
@@ -105,23 +119,33 @@ class Laws:
     def __init__(self, graph: Graph, light: KnownLight, picture: Callable[..., Any]) -> None:
         self._graph, self._light, self._picture = graph, light, picture
 
-    def colors(self, law: Reflectance, color: Any, normal: Value) -> tuple[Any, Any]:
+    def colors(self, surface: Surface, color: Any, normal: Value, facing: Value) -> tuple[Any, Any]:
         """Colors of a diffuse closure: for light from all around, and for the known light.
 
         Args:
-            law: The law.
-            color: r0, in [0, 1].
+            surface: The surface.
+            color: Albedo, or a law's r0, in [0, 1].
             normal: The normal.
+            facing: The same without maps.
         """
-        mu = NODES.dot(self._graph.geometry("Incoming"), normal)
-        mu0 = NODES.dot(self._to_light(), normal)
-        found = terms(NODES, numbers_of(law), mu0, mu, self._half_phase())
-        even = (
-            self._varied(law, color, mu)
-            if isinstance(color, Value)
-            else self._fixed(law, color, mu)
-        )
-        return even, value(found, color) * math.pi
+        view, light = self._graph.geometry("Incoming"), self._to_light()
+        law, even, lit = surface.reflectance, color, color
+        rough = facets.deviation(surface)
+        if law is not None:
+            seen = facing if rough > 0.0 else normal
+            mu, mu0 = NODES.dot(view, seen), NODES.dot(light, normal)
+            found = terms(NODES, numbers_of(law), mu0, mu, self._half_phase())
+            varied = isinstance(color, Value)
+            even = self._varied(law, color, mu) if varied else self._fixed(law, color, mu)
+            lit = value(found, color) * math.pi
+        if rough > 0.0:
+            cos_v, cos_l = NODES.dot(view, facing), NODES.dot(light, facing)
+            cos_g = NODES.dot(view, light)
+            direct = facets.factor(NODES, rough, cos_v, cos_l, cos_g)
+            around = facets.even_sky(NODES, rough, cos_v)
+            even = NODES.mix(around, direct, self._light.output(self._graph, "Aureole")) * even
+            lit = direct * lit
+        return even, lit
 
     def known(self, normal: Value) -> Any:
         """1 where the color for the known light holds, else 0."""

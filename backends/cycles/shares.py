@@ -17,7 +17,7 @@ import numpy as np
 from scenec.backends.cycles.geometry import Frame
 from scenec.backends.cycles.graph import NODES, Graph
 from scenec.backends.cycles.planetary import KnownLight
-from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD
+from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, aureole
 from scenec.backends.stage.scene import Lamp, Sun
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -37,21 +37,31 @@ class Shares:
         self.light = KnownLight(bpy)
         self._lights: list[tuple[Any, Sun | Lamp]] = []
         self._parts: list[float] = []
+        self._aureole = 0.0
         self._bright: Any = None
         self._dark: Any = None
 
     def __len__(self) -> int:
         return len(self._lights) + 1
 
-    def prepare(self, lights: list[tuple[Any, Sun | Lamp]], around: float, albedo: float) -> None:
+    def prepare(
+        self,
+        lights: list[tuple[Any, Sun | Lamp]],
+        sky: Sky | None,
+        around: float,
+        albedo: float,
+    ) -> None:
         """Take over the light of a sample, as it has just been made.
 
         Args:
             lights: Objects, and what they stand for.
+            sky: What is behind them.
             around: Irradiance from sky and glow, W/m^2; infinity where it is not known.
             albedo: The largest of a surface.
         """
         self._lights = lights
+        strongest = self._strongest()
+        self._aureole = aureole(sky, strongest.to_light) if isinstance(strongest, Sun) else 0.0
         own = [
             float(np.max(light.irradiance)) if isinstance(light, Sun) else np.inf
             for _, light in lights
@@ -95,7 +105,7 @@ class Shares:
             self.light.set(alone, self._frame.place(known.position), near=True)
         elif known is not None:
             radius = 0.5 * max(known.diameter_rad, MIN_SUN_DIAMETER_RAD)
-            self.light.set(alone, known.to_light, radius=radius)
+            self.light.set(alone, known.to_light, radius=radius, aureole=self._aureole)
         else:
             self.light.set(False, -_UP)
         return 0 if alone else bounces

@@ -37,7 +37,7 @@ from scenec.backends.mitsuba.arrays import ARRAYS
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.pictures import Pictures
 from scenec.backends.stage.scene import Surface
-from scenec.backends.surface import lobes, merges, projections
+from scenec.backends.surface import facets, lobes, merges, projections
 from scenec.backends.surface.reflectance import Numbers, numbers_of, terms, value
 
 PLUGIN = "scenec_stack"
@@ -73,6 +73,8 @@ class Layer:
         self.numbers = lobes.numbers_of(ARRAYS, surface)
         law = surface.reflectance
         self.law: Numbers | None = None if law is None else numbers_of(law, ARRAYS)
+        rough = facets.deviation(surface)
+        self.deviation = ARRAYS.number(rough) if rough > 0.0 else None
 
 
 @dataclass
@@ -216,10 +218,11 @@ class Stack(mi.BSDF):
         wi, behind = self._turned(si)
         found = self._look(si, active)
         up = mi.Vector3f(0.0, 0.0, 1.0)
-        for layer in found:
-            if layer.normal is not None:
-                x, y, z = layer.normal
-                layer.normal = projections.towards(ARRAYS, mi.Vector3f(x, y, 0.0), z, up, wi)
+        for layer, at in zip(self.layers, found, strict=True):
+            # Facets are seen where others are that face the viewer.
+            if at.normal is not None and layer.deviation is None:
+                x, y, z = at.normal
+                at.normal = projections.towards(ARRAYS, mi.Vector3f(x, y, 0.0), z, up, wi)
         return wi, behind, found
 
     # The lobes.
@@ -232,13 +235,16 @@ class Stack(mi.BSDF):
         half = both / length
         for layer, at in zip(self.layers, found, strict=True):
             cos_i, cos_o = (w.z if at.normal is None else dr.dot(w, at.normal) for w in (wi, wo))
+            seen = cos_i if layer.deviation is None else wi.z
             own = at.lobes
             chance = own.dull * cos_o * dr.inv_pi
             light = own.color * chance
             if layer.law is not None:
                 tangent = dr.norm(wi - wo) / dr.maximum(length, 1e-6)
-                law = terms(ARRAYS, layer.law, cos_o, cos_i, tangent)
+                law = terms(ARRAYS, layer.law, cos_o, seen, tangent)
                 light = value(law, own.color) * (own.dull * cos_o)
+            if layer.deviation is not None:
+                light *= facets.factor(ARRAYS, layer.deviation, wi.z, wo.z, dr.dot(wi, wo))
             if layer.glossy:
                 if at.normal is None:
                     cos_h, sine2 = half.z, dr.square(half.x) + dr.square(half.y)
@@ -246,11 +252,11 @@ class Stack(mi.BSDF):
                     cos_h = dr.dot(half, at.normal)
                     sine2 = dr.squared_norm(half - at.normal * cos_h)
                 gloss, drawn = lobes.ggx(ARRAYS, own.alpha, (cos_i, cos_o), cos_h, sine2)
-                seen = cos_i > SEEN
+                shiny = cos_i > SEEN
                 tint = lobes.gloss_color(own, dr.maximum(cos_i, projections.GRAZING))
-                light += dr.select(seen, gloss, 0.0) * tint
-                chance += dr.select(seen, drawn, 0.0) * (own.white + own.tinted)
-            lit = (cos_i > 0.0) & (cos_o > 0.0)
+                light += dr.select(shiny, gloss, 0.0) * tint
+                chance += dr.select(shiny, drawn, 0.0) * (own.white + own.tinted)
+            lit = (seen > 0.0) & (cos_o > 0.0)
             total += dr.select(lit, at.share * light, 0.0)
             density += dr.select(lit, at.share * chance, 0.0)
         above = wo.z > 0.0

@@ -31,12 +31,11 @@ from scenec.backends.stage.scene import (
     Camera,
     Lamp,
     Mesh,
-    Reflectance,
     RenderScene,
     Rows,
     Surface,
 )
-from scenec.backends.surface import lamps, lobes, reflectance
+from scenec.backends.surface import facets, lamps, lobes, reflectance
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.gobo import passed
 from scenec.backends.surface.maps import map_mean
@@ -103,7 +102,8 @@ class _Points:
         at, normal, to_viewer: World, float64 [k, 3]; the normal faces the viewer, both are units.
         diffuse: Albedo of what scatters as Lambert's law says, float64 [k, 3].
         emission: float64 [k, 3].
-        laws: Other laws: (law, which hits, their share [n, 1], their color [n, 3]).
+        laws: Other laws, or facets that hide each other: (the surface, which hits, the share [n, 1]
+            of its dull part, its color [n, 3]).
     """
 
     at: NDArray[np.float64]
@@ -111,18 +111,24 @@ class _Points:
     to_viewer: NDArray[np.float64]
     diffuse: NDArray[np.float64]
     emission: NDArray[np.float64]
-    laws: list[tuple[Reflectance, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]] = (
-        field(default_factory=list)
+    laws: list[tuple[Surface, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]] = field(
+        default_factory=list
     )
 
     def reflected(self, to_light: NDArray[np.float64]) -> NDArray[np.float64]:
         """BRDF times the cosine for unit vectors [k, 3], float64 [k, 3]."""
         cosine = (self.normal * to_light).sum(axis=1)[:, None]
         out = self.diffuse / np.pi
-        for law, which, share, color in self.laws:
+        for surface, which, share, color in self.laws:
             mu = (self.normal * self.to_viewer).sum(axis=1)[which, None]
             phase = (to_light * self.to_viewer).sum(axis=1)[which, None]
-            out[which] += share * reflectance.brdf(law, color, cosine[which], mu, phase)
+            f = color / np.pi
+            if surface.reflectance is not None:
+                f = reflectance.brdf(surface.reflectance, color, cosine[which], mu, phase)
+            rough = facets.deviation(surface)
+            if rough > 0.0:
+                f = f * facets.factor(FLOAT64, rough, mu, cosine[which], phase)
+            out[which] += share * f
         return np.asarray(out * np.maximum(cosine, 0.0))
 
 
@@ -282,10 +288,10 @@ class _Paths:
             if found.through is not None:
                 dull = dull + found.through
             gloss = found.white + found.tinted * color
-            if surface.reflectance is None:
+            if surface.reflectance is None and not facets.deviation(surface):
                 gloss = gloss + dull * color
             else:
-                out.laws.append((surface.reflectance, index, part * dull, color))
+                out.laws.append((surface, index, part * dull, color))
             out.diffuse[index] += part * gloss
             if surface.emits:
                 glow = np.array(surface.emission) * _map(surface, "emission", at, normal, uv).T

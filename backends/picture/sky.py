@@ -8,6 +8,7 @@ last centers clamp.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +26,8 @@ from scenec.schemas.threads import over_threads
 #: Suns narrower than this are drawn this wide (irradiance unchanged), in radians: float32
 #: directions resolve no less. 0.02 degrees, a 26th of the Sun's width from Earth.
 MIN_SUN_DIAMETER_RAD = 3.5e-4
+#: How far an aureole reaches, radians.
+_AUREOLE = math.radians(40.0)
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,26 @@ def mean_radiance(sky: Sky) -> NDArray[np.float64]:
     rows = -0.5 * np.diff(np.cos(np.arange(height + 1) * (np.pi / height)))
     mean: NDArray[np.float64] = sky.picture.mean(axis=1, dtype=np.float64)
     return np.asarray((mean * rows[:, None]).sum(axis=0))
+
+
+def aureole(sky: Sky | None, to_light: NDArray[np.float64]) -> float:
+    """Share of a sky's irradiance on level ground that is a glow about a light.
+
+    What comes from within ``_AUREOLE`` of it, less what would as bright as the rest of the sky.
+    """
+    if sky is None or sky.constant:
+        return 0.0
+    height, width = sky.picture.shape[:2]
+    rows = -np.diff(np.cos(np.arange(height + 1) * (np.pi / height)))
+    world = texel_directions(height, width) @ sky.to_world.T
+    measure = np.maximum(world[..., 2], 0.0) * rows[:, None]
+    light = measure * sky.picture.mean(axis=2, dtype=np.float64)
+    near = world @ np.asarray(to_light, np.float64) > math.cos(_AUREOLE)
+    inside, outside = measure[near].sum(), measure[~near].sum()
+    if inside <= 0.0 or outside <= 0.0 or light.sum() <= 0.0:
+        return 0.0
+    even = light[~near].sum() / outside
+    return float(max(light[near].sum() - even * inside, 0.0) / light.sum())
 
 
 def texel_directions(height: int, width: int) -> NDArray[np.float64]:

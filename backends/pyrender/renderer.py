@@ -284,6 +284,8 @@ class Renderer(pyrender.Renderer):
         program.set_uniform("samples", samples)
         program.set_uniform("rays", rays)
         program.set_uniform("ground_share", float(not sky.dark))
+        if "WITH_FACETS" in self._defines:
+            program.set_uniform("aureole", sky.aureole)
         for name, values in (("sky", sky.irradiance), ("sky_mirrored", sky.mirrored)):
             for index, coefficient in enumerate(values):
                 program.set_uniform(f"{name}[{index}]", coefficient)

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 from scenec.backends.pyrender.glsl import Glsl, Value, function, parameters
-from scenec.backends.surface import lamps, lobes, merges, pictures, projections
+from scenec.backends.surface import facets, lamps, lobes, merges, pictures, projections
 from scenec.backends.surface.cells import Lattice
 from scenec.backends.surface.reflectance import Numbers, terms, value
 from scenec.schemas.cells import SIDE
@@ -50,6 +50,12 @@ def surface_functions(features: frozenset[str]) -> str:
         texts.append(_far("far_above"))
         if "WITH_CELLS" in features:
             texts.append(_far("far_cells"))
+    if "WITH_FACETS" in features:
+        texts += [
+            _of(facets.factor, "float facets(float s, float cos_v, float cos_l, float cos_g)"),
+            _of(facets.even_sky, "float facets_even(float s, float cos_v)"),
+            _of(projections.sided, "vec3 sided(vec3 leaned, vec3 normal, vec3 facing)"),
+        ]
     if "WITH_REFLECTANCE" in features:
         texts += [_law(name, multiple, rough) for name, (multiple, rough) in _LAWS.items()]
     return "\n".join(texts)

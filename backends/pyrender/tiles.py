@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Maps, RenderScene, Surface
-from scenec.backends.surface import cells
+from scenec.backends.surface import cells, facets
 from scenec.backends.surface.maps import map_mean, map_values
 from scenec.backends.surface.merges import FLAT
 from scenec.backends.surface.pictures import far_factors, has_maps
@@ -21,8 +21,8 @@ from scenec.schemas.cells import SIDE
 #: Texels of a block: (1 / side of the lattice or 0, that side in repeats of the picture, first
 #: texel of its table, layer of emission and height after the first or 0), (gain of the far scale,
 #: 1 / factor or 0), (its rest, 0), means of base color and roughness, of emission and height, (mean
-#: metallic, 0, 0, 0), (emission, share that passes through), (where the origin lies in the lattice,
-#: and in the larger one), (where it lies in the larger picture, 0, 0).
+#: metallic, deviation of facets' slopes, 0, 0), (emission, share that passes through), (where the
+#: origin lies in the lattice, and in the larger one), (where it lies in the larger picture, 0, 0).
 BLOCK = 9
 _FAR, _MEANS, _EMISSION, _PLACES = 1, 3, 6, 7
 #: Half floats hold no more.
@@ -36,6 +36,7 @@ def has_block(surface: Surface) -> bool:
         surface.emits
         or surface.transmits
         or (maps is not None and bool(maps.cells or maps.far or maps.height is not None))
+        or facets.deviation(surface) > 0.0
     )
 
 
@@ -52,6 +53,7 @@ def tile_features(scene: RenderScene) -> set[str]:
         "WITH_THROUGH": any(surface.transmits for surface in used),
         "WITH_THIRD": any(has_third(surface) for surface in used),
         "WITH_HEIGHTS": heights,
+        "WITH_FACETS": any(facets.deviation(surface) > 0.0 for surface in used),
     }
     return {name for name, there in found.items() if there}
 
@@ -93,7 +95,7 @@ def add_blocks(surfaces: Sequence[Surface], rows: NDArray[np.float32]) -> NDArra
         rows[4 * index + 2, 3] = len(rows) + BLOCK * number
         means = block[_MEANS : _MEANS + 3]
         means[:2] = (1.0, 1.0, 1.0, surface.roughness), (1.0, 1.0, 1.0, FLAT)
-        means[2, 0] = surface.metallic
+        means[2, :2] = surface.metallic, facets.deviation(surface)
         block[_EMISSION] = (*surface.emission, surface.diffuse_transmission)
         maps = surface.maps
         if maps is None:

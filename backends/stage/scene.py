@@ -85,6 +85,8 @@ class Maps:
         cells: How they are kept from repeating ("above" only), or None.
         far: (factor, share): colors c become c * (1 + share * (c_far / mean - 1)), c_far the same
             picture factor times as large ("above" only); or None.
+        lean: Mean sine of the angles by which normals of ``normal`` lean: its facets hide and shade
+            each other (``surface.facets``); 0: they do not.
     """
 
     size_m: float
@@ -101,6 +103,7 @@ class Maps:
     height: Path | None = None
     cells: Cells | None = None
     far: tuple[float, float] | None = None
+    lean: float = 0.0
 
 
 @dataclass(frozen=True)

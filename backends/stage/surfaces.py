@@ -27,6 +27,7 @@ _RANGES = {
     names.ATTR_OPPOSITION_WIDTH: (0.0, False, math.inf, False),
     names.ATTR_MEAN_SLOPE: (0.0, True, 90.0, False),
     names.ATTR_DIFFUSE_TRANSMISSION: (0.0, True, 1.0, True),
+    names.ATTR_MAP_LEAN: (0.0, True, 1.0, True),
 }
 
 
@@ -180,6 +181,7 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
         projection=projection,
         cells=_cells_of(prim, projection),
         far=_far_of(prim, projection),
+        lean=_number(prim, names.ATTR_MAP_LEAN) if "normal" in files else 0.0,
         **files,
     )
 

@@ -96,6 +96,18 @@ def towards(fn: Algebra, tangent: Vector, height: Number, facing: Vector, view: 
     return fn.unit(tangent * fn.select(seen, 1.0, -1.0) + facing * height)
 
 
+def sided(fn: Algebra, leaned: Vector, normal: Vector, facing: Vector) -> Vector:
+    """A leaned normal mirrored to the side that is seen, wherever it points there.
+
+    Args:
+        fn: The algebra.
+        leaned: The normal; ``normal`` points outward.
+        normal: The shading normal.
+        facing: The same, or its opposite: on the side of its face that is seen.
+    """
+    return leaned + (facing - normal) * fn.dot(leaned, normal)
+
+
 def seen(fn: Algebra, leaned: Vector, normal: Vector, facing: Vector, view: Vector) -> Vector:
     """``towards`` of a leaned normal that is not split: ``normal`` points outward."""
     height = fn.dot(leaned, normal)

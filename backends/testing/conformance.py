@@ -23,6 +23,7 @@ from scenec.backends.check.witness import Witness
 from scenec.backends.contract import NO_ROW, Backend, Radiance, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.scene import Lighting, RenderScene
+from scenec.backends.surface import facets
 from scenec.backends.surface.reflectance import albedo
 from scenec.backends.testing import geometry, lights, looks, reference
 from scenec.backends.testing.scenes import (
@@ -479,6 +480,15 @@ class Conformance:
         color = np.array(made.surfaces[sample].base_color)
         shown = albedo(looks.LAWS[case], color, np.array([looks.cosine(made)]))[:, 0]
         self.hold("laws_under_a_sky", case, made, sample, looks.SKY * shown, 4 * SAMPLES)
+
+    def test_facets_under_a_sky(self) -> None:
+        """Facets that hide each other show what they do of an even sky."""
+        made = self.scene("facets_under_a_sky", lambda: looks.facets_under_sky(self.folder()))
+        self.allow("facets_under_a_sky", "", made)
+        own, cosine = made.surfaces[0], np.array([looks.cosine(made)])
+        share = facets.under_even_sky(np.array([facets.deviation(own)]), cosine)[0, 0]
+        shown = looks.SKY * share * np.array(own.base_color)
+        self.hold("facets_under_a_sky", "", made, 0, shown, 4 * SAMPLES)
 
     @pytest.mark.parametrize("case", looks.METALS)
     def test_metals_under_a_sky(self, case: str) -> None:

@@ -245,7 +245,24 @@ def mapped(folder: Path) -> dict[str, Look]:
         "cells and far": dataclasses.replace(colors, cells=CELLS, far=FAR),
     }.items():
         looks[name] = Look(mound, [_dull(described)])
+    rough = _dull(dataclasses.replace(normals, lean=0.35))
+    by_law = dataclasses.replace(rough, reflectance=MARE, specular=0.1)
+    for name, own, azimuth in (
+        ("facets against the sun", rough, 180.0),
+        ("facets before the sun", rough, 15.0),
+        ("facets beside the sun", rough, 260.0),
+        ("facets of a law", by_law, 140.0),
+    ):
+        # The viewer stands in the north. Low, but each texel is lit.
+        light = sun(30.0, azimuth, diameter_deg=0.1)
+        looks[name] = Look(leaning, [own], (0.0, 8.0, 5.0), light, fov_deg=10.0)
     return looks
+
+
+def facets_under_sky(folder: Path) -> RenderScene:
+    """A level plane whose map of normals is level, and stands for a relief all the same."""
+    level = Maps(SIZE, normal=folder / "level.png", lean=0.35)
+    return _under_sky([_dull(level)], (6.0, 0.0, 3.0))
 
 
 def projected(folder: Path) -> dict[str, Look]:
@@ -460,6 +477,8 @@ def write_pictures(folder: Path) -> None:
         write_picture(folder, kind)
     write_picture(folder, "height", seed=6)
     write_picture(folder, "normal", flipped=True)
+    level = np.full((5, 5, 3), (128, 128, 255), np.uint8)
+    Image.fromarray(level).save(folder / "level.png")
     for name, value in (("rough", 0.6), ("metal", 0.2), ("all_metal", 1.0)):
         values = np.full((5, 5), round(255 * value), np.uint8)
         Image.fromarray(values).save(folder / f"{name}.png")

@@ -26,7 +26,7 @@ from scenec.backends.stage.scene import (
     Sun,
     Surface,
 )
-from scenec.backends.surface import lobes, merges
+from scenec.backends.surface import facets, lobes, merges
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.gobo import passed
 from scenec.backends.surface.maps import face_tangents
@@ -285,7 +285,8 @@ def _shade(
         lift = _dot(normal, points.shading)[:, None]
         # From behind, normals are mirrored in the surface.
         normal = np.where(behind[:, None], normal - 2.0 * lift * points.shading, normal)
-        sound &= _dot(normal, points.view) > LEAST_COSINE
+        if not facets.deviation(surface):
+            sound &= _dot(normal, points.view) > LEAST_COSINE
         look = np.broadcast_to(np.array(surface.emission), points.position.shape)
         if "emission" in found:
             look = look * found["emission"].T
@@ -323,11 +324,19 @@ def _reflected(
     found = lobes.lobes_of(FLOAT64, numbers, pictured, (vertex, row))
     color = found.color.T
     mu0, mu = _dot(normal, light.toward), _dot(normal, points.view)
+    side = np.sign(_dot(points.geometric, points.view))
+    over, below = (side * _dot(points.shading, way) for way in (points.view, light.toward))
+    rough = facets.deviation(surface)
     dull = color / np.pi
     if surface.reflectance is not None:
         phase = _dot(light.toward, points.view)[:, None]
-        dull = brdf(surface.reflectance, color, mu0[:, None], mu[:, None], phase)
+        seen = mu if rough == 0.0 else over
+        dull = brdf(surface.reflectance, color, mu0[:, None], seen[:, None], phase)
+    if rough > 0.0:
+        shares = facets.factor(FLOAT64, rough, over, below, _dot(light.toward, points.view))
+        dull = dull * shares[:, None]
     gloss = ggx(found.alpha, normal, light.toward, points.view)
+    gloss = np.where(mu > LEAST_COSINE, gloss, 0.0)
     shine = lobes.gloss_color(found, np.maximum(mu, LEAST_COSINE)).T
     f = np.reshape(found.dull, (-1, 1)) * dull + gloss[:, None] * shine
     light_in = np.maximum(mu0, 0.0)[:, None] * light.flux

@@ -93,6 +93,8 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
         )
     if "normal" in files:
         custom(prim, names.ATTR_NORMAL_CONVENTION, TYPES.Token).Set(maps.normal_convention)
+        if maps.lean > 0.0:
+            custom(prim, names.ATTR_MAP_LEAN, TYPES.Float).Set(maps.lean)
 
 
 def _color_space(kind: str, file: str) -> str:

@@ -13,8 +13,8 @@ from scenec.compiler.materials.footprint import Footprint
 from scenec.compiler.materials.heights import forget_looks
 from scenec.compiler.materials.leave_out import LeftOut, unseen, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
-from scenec.compiler.materials.reduce import halvings, reduced
-from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
+from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
+from scenec.compiler.materials.values import Source, forget_pixels, normals, size_of, stored
 from scenec.compiler.scene.scene import Ground, Material, MaterialMaps
 from scenec.schemas.left_out import entry
 from scenec.schemas.maps import MAP_CHANNELS
@@ -127,9 +127,11 @@ def _finished(
     if material.maps is not None and high and sources is not None and sources.heights is not None:
         material = _with_files(material, {**material.maps.files, "height": sources.heights})
     left: list[LeftOut] = []
-    if footprint is not None and footprint.seen > 0.0 and material.maps is not None:
-        material = _beside_relief(material, maps, footprint, mesh, facts)
-        if not as_is:
+    if (footprint is None or footprint.seen > 0.0) and material.maps is not None:
+        if footprint is not None:
+            material = _beside_relief(material, maps, footprint, mesh, facts)
+        material = _with_lean(material, facts)
+        if footprint is not None and not as_is:
             material, left = without_unneeded(material)
             material = _made_smaller(material, footprint, facts)
     elif not as_is and material.maps is not None:
@@ -139,8 +141,19 @@ def _finished(
         out.facts[name] = facts
     kept = material.maps
     if kept is not None:
-        kept = replace(kept, procedural=None, sources=None) if kept.files else None
+        lean = kept.lean if "normal" in kept.files else 0.0
+        kept = replace(kept, procedural=None, sources=None, lean=lean) if kept.files else None
     return replace(material, maps=kept)
+
+
+def _with_lean(material: Material, facts: dict[str, Any]) -> Material:
+    """How its normals lean: before texels go whose facets hide each other all the same."""
+    maps = material.maps
+    # By texture coordinates come models, whose files mean no more than they say.
+    if maps is None or maps.projection == "uv" or "normal" not in maps.files:
+        return material
+    facts["lean"] = mean_lean(normals(maps.files["normal"]))
+    return replace(material, maps=replace(maps, lean=facts["lean"]))
 
 
 def _with_files(material: Material, files: dict[str, Source]) -> Material:

@@ -146,6 +146,12 @@ def slope_rms(vectors: Planes) -> float:
     return float(np.sqrt(moments(np.ascontiguousarray(x * x + y * y))[0]))
 
 
+def mean_lean(vectors: Planes) -> float:
+    """Mean sine of the angles by which normals lean."""
+    x, y = vectors[..., 0], vectors[..., 1]
+    return moments(np.ascontiguousarray(np.sqrt(x * x + y * y)))[0]
+
+
 def slopes(vectors: Planes) -> tuple[Plane, Plane]:
     """Slopes that lean normals as they do: along x and y of the picture."""
     z = np.maximum(vectors[..., 2], np.float32(_LEAST_Z))

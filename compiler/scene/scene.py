@@ -104,6 +104,8 @@ class MaterialMaps:
         cells: How they are kept from repeating, or None: they do.
         far: The colors' larger scale, or None.
         sources: Further pictures that some are made of; None in a Scene, where all are made.
+        lean: Mean sine of the angles by which the picture's normals lean, where they are a relief's
+            whose facets hide each other; else 0.
     """
 
     size_m: float
@@ -114,6 +116,7 @@ class MaterialMaps:
     cells: Cells | None = None
     far: Far | None = None
     sources: Sources | None = None
+    lean: float = 0.0
 
 
 @dataclass(frozen=True)

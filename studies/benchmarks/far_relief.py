@@ -1,88 +1,125 @@
-"""How much light is off where cameras are too far for the mesh to follow a material's relief.
+"""How far off the light of ground is whose relief is a map of normals, with and without facets.
 
-    python studies/benchmarks/far_relief.py [--spp 32] [--fast]
+    python studies/benchmarks/far_relief.py [--spp 64] [--fast]
 
-Near, relief is geometry and casts shadows on itself; far, pictures alone stand for it, and normals
-cast none. One view of level ground, once with a mesh that follows the relief to 0.3 pixels, once
-with one that follows nothing: what their mean radiance differs by is the most that it changes on
-the way, beside the noise of either.
+The heights of a kind of surface, once as triangles between all texels, whose shadows and hidden
+sides Mitsuba traces, and once as a level plane with the map of normals of the same heights: with
+each facet drawn on its own, and with what ``scenec.backends.surface.facets`` makes of them. What
+is compared is mean radiance over one repeat, under the sun alone, seen from 10 degrees above the
+horizon (a camera 1.5 m high at 8.5 m), all colors the same.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
-from scenec.backends.run.render import render
-from scenec.schemas.errors import ScenecError
-from scenec.schemas.frames import read_frame
-from scenec.schemas.picture import LUMINANCE
+from scenec.backends.mitsuba.adapter import Mitsuba
+from scenec.backends.stage.scene import Lighting, Maps, RenderScene, Surface
+from scenec.backends.testing.scenes import affine, at_samples, look_at, mesh, plane, scene, sun
+from scenec.compiler.cfg.schema import load_schemas
+from scenec.compiler.materials.heights import painted_look, relief_m
+from scenec.compiler.materials.kinds import SURFACES
 from scenec.studies.runner import Cell, Study, run
 
+KINDS = ("gravel", "soil", "regolith", "sand", "mud_cracks", "pavement", "turf")
 SUNS_DEG = (10.0, 20.0, 40.0)
-FINE_PX, COARSE_PX = 0.3, 200.0
-#: By name: what a material has beside its color.
-GROUNDS: dict[str, dict[str, Any]] = {
-    "fbm, 3 cm high, 40 cm long, 4 octaves": {
-        "displacement": [
-            {"type": "multifractal", "variant": "fbm", "amplitude_m": 0.03, "scale_m": 0.4,
-             "octaves": 4, "gain": 0.6},
-        ],
-    },
-    **{
-        kind: {"maps": {"procedural": {"type": kind, "displacement": True}, "cells": {}}}
-        for kind in ("pavement", "regolith", "gravel", "soil", "turf")
-    },
-}  # fmt: skip
+#: The sun's azimuth from the viewer's: behind, beside and before them.
+AZIMUTHS_DEG = (0.0, 90.0, 180.0)
+VIEW_DEG, HEADING_DEG = 10.0, 20.0
+TEXELS = 512
+ALBEDO = 0.2
+#: Meters between what is compared, and from there to the camera.
+APART_M, AWAY_M = 100.0, 400.0
 
 
-def cfg(ground: dict[str, Any], sun_deg: float, tolerance_px: float) -> dict[str, Any]:
-    """Level ground of one material, seen from 3 m, under a sun alone."""
-    finest = {"finest_m": 0.004} if tolerance_px < 1.0 else {}
-    return {
-        "version": 1, "name": "far_relief", "samples": 1, "outputs": ["rgb"],
-        "labels": {"class": {"ground": 1}},
-        "terrain": {
-            "size_m": [24, 24], "spacing_m": 0.25, "relief": [{"type": "plane"}],
-            "mesh": {"tolerance_px": tolerance_px, **finest},
-            "ground": [{"material": "m", "labels": {"class": "ground"}}],
-        },
-        "materials": {"m": {"base_color": [0.2, 0.2, 0.2], "specular": 0, **ground}},
-        "light": {"sun": {"elevation_deg": sun_deg, "azimuth_deg": 300}},
-        "rigs": {"r": {
-            "pose": {
-                "type": "random_target",
-                "position": {"x_m": 0, "y_m": -2, "height_m": 3},
-                "target": {"distance_m": 3, "bearing_deg": 90, "height_m": 0},
-            },
-            "sensors": {"c": {"resolution": [320, 240], "fov_deg": 50}},
-        }},
-    }  # fmt: skip
+def relief(kind: str, texels: int) -> tuple[NDArray[np.float64], float]:
+    """Heights of one repeat, [y, x], meters, and its side, as a cfg has them that says no more."""
+    schema = load_schemas()[f"surface_{kind}.schema.json"]
+    keys = {k: p.get("default") for k, p in schema["properties"].items() if k != "type"}
+    made = SURFACES[kind](**{**keys, "key": 7, "resolution": texels})
+    heights = np.asarray(painted_look(made, made.SIZE_M).height, np.float64)
+    heights -= heights.mean()
+    return heights * (
+        relief_m(made, made.SIZE_M, float(heights.std())) / heights.std()
+    ), made.SIZE_M
+
+
+def compared(folder: Path, kind: str, texels: int) -> RenderScene:
+    """The relief, normals alone, and facets: in this order along x."""
+    heights, side = relief(kind, texels)
+    texel = side / texels
+    # The middle repeat is seen, those about it shade it.
+    count = 3 * texels + 1
+    points, faces = plane(1.5 * side, 3 * texels)
+    points[:, 2] = np.pad(np.tile(heights, (3, 3)), ((0, 1), (0, 1)), mode="wrap").ravel()
+    assert len(points) == count * count
+    x, y = (
+        (np.roll(heights, -1, axis) - np.roll(heights, 1, axis)) / (2.0 * texel) for axis in (1, 0)
+    )
+    normals = np.stack([-x, -y, np.ones_like(x)], axis=-1)
+    normals /= np.sqrt((normals * normals).sum(axis=-1, keepdims=True))
+    picture = folder / f"{kind}.png"
+    codes = np.rint((0.5 * normals[::-1] + 0.5) * 255.0).astype(np.uint8)
+    Image.fromarray(codes).save(picture)
+    dull = Surface("", (ALBEDO,) * 3, 0.0, 1.0, 0.0)
+    alone = dataclasses.replace(dull, maps=Maps(side, normal=picture))
+    lean = float(np.sqrt(1.0 - normals[..., 2] ** 2).mean())
+    drawn = dataclasses.replace(alone, maps=Maps(side, normal=picture, lean=lean))
+    level = plane(4.0 * side)
+    made = scene(
+        [mesh(points, faces, (0,)), mesh(*level, (1,)), mesh(*level, (2,))],
+        [dull, alone, drawn],
+        rows=[(i, affine(offset=(APART_M * i, 0.0, 0.0))) for i in range(3)],
+    )
+    heading, rise = math.radians(HEADING_DEG), math.radians(VIEW_DEG)
+    toward = np.array([math.cos(rise) * math.cos(heading), math.cos(rise) * math.sin(heading),
+                       math.sin(rise)])  # fmt: skip
+    wide = 96
+    high = round(wide * math.sin(rise))
+    cameras, lights = [], []
+    for elevation in SUNS_DEG:
+        for azimuth in AZIMUTHS_DEG:
+            for i in range(3):
+                middle = np.array([APART_M * i, 0.0, 0.0])
+                fov = math.degrees(side / AWAY_M)
+                cameras.append(look_at(middle + AWAY_M * toward, middle, wide, high, fov))
+                lights.append(Lighting((sun(elevation, HEADING_DEG + azimuth),), ()))
+    return at_samples(made, lights, cameras)
 
 
 def main(study: Study) -> None:
-    """One row a ground."""
-    study.table(["ground", *(f"sun at {sun:g}°" for sun in SUNS_DEG)], _rows(study))
+    """One row a kind and sun: the error without facets, and with them."""
+    header = ["ground", "lean", "sun at", "behind the viewer", "beside", "before"]
+    study.table(header, _rows(study))
 
 
 def _rows(study: Study) -> Iterator[list[Cell]]:
-    for name, ground in list(GROUNDS.items())[: 1 if study.fast else None]:
-        off = [
-            _mean(study, cfg(ground, sun, COARSE_PX)) / _mean(study, cfg(ground, sun, FINE_PX)) - 1
-            for sun in SUNS_DEG
+    backend = Mitsuba()
+    for kind in KINDS[: 1 if study.fast else None]:
+        made = compared(study.scratch, kind, 64 if study.fast else TEXELS)
+        backend.load(made)
+        spp = 4 if study.fast else study.options.spp
+        found = [
+            float(np.mean(backend.radiance(made.cameras[sample][0], sample, spp, 0).halves))
+            for sample in range(made.samples)
         ]
-        yield [name, *(f"{100.0 * each:+.1f} %" for each in off)]
-
-
-def _mean(study: Study, content: dict[str, Any]) -> float:
-    batch = study.batch(content)
-    drawn = render(batch.parent, "mitsuba", spp=2 if study.fast else study.options.spp)
-    if drawn.failed:
-        raise ScenecError("; ".join(drawn.failed))
-    return float(np.mean(read_frame(drawn.frames[0]).passes["rgb"].astype(np.float64) @ LUMINANCE))
+        truth, alone, drawn = np.reshape(found, (len(SUNS_DEG), len(AZIMUTHS_DEG), 3)).T
+        maps = made.surfaces[2].maps
+        assert maps is not None
+        for k, elevation in enumerate(SUNS_DEG):
+            cells = [
+                f"{alone[j, k] / truth[j, k] - 1.0:+.0%} → {drawn[j, k] / truth[j, k] - 1.0:+.0%}"
+                for j in range(len(AZIMUTHS_DEG))
+            ]
+            yield [kind, f"{maps.lean:.2f}", f"{elevation:g}°", *cells]
 
 
 if __name__ == "__main__":
-    run(main, spp=32)
+    run(main, spp=64)

@@ -16,12 +16,15 @@ from scenec.backends.camera.rays import camera_rays
 from scenec.backends.cycles import Cycles, camera, light, render
 from scenec.backends.picture.sky import combine, lookup, texel_directions
 from scenec.backends.stage.scene import Dome, Maps, RenderScene, Sun
-from scenec.backends.testing import Conformance, Lacks, geometry, looks
+from scenec.backends.testing import Conformance, Lacks, Tolerance, geometry, looks
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import BackendError
 from scenec.schemas.maps import decode
 
-TOLERANCES = {"intrinsics[skewed]": Lacks("Blender has no cameras with a skew")}
+TOLERANCES = {
+    "intrinsics[skewed]": Lacks("Blender has no cameras with a skew"),
+    "facets_under_a_sky": Tolerance(0.015, 0.015, "a polynomial"),
+}
 
 
 class TestCycles(Conformance):
@@ -140,7 +143,9 @@ def test_samples_of_a_pixel_are_counted():
 
 
 def test_what_is_not_exact_is_said():
-    assert "aureole" in "".join(Cycles().losses(looks.laws_under_sky()))
+    assert "Hapke" in "".join(Cycles().losses(looks.laws_under_sky()))
+    (said,) = Cycles().losses(looks.facets_under_sky(Path()))
+    assert "facets" in said
     assert Cycles().losses(looks.metals_under_sky()) == ()
 
 

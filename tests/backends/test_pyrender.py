@@ -39,6 +39,7 @@ TOLERANCES = {
     "lamps": Tolerance(2e-3, 1e-2, "a pixel is 16 samples on a grid"),
     "lamps[29 degrees off a cone's axis]": Tolerance(1e-2, 1e-2, _ARC),
     "metals_under_a_sky": Tolerance(2e-2, 2e-2, "the sky is blurred, albedos are a table"),
+    "facets_under_a_sky": Tolerance(1.5e-2, 1.5e-2, "a polynomial"),
 }
 
 

@@ -299,6 +299,23 @@ def test_a_picture_of_heights_is_made_where_a_blend_goes_by_it():
     assert values.max() == 1.0
 
 
+def test_normals_say_how_they_lean_but_those_of_models(tmp_path):
+    """What backends shade facets by is told by whoever painted them, however far they are seen."""
+    x = np.tile(0.3 * np.where(np.arange(32) % 2 < 1, 1.0, -1.0), (32, 1))
+    leaning = unit(np.stack([x, np.zeros((32, 32)), np.sqrt(1.0 - x * x)], axis=-1))
+    (tmp_path / "n.png").write_bytes(normal_picture(leaning).data)
+    given = material({"normal": tmp_path / "n.png"})
+    near, far = (finished(given, pixels) for pixels in (32.0, 8.0))
+    assert near.materials["m"].maps.lean == pytest.approx(0.3, abs=0.004)
+    assert near.facts["m"]["lean"] == near.materials["m"].maps.lean
+    # A quarter of its texels are left, a side.
+    assert far.facts["m"]["pictures"]["normal"]["texels_kept"] == [8, 8]
+    assert far.materials["m"].maps.lean == near.materials["m"].maps.lean
+    model = replace(given, maps=replace(given.maps, projection="uv"))
+    assert finished(model, 16.0).materials["m"].maps.lean == 0.0
+    assert finished(material(), 16.0).materials["m"].maps is None
+
+
 @pytest.fixture(scope="module")
 def far_away(tmp_path_factory) -> Path:
     """The small cfg with large pictures on its gravel, from far above."""

@@ -37,6 +37,9 @@ uniform vec3 canopy_scale;         // From positions to its coordinates.
 uniform vec3 canopy_offset;
 uniform float canopy_reach;        // How far beside it leaves hide some of the sky, meters.
 #endif
+#ifdef WITH_FACETS
+uniform float aureole;             // Share of the light from all around that comes from about the sun.
+#endif
 uniform int samples;               // Per side of a pixel.
 uniform mat3 rays;                 // (u, v, 1) in pixels to a direction.
 uniform vec3 sky[9];               // Irradiance as spherical harmonics of the normal.
@@ -367,6 +370,10 @@ struct Look {
     vec3 shine;  // and of the GGX lobe, by one that is white and scatters once.
     float alpha;
     vec3 normal;  // Towards the camera.
+#ifdef WITH_FACETS
+    vec3 facing;  // Of shading, without maps,
+    float rough;  // and how its facets' slopes deviate; 0: they hide nothing of each other.
+#endif
 #ifdef WITH_REFLECTANCE
     vec3 color;
     float share;  // Of the dull lobe, whose albedo is color * share where it is Lambert's.
@@ -385,7 +392,7 @@ struct Look {
 
 #ifdef WITH_REFLECTANCE
 // BRDF of a law for the light.
-vec3 law_value(int row, vec3 r0, vec3 n, vec3 v)
+vec3 law_value(int row, vec3 r0, vec3 n, vec3 v, float mu)
 {
     vec4 law = texelFetch(laws, ivec2(0, row), 0);
     vec2 more = texelFetch(laws, ivec2(1, row), 0).xy;
@@ -395,7 +402,6 @@ vec3 law_value(int row, vec3 r0, vec3 n, vec3 v)
     float blur = 2.0 / 3.0 * sun_alpha;
     float t = sqrt(dot(apart, apart) / max(dot(both, both), 1e-6) + blur * blur);
     float mu0 = dot(n, to_sun);
-    float mu = dot(n, v);
     if (law.x == 0.0)
         return law_once(law, more, r0, mu0, mu, t);
     return more.y > 0.0 ? law_rough(law, more, r0, mu0, mu, t)
@@ -515,6 +521,11 @@ Look look_of(int index, Hit hit)
     float side = dot(hit.normal, hit.flat_normal) < 0.0 ? -1.0 : 1.0;
     Look look;
     look.normal = side * hit.normal;
+#ifdef WITH_FACETS
+    look.facing = look.normal;
+    int relief = int(texelFetch(surfaces, 4 * index + 2).w);
+    look.rough = relief > 0 ? texelFetch(surfaces, relief + 5).y : 0.0;
+#endif
     Pictured found;
     found.base_color = vec3(1.0);
     found.roughness = second.x;
@@ -523,7 +534,13 @@ Look look_of(int index, Hit hit)
     vec4 third = texelFetch(surfaces, 4 * index + 2);
     if (third.x >= 0.0) {
         found = pictured(index, third, hit);
+#ifdef WITH_FACETS
+        // Facets are seen where others are that face the viewer.
+        look.normal = look.rough > 0.0 ? sided(found.normal, hit.normal, look.facing)
+            : seen(found.normal, hit.normal, look.normal, hit.view);
+#else
         look.normal = seen(found.normal, hit.normal, look.normal, hit.view);
+#endif
     }
 #endif
     float cosine = max(dot(look.normal, hit.view), 1e-5);
@@ -568,14 +585,24 @@ Look look_of(int index, Hit hit)
 vec3 light_of(Look look, vec3 view, float lit, Around around)
 {
     float direct = max(lit, 0.0) * max(dot(look.normal, to_sun), 0.0);
-    vec3 result = look.dull / PI * (direct * sun + irradiance_of(look.normal, around));
+    vec3 ambient = irradiance_of(look.normal, around);
+    float cosine = dot(look.normal, view);
+#ifdef WITH_FACETS
+    if (look.rough > 0.0) {
+        cosine = dot(look.facing, view);
+        float share = facets(look.rough, cosine, dot(look.facing, to_sun), dot(view, to_sun));
+        direct *= share;
+        ambient *= mix(facets_even(look.rough, cosine), share, aureole);
+    }
+#endif
+    vec3 result = look.dull / PI * (direct * sun + ambient);
 #ifdef WITH_REFLECTANCE
     if (look.law >= 0) {
         int first = LAW_ROWS * look.law;
-        result = law_albedo(first, LAW_ROWS - 1, look.color, dot(look.normal, view)) / PI
-            * irradiance_of(look.normal, around);
+        result = law_albedo(first, LAW_ROWS - 1, look.color, cosine) / PI * ambient;
         if (direct > 0.0)
-            result += law_value(first + LAW_ROWS - 1, look.color, look.normal, view) * direct * sun;
+            result += law_value(first + LAW_ROWS - 1, look.color, look.normal, view, cosine)
+                * direct * sun;
         result *= look.share;
     }
 #endif
