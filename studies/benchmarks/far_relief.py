@@ -94,10 +94,19 @@ def compared(folder: Path, kind: str, texels: int) -> RenderScene:
     return at_samples(made, lights, cameras)
 
 
+def measured(halves: NDArray[np.float32]) -> tuple[float, float]:
+    """Mean radiance, and the deviation of pixels beside it, which the halves' noise is out of."""
+    first, second = halves.astype(np.float64).mean(axis=-1)
+    mean = 0.5 * float(first.mean() + second.mean())
+    together = float(((first - first.mean()) * (second - second.mean())).mean())
+    return mean, math.sqrt(max(together, 0.0)) / mean
+
+
 def main(study: Study) -> None:
-    """One row a kind and sun: the error without facets, and with them."""
-    header = ["ground", "lean", "sun at", "behind the viewer", "beside", "before"]
-    study.table(header, _rows(study))
+    """One row a kind and sun: the error without facets, and with them; the same of contrast."""
+    sides = ["behind the viewer", "beside", "before"]
+    contrast = [f"contrast {side}" for side in sides]
+    study.table(["ground", "lean", "sun at", *sides, *contrast], _rows(study))
 
 
 def _rows(study: Study) -> Iterator[list[Cell]]:
@@ -107,10 +116,11 @@ def _rows(study: Study) -> Iterator[list[Cell]]:
         backend.load(made)
         spp = 4 if study.fast else study.options.spp
         found = [
-            float(np.mean(backend.radiance(made.cameras[sample][0], sample, spp, 0).halves))
+            measured(backend.radiance(made.cameras[sample][0], sample, spp, 0).halves)
             for sample in range(made.samples)
         ]
-        truth, alone, drawn = np.reshape(found, (len(SUNS_DEG), len(AZIMUTHS_DEG), 3)).T
+        means, contrasts = np.reshape(found, (len(SUNS_DEG), len(AZIMUTHS_DEG), 3, 2)).T
+        truth, alone, drawn = means
         maps = made.surfaces[2].maps
         assert maps is not None
         for k, elevation in enumerate(SUNS_DEG):
@@ -118,6 +128,8 @@ def _rows(study: Study) -> Iterator[list[Cell]]:
                 f"{alone[j, k] / truth[j, k] - 1.0:+.0%} → {drawn[j, k] / truth[j, k] - 1.0:+.0%}"
                 for j in range(len(AZIMUTHS_DEG))
             ]
+            # Of triangles, and of facets.
+            cells += [f"{contrasts[0, j, k]:.2f}, {contrasts[2, j, k]:.2f}" for j in range(3)]
             yield [kind, f"{maps.lean:.2f}", f"{elevation:g}°", *cells]
 
 
