@@ -23,8 +23,8 @@ the masking-shadowing function). With E[(b + y)+], which is 1 + L(l) times what 
 light and viewer can change places.
 
 s is sqrt(2 / pi) times the mean sine of the angles by which facets lean, as it is of Gaussian ones
-that lean little. Of seven means of slopes this fits grounds best whose facets are anything else,
-cracks in even mud and stones on even ground (``studies/benchmarks/far_relief.py``).
+that lean little. Sines, for the mean of slopes goes by a few upright facets, cracks in even mud or
+stones on even ground, which hide far less (``studies/benchmarks/far_relief.py`` has grounds).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from scenec.backends.stage.scene import Surface
 from scenec.backends.surface.algebra import FLOAT64, Algebra, Number
 
 #: Cosines and sines below this are taken as this.
-LEAST = 1e-4
+_LEAST = 1e-4
 #: s over the mean sine of the angles by which facets lean, where these are small.
 _DEVIATION = math.sqrt(2.0 / math.pi)
 #: Above these a and b no facet of a Gaussian surface faces away.
@@ -70,9 +70,9 @@ def factor(fn: Algebra, s: Number, cos_v: Number, cos_l: Number, cos_g: Number) 
         cos_v, cos_l: n.v and n.l.
         cos_g: v.l.
     """
-    s = fn.maximum(s, LEAST)
-    cosines = fn.maximum(cos_v, LEAST), fn.maximum(cos_l, LEAST)
-    sines = [fn.sqrt(fn.maximum(1.0 - c * c, LEAST * LEAST)) for c in cosines]
+    s = fn.maximum(s, _LEAST)
+    cosines = fn.maximum(cos_v, _LEAST), fn.maximum(cos_l, _LEAST)
+    sines = [fn.sqrt(fn.maximum(1.0 - c * c, _LEAST * _LEAST)) for c in cosines]
     a, b = (fn.minimum(c / (s * z), _STEEP) for c, z in zip(cosines, sines, strict=True))
     turn = (cos_g - cosines[0] * cosines[1]) / (sines[0] * sines[1])
     turn = fn.maximum(fn.minimum(turn, 1.0), -1.0)

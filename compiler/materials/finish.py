@@ -14,7 +14,7 @@ from scenec.compiler.materials.heights import forget_looks
 from scenec.compiler.materials.leave_out import LeftOut, unseen, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
 from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
-from scenec.compiler.materials.values import Source, forget_pixels, normals, size_of, stored
+from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
 from scenec.compiler.scene.scene import Ground, Material, MaterialMaps
 from scenec.schemas.left_out import entry
 from scenec.schemas.maps import MAP_CHANNELS
@@ -152,7 +152,7 @@ def _with_lean(material: Material, facts: dict[str, Any]) -> Material:
     # By texture coordinates come models, whose files mean no more than they say.
     if maps is None or maps.projection == "uv" or "normal" not in maps.files:
         return material
-    facts["lean"] = mean_lean(normals(maps.files["normal"]))
+    facts["lean"] = mean_lean(maps.files["normal"])
     return replace(material, maps=replace(maps, lean=facts["lean"]))
 
 

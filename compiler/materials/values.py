@@ -90,9 +90,9 @@ def raw(source: Source, channel: int = 0) -> Plane:
     return (plane.astype(np.float64) / float(np.iinfo(plane.dtype).max)).astype(np.float32)
 
 
-def normals(source: Source) -> Planes:
-    """Unit vectors as they are stored, y in the picture's own convention."""
-    pixels = stored(source)
+def normals(source: Source, step: int = 1) -> Planes:
+    """Unit vectors as they are stored, y in the picture's own convention; every ``step``-th."""
+    pixels = stored(source)[::step, ::step]
     if pixels.dtype.kind == "f":
         found = 2.0 * pixels.astype(np.float64) - 1.0
     else:
