@@ -186,7 +186,8 @@ class Pyrender:
         rays = pixel_rays(camera)
         rays[:, 2] += first * rays[:, 1]
         surfaces = place_maps(tables, view.origin)
-        sky = smooth_sky(lighting, ground=self._ground is not None)
+        with_facets = "WITH_FACETS" in tables.features
+        sky = smooth_sky(lighting, ground=self._ground is not None, facets=with_facets)
         if self._ground is not None:
             if self._ambience is None or self._ambience[0] != sample:
                 self._ambience = (sample, light_ground(self._ground, lighting))

@@ -52,12 +52,13 @@ class SmoothSky:
 DARK = SmoothSky(np.zeros((9, 3)), np.zeros((9, 3)), True)
 
 
-def smooth_sky(lighting: Lighting, ground: bool = False) -> SmoothSky:
+def smooth_sky(lighting: Lighting, ground: bool = False, facets: bool = False) -> SmoothSky:
     """The domes of a sample.
 
     Args:
         lighting: The light.
         ground: Whether ground hides what is below the world's horizon.
+        facets: Whether ``SmoothSky.aureole`` is asked for; else it is 0.
     """
     sky = combine(lighting.domes)
     if sky is None:
@@ -79,7 +80,7 @@ def smooth_sky(lighting: Lighting, ground: bool = False) -> SmoothSky:
         mirrored = moments + polynomials(world * [1.0, 1.0, -1.0]).T @ light
     norm = (_NORM**2)[:, None]
     suns = [sun for sun in lighting.suns if np.any(np.asarray(sun.irradiance) > 0.0)]
-    about = aureole(sky, suns[0].to_light) if suns else 0.0
+    about = aureole(sky, suns[0].to_light) if suns and facets else 0.0
     return SmoothSky(_BAND[:, None] * norm * moments, norm * mirrored, aureole=about)
 
 
