@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from pxr import Sdf
 from small import small_cfg, write_cfg
 
+from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.picture.metering import _Points
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Maps, Surface
 from scenec.backends.surface import facets
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.maps import map_values
+from scenec.backends.testing import looks
+from scenec.backends.testing.scenes import dome, mesh, plane, sun, with_lights
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import StageError
 
@@ -106,8 +109,8 @@ def test_traced_heights_are_as_bright(view: float, turn: float):
     normals = np.stack([-slopes[0], -slopes[1], np.ones_like(h)])
     normals /= np.sqrt((normals * normals).sum(axis=0))
     alone, seen = [], []
-    for sun in (15.0, 40.0):
-        elevations = np.radians([view, sun])
+    for height in (15.0, 40.0):
+        elevations = np.radians([view, height])
         azimuths = 0.4, 0.4 + math.radians(turn)
         ways = [
             np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
@@ -118,7 +121,7 @@ def test_traced_heights_are_as_bright(view: float, turn: float):
         area = shown * toward / normals[2]
         truth = (area * bright * reflected).sum() / area.sum()
         alone.append(reflected.mean() / truth)
-        seen.append(alone[-1] * factor(0.2, view, sun, turn))
+        seen.append(alone[-1] * factor(0.2, view, height, turn))
     assert seen == pytest.approx([1.0, 1.0], abs=0.12)
     if view < 10.0 and turn in (0.0, 180.0):
         assert abs(math.log(alone[0])) > 0.3
@@ -221,3 +224,18 @@ def test_a_stage_says_how_far_normals_lean(tmp_path: Path):
     layer.Save()
     with pytest.raises(StageError, match=r"maps:lean is 1.5, expected a number in \[0, 1\]"):
         read_stage(stage, allow_missing=True)
+
+
+def test_no_sample_is_lost_on_glossy_facets_that_lean_away(tmp_path: Path):
+    """From three degrees above the ground most do, and gloss has no direction to be drawn in."""
+    looks.write_pictures(tmp_path)
+    maps = Maps(0.5, normal=looks.write_picture(tmp_path, "normal"), lean=0.35)
+    metal = Surface("", (0.5, 0.5, 0.5), 0.5, 0.3, 0.0, 0.3, maps)
+    board = looks.Look(mesh(*plane(20.0)), [metal], (0.0, 10.0, 0.6), fov_deg=20.0, size=(48, 24))
+    made = with_lights(looks.boards({"low": board}), [dome(1.0), sun(5.0, 80.0)])
+    backend = Mitsuba()
+    backend.load(made)
+    drawn = backend.radiance(made.cameras[0][0], 0, 32, 0)
+    assert drawn.dropped == 0
+    assert np.isfinite(drawn.halves).all()
+    assert drawn.halves.mean() > 0.0
