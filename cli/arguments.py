@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 
 from scenec.schemas.passes import PASSES, is_pass, pass_names
@@ -31,6 +30,10 @@ def whole(low: int, high: float, expected: str) -> Callable[[str], int]:
 seed = whole(0, 2**64 - 1, "a whole number from 0 to 2^64 - 1")
 #: Far beyond what converges, and short of what overflows.
 positive = whole(1, 2**20, f"a whole number from 1 to {2**20}")
+#: A batch, a sample, an attempt: as many as a stage can number.
+counted = whole(0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
+#: Seconds, meters, megabytes, shares: far beyond what there is, and short of what overflows.
+_MOST = 1e12
 
 
 def add_cfg(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +60,11 @@ def add_preview_options(parser: argparse.ArgumentParser) -> None:
         "--width", type=positive, default=480, metavar="PX", help="of pictures (default: 480)"
     )
     parser.add_argument(
-        "--port", type=int, default=0, metavar="N", help="of the page (default: a free one)"
+        "--port",
+        type=whole(0, 65535, "a port from 1 to 65535, or 0 for a free one"),
+        default=0,
+        metavar="N",
+        help="of the page (default: a free one)",
     )
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     parser.add_argument("--once", metavar="HTML", help="write the page to a file, and end")
@@ -92,13 +99,14 @@ def span(text: str) -> range:
 
 
 def amount(text: str) -> float:
-    """A number above 0."""
+    """A number above 0, at most 1e12."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above 0")
+    if not 0.0 < value <= _MOST:
+        most = f", at most {_MOST:g}" if value > _MOST else ""
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a number above 0{most}")
     return value
 
 
@@ -228,11 +236,11 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
         help="classes that they may fall onto (default: all of type placed and rocks)",
     )
     parser.add_argument(
-        "--batch", type=int, default=0, metavar="B", help="on whose ground (default: 0)"
+        "--batch", type=counted, default=0, metavar="B", help="on whose ground (default: 0)"
     )
     parser.add_argument(
         "--attempt",
-        type=int,
+        type=counted,
         default=0,
         metavar="N",
         help="how often --faults redraw drew it again: attempt in the manifest (default: 0)",
@@ -249,12 +257,12 @@ def add_settle_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cells",
-        type=int,
+        type=positive,
         default=8,
         help="cells of the ground across an object: finer and slower with more (default: 8)",
     )
     parser.add_argument(
-        "--max-steps", type=int, default=20000, help="give up waiting for rest (default: 20000)"
+        "--max-steps", type=counted, default=20000, help="give up waiting for rest (default: 20000)"
     )
 
 

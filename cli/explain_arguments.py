@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import math
 
-from scenec.cli.arguments import add_json, whole
+from scenec.cli.arguments import add_json, counted
 from scenec.cli.ladder_arguments import add_ladder_options
 
 
@@ -20,7 +19,7 @@ def add_explain_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--batch",
-        type=whole(0, math.inf, "the number of a batch, from 0"),
+        type=counted,
         metavar="N",
         help="only this batch (--why: default the first)",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -35,7 +36,8 @@ def run(options: argparse.Namespace) -> int:
         sys.stdout.write(text)
         return 0
     file = Path(options.output or f"{options.template}.jsonc")
-    if file.exists():
+    # A link that leads nowhere is something, too.
+    if os.path.lexists(file):
         raise OutputError(f"{file}: is there already; choose another name by -o")
     with atomic(file) as temporary:
         temporary.write_text(text, encoding="utf-8")

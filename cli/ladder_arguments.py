@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import names
+from scenec.cli.arguments import names, whole
+
+_RUNGS = whole(2, 12, "a whole number from 2 to 12")
 
 
 def add_ladder_options(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +22,7 @@ def add_ladder_options(parser: argparse.ArgumentParser) -> None:
         "--cfg", metavar="CFG", help="the cfg, where files that it names are not found beside OUT's"
     )
     group.add_argument(
-        "--rungs", type=int, default=5, metavar="K", help="of each ladder, 2 to 12 (default: 5)"
+        "--rungs", type=_RUNGS, default=5, metavar="K", help="of each ladder, 2 to 12 (default: 5)"
     )
     group.add_argument(
         "--only",

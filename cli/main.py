@@ -32,6 +32,7 @@ from scenec.cli.arguments import (
     add_settings,
     add_settle_options,
     add_verbose,
+    counted,
     passes,
     positive,
     span,
@@ -296,7 +297,7 @@ def parser() -> argparse.ArgumentParser:
     )
     check.add_argument(
         "--pictures",
-        type=int,
+        type=counted,
         default=8,
         metavar="N",
         help="pictures of where two backends differ, in OUT/check (default: 8 a pair)",

@@ -15,7 +15,6 @@ import base64
 import html
 import io
 import json
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -41,6 +40,7 @@ from scenec.datasets.sheet import write_sheet
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError
 from scenec.schemas.manifest import REPORT, Batch, find_batches, read_manifest
+from scenec.schemas.scratch import scratch_folder
 
 #: Pixels that a shown picture is wide at most.
 _WIDE = 480
@@ -125,7 +125,7 @@ class Output:
             "made by": f"scenec {manifest.get('scenec', '')}",
         }
         try:
-            with tempfile.TemporaryDirectory() as folder:
+            with scratch_folder() as folder:
                 sheet = write_sheet(self.path, Path(folder) / "sheet.png", count=3)
                 with Image.open(sheet.path) as picture:
                     shown = _picture(np.asarray(picture.convert("RGB")), picture.width)

@@ -8,8 +8,9 @@ import contextlib
 import io
 import json
 import os
+import re
+import secrets
 import shutil
-import tempfile
 import threading
 import time
 import webbrowser
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from scenec.cli.output import say
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.files import atomic, check_output
+from scenec.schemas.scratch import scratch_folder
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec
@@ -36,6 +38,9 @@ _LOOK_S, _WAIT_S = 0.25, 20.0
 _SAMPLES = 4
 #: Cells of the map along its longer side.
 _CELLS = 360
+#: By these names alone the page is answered, and this is a version of its facts.
+_OWN_HOSTS = ("127.0.0.1", "localhost")
+_VERSION = re.compile("[0-9]{1,18}")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -49,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     if options.once:
         check_output(Path(options.once))
     state = State()
-    with tempfile.TemporaryDirectory(prefix="scenec-preview-") as folder, make_executor(1) as hands:
+    with scratch_folder() as folder, make_executor(1) as hands:
         preview = _Preview(options, state, Path(folder), hands)
         if options.once:
             preview.make(preview.load())
@@ -270,26 +275,39 @@ def page(facts: dict[str, Any], *, live: bool) -> bytes:
 
 @contextlib.contextmanager
 def _served(state: State, port: int) -> Iterator[str]:
-    """Serve the page to this machine alone; gives its address."""
+    """Serves the page to who knows its address: this machine's own user.
+
+    The address holds a token, so that neither another user of the machine nor a page of another
+    site can guess it. A name that somebody else lets point to this machine (DNS rebinding) is not
+    answered either.
+    """
+    token = secrets.token_urlsafe(16)
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             path, _, query = self.path.partition("?")
-            if path == "/":
+            given, slash, rest = path.removeprefix("/").partition("/")
+            host = self.headers.get("Host", "")
+            if host.rpartition(":")[0] not in _OWN_HOSTS:
+                self.send_error(403, "the page answers to 127.0.0.1 and localhost")
+            elif not secrets.compare_digest(given.encode(), token.encode()):
+                self.send_error(403, "the address that the command printed has a token")
+            elif slash and not rest:
                 self._answer("text/html; charset=utf-8", page(state.facts(), live=True))
-            elif path == "/state" and query.isdecimal():
+            elif rest == "state" and _VERSION.fullmatch(query):
                 facts = json.dumps(state.after(int(query))).encode()
                 self._answer("application/json", facts)
             else:
                 self.send_error(404)
 
         def _answer(self, kind: str, content: bytes) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(content)))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            # A browser that turns away is no fault.
+            with contextlib.suppress(ConnectionError):
+                self.send_response(200)
+                self.send_header("Content-Type", kind)
+                self.send_header("Content-Length", str(len(content)))
+                self.send_header("Cache-Control", "no-store")
+                self.end_headers()
                 self.wfile.write(content)
 
         def log_message(self, format: str, *args: Any) -> None:
@@ -302,7 +320,7 @@ def _served(state: State, port: int) -> Iterator[str]:
     server.daemon_threads = True
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
-        yield f"http://127.0.0.1:{server.server_port}/"
+        yield f"http://127.0.0.1:{server.server_port}/{token}/"
     finally:
         server.shutdown()
 

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 
+from scenec.schemas import scratch
 from scenec.schemas.native import CRASHES, crashed, die_with, read_note
 
 _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -13,6 +14,8 @@ _PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def supervised(status: int) -> int | None:
     """Forks. The child is the command; this process passes signals on, and waits for its end.
+
+    Then it removes the temporary folders that the command and its workers have left.
 
     What has neither ``sigwaitinfo`` nor Linux's signal at a parent's death is not supervised.
 
@@ -25,6 +28,7 @@ def supervised(status: int) -> int | None:
     """
     if sys.platform != "linux":
         return None
+    scratch.mark()
     signals = {*_PASSED_ON, signal.SIGCHLD}
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     own = os.getpid()
@@ -34,6 +38,7 @@ def supervised(status: int) -> int | None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, signals)
         return None
     ended = _wait(child, signals)
+    scratch.remove_left()
     if ended >= 0:
         return ended
     if -ended in CRASHES:

@@ -81,8 +81,10 @@ def atomic(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well.
 
     Raises:
-        OutputError: The folder cannot be written.
+        OutputError: The folder cannot be written, or a folder, a device or a pipe has that name:
+            a rename would take it away.
     """
+    _require_plain(path)
     temporary = _beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -93,6 +95,13 @@ def atomic(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _require_plain(path: Path) -> None:
+    if path.is_dir():
+        raise OutputError(f"{path}: cannot be written: it is a folder")
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: cannot be written: it is no plain file (- is standard output)")
 
 
 def _beside(path: Path) -> Path:
@@ -248,8 +257,7 @@ def check_output(file: Path) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    if file.is_dir():
-        raise OutputError(f"{file}: cannot be written: it is a folder")
+    _require_plain(file)
     check_writable(file.parent)
     sweep([file.parent])
 

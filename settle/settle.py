@@ -118,8 +118,8 @@ def settle(
         raise ScenecError(
             f"--batch {batch}: the cfg has batches 0 to {int(spec.cfg['batches']) - 1}"
         )
-    if attempt < 0:
-        raise ScenecError(f"--attempt {attempt}: expected a whole number from 0")
+    if not 0 <= attempt < 1 << 31:
+        raise ScenecError(f"--attempt {attempt}: expected a whole number from 0 to {(1 << 31) - 1}")
     files = _files(Path(out), chosen)
     library = physics()
     which = f"seed {seed}, batch {batch}" + (f", attempt {attempt}" if attempt else "")
@@ -168,7 +168,7 @@ def _require_sane(options: Options) -> None:
     )
     for name, value, low, high, what in checks:
         if value is not None and not (low <= value <= high and math.isfinite(value)):
-            raise ScenecError(f"{name} {value:g}: expected {what} from {low:g} to {high:g}")
+            raise ScenecError(f"{name} {value}: expected {what} from {low:g} to {high:g}")
 
 
 def _require_class(spec: Spec, name: str, option: str) -> None:

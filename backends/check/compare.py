@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -31,6 +30,7 @@ from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.frames import ANNOTATION_NAMES, Frame, frame_stem, read_frame
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.passes import AMODAL
+from scenec.schemas.scratch import scratch_folder
 
 #: Where pictures of differences go, in the output folder.
 PICTURES = "check"
@@ -132,7 +132,7 @@ def compare(
     options = options or CompareOptions()
     run = _Run([name for name in backends if name not in ANNOTATION_NAMES], options, say)
     for batch in find_batches(out):
-        with tempfile.TemporaryDirectory() as aside:
+        with scratch_folder() as aside:
             run.batch(batch, Path(aside))
     return Agreement(
         (),

@@ -6,13 +6,13 @@ import contextlib
 import importlib
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from scenec.schemas.errors import BackendError
+from scenec.schemas.scratch import scratch_folder
 
 #: Cycles' names of the devices there are beside the CPU, fastest first.
 GPU_KINDS = {"optix": "OPTIX", "cuda": "CUDA"}
@@ -138,7 +138,7 @@ def passing_file() -> Iterator[Path]:
         finally:
             os.close(number)
     else:
-        with tempfile.TemporaryDirectory(prefix="scenec-") as folder:
+        with scratch_folder() as folder:
             yield Path(folder, "picture.exr")
 
 
@@ -163,7 +163,7 @@ def _no_user_files() -> Iterator[None]:
     kept = {k: v for k, v in os.environ.items() if k.startswith(_USER_VARIABLES)}
     for name in kept:
         del os.environ[name]
-    with tempfile.TemporaryDirectory(prefix="scenec-") as empty:
+    with scratch_folder() as empty:
         os.environ["BLENDER_USER_RESOURCES"] = empty
         try:
             yield

@@ -85,7 +85,8 @@ class Cluster:
                 # Threads: the processes are the supervised ones.
                 self._local = distributed.LocalCluster(
                     n_workers=1, threads_per_worker=max(1, workers), processes=False,
-                    dashboard_address="127.0.0.1:0", memory_limit=0,
+                    dashboard_address="127.0.0.1:0",
+                    worker_dashboard_address="127.0.0.1:0", memory_limit=0,
                 )  # fmt: skip
             elif Path(address).is_file():
                 place = str(json.loads(Path(address).read_bytes())["address"])

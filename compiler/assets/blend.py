@@ -12,7 +12,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 import zipfile
 from functools import lru_cache
@@ -28,6 +27,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.geometry import affine
+from scenec.schemas.scratch import scratch_folder
 
 #: What the process may take; a file that needs more is refused.
 SECONDS = 300.0
@@ -62,7 +62,7 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
 @lru_cache(maxsize=2)
 def _evaluated(file: Path, size: int, changed: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What the worker makes of a file of this size and time of change."""
-    with tempfile.TemporaryDirectory(prefix="scenec-") as folder:
+    with scratch_folder() as folder:
         out = Path(folder) / "model.npz"
         _run(file, out, Path(folder))
         fault = out.with_suffix(".fault")

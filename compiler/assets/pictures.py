@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import struct
-import tempfile
 import zlib
 from pathlib import Path
 from urllib.parse import unquote
@@ -20,6 +19,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels
+from scenec.schemas.scratch import scratch_folder
 
 #: Where a picture is: beside the model or inside of it.
 Source = Path | Picture
@@ -83,7 +83,7 @@ def pixels_of(source: Source, label: str) -> NDArray:
     try:
         if isinstance(source, Path):
             return read_pixels(source)
-        with tempfile.TemporaryDirectory(prefix="scenec-") as folder:
+        with scratch_folder() as folder:
             path = Path(folder) / f"picture{source.suffix}"
             path.write_bytes(source.data)
             return read_pixels(path)

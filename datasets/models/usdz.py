@@ -8,7 +8,6 @@ their pictures where they have one. MaterialX and scenec's own description of su
 from __future__ import annotations
 
 import shutil
-import tempfile
 import zipfile
 from collections import defaultdict
 from pathlib import Path
@@ -22,6 +21,7 @@ from scenec.datasets.models.gltf import Written
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.model import Look, Model, Part
+from scenec.schemas.scratch import scratch_folder
 
 #: Looks of the ground.
 _SCOPE = Sdf.Path("/World/BakedLooks")
@@ -45,7 +45,7 @@ def write_usdz(model: Model, stage: Path, path: Path) -> Written:
     Raises:
         OutputError: It cannot be written.
     """
-    with tempfile.TemporaryDirectory(prefix="scenec-usdz-") as name:
+    with scratch_folder() as name:
         folder = Path(name)
         (folder / _TEXTURES).mkdir()
         layer = Usd.Stage.Open(str(stage)).Flatten(addSourceFileComment=False)

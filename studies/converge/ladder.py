@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from scenec.backends.run.units import Opened, RenderFrame, open_stage
 from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch
+from scenec.schemas.scratch import scratch_folder
 from scenec.schemas.units import Executor, Unit, run_all
 
 Say = Callable[[str], None]
@@ -270,7 +270,7 @@ class _Climb:
     def _warm_up(self) -> None:
         self._warm = True
         start = time.perf_counter()
-        with tempfile.TemporaryDirectory() as aside:
+        with scratch_folder() as aside:
             frame = self._frames(replace(self._wanted, spp=2), Path(aside), all_=False)[0]
             self._ask(replace(frame, what=f"{self._wanted.backend}: the first picture"))
         seconds = self._opening_s + time.perf_counter() - start

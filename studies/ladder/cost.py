@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.schemas.files import tree
+from scenec.schemas.scratch import scratch_folder
 
 #: Less than so many seconds of the processor are no reading: what takes less is repeated.
 ENOUGH_S = 0.3
@@ -58,7 +58,7 @@ class Clock:
 
 def written(write: Callable[[Path], object]) -> int:
     """Bytes of the files that a call writes into an empty folder, which is then removed."""
-    with tempfile.TemporaryDirectory() as name:
+    with scratch_folder() as name:
         folder = Path(name)
         write(folder)
         return sum((folder / path).stat().st_size for path in tree(folder))

@@ -267,3 +267,41 @@ def test_processes_of_a_dask_worker_end_when_nobody_asks_any_more(monkeypatch):
     (process,) = [child for child in psutil.Process().children() if child not in before]
     until_gone(process.pid)
     assert not hands._idle
+
+
+def test_a_local_cluster_listens_to_this_machine_alone():
+    with cluster.Cluster("local", 1):
+        places = [c.laddr.ip for c in psutil.Process().net_connections("inet") if not c.raddr]
+    assert places
+    assert set(places) == {"127.0.0.1"}
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificate")
+def test_over_tls_frames_are_made_and_who_has_no_key_is_refused(out, tmp_path, monkeypatch):
+    # The files and variables of docs/cluster.md.
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj",
+         "/CN=scenec", "-keyout", "key.pem", "-out", "cert.pem"],
+        cwd=tmp_path, check=True, capture_output=True,
+    )  # fmt: skip
+    said = {"COMM__DEFAULT_SCHEME": "tls", "COMM__REQUIRE_ENCRYPTION": "true"}
+    said["COMM__TLS__CA_FILE"] = str(tmp_path / "cert.pem")
+    for role in ("SCHEDULER", "WORKER", "CLIENT"):
+        said[f"COMM__TLS__{role}__CERT"] = str(tmp_path / "cert.pem")
+        said[f"COMM__TLS__{role}__KEY"] = str(tmp_path / "key.pem")
+    with monkeypatch.context() as keys:
+        for name, value in said.items():
+            keys.setenv(f"DASK_DISTRIBUTED__{name}", value)
+        with dask_processes(tmp_path / "tls", 1) as dask:
+            address = json.loads(dask.file.read_text())["address"]
+            assert address.startswith("tls://")
+            done = scenec("render", out, "--backend", "plain", "--cluster", address)
+            assert done.returncode == 0, done.stderr
+            keys.undo()
+            before = bytes_of(out)
+            for given in (address, address.replace("tls://", "tcp://")):
+                done = scenec("render", out, "--backend", "plain", "--cluster", given)
+                assert done.returncode == 2
+                (line,) = done.stderr.splitlines()
+                assert f"--cluster {given}" in line
+            assert bytes_of(out) == before

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from scenec.cli.main import main
 from scenec.compiler.cfg import json_positions, schema
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import atomic, check_output
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = sorted((ROOT / "configs" / "templates").glob("*.jsonc"))
@@ -61,6 +64,36 @@ def test_init_replaces_nothing_and_writes_to_standard_output(tmp_path, capsys, m
     assert (tmp_path / "moon.jsonc").read_text() == "mine"
     assert main(["init", "moon", "-o", "-"]) == 0
     assert capsys.readouterr().out.startswith("// The Moon")
+
+
+def test_init_leaves_links_pipes_and_devices_alone(tmp_path, capsys):
+    link, pipe = tmp_path / "link", tmp_path / "pipe"
+    link.symlink_to(tmp_path / "nowhere")
+    os.mkfifo(pipe)
+    for file in (link, pipe, Path(os.devnull)):
+        assert main(["init", "moon", "-o", str(file)]) == 2
+        assert f"{file}: is there already" in capsys.readouterr().err
+    assert link.is_symlink()
+    assert not (tmp_path / "nowhere").exists()
+    assert pipe.is_fifo()
+    assert Path(os.devnull).is_char_device()
+
+
+def test_nothing_takes_the_place_of_a_pipe_or_a_folder(tmp_path):
+    pipe, folder, link = tmp_path / "pipe", tmp_path / "folder", tmp_path / "link"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    link.symlink_to(pipe)
+    for file in (pipe, folder, link):
+        with pytest.raises(OutputError, match="it is (no plain file|a folder)"):
+            check_output(file)
+        with (
+            pytest.raises(OutputError, match="it is (no plain file|a folder)"),
+            atomic(file) as new,
+        ):
+            new.write_text("text")
+    assert pipe.is_fifo()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "link", "pipe"]
 
 
 def schema_of(capsys, *words: str) -> Draft202012Validator:

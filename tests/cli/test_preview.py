@@ -6,21 +6,25 @@ import base64
 import contextlib
 import io
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
+import urllib.error
+import urllib.parse
 import urllib.request
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
-from scenec.cli.preview_command import coarse, shaded
+from scenec.cli.preview_command import State, _served, coarse, shaded
 from scenec.compiler.cfg.load import load
 
 
@@ -86,7 +90,7 @@ def test_the_page_follows_the_file(tmp_path: Path) -> None:
         # Before what waits for its end.
         stack.callback(server.kill)
         assert server.stderr is not None
-        address = re.search(r"http://127\.0\.0\.1:\d+/", server.stderr.readline())[0]
+        address = re.search(r"http://127\.0\.0\.1:\d+/\S+/", server.stderr.readline())[0]
 
         def until(fits: Any) -> dict[str, Any]:
             facts = facts_in(urllib.request.urlopen(address).read().decode())
@@ -112,3 +116,60 @@ def test_the_page_follows_the_file(tmp_path: Path) -> None:
             urllib.request.urlopen(f"{address}etc/passwd")
         server.send_signal(signal.SIGINT)
         assert server.wait() == 130
+
+
+def asked(address: str, host: str | None = None) -> tuple[int, str]:
+    """Status and text of an answer to who calls the machine by this name."""
+    headers = {} if host is None else {"Host": host}
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_the_page_answers_to_its_own_names_and_to_its_token_alone(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    state = State()
+    state.set(doing="a secret")
+    with _served(state, 0) as address:
+        port = urllib.parse.urlsplit(address).port
+        bare = f"http://127.0.0.1:{port}/"
+        assert asked(address)[0] == asked(address, f"localhost:{port}")[0] == 200
+        assert asked(f"{address}state?0")[0] == 200
+        strangers = ["evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", ""]
+        for host in strangers:
+            for place in ("", "state?0"):
+                status, text = asked(address + place, host)
+                assert status == 403
+                assert "secret" not in text
+        for place in ("", "state?0", "x/state?0", f"x{address.split('/')[3]}/", "//"):
+            status, text = asked(bare + place)
+            assert status == 403
+            assert "secret" not in text
+        for place in ("etc/passwd", "state", "state?", "state?-1", f"state?{'9' * 5000}"):
+            assert asked(address + place)[0] == 404
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_a_preview_that_is_ended_leaves_no_folder(tmp_path: Path, number: int) -> None:
+    path = write_cfg(tmp_path, small_cfg(samples=1))
+    place = tmp_path / "tmp"
+    place.mkdir()
+    words = ["preview", str(path), "--no-browser", "--backend", "mitsuba"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "scenec.cli.main", *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(place)},
+    ) as server:
+        assert server.stderr is not None
+        assert "http://127.0.0.1:" in server.stderr.readline()
+        assert [*place.glob("scenec-*")]
+        # SIGKILL ends what does the work; who supervises it can only tidy up after that one.
+        target = psutil.Process(server.pid).children()[0].pid if number == 9 else server.pid
+        os.kill(target, number)
+        server.wait()
+    assert not [*place.iterdir()]
