@@ -95,6 +95,10 @@ def span(text: str) -> range:
         raise argparse.ArgumentTypeError(
             f"{text!r}: expected A:B with 0 <= A < B (it holds A to B-1), or one number"
         )
+    if stop > 2**64 or stop - start > 2**31:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected numbers below 2^64, {2**31} of them at most"
+        )
     return range(start, stop)
 
 

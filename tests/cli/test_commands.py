@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import resource
@@ -15,6 +16,7 @@ from processes import until
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main, parser
+from scenec.schemas.errors import ScenecError
 
 
 def small_and_fast() -> dict:
@@ -209,6 +211,50 @@ def test_the_command_or_option_that_was_meant_is_named(words, meant, capsys):
         main(words)
     assert left.value.code == 2
     assert meant in capsys.readouterr().err
+
+
+#: What ``settle`` judges itself, for Python too.
+JUDGED_LATER = {"--drop", "--friction", "--restitution"}
+
+
+def numeric_options() -> dict[str, argparse.Action]:
+    """Options of all commands whose values are read by a function of ours."""
+    commands = parser()._subparsers._group_actions[0].choices
+    return {
+        f"{name} {action.option_strings[-1]}": action
+        for name, command in commands.items()
+        for action in command._actions
+        if action.option_strings and action.type is not None
+    }
+
+
+@pytest.mark.parametrize(
+    "text", ["nan", "inf", "-1", "1e308", "1e-400", "9" * 25, "9" * 400, "9" * 5000, f"0:{10**30}"]
+)
+def test_no_option_takes_a_number_that_nothing_can_be_computed_with(text):
+    options = numeric_options()
+    assert len(options) > 40
+    for name, option in options.items():
+        if name.split()[-1] in JUDGED_LATER:
+            continue
+        assert option.type not in (int, float), name
+        try:
+            value = option.type(text)
+        except (argparse.ArgumentTypeError, ScenecError):
+            continue
+        for one in value if isinstance(value, tuple | list) else [value]:
+            assert isinstance(one, str), name
+
+
+def test_settle_refuses_what_it_cannot_compute_with(tmp_path, capsys):
+    cfg = write_cfg(tmp_path, small_cfg())
+    for option in sorted(JUDGED_LATER):
+        for text in ("nan", "inf", "-1", "1e308"):
+            out = tmp_path / "poses.csv"
+            words = ["settle", str(cfg), "--objects", "rocks", "-o", str(out), option, text]
+            assert main(words) == 2
+            assert f"scenec: {option} " in capsys.readouterr().err
+            assert not out.exists()
 
 
 def test_without_a_seed_it_is_0():

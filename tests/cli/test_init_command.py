@@ -18,6 +18,7 @@ from scenec.schemas.files import atomic, check_output
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = sorted((ROOT / "configs" / "templates").glob("*.jsonc"))
+NOT_PLAIN = r"cannot be written: it is (no plain file|a folder)"
 CFGS = [*TEMPLATES, *sorted((ROOT / "configs").glob("*.json"))]
 
 
@@ -85,10 +86,10 @@ def test_nothing_takes_the_place_of_a_pipe_or_a_folder(tmp_path):
     folder.mkdir()
     link.symlink_to(pipe)
     for file in (pipe, folder, link):
-        with pytest.raises(OutputError, match="it is (no plain file|a folder)"):
+        with pytest.raises(OutputError, match=NOT_PLAIN):
             check_output(file)
         with (
-            pytest.raises(OutputError, match="it is (no plain file|a folder)"),
+            pytest.raises(OutputError, match=NOT_PLAIN),
             atomic(file) as new,
         ):
             new.write_text("text")
