@@ -23,7 +23,7 @@ from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.node import Node, Tree
 from scenec.compiler.cfg.slips import improbable
-from scenec.compiler.cfg.sources import located, read
+from scenec.compiler.cfg.sources import located, mixed, read
 from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.schemas.errors import CfgError, Fault
@@ -92,7 +92,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
         for finding in check_number(field)
     ]
     cfg = Node(Tree(fields, [*schema_findings, *number_findings]))
-    findings = [*duplicates, *schema_findings, *number_findings]
+    findings = [*duplicates, *schema_findings, *number_findings, *mixed(fields, document)]
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
     for check in _CHECKS:
         findings += check(cfg)

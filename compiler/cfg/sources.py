@@ -10,14 +10,14 @@ import copy
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
 from scenec.compiler.cfg import json_positions, schema
 from scenec.compiler.cfg.document import CfgSyntaxError, Document, Path, Position, has_half_pair
-from scenec.compiler.cfg.faults import pointer
+from scenec.compiler.cfg.faults import Finding, pointer
 from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.files import as_json
@@ -194,6 +194,29 @@ def _take_away(document: Document, nulls: Iterable[Path]) -> None:
         is_null = isinstance(owner, dict) and owner.get(path[-1], ...) is None
         if is_null and not (field and _takes_null(field, path[-1])):
             del owner[path[-1]]
+
+
+def mixed(fields: Iterable[schema.Field], document: Document) -> Iterator[Finding]:
+    """Finds objects that are one measurement and come from two files.
+
+    Such an object (``x-whole``: a calibration) is whole where a file states it, that is, all of its
+    required keys. What the file that it extends says beside them is of another measurement. A
+    setting, or a file that gives some of the required keys or none, changes single values.
+    """
+    for field in fields:
+        if not (field.keywords.get("x-whole") and isinstance(field.value, dict)):
+            continue
+        places = {key: document.values[*field.path, key] for key in field.value}
+        # A setting has no line.
+        files = {key: place.file for key, place in places.items() if place.line}
+        stated = {files.get(key) for key in field.keywords["required"]}
+        others = [key for key, file in files.items() if file not in stated]
+        if len(stated) == 1 and None not in stated and others:
+            yield Finding(
+                field.path,
+                f"{', '.join(others)} would stay from {files[others[0]]}, another calibration: "
+                "give here all that differs from the defaults, and take the rest away with null",
+            )
 
 
 def _rebase_files(document: Document, folder: FilePath) -> None:

@@ -52,6 +52,43 @@ def jsonc(value: object) -> str:
     return "// a cfg\n" + text.replace("{\n", "{ /* an object */\n", 1)
 
 
+def with_sensor(**keys: object) -> dict:
+    """A cfg's sensor, and nothing else of it."""
+    return {"rigs": {"rover": {"sensors": {"front": keys}}}}
+
+
+def test_a_calibration_is_of_one_file(tmp_path):
+    base = changed({"/rigs/rover/sensors/front/fov_deg": DELETE})
+    sensor = base["rigs"]["rover"]["sensors"]["front"]
+    sensor["lens"] = {"type": "brown_conrady", "k1": 0.2, "k2": 0.01, "k3": 0.3, "k6": 0.02}
+    width, height = sensor["resolution"]
+    k = {"fx": width, "fy": width, "cx": 0.5 * width, "cy": 0.5 * height}
+    sensor["intrinsics"] = {**k, "skew": 0.5}
+    write(tmp_path / "base.json", base)
+
+    def extended(**keys: object) -> Path:
+        return write(tmp_path / "over.json", {"extends": "base.json", **with_sensor(**keys)})
+
+    lens = {"type": "brown_conrady", "k1": -0.171, "k2": 0.0245, "p1": 0.0005, "p2": -0.0003}
+    (fault,) = told(extended(lens=lens))
+    assert fault.startswith("over.json:7:19: ")
+    assert "/rigs/rover/sensors/front/lens: k3, k6 would stay from base.json, another" in fault
+    (fault,) = told(extended(intrinsics=k))
+    assert "/rigs/rover/sensors/front/intrinsics: skew would stay from base.json" in fault
+    # Whole, by null or by number; or single values, which are somebody's wish.
+    whole = load(extended(lens={**lens, "k3": None, "k6": None})).cfg
+    assert whole["rigs"]["rover"]["sensors"]["front"]["lens"] == {
+        **lens, "k3": 0, "k4": 0, "k5": 0, "k6": 0,
+    }  # fmt: skip
+    load(extended(lens={**lens, "k3": 0.1, "k6": 0}, intrinsics={**k, "skew": 0}))
+    load(extended(lens={"k1": 0.1}, intrinsics={"cx": k["cx"] + 1}))
+    at = "rigs.rover.sensors.front.lens"
+    load(tmp_path / "base.json", [f"{at}.k1=0.1", f"{at}.type=brown_conrady"])
+    other = {"type": "kannala_brandt", "k1": 0.01}
+    kept = load(extended(lens=other)).cfg["rigs"]["rover"]["sensors"]["front"]["lens"]
+    assert kept["k2"] == 0
+
+
 def test_the_syntax_makes_no_difference_to_a_stage(tmp_path):
     cfg = changed({"/terrain/spacing_m": 1, "/objects": DELETE, "/materials/basalt": DELETE,
                    "/labels/class/rock": DELETE})  # fmt: skip

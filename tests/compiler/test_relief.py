@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -161,6 +162,33 @@ def test_a_bad_dem_is_refused_with_its_reason(tmp_path, samples, change, words):
     with pytest.raises(SceneError, match="bad") as caught:
         apply(dem, Grid.with_spacing((8.0, 8.0), 1.0))
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("center", [(0.5, 0.5), (0.05, 0.5), (0.5, 0.97), (0.31, 0.66)])
+@pytest.mark.parametrize("size", [8.0, 1.0, 7.0 / 3.0, 123.456789])
+def test_the_pixels_that_a_dem_is_told_to_need_are_enough_and_no_less_are(tmp_path, center, size):
+    dem = replace(save_dem(tmp_path / "a.npz", np.ones((7, 30))), edge="error", center=center)
+    grid = Grid.with_spacing((size, size), size / 16)
+
+    def said(pixel: float) -> str | None:
+        try:
+            apply(replace(dem, pixel_m=(pixel, pixel)), grid)
+        except SceneError as error:
+            return re.search(r"pixel_m at least (\S+) or move", str(error))[1]
+        return None
+
+    # Of both axes, one after the other.
+    first = said(1e-6)
+    assert first is not None
+    needed = said(float(first)) or first
+    assert said(float(needed)) is None
+    assert said(float(needed) * (1.0 - 1e-4)) is not None
+
+
+def test_at_its_border_no_pixels_of_a_dem_are_large_enough(tmp_path):
+    dem = replace(save_dem(tmp_path / "a.npz", np.ones((7, 30))), edge="error", center=(0.0, 0.5))
+    with pytest.raises(SceneError, match=r"center at 0\); move center, or say"):
+        apply(dem, Grid.with_spacing((8.0, 8.0), 1.0))
 
 
 @pytest.mark.parametrize("content", [b"", b"not a DEM", b"PK\x03\x04broken"])

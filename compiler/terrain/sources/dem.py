@@ -86,15 +86,18 @@ class Dem:
         u = grid.x() / pixel[0] + self.center[0] * nx - 0.5
         v = grid.y() / pixel[1] + self.center[1] * ny - 0.5
         if self.edge == "error":
-            for axis, at, n, size, width in (
-                ("wide", u, nx, grid.size_m[0], pixel[0]),
-                ("high", v, ny, grid.size_m[1], pixel[1]),
+            for axis, at, n, size, width, center in (
+                ("wide", u, nx, grid.size_m[0], pixel[0], self.center[0]),
+                ("high", v, ny, grid.size_m[1], pixel[1], self.center[1]),
             ):
                 if at[0] < -0.5 or at[-1] > n - 0.5:
+                    # Pixels between the terrain's center and the nearer border.
+                    room = n * min(center, 1.0 - center)
+                    larger = f"make pixel_m at least {_up(0.5 * size / room)} or " if room else ""
                     raise SceneError(
                         f"{self.file.name}: the terrain ({size:g} m {axis}) reaches over the DEM's "
-                        f"border ({n} pixels of {width:g} m = {n * width:g} m); make pixel_m at "
-                        f'least {size / n:g} or move center, or say "edge": "clamp"'
+                        f"border ({n} pixels of {width:g} m = {n * width:g} m, center at "
+                        f'{center:g}); {larger}move center, or say "edge": "clamp"'
                     )
         samples, report = self._filled(samples, holes, u, v)
         base = _bicubic(np.ascontiguousarray(samples), u, v) * self.height_scale
@@ -133,6 +136,12 @@ class Dem:
             "holes_filled": count,
             "holes_error_m": error * abs(self.height_scale),
         }
+
+
+def _up(value: float) -> str:
+    """A number in six digits that is not below the value."""
+    text = f"{value:.6g}"
+    return text if float(text) >= value else f"{value * (1.0 + 1e-5):.6g}"
 
 
 def _place(reference: GeoReference, column: float, row: float) -> dict[str, Any]:
