@@ -92,7 +92,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
         for finding in check_number(field)
     ]
     cfg = Node(Tree(fields, [*schema_findings, *number_findings]))
-    findings = [*duplicates, *schema_findings, *number_findings, *mixed(fields, document)]
+    findings = [*duplicates, *schema_findings, *number_findings, *mixed(fields, source)]
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
     for check in _CHECKS:
         findings += check(cfg)

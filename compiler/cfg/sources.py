@@ -32,6 +32,9 @@ _SETTING = re.compile(r"[^.\[\]=\s]+(?:\.[^.\[\]=\s]+|\[\d+\])*")
 _NAMES = ("name", "type", "material")
 
 
+type Merge = tuple[Path, frozenset[str], dict[str, Position]]
+
+
 @dataclass(frozen=True)
 class Source:
     """A cfg that was read, and not checked.
@@ -40,11 +43,14 @@ class Source:
         document: All of it.
         text: The same as JSON: the file's own bytes, where they are that and all.
         is_verbatim: Whether ``text`` is the file's bytes.
+        merges: Objects that were put over others: where, by which keys, and the places of those
+            that stayed.
     """
 
     document: Document
     text: bytes
     is_verbatim: bool
+    merges: tuple[Merge, ...] = ()
 
 
 def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None) -> Source:
@@ -63,9 +69,10 @@ def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None
     else:
         data, document = text, _parsed(text, path)
     nulls: list[Path] = []
+    merges: list[Merge] = []
     extends = isinstance(document.value, dict) and EXTENDS in document.value
     if extends:
-        document = _extended(path, document, (path.resolve(),), nulls)
+        document = _extended(path, document, (path.resolve(),), nulls, merges)
         _take_away(document, nulls)
     for setting in settings:
         _set(document, setting)
@@ -76,7 +83,7 @@ def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None
     if isinstance(document.value, dict):
         for key in _OF_THE_FILE:
             document.value.pop(key, None)
-    return Source(document, as_json(document.value).encode(), False)
+    return Source(document, as_json(document.value).encode(), False, tuple(merges))
 
 
 def _is_json(data: bytes) -> bool:
@@ -136,7 +143,11 @@ def _parsed(data: bytes, path: FilePath, is_yaml: bool = False) -> Document:
 
 
 def _extended(
-    path: FilePath, document: Document, chain: tuple[FilePath, ...], nulls: list[Path]
+    path: FilePath,
+    document: Document,
+    chain: tuple[FilePath, ...],
+    nulls: list[Path],
+    merges: list[Merge],
 ) -> Document:
     """A file's document over that of the file which it extends, if it does."""
     reference = document.value.get(EXTENDS) if isinstance(document.value, dict) else None
@@ -151,25 +162,37 @@ def _extended(
         names = [file.name for file in (*chain, base)]
         raise _fault(position, at, f"a cfg cannot extend itself: {' extends '.join(names)}")
     _, below = _read_file(base, position, at)
-    below = _extended(base, below, (*chain, base.resolve()), nulls)
+    below = _extended(base, below, (*chain, base.resolve()), nulls, merges)
     if not isinstance(below.value, dict):
         raise _fault(below.values[()], (), f"{shown(below.value)}: expected an object")
     value = {key: entry for key, entry in below.value.items() if key not in _OF_THE_FILE}
+    merged: dict[Path, tuple[Any, Any]] = {}
+    joined = _merged(value, document.value, (), nulls, merged)
+    for at, (was, over) in merged.items():
+        left = {key: below.values[*at, key] for key in was if key not in over}
+        merges.append((at, frozenset(over), left))
     return Document(
-        _merged(value, document.value, (), nulls),
+        joined,
         {**below.values, **document.values},
         {**below.keys, **document.keys},
         (*below.duplicates, *document.duplicates),
     )
 
 
-def _merged(base: dict[str, Any], over: dict[str, Any], at: Path, nulls: list[Path]) -> Any:
+def _merged(
+    base: dict[str, Any],
+    over: dict[str, Any],
+    at: Path,
+    nulls: list[Path],
+    merged: dict[Path, tuple[Any, Any]],
+) -> Any:
     """Objects merge key by key, the base's first; anything else replaces what was there."""
+    merged[at] = base, over
     result = dict(base)
     for key, value in over.items():
         was = base.get(key)
         if isinstance(was, dict) and isinstance(value, dict) and _is_of_kind(value, was):
-            result[key] = _merged(was, value, (*at, key), nulls)
+            result[key] = _merged(was, value, (*at, key), nulls, merged)
             continue
         if value is None and key in base:
             nulls.append((*at, key))
@@ -196,26 +219,24 @@ def _take_away(document: Document, nulls: Iterable[Path]) -> None:
             del owner[path[-1]]
 
 
-def mixed(fields: Iterable[schema.Field], document: Document) -> Iterator[Finding]:
+def mixed(fields: Iterable[schema.Field], source: Source) -> Iterator[Finding]:
     """Finds objects that are one measurement and come from two files.
 
     Such an object (``x-whole``: a calibration) is whole where a file states it, that is, all of its
-    required keys. What the file that it extends says beside them is of another measurement. A
-    setting, or a file that gives some of the required keys or none, changes single values.
+    required keys: what the file that it extends says beside them is of another measurement. A file
+    that gives fewer keys, or a setting, changes single values.
     """
-    for field in fields:
-        if not (field.keywords.get("x-whole") and isinstance(field.value, dict)):
-            continue
-        places = {key: document.values[*field.path, key] for key in field.value}
-        # A setting has no line.
-        files = {key: place.file for key, place in places.items() if place.line}
-        stated = {files.get(key) for key in field.keywords["required"]}
-        others = [key for key, file in files.items() if file not in stated]
-        if len(stated) == 1 and None not in stated and others:
+    whole = {field.path: field.keywords["required"] for field in fields
+             if field.keywords.get("x-whole")}  # fmt: skip
+    places = source.document.values
+    for path, over, left in source.merges:
+        others = {key: place for key, place in left.items() if places.get((*path, key)) is place}
+        if path in whole and over.issuperset(whole[path]) and others:
+            file = next(iter(others.values())).file
             yield Finding(
-                field.path,
-                f"{', '.join(others)} would stay from {files[others[0]]}, another calibration: "
-                "give here all that differs from the defaults, and take the rest away with null",
+                path,
+                f"{', '.join(others)} would stay from {file}, another calibration: give here all "
+                "that differs from the defaults, and take the rest away with null",
             )
 
 
