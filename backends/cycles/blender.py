@@ -13,6 +13,7 @@ from typing import Any
 
 from scenec.schemas.errors import BackendError
 from scenec.schemas.scratch import scratch_folder
+from scenec.schemas.system_libraries import OF_BLENDER, mend, missing
 
 #: Cycles' names of the devices there are beside the CPU, fastest first.
 GPU_KINDS = {"optix": "OPTIX", "cuda": "CUDA"}
@@ -34,14 +35,16 @@ def load_bpy() -> Any:
         try:
             bpy = importlib.import_module("bpy")
         except ImportError as error:
-            other = _tbb_of_others()
-            mend = (
+            other, absent = _tbb_of_others(), missing(OF_BLENDER)
+            if absent and not other:
+                raise BackendError(f"Blender cannot be imported: {mend(absent)}") from error
+            what = (
                 f"this process has loaded {other}, and Blender's libraries have a newer TBB of "
                 "their own: load Blender before OpenCV, numba's parallel=True or whatever took it"
                 if other
                 else "mend it with: pip install 'scenec[cycles]'"
             )
-            raise BackendError(f"Blender cannot be imported ({error}); {mend}") from error
+            raise BackendError(f"Blender cannot be imported ({error}); {what}") from error
         bpy.ops.wm.read_factory_settings(use_empty=True)
     # Blender makes a folder for its session, and removes it only where the process ends in good
     # order, which workers do not. Nothing here uses it, and it comes back when it is needed.

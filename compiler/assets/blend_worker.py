@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from scenec.schemas.system_libraries import OF_BLENDER, mend, missing
+
 #: Types of objects that have a surface.
 _SURFACES = ("MESH", "CURVE", "SURFACE", "FONT", "META")
 _KINDS = {"base_color": "Base Color", "roughness": "Roughness", "metallic": "Metallic"}
@@ -24,8 +26,13 @@ _CHANNELS = {"Red": 0, "Green": 1, "Blue": 2}
 
 def main(file: Path, out: Path) -> None:
     """Read one file."""
-    import bpy  # noqa: TID251  The one place: a process of its own, for files and never to render.
-
+    try:
+        import bpy  # noqa: TID251  The one place: a process of its own, never to render.
+    except ImportError as error:
+        absent = missing(OF_BLENDER)
+        why = mend(absent) if absent else f"Blender cannot be imported ({error})"
+        out.with_suffix(".fault").write_text(f"it takes Blender to read: {why}", encoding="utf-8")
+        return
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from scenec.backends.pyrender import Pyrender, platforms
+from scenec.backends.pyrender import Pyrender, egl, platforms
 from scenec.backends.testing import geometry
 
 
@@ -66,9 +66,9 @@ def test_it_says_where_it_runs():
     assert " egl " in backend.version() or " osmesa " in backend.version()
 
 
-CUDA = platforms.EglDevice(0, True, False)
-SOFTWARE = platforms.EglDevice(1, False, True)
-OTHER = platforms.EglDevice(2, False, False)
+CUDA = egl.EglDevice(0, True, False)
+SOFTWARE = egl.EglDevice(1, False, True)
+OTHER = egl.EglDevice(2, False, False)
 
 
 @pytest.mark.parametrize(
@@ -87,12 +87,13 @@ def test_the_device_is_a_gpu_of_nvidia_or_else_software(devices, wanted, index):
 
 SAYS = """
 import sys
-from scenec.backends.pyrender import Pyrender, platforms
+from scenec.backends.pyrender import Pyrender, egl, platforms
 from scenec.schemas.errors import BackendError
 if "none" in sys.argv:
     def missing(*names):
         raise OSError(f"{names[0]} is missing")
-    platforms._library, platforms.wheel_libraries = missing, lambda: []
+    egl.library, platforms.wheel_libraries = missing, lambda: []
+    platforms.library = missing
 try:
     print(Pyrender(sys.argv[1]).version())
 except BackendError as error:
