@@ -43,10 +43,11 @@ from scenec.cli.evaluate_arguments import add_evaluate_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.import_arguments import add_import_options
-from scenec.cli.output import clear_bar
+from scenec.cli.output import clear_bar, tell
 from scenec.cli.supervise import supervised
 from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
+from scenec.schemas import notice
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.spelling import closest
 from scenec.schemas.versions import version_of
@@ -86,6 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None and (ended := supervised(EXIT_BAD_INPUT)) is not None:
         return ended
     interrupt.watch()
+    notice.listen(tell)
     try:
         command = importlib.import_module(f"scenec.cli.{options.module}")
         status: int = command.run(options)

@@ -26,6 +26,11 @@ def print_json(value: Any) -> None:
 def say(text: str) -> None:
     """A line about what is being done, on standard error: standard output is for results."""
     stop_if_pending()
+    tell(text)
+
+
+def tell(text: str) -> None:
+    """As ``say``, from any thread."""
     clear_bar()
     print(text, file=sys.stderr, flush=True)
 

@@ -27,11 +27,12 @@ class Note:
     """A path, or nothing, in shared memory.
 
     Args:
-        file: Descriptor of a file of ``SIZE`` bytes that others share; -1: shared by forking alone.
+        file: Descriptor of a file that others share; -1: shared by forking alone.
+        place: Which note of the file's: each has ``SIZE`` bytes.
     """
 
-    def __init__(self, file: int = -1) -> None:
-        self._memory = mmap.mmap(file, SIZE)
+    def __init__(self, file: int = -1, place: int = 0) -> None:
+        self._memory = mmap.mmap(file, SIZE, offset=place * SIZE)
 
     def read(self) -> str:
         """What is being read; empty if nothing is."""

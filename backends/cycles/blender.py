@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.schemas.errors import BackendError
+from scenec.schemas.notice import waiting_for
 from scenec.schemas.scratch import scratch_folder
 from scenec.schemas.system_libraries import OF_BLENDER, mend, missing
 
@@ -85,7 +86,10 @@ def choose_device(bpy: Any, device: str, works: Callable[[str], bool]) -> str:
     for name in GPU_KINDS if device == "auto" else [device]:
         if name == "cpu" or not _select(preferences, GPU_KINDS[name]):
             continue
-        if works(name):
+        what = f"cycles: Blender compiles its kernels for {name}: some minutes on one core, once"
+        with contextlib.nullcontext() if name == "cpu" else waiting_for(what):
+            fine = works(name)
+        if fine:
             return name
         if device != "auto":
             raise BackendError(

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes.util
 import importlib.metadata
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
-from scenec.backends.registry import backend_names, open_backend
-from scenec.backends.run.executors import ask
+from scenec.backends.registry import backend_class, backend_names, open_backend
+from scenec.backends.run.executors import ask, make_executor
+from scenec.backends.run.limits import Limits
+from scenec.backends.run.supervise import FrameLostError
 from scenec.backends.run.units import OfBackend
 from scenec.backends.stage.scene import (
     Camera,
@@ -63,15 +68,42 @@ class Diagnosis:
     message: str
 
 
+#: Seconds that a backend's fastest device may take, where there is a GPU; then its CPU is tried.
+GPU_S = 30.0
+
+
 def diagnose(names: tuple[str, ...] | None = None) -> list[Diagnosis]:
     """Try each backend on a tiny scene, in its worker process: a crash is a finding, no more."""
-    found = []
-    for name in names or backend_names():
+    return [_diagnosis(name) for name in names or backend_names()]
+
+
+def _diagnosis(name: str) -> Diagnosis:
+    try:
+        if not _may_wait(name):
+            return cast(Diagnosis, ask(OfBackend(name, probe)))
+        limits = Limits(timeout_s=GPU_S, start_s=0.0, retries=0)
         try:
-            found.append(ask(OfBackend(name, probe)))
-        except BackendError as error:
-            found.append(Diagnosis(name, False, "", "", str(error)))
-    return found
+            with make_executor(1, limits=limits) as hurried:
+                return cast(Diagnosis, ask(OfBackend(name, probe), hurried))
+        except FrameLostError as lost:
+            on_cpu = ask(OfBackend(name, partial(probe, device="cpu")))
+            message = (
+                f"on the GPU: {lost}. A GPU's kernels are compiled once, which can take minutes: "
+                "render something with --device cuda, or optix, and ask again"
+            )
+            return replace(on_cpu, message=message)
+    except BackendError as error:
+        return Diagnosis(name, False, "", "", str(error))
+
+
+def _may_wait(name: str) -> bool:
+    """Whether a backend tries a GPU first, which may be busy for minutes before it draws."""
+    if ctypes.util.find_library("cuda") is None:
+        return False
+    try:
+        return "cpu" in (devices := backend_class(name).devices) and len(devices) > 1
+    except BackendError:
+        return False
 
 
 def library_versions() -> dict[str, str]:
@@ -94,13 +126,13 @@ def start(device: str, name: str) -> None:
     open_backend(name, device).load(tiny_scene())
 
 
-def probe(name: str) -> Diagnosis:
+def probe(name: str, device: str = "auto") -> Diagnosis:
     """Render a tiny scene with a backend, in this process, and check what comes out.
 
     Raises:
         BackendError: It cannot start, or what it renders is wrong.
     """
-    backend = open_backend(name)
+    backend = open_backend(name, device)
     scene = tiny_scene()
     camera = scene.cameras[0][0]
     backend.load(scene)

@@ -28,6 +28,10 @@ _STALL_SHARE = 1e-3
 _LOOKS_PER_SEARCH = 8
 
 
+#: Times a unit is tried again where nobody says.
+RETRIES = 2
+
+
 @dataclass(frozen=True)
 class Limits:
     """What a worker process may take.
@@ -40,6 +44,7 @@ class Limits:
         memory_bytes: Resident memory that one worker may hold; None is the default of
             ``scenec.backends.run.memory``. Memory of a GPU is not counted.
         poll_s: Seconds between two looks.
+        retries: Times a unit is tried again after the worker died at it.
     """
 
     timeout_s: float | None = None
@@ -47,6 +52,7 @@ class Limits:
     stall_s: float = 120.0
     memory_bytes: int | None = None
     poll_s: float = 0.25
+    retries: int = RETRIES
 
 
 class Watch:

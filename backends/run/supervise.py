@@ -16,14 +16,16 @@ from typing import Any
 
 from scenec.backends.run.limits import Growth, Limits, Watch
 from scenec.backends.run.memory import default_limit
+from scenec.schemas import notice
 from scenec.schemas.budget import THREADS
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
 from scenec.schemas.native import CRASHES, SIZE, Note, crashed
 from scenec.schemas.units import Outcome, Unit
 
-#: Times a unit is tried again after the worker died at it.
-RETRIES = 2
+
+def _tries(count: int) -> str:
+    return "one try" if count == 1 else f"{count} tries"
 
 
 class WorkerDiedError(Exception):
@@ -66,7 +68,7 @@ class Supervisor:
         self._log: Any = None
         self._watch: Watch | None = None
         self._growth = Growth(None)
-        self._note = Note()
+        self._note, self._notice = Note(), Note()
         self._holds: Hashable = None
         self._done = 0
         self._peak = 0
@@ -91,7 +93,7 @@ class Supervisor:
         """Have a unit run; a dead worker is replaced and it is tried again.
 
         The outcome's error is what the unit raised; ``StageError`` where the worker crashed while
-        it read a stage; ``FrameLostError`` where RETRIES + 1 workers died over it.
+        it read a stage; ``FrameLostError`` where ``Limits.retries`` + 1 workers died over it.
         """
         outcome = Outcome()
         self._stopped = False
@@ -107,7 +109,7 @@ class Supervisor:
                 self.close()
             self._done = 0
         self._replace_if_grown(outcome)
-        for attempt in range(RETRIES + 1):
+        for attempt in range(self._limits.retries + 1):
             try:
                 if self._process is None:
                     self._start()
@@ -124,9 +126,9 @@ class Supervisor:
                     raise BackendError(f"{unit.what}: stopped") from death
                 if death.crashed and file:
                     raise StageError(crashed(file, f"the worker process {death}")) from death
-                if attempt == RETRIES:
+                if attempt == self._limits.retries:
                     raise FrameLostError(
-                        f"{unit.what}: given up after {RETRIES + 1} tries: the last worker "
+                        f"{unit.what}: given up after {_tries(attempt + 1)}: the last worker "
                         f"process {death}"
                     ) from death
                 outcome.warnings.append(f"{unit.what}: the worker process {death}; trying again")
@@ -179,8 +181,8 @@ class Supervisor:
         self._pipe, theirs = Pipe()
         with theirs, tempfile.TemporaryFile() as note:
             # The mapping keeps what is in it.
-            note.truncate(SIZE)
-            self._note = Note(note.fileno())
+            note.truncate(2 * SIZE)
+            self._note, self._notice = Note(note.fileno()), Note(note.fileno(), 1)
             shared = theirs.fileno(), note.fileno()
             environment = dict(os.environ)
             if self._threads is not None:
@@ -246,7 +248,12 @@ class Supervisor:
             WorkerDiedError: The worker is past its limits, and has been ended.
             EOFError: It has ended.
         """
+        before = ""
         while not pipe.poll(self._limits.poll_s):
+            waits_for = self._notice.read()
+            if waits_for and waits_for == before:
+                notice.tell(waits_for)
+            before = waits_for
             verdict = watch.look()
             if verdict is not None:
                 watch.kill()

@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from scenec.schemas import native
+from scenec.schemas import native, notice
 from scenec.schemas.units import Keeper
 
 
@@ -33,6 +33,7 @@ def main() -> None:
     units: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(units, pipe), daemon=True).start()
     native.share(int(sys.argv[2]))
+    notice.share(int(sys.argv[2]))
     keeper = Keeper()
     while True:
         answer = _answer(units.get(), keeper)

@@ -65,6 +65,12 @@ def test_seeds_of_halves_are_all_different():
     assert len({mix(seed, half) for seed in range(200) for half in range(2)}) == 400
 
 
+about_llvm = pytest.mark.skipif(
+    os.environ.get("SCENEC_TEST_DEVICE") == "cuda", reason="about LLVM, which CUDA does without"
+)
+
+
+@about_llvm
 def test_libllvm_is_found_in_the_wheel_without_importing_it():
     code = (
         "import sys; from scenec.backends.mitsuba.variant import wheel_llvm; p = wheel_llvm(); "
@@ -79,14 +85,18 @@ def test_libllvm_is_found_in_the_wheel_without_importing_it():
     [
         ((variant.VARIANT_VARIABLE, "no_such_variant"), "no_such_variant"),
         ((variant.VARIANT_VARIABLE, "scalar_rgb"), "of LLVM or CUDA"),
-        ((variant.LLVM_VARIABLE, "/no/such/library"), "Mend it with: pip install llvm-nanobind"),
+        pytest.param(
+            (variant.LLVM_VARIABLE, "/no/such/library"),
+            "Mend it with: pip install llvm-nanobind",
+            marks=about_llvm,
+        ),
     ],
 )
 def test_an_unusable_variant_is_said_in_one_line(setting, told):
     code = (
         "from scenec.backends.mitsuba import Mitsuba\n"
         "from scenec.schemas.errors import BackendError\n"
-        "try:\n    Mitsuba()\nexcept BackendError as error:\n    print(error)"
+        "try:\n    Mitsuba(device='cpu')\nexcept BackendError as error:\n    print(error)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
