@@ -85,14 +85,16 @@ def write(imported: Imported) -> list[str]:
                 try:
                     spec = load(temporary)
                 except CfgError as error:
-                    raise CfgError([_renamed(f, temporary, out) for f in error.faults]) from error
-                return [str(_renamed(fault, temporary, out)) for fault in spec.warnings]
+                    # A file of that name is not there, and will not be.
+                    name = f"{out} (not written, since no cfg can hold this)"
+                    raise CfgError([_renamed(f, temporary, name) for f in error.faults]) from error
+                return [str(_renamed(fault, temporary, str(out))) for fault in spec.warnings]
         except BaseException:
             if imported.made:
                 shutil.rmtree(folder, ignore_errors=True)
             raise
 
 
-def _renamed(fault: Fault, temporary: Path, out: Path) -> Fault:
-    file = str(out) if fault.file == str(temporary) else fault.file
+def _renamed(fault: Fault, temporary: Path, name: str) -> Fault:
+    file = name if fault.file == str(temporary) else fault.file
     return Fault(file, fault.line, fault.column, fault.pointer, fault.message)

@@ -31,9 +31,29 @@ def turns_of(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
     return math.degrees(x), math.degrees(y), math.degrees(z)
 
 
+#: Ratio of the largest to the smallest scale of an axis that counts as even: of float32 matrices.
+_EVEN = 1.0 + 1e-4
+
+
+def lost_of(matrix: NDArray[np.float64]) -> str:
+    """Says what ``without_scale`` changes of a matrix [3, 3]; "" where it changes nothing."""
+    scales = np.linalg.svd(matrix, compute_uv=False)
+    lost = []
+    if scales[0] > _EVEN * scales[-1]:
+        # Of its axes, as they are written: singular values have no order that anyone would know.
+        axes = " x ".join(f"{float(length):.4g}" for length in np.linalg.norm(matrix, axis=0))
+        even = f"{without_scale(matrix)[1]:.4g}"
+        lost.append(f"a scale of {axes} (or a shear) becomes an even one of {even}")
+    if np.linalg.det(matrix) < 0.0:
+        lost.append("it is mirrored across its x axis, and here it is not")
+    return "; ".join(lost)
+
+
 def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The rotation nearest to a matrix [3, 3], and its scale: the cube root of the volume's."""
-    scale = float(np.cbrt(abs(np.linalg.det(matrix))))
-    u, _, v = np.linalg.svd(matrix)
-    rotation = u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ v)))) @ v
-    return rotation, max(scale, 1e-9)
+    """The rotation nearest to a matrix [3, 3], and its scale: the cube root of the volume's.
+
+    Of a mirrored one, the rotation of what it is the mirror image of, across the x axis.
+    """
+    volume = float(np.linalg.det(matrix))
+    u, _, v = np.linalg.svd(matrix if volume > 0.0 else matrix * (-1.0, 1.0, 1.0))
+    return u @ v, max(float(np.cbrt(abs(volume))), 1e-9)

@@ -43,7 +43,8 @@ def read_bop(folder: Path, imported: Imported) -> Scene:
             nth = count[kind] = count.get(kind, 0) + 1
             same = [o for o in scene.objects if o.kind == kind]
             if len(same) < nth:
-                scene.objects.append(Object(kind))
+                number_of = int(kind.removeprefix("obj_"))
+                scene.objects.append(Object(kind, category=number_of))
                 same.append(scene.objects[-1])
             same[nth - 1].poses[number] = scene.poses[number] @ in_camera
     matrices = [item.need("cam_K").numbers(9) for _, item in frames]

@@ -14,6 +14,7 @@ from scenec.importers.blenderproc.scene import Kind, Object, Scene
 from scenec.importers.made import mesh_writer, table_writer, track_writer
 from scenec.importers.numbers import tidy
 from scenec.importers.output import Imported
+from scenec.importers.poses import lost_of
 from scenec.importers.report import APPROXIMATED, TRANSLATED
 from scenec.importers.scene import (
     LEVEL,
@@ -31,6 +32,8 @@ from scenec.schemas.spelling import shown
 _REST_M, _REST_TURN = 5e-4, 1e-3
 #: Side of the box that stands for a model of unknown size, m.
 _UNKNOWN_M = 0.1
+#: The level of labels that has a source's own ids.
+CATEGORY = "category"
 _SUFFIXES = (".ply", ".obj", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".stl", ".off")
 
 
@@ -61,6 +64,9 @@ def build(
     )
     sky, ground = taxonomy.choice("sky"), taxonomy.choice("ground")
     cfg["labels"] = {LEVEL: taxonomy.ids}
+    categories = {f"category_{n}": n for n in sorted({o.category for o in scene.objects} - {0})}
+    if categories:
+        cfg["labels"][CATEGORY] = categories
     cfg["materials"] = {"ground": soil()}
     cfg["objects"] = {}
     lowest = np.inf
@@ -148,6 +154,7 @@ def _class(
         made = imported.make(f"{name}.usdc", mesh_writer(*_box(low, high)))
         entry = {"file": made}
         report.add(APPROXIMATED, kind, None, f"objects/{name}/models/0", "a box in its place")
+    _report_losses(imported, name, things)
     moving = any(_moves(thing) for thing in things)
     poses, ids, times = [], [], []
     for number, thing in enumerate(things, 1):
@@ -157,10 +164,13 @@ def _class(
             ids.append(number)
             times.append(float(time))
     table = table_writer(poses, id=ids, time_s=times if moving else None)
+    labels = taxonomy.choice(name)
+    if category := things[0].category:
+        labels[CATEGORY] = f"category_{category}"
     objects[name] = {
         "type": "placed",
         "models": [entry],
-        "labels": taxonomy.choice(name),
+        "labels": labels,
         "file": imported.make(f"{name}.csv", table),
         "heights": "world",
     }
@@ -168,6 +178,21 @@ def _class(
     report.add(TRANSLATED, kind, len(things), f"objects/{name}", note)
     corners, _ = _box(low, high)
     return float(min((corners @ pose[:3, :3].T + pose[:3, 3])[:, 2].min() for pose in poses))
+
+
+def _report_losses(imported: Imported, name: str, things: Sequence[Object]) -> None:
+    """Says of each object what a table of poses cannot hold of it."""
+    report, pictures = imported.report, imported.cfg["samples"]
+    for number, thing in enumerate(things, 1):
+        at, to = f"{thing.kind} {number}", f"objects/{name}/file"
+        lost = dict.fromkeys(lost_of(pose[:3, :3]) for pose in thing.poses.values())
+        for note in filter(None, lost):
+            report.add(APPROXIMATED, at, None, to, note)
+        if len(thing.poses) < pictures:
+            there = ", ".join(str(picture) for picture in sorted(thing.poses)[:8])
+            more = ", …" if len(thing.poses) > 8 else ""
+            note = f"in {len(thing.poses)} of {pictures} pictures ({there}{more}), here in all"
+            report.add(APPROXIMATED, at, None, to, note)
 
 
 def _moves(thing: Object) -> bool:

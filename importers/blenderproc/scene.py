@@ -16,10 +16,12 @@ class Object:
     Attributes:
         kind: What model it is of.
         poses: From the model to the world, [4, 4], by the number of the picture.
+        category: Id of what it is in the source; 0: none is said.
     """
 
     kind: str
     poses: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    category: int = 0
 
 
 @dataclass

@@ -106,7 +106,8 @@ def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str
     files: list[str] = []
     maps: list[dict[str, Any] | None] = []
     strengths: list[tuple[float, float]] = []
-    labels: dict[str, str] = {}
+    asked: list[Item] = []
+    first: list[int] | None = None
     for entry in params.need("HDRIList").children():
         item, strength = entry.need("filePath"), entry.get("strength")
         file = ctx.assets.find(item, "a sky of the Earth")
@@ -117,29 +118,41 @@ def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str
         if file.suffix.lower() not in (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff"):
             item.fault(f"{file.name}: expected a panorama as OpenEXR; convert it (oiiotool, GIMP)")
         item.translated(f"{_SKY}/files/{len(files)}")
-        strength.translated(f"{_SKY}/strength")
         files.append(ctx.imported.refer(file))
         strengths.append(ends)
-        base, of = _picture_labels(ctx, entry.get("labelIDVec"))
-        labels = labels or base
-        maps.append(of)
+        asked.append(strength)
+        ids, of = _picture_labels(ctx, entry.get("labelIDVec"))
+        first = ids if first is None else first
+        for level in range(ctx.labels.levels):
+            own, usual = (given[level] if level < len(given) else 0 for given in (ids, first))
+            if own != usual and f"level_{level}" not in of:
+                of[f"level_{level}"] = _even_map(ctx, level, own)
+        maps.append(of or None)
     if params.get("passParams").value:
         params.drop("labels of panoramas stand in HDRIList", "passParams")
     if not files:
         added_light(ctx, "no panorama is there")
         return
+    same = len(set(strengths)) == 1
+    for strength in asked:
+        if same:
+            strength.translated(f"{_SKY}/strength")
+        else:
+            note = "one range for all panoramas, from the least of theirs to the most"
+            strength.approximated(f"{_SKY}/strength", note)
     low, high = min(a for a, _ in strengths), max(b for _, b in strengths)
     sky: dict[str, Any] = {"type": "image", "files": files, "pick": pick}
     sky["strength"] = uniform(max(low * factor[0], 1e-9), max(high * factor[1], 1e-9), per=per)
-    sky["labels"] = labels
+    sky["labels"] = ctx.labels.choice(first or [], "sky")
     if any(maps):
         sky["label_maps"] = maps
     ctx.cfg["light"] = {"sun": None, "sky": sky}
 
 
-def _picture_labels(ctx: Context, vector: Item) -> tuple[dict[str, str], dict[str, Any] | None]:
-    """The label of a picture on each level, and its label maps."""
-    ids, maps = [], {}
+def _picture_labels(ctx: Context, vector: Item) -> tuple[list[int], dict[str, Any]]:
+    """The label of a picture on each level, and its label maps by level."""
+    ids: list[int] = []
+    maps: dict[str, Any] = {}
     for level, entry in enumerate(vector.children()):
         is_map = isinstance(entry.value, dict)
         ids.append(0 if is_map else entry.whole(-(2**31)))
@@ -149,7 +162,14 @@ def _picture_labels(ctx: Context, vector: Item) -> tuple[dict[str, str], dict[st
             entry.translated(f"{_SKY}/labels")
         elif found := _label_map(ctx, entry, level):
             maps[f"level_{level}"] = found
-    return ctx.labels.choice(ids, "sky"), maps or None
+    return ids, maps
+
+
+def _even_map(ctx: Context, level: int, number: int) -> dict[str, Any]:
+    """A label map of one texel, for all of a panorama whose label is not the first one's."""
+    values = ctx.labels.values(level, {"#000000": number}, "sky")
+    save = Image.new("RGB", (1, 1)).save
+    return {"file": ctx.imported.make("labels_even.png", save), "values": values}
 
 
 def _label_map(ctx: Context, entry: Item, level: int) -> dict[str, Any] | None:

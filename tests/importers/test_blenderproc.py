@@ -155,6 +155,169 @@ def test_hdf5_files_without_a_sound_camera_say_what_is_wrong(tmp_path: Path) -> 
         imported(make_hdf5(tmp_path / "ragged", matrix=[[60, 0], [0]]), tmp_path)
 
 
+def write_hdf5(
+    file: Path, camera: dict, objects: list[dict], size: tuple[int, ...] = (48, 64, 3)
+) -> None:
+    file.parent.mkdir(exist_ok=True)
+    with h5py.File(file, "w") as made:
+        made["colors"] = np.zeros(size, np.uint8)
+        made["campose"] = np.bytes_(json.dumps([camera]))
+        made["object_states"] = np.bytes_(json.dumps(objects))
+
+
+LOOKS = {"cam2world_matrix": [[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 1], [0, 0, 0, 1]]}
+K = [[60, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]
+
+
+def notes(made: Imported, fate: str) -> dict[str, str]:
+    """What is said of values of a fate, by where they stood."""
+    return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
+
+
+def test_an_uneven_scale_and_a_mirror_are_said_to_be_approximated(tmp_path: Path) -> None:
+    turned = rotation_of([0.8, 0.0, 0.6, 0.0])
+    scales = {"long": (1, 1, 3), "mirrored": (-1, 1, 1), "even": (2, 2, 2), "both": (1, -2, 1)}
+    objects = []
+    for number, (name, scale) in enumerate(scales.items()):
+        matrix = np.eye(4)
+        matrix[:3, :3] = turned * scale
+        matrix[:3, 3] = 3.0 * number, 0.0, 0.0
+        objects.append({"name": name, "matrix_world": matrix.tolist()})
+    write_hdf5(tmp_path / "frames" / "0.hdf5", {**LOOKS, "cam_K": K}, objects)
+    made = imported(tmp_path / "frames", tmp_path, stand_ins=True)
+    write(made)
+    said = notes(made, "approximated")
+    assert "a scale of 1 x 1 x 3 (or a shear) becomes an even one of 1.442" in said["long 1"]
+    assert said["mirrored 1"] == "it is mirrored across its x axis, and here it is not"
+    assert "mirrored" in said["both 1"]
+    assert "1 x 2 x 1" in said["both 1"]
+    assert "even 1" not in said
+    for name, scale in (("even", 2.0), ("mirrored", 1.0)):
+        row = (tmp_path / "ours_files" / f"{name}.csv").read_text().splitlines()[1].split(",")
+        assert rotation_of([float(v) for v in row[3:7]]) == pytest.approx(turned, abs=1e-9)
+        assert float(row[7]) == pytest.approx(scale)
+
+
+def test_pictures_that_differ_in_size_and_camera_follow_the_first_and_say_so(
+    tmp_path: Path,
+) -> None:
+    other = [[120, 0, 319.5], [0, 120, 239.5], [0, 0, 1]]
+    thing = {"name": "thing", "matrix_world": np.eye(4).tolist()}
+    write_hdf5(tmp_path / "frames" / "0.hdf5", {**LOOKS, "cam_K": K}, [thing])
+    more = {**LOOKS, "cam_K": other, "k1": -0.3}
+    write_hdf5(tmp_path / "frames" / "1.hdf5", more, [thing], (480, 640, 3))
+    made = imported(tmp_path / "frames", tmp_path, stand_ins=True)
+    sensor = made.cfg["rigs"]["camera"]["sensors"]["rgb"]
+    assert sensor["resolution"] == [64, 48]
+    assert sensor["intrinsics"] == {"fx": 60, "fy": 60, "cx": 32, "cy": 24}
+    said = notes(made, "approximated")["1.hdf5/campose"]
+    assert said.startswith("640 x 480 pixels and another camera matrix")
+    assert "1.hdf5/campose/k1" in notes(made, "dropped")
+
+
+def test_categories_are_a_level_of_labels_and_objects_of_some_pictures_are_named(
+    tmp_path: Path,
+) -> None:
+    place = np.eye(4).tolist()
+    first = {"name": "a", "matrix_world": place, "customprop_category_id": 7}
+    second = {"name": "b", "matrix_world": place, "category_id": 9, "customprop_part": "x"}
+    both = {"name": "c", "matrix_world": place, "category_id": 7}
+    write_hdf5(tmp_path / "frames" / "0.hdf5", {**LOOKS, "cam_K": K}, [first, both])
+    write_hdf5(tmp_path / "frames" / "1.hdf5", {**LOOKS, "cam_K": K}, [second, both])
+    made = imported(tmp_path / "frames", tmp_path, stand_ins=True)
+    write(made)
+    assert made.cfg["labels"]["category"] == {"category_7": 7, "category_9": 9}
+    labels = {name: of["labels"]["category"] for name, of in made.cfg["objects"].items()}
+    assert labels == {"a": "category_7", "b": "category_9", "c": "category_7"}
+    said = notes(made, "approximated")
+    assert said["a 1"] == "in 1 of 2 pictures (0), here in all"
+    assert said["b 1"] == "in 1 of 2 pictures (1), here in all"
+    assert "in 1 of 2" not in said.get("c 1", "")
+    assert "1.hdf5/object_states/b/customprop_part" in notes(made, "dropped")
+
+
+def texts(**changes: object) -> dict[str, object]:
+    """Data sets of a sound file, with changes."""
+    sound = {"campose": np.bytes_(json.dumps([{**LOOKS, "cam_K": K}])),
+             "colors": np.zeros((48, 64, 3), np.uint8)}  # fmt: skip
+    return sound | changes
+
+
+def states(**values: object) -> np.bytes_:
+    return np.bytes_(json.dumps([{**LOOKS, **values}]))
+
+
+def placed(row: int, column: int, value: float) -> np.bytes_:
+    """The state of an object whose matrix has another number."""
+    matrix = np.eye(4)
+    matrix[row, column] = value
+    return np.bytes_(json.dumps([{"name": "a", "matrix_world": matrix.tolist()}]))
+
+
+DAMAGED = {
+    "a group for a camera": (texts(campose="group"), "/campose: expected a text of JSON"),
+    "a group for a picture": (texts(colors="group"), "/colors: a shape of []"),
+    "numbers for a text": (texts(campose=np.arange(5)), "/campose: expected a text of JSON"),
+    "a number for a text": (texts(campose=3.5), "/campose: expected a text of JSON"),
+    "a text without end": (texts(campose="bomb"), "/campose: expected a text of JSON"),
+    "a link to itself": (texts(campose="loop"), "cannot be read"),
+    "a link to another file": (texts(campose="away"), "cannot be read"),
+    "a picture in one dimension": (texts(colors=np.zeros(5, np.uint8)), "a shape of [5]"),
+    "a picture of nothing": (texts(colors=np.zeros((0, 0, 3), np.uint8)), "a shape of [0, 0, 3]"),
+    "a picture without end": (texts(colors="vast"), "a shape of [1000000, 1000000, 3]"),
+    "deep JSON": (texts(campose=np.bytes_("[" * 100_000)), "is no JSON"),
+    "no number": (texts(campose=states(cam_K=[[np.nan, 0, 0], [0, 5, 0], [0, 0, 1]])), "cam_K"),
+    "no focal length": (texts(campose=states(cam_K=np.zeros((3, 3)).tolist())), "above 0"),
+    "a matrix that is no K": (texts(campose=states(cam_K=[[9, 0, 1], [1, 9, 1], [0, 0, 1]])),
+                              "0 below the diagonal"),
+    "degrees": (texts(campose=states(fov_x=60)), "expected radians between 0 and pi"),
+    "a mirrored camera": (texts(campose=states(cam2world_matrix=np.diag((-1, 1, 1, 1)).tolist())),
+                          "expected a pose, but it is mirrored"),
+    "a projection": (texts(object_states=placed(3, 0, 1.0)), "a last row of [1.0,"),
+    "far away": (texts(object_states=placed(0, 3, 1e30)), "numbers of up to 1e+30"),
+    "infinitely far": (texts(object_states=placed(0, 3, np.inf)), "not finite"),
+    "flat": (texts(object_states=placed(0, 0, 0.0)), "flat"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(DAMAGED))
+def test_a_damaged_hdf5_file_is_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sets, words = DAMAGED[name]
+    file, out = tmp_path / "0.hdf5", tmp_path / "ours.json"
+    with h5py.File(file, "w") as made:
+        for key, value in sets.items():
+            if type(value) is not str:
+                made[key] = value
+            elif value == "group":
+                made.create_group(key)
+            elif value == "loop":
+                made[key] = h5py.SoftLink(f"/{key}")
+            elif value == "away":
+                made[key] = h5py.ExternalLink("/no/such/file", "x")
+            elif value == "bomb":
+                made.create_dataset(key, (10**16,), "u1", chunks=(10**6,))
+            else:
+                made.create_dataset(key, (10**6, 10**6, 3), "u1", chunks=(1000, 1000, 3))
+    assert main(["import", "blenderproc", str(file), "-o", str(out), "--stand-ins"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"scenec: {file}")
+    assert words in line
+    assert [path.name for path in tmp_path.iterdir()] == ["0.hdf5"]
+
+
+def test_a_file_that_is_cut_short_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, cut = tmp_path / "frames" / "0.hdf5", tmp_path / "cut.hdf5"
+    write_hdf5(whole, {**LOOKS, "cam_K": K}, [])
+    cut.write_bytes(whole.read_bytes()[:900])
+    assert main(["import", "blenderproc", str(cut), "-o", str(tmp_path / "ours.json")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"scenec: {cut}: cannot be read")
+
+
 def test_a_folder_of_neither_is_a_fault_that_names_scenes_below(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

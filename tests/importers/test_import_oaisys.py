@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from made_assets import make_assets
+from PIL import Image
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
+from scenec.backends.testing.scenes import write_latlong
 from scenec.cli.main import main
 from scenec.compiler.assets.tracks import read_track
 from scenec.compiler.cfg import json_positions
@@ -312,6 +314,37 @@ def test_other_kinds_of_parts_are_valid_with_stand_ins(
     assert write(imported(cfg, tmp_path)) == []
 
 
+def test_panoramas_of_different_labels_and_strengths_keep_their_labels(tmp_path: Path) -> None:
+    for name, level in (("dim.exr", 1.0), ("bright.exr", 5.0), ("third.exr", 2.0)):
+        write_latlong(tmp_path / name, np.full((4, 8, 3), level))
+    cfg = example("oaisys_current")
+    entries = [
+        {"filePath": "dim.exr", "strength": [1.0, 1.0], "labelIDVec": [100, 101]},
+        {"filePath": "bright.exr", "strength": [5.0, 5.0], "labelIDVec": [200, 101]},
+        {"filePath": "third.exr", "strength": [5.0, 5.0], "labelIDVec": [0, 301]},
+    ]
+    put("EnvHDRI", *_SKY[:-1], "type")(cfg)
+    put({"selectionOption": 0, "HDRIList": entries}, *_SKY)(cfg)
+    made = imported(cfg, tmp_path)
+    write(made)
+    levels = {level: {n: name for name, n in names.items()}
+              for level, names in made.cfg["labels"].items()}  # fmt: skip
+    sky = made.cfg["light"]["sky"]
+    assert sky["labels"] == {"level_0": levels["level_0"][100], "level_1": levels["level_1"][101]}
+    first, second, third = sky["label_maps"]
+    assert first is None
+    assert second.keys() == {"level_0"}
+    assert second["level_0"]["values"] == {"#000000": levels["level_0"][200]}
+    assert third["level_0"]["values"] == {"#000000": None}
+    assert third["level_1"]["values"] == {"#000000": levels["level_1"][301]}
+    with Image.open(tmp_path / second["level_0"]["file"]) as picture:
+        assert (picture.size, picture.convert("RGB").getpixel((0, 0))) == ((1, 1), (0, 0, 0))
+    # A cfg has one strength for all of them.
+    said = [e for e in made.report.entries if e.pointer.endswith("/strength")]
+    assert [e.fate for e in said] == ["approximated"] * 3
+    assert "one range for all panoramas" in said[0].note
+
+
 def test_no_parameter_of_the_landscape_generator_is_both_translated_and_dropped() -> None:
     both = set(USUAL) & set(WITHOUT_COUNTERPART)
     assert both == {"edge_falloff", "maximum", "minimum"}
@@ -372,7 +405,7 @@ def test_a_cfg_that_would_not_be_valid_leaves_nothing(tmp_path: Path) -> None:
     made = imported(example("oaisys_current"), tmp_path)
     made.make("note.txt", Path.touch)
     made.cfg["samples"] = -1
-    with pytest.raises(CfgError, match=r"ours\.json.*/samples"):
+    with pytest.raises(CfgError, match=r"ours\.json \(not written, .*\).*/samples"):
         write(made)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs.json"]
 
