@@ -25,6 +25,7 @@ from scenec.backends.stage.surfaces import (
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.schemas.polygons import triangulate
 
 
 class MeshTable:
@@ -117,7 +118,12 @@ class MeshTable:
         holes = values.array(mesh.GetHoleIndicesAttr(), np.int64, time)
         _require_sound(prim, points, counts, indices, holes)
         left_handed = values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded
-        corners, authored = triangulate(counts, holes, left_handed)
+        cut = triangulate(points, indices, counts, holes)
+        for fault in cut.faults:
+            self.unread.add(fault, prim)
+        corners, authored = cut.corners.astype(np.int32), cut.polygon.astype(np.int32)
+        if left_handed:
+            corners = np.ascontiguousarray(corners[:, [0, 2, 1]])
         faces = indices[corners]
         labels = face_labels(mesh, self.labels, inherited, len(counts))
         layers = read_layers(mesh, len(points), self._sources)
@@ -196,31 +202,6 @@ def _part(
         layers=(surface,),
         uv=None if uv is None else uv[chosen],
     )
-
-
-def triangulate(
-    counts: NDArray[np.int32], holes: NDArray[np.int64], left_handed: bool
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Fans of triangles from polygons.
-
-    Args:
-        counts: Vertices of each polygon, [f].
-        holes: Polygons to leave out.
-        left_handed: Whether polygons are wound clockwise; triangles come out counter-clockwise.
-
-    Returns:
-        Which of ``faceVertexIndices`` are the corners of each triangle, int32 [m, 3], and the
-        polygon each comes from, int32 [m]. Polygons of fewer than three vertices give none.
-    """
-    starts = np.cumsum(counts, dtype=np.int64) - counts
-    fans = np.maximum(counts - 2, 0)
-    fans[holes] = 0
-    authored = np.repeat(np.arange(len(counts), dtype=np.int32), fans)
-    first = np.repeat(np.cumsum(fans, dtype=np.int64) - fans, fans)
-    at = starts[authored]
-    second = at + np.arange(len(authored)) - first + 1
-    after = (second + 1, second) if left_handed else (second, second + 1)
-    return np.stack([at, *after], axis=1).astype(np.int32), authored
 
 
 def _require_sound(

@@ -34,7 +34,7 @@ class Model:
 
     Attributes:
         points: float64 [n, 3].
-        faces: int32 [m, 3], counter-clockwise seen from outside; polygons are fans.
+        faces: int32 [m, 3], counter-clockwise seen from outside.
         uv: Texture coordinates of the faces' corners, v up as USD's ``st``, float32 [m, 3, 2]; 0
             where a part has none; None where none has. What a material does to its coordinates
             is done.
@@ -73,7 +73,7 @@ def read_model(
     """Reads a file of one of ``parse.SUFFIXES``.
 
     Args:
-        file: PLY, STL and OFF need the extra ``meshes``, ``.blend`` the extra ``cycles``.
+        file: PLY and STL need the extra ``meshes``, ``.blend`` the extra ``cycles``.
         unit_m: Meters per unit; None takes what the file says.
         up: Upward axis: x, y, z, -x, -y or -z; None takes what the file says.
         part: One of its meshes, or a name above some of them; None takes all.
@@ -158,7 +158,7 @@ def _finished_once(
 
 def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:
     joined = join(shells, unit_m, up)
-    notes = list(parsed.notes)
+    notes = [*parsed.warnings, *parsed.notes]
     shells, looks = _with_averages(shells, parsed.looks, notes)
     owner = np.concatenate([shell.owners() for shell in shells])[joined.sound]
     used = [i for i in range(len(looks)) if (owner == i).any()]

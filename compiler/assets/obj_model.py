@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import Look, linear_array
 from scenec.compiler.assets.mtl import read_mtl
-from scenec.compiler.assets.parts import MeshFileError, fan_corners
+from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.assets.trimesh_file import sound
+from scenec.schemas.polygons import triangulate
 
 _NUMBER = r"[-+]?(?:\d++\.?\d*+|\.\d++|(?i:nan|inf(?:inity)?))(?:[eE][-+]?\d++)?"
 #: A vertex without three numbers, or a face that is no list of indices other than 0.
@@ -99,8 +100,9 @@ class _Reader:
     def model(self) -> ParsedModel:
         points, tints = self._points()
         counts = np.array([len(face.split()) for face in self._faces], np.int64)
-        triangles, polygon = fan_corners(counts)
-        spelled = self._corners()[triangles] - 1
+        corners = self._corners() - 1
+        cut = triangulate(points, corners[:, 0], counts)
+        spelled, polygon = corners[cut.corners], cut.polygon
         faces = spelled[..., 0]
         if len(faces) and faces.max() >= len(points):
             raise MeshFileError(f"a face uses vertex {faces.max()} (from 0) of {len(points)}")
@@ -127,7 +129,8 @@ class _Reader:
             shell = replace(whole.chosen(own), path=name)
             has_uv = uv is not None and (spelled[own, :, 1] >= 0).any()
             shells.append(shell if has_uv else replace(shell, uv={}))
-        return ParsedModel(tuple(shells), looks, None, None, companions, notes)
+        warnings = polygon_warnings(cut.faults)
+        return ParsedModel(tuple(shells), looks, None, None, companions, notes, warnings)
 
     def _corners(self) -> NDArray[np.int64]:
         """Position, texture coordinate and normal of each face's corners, from 1, 0 for none."""

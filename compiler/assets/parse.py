@@ -32,7 +32,7 @@ _READERS = {
     ".obj": ("obj_model", "read_obj"),
     ".ply": ("ply_model", "read_ply"),
     ".stl": ("trimesh_file", "read_stl"),
-    ".off": ("trimesh_file", "read_off"),
+    ".off": ("off_model", "read_off"),
     **dict.fromkeys(GLTF, ("gltf_model", "read_gltf")),
     **dict.fromkeys(_USD, ("usd_model", "read_usd_model")),
     ".blend": ("blend", "read_blend"),
@@ -51,8 +51,8 @@ def parse_model(file: Path, *, looks: bool = True) -> ParsedModel:
     """A file's parts and materials as it has them, unchecked.
 
     Args:
-        file: A file of one of ``SUFFIXES``. PLY, STL and OFF need the extra ``meshes``, ``.blend``
-            the extra ``cycles``.
+        file: A file of one of ``SUFFIXES``. PLY and STL need the extra ``meshes``, ``.blend`` the
+            extra ``cycles``.
         looks: Whether to read what a model has besides points and faces, where that takes time or
             other files; without it, only files of ``MESH_SUFFIXES`` are taken.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import Look, Slot, linear_array
-from scenec.compiler.assets.parts import MeshFileError, fan_corners
+from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.assets.trimesh_file import MIXED, loader, sound
+from scenec.schemas.polygons import triangulate
 
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE)
@@ -50,10 +51,12 @@ def read_ply(file: Path, looks: bool) -> ParsedModel:
     with sound(".ply"):
         data = file.read_bytes()
         mesh = _read(data, load)
-        faces = mesh.corners[fan_corners(mesh.counts)[0]]
+        cut = triangulate(mesh.points, mesh.corners, mesh.counts)
+        faces, warnings = mesh.corners[cut.corners], polygon_warnings(cut.faults)
     if looks:
-        return _with_looks(file, data, mesh, faces)
-    return ParsedModel((Shell("", mesh.points, faces),), (), None, None)
+        return replace(_with_looks(file, data, mesh, faces), warnings=warnings)
+    shell = Shell("", mesh.points, faces)
+    return ParsedModel((shell,), (), None, None, warnings=warnings)
 
 
 def _with_looks(file: Path, data: bytes, mesh: PlyMesh, faces: NDArray[np.int64]) -> ParsedModel:

@@ -75,6 +75,7 @@ class ParsedModel:
         up: Upward axis, where the format or the file says so.
         companions: Files beside it that belong to it, in the order in which they are named.
         notes: What is left out.
+        warnings: What of the geometry is unsound, to be said on the screen, too.
     """
 
     parts: tuple[Shell, ...]
@@ -83,6 +84,7 @@ class ParsedModel:
     up: str | None
     companions: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def missing(self, unit_m: float | None, up: str | None) -> list[str]:
         """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""

@@ -1,10 +1,9 @@
-"""STL and OFF by the loaders of trimesh, and what ``ply_model`` needs of them.
+"""STL by the loader of trimesh, and what ``ply_model`` needs of it.
 
 The loaders are called below trimesh's own meshes and scenes, which merge, reorder and compose: what
 comes back has the file's values and its order. The formats say nothing of units or of the upward
 axis. Where a loader is known to take a wrong file for a right one, the file is checked
-first. Polygons are fans around their first corner; OFF is the exception: there trimesh splits
-quads itself, and puts their second halves last.
+first.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from scenec.compiler.assets.parts import MeshFileError, fan_corners
+from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell
 
 #: What trimesh, NumPy and the standard library raise for files that are no meshes.
@@ -43,25 +42,11 @@ _MEANINGS = {
 }
 
 
-def read_off(file: Path, looks: bool) -> ParsedModel:
-    """Reads an ``.off`` file: one part.
-
-    Raises:
-        MeshFileError: trimesh is not installed, or the file is not sound.
-    """
-    load = loader(".off")
-    with sound(".off"):
-        text = file.read_bytes().decode("utf-8", errors="replace")
-        if "OFF" not in text[:4096]:
-            raise MeshFileError("not an OFF file: it does not begin with 'OFF'")
-        return ParsedModel((_part("", load(text)),), (), None, None)
-
-
 def read_stl(file: Path, looks: bool) -> ParsedModel:
     """Reads an ``.stl`` file; its parts are its solids.
 
     Raises:
-        MeshFileError: As ``read_off``.
+        MeshFileError: trimesh is not installed, or the file is not sound.
     """
     load = loader(".stl")
     with sound(".stl"):
@@ -158,10 +143,9 @@ def _part(path: str, loaded: dict[str, Any]) -> Shell:
         return Shell(path, np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "iuf":
         raise MeshFileError(f"expected vertices of three numbers, found {points.shape}")
-    if faces.ndim != 2 or faces.dtype.kind not in "iu":
-        raise MeshFileError(f"expected faces as lists of vertices, found {faces.dtype}")
-    triangles, _ = fan_corners(np.full(len(faces), faces.shape[1], np.int64))
-    return Shell(path, points.astype(np.float64), faces.ravel().astype(np.int64)[triangles])
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise MeshFileError(f"expected faces of three vertices, found {faces.shape}")
+    return Shell(path, points.astype(np.float64), faces.astype(np.int64))
 
 
 def _stl(data: bytes, load: Callable[..., dict[str, Any]]) -> tuple[Shell, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from scenec.compiler.assets.parts import MeshFileError, fan_corners
+from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.assets.usd import (
     TIME,
@@ -23,6 +23,7 @@ from scenec.compiler.assets.usd import (
     unit_and_axis,
 )
 from scenec.compiler.assets.usd_looks import UsdLooks
+from scenec.schemas.polygons import triangulate
 
 _PAIRS = (
     Sdf.ValueTypeNames.TexCoord2fArray, Sdf.ValueTypeNames.TexCoord2dArray,
@@ -44,26 +45,32 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
     with sound_stage(file) as stage:
         found = UsdLooks(file)
         read = _shells if looks else _bare_shells
-        shells = [shell for mesh in shown_meshes(stage) for shell in read(mesh, found)]
+        faults: list[dict[str, int]] = []
+        shells = [shell for mesh in shown_meshes(stage) for shell in read(mesh, found, faults)]
         return ParsedModel(
             tuple(shells),
             tuple(found.known),
             *unit_and_axis(stage),
             tuple(found.companions),
             tuple(dict.fromkeys(found.notes)),
+            polygon_warnings(*faults),
         )
 
 
-def _bare_shells(mesh: UsdGeom.Mesh, looks: UsdLooks) -> list[Shell]:
+def _bare_shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -> list[Shell]:
     polygons = polygons_of(mesh)
-    faces = polygons.corners[fan_corners(polygons.counts)[0]]
+    cut = triangulate(polygons.points, polygons.corners, polygons.counts)
+    faults.append(cut.faults)
+    faces = polygons.corners[cut.corners]
     shell = Shell(str(mesh.GetPath()), polygons.points, faces)
     return [placed(shell, polygons.to_world, turned=polygons.turned)]
 
 
-def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks) -> list[Shell]:
+def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -> list[Shell]:
     polygons = polygons_of(mesh)
-    triangles, polygon = fan_corners(polygons.counts)
+    cut = triangulate(polygons.points, polygons.corners, polygons.counts)
+    faults.append(cut.faults)
+    triangles, polygon = cut.corners, cut.polygon
     faces = polygons.corners[triangles]
     path = str(mesh.GetPath())
     if len(faces) and (faces.min() < 0 or faces.max() >= len(polygons.points)):

@@ -6,7 +6,7 @@ import hashlib
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,7 +47,7 @@ def check_files(
         fields: All places of the cfg; the keyword "x-file" says of a string what it must name.
 
     Returns:
-        Those that nothing is wrong with, by their path in the cfg, and the findings on the others.
+        Those that are sound, by their path in the cfg; findings on the others, and warnings.
     """
     files: dict[str, InputFile] = {}
     findings: list[Finding] = []
@@ -63,9 +63,10 @@ def check_files(
             path = find_file(name, folder, "folder" if kind == "texture_set" else "file")
             digest = _sha256(path) if path.is_file() else ""
             found = list(_CHECKS[kind](path, owner, cfg) or ())
-            if not found and kind in _DIGESTS:
+            sound = all(finding.is_warning for finding in found)
+            if sound and kind in _DIGESTS:
                 digest = _DIGESTS[kind](path, owner, digest)
-            if not found:
+            if sound:
                 files["/".join(map(str, field.path))] = InputFile(path, digest, name)
         except (ResourceError, SceneError) as error:
             found = [Finding(field.path, str(error))]
@@ -155,15 +156,18 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     if not missing:
         # Its unit may be drawn, and is of no account here.
         finish_model(file, parsed, part=owner["part"])
+        yield from _warnings(file, owner, parsed)
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets.model import cached_model, parsed_model
 
-    missing = _missing(file, owner, parsed_model(file))
+    parsed = parsed_model(file)
+    missing = _missing(file, owner, parsed)
     yield from missing
     if not missing:
         cached_model(file, owner["unit_m"], owner["up"], owner["part"])
+        yield from _warnings(file, owner, parsed)
 
 
 def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
@@ -173,6 +177,11 @@ def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
         for key in parsed.missing(owner["unit_m"], owner["up"])
         if key not in owner
     ]
+
+
+def _warnings(file: Path, owner: Node, parsed: ParsedModel) -> Iterator[Finding]:
+    for line in parsed.warnings:
+        yield replace(owner.fault(f"{file.name}: {line}", "file"), is_warning=True)
 
 
 def _digest_of_mesh(file: Path, owner: Node, digest: str) -> str:

@@ -18,12 +18,14 @@ class Finding:
         message: What is wrong, what was expected.
         at_key: Whether the key is at fault rather than its value.
         position: Line and column, where they are not those of the key or value at the path.
+        is_warning: Whether a cfg with it is taken, and the user told.
     """
 
     path: Path
     message: str
     at_key: bool = False
     position: Position | None = None
+    is_warning: bool = False
 
 
 def locate(findings: Iterable[Finding], document: Document) -> list[Fault]:

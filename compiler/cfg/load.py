@@ -48,7 +48,7 @@ class Spec:
         text: The cfg as JSON, with all that it extends and its settings.
         is_verbatim: Whether that is the file's own bytes.
         settings: What was set over it.
-        warnings: Values that can be and are probably a slip.
+        warnings: Values that can be and are probably a slip; files of unsound geometry.
         plugins: Packages of the kinds that are not scenec's own (``schema.origins``).
     """
 
@@ -97,14 +97,16 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     for check in _CHECKS:
         findings += check(cfg)
     files, file_findings = check_files(fields, cfg, path.parent)
-    findings += [*file_findings, *check_parts(cfg, files)]
+    findings += [finding for finding in file_findings if not finding.is_warning]
+    findings += check_parts(cfg, files)
     faults = locate(findings, document)
     if faults:
         raise CfgError(faults)
     filled = fill(document.value)
     plugins = schema.origins(fields)
     digest = digest_of(filled, files, plugins)
-    warnings = tuple(sorted(locate(improbable(fields), document)))
+    told = [finding for finding in file_findings if finding.is_warning]
+    warnings = tuple(sorted(locate([*improbable(fields), *told], document)))
     return Spec(
         filled,
         path,

@@ -10,7 +10,6 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, Vt
 from small import write_cfg
 
-from scenec.backends.stage.meshes import triangulate
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.build import BuildLog, build
@@ -205,13 +204,28 @@ def test_centimeters_and_y_up_become_metres_and_z_up(tmp_path):
     assert np.allclose(pose[:3, 1], [0, 0, -1])
 
 
-def test_polygons_become_fans_with_a_way_back():
-    counts = np.array([4, 3, 5, 2, 3], np.int32)
-    faces, authored = triangulate(counts, np.array([4]), left_handed=False)
-    assert authored.tolist() == [0, 0, 1, 2, 2, 2]
-    assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6], [7, 8, 9], [7, 9, 10], [7, 10, 11]]
-    flipped, _ = triangulate(counts, np.array([4]), left_handed=True)
-    assert flipped[0].tolist() == [0, 2, 1]
+def test_convex_polygons_become_fans_with_a_way_back(tmp_path):
+    def build(stage):
+        turn = np.linspace(0.0, 2.0 * np.pi, 17, endpoint=False)
+        ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+        for name, orientation in (("right", "rightHanded"), ("left", "leftHanded")):
+            mesh = UsdGeom.Mesh.Define(stage, f"/Root/{name}")
+            mesh.CreatePointsAttr(ring.tolist())
+            mesh.CreateFaceVertexCountsAttr([4, 3, 5, 2, 3])
+            mesh.CreateFaceVertexIndicesAttr(list(range(17)))
+            mesh.CreateHoleIndicesAttr([4])
+            mesh.CreateOrientationAttr(orientation)
+            mesh.CreateSubdivisionSchemeAttr("none")
+
+    scene = opened(tmp_path, build)
+    mesh, flipped = scene.meshes
+    assert mesh.authored_face.tolist() == [0, 0, 1, 2, 2, 2]
+    fans = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [7, 8, 9], [7, 9, 10], [7, 10, 11]]
+    assert mesh.faces.tolist() == fans
+    assert flipped.faces.tolist() == [[a, c, b] for a, b, c in fans]
+    assert scene.losses == (
+        "a polygon of fewer than three corners is left out: 2 prims, the first is /Root/right",
+    )
 
 
 def test_native_instances_share_one_mesh(tmp_path):

@@ -178,6 +178,7 @@ def _without_holes(seen: Above) -> tuple[NDArray[np.float64], float]:
 
 def _read_report(mesh: Model) -> dict[str, Any]:
     return {
+        **({"left_out": list(mesh.notes)} if mesh.notes else {}),
         "triangles_of_file": len(mesh.faces),
         "degenerate_dropped": mesh.degenerate,
         "vertices_welded": mesh.welded,
