@@ -11,6 +11,7 @@ coordinates are 0 or between 1e-140 and 1e140.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,36 @@ _PATIENCE = 100_000
 _FLATNESS = 1e-6
 #: Polygons that are worth a thread.
 _LEAST = 20_000
+
+
+class _Polygons(NamedTuple):
+    """Polygons as kernels take them: first corner, triangles and first triangle of each."""
+
+    points: NDArray[np.float64]
+    corners: NDArray[np.int64]
+    start: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    first: NDArray[np.int64]
+
+
+class _Ring(NamedTuple):
+    """One polygon in the plane, and what is left of it while it is cut.
+
+    Attributes:
+        x, y: Of its corners.
+        terms: Room for an exact sum.
+        ahead, behind: Neighbors of each corner.
+        turn: 1 where the outline turns left.
+        tried: 0 where it is not known whether a corner can be cut off, 1 where it can, 2 where not.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    terms: NDArray[np.float64]
+    ahead: NDArray[np.int64]
+    behind: NDArray[np.int64]
+    turn: NDArray[np.int8]
+    tried: NDArray[np.int8]
 
 
 @dataclass(frozen=True)
@@ -82,19 +113,18 @@ def triangulate(
     total = int(triangles.sum())
     if total == len(counts) and (counts == 3).all():
         return Triangles(np.arange(3 * total).reshape(-1, 3), np.arange(total), {})
-    first = np.cumsum(triangles) - triangles
+    polygons = _Polygons(
+        np.ascontiguousarray(points, np.float64),
+        np.ascontiguousarray(corners, np.int64),
+        start,
+        triangles,
+        np.cumsum(triangles) - triangles,
+    )
     out, polygon = np.empty((total, 3), np.int64), np.empty(total, np.int64)
     kinds = np.zeros(len(counts), np.int8)
-    points = np.ascontiguousarray(points, np.float64)
-    corners = np.ascontiguousarray(corners, np.int64)
-    over_threads(
-        _fans, len(counts), points, corners, start, triangles, first, out, polygon, kinds,
-        least=_LEAST,
-    )  # fmt: skip
+    over_threads(_fans, len(counts), polygons, out, polygon, kinds, least=_LEAST)
     doubtful = np.flatnonzero(kinds)
-    over_threads(
-        _cuts, len(doubtful), points, corners, start, triangles, first, doubtful, out, kinds
-    )
+    over_threads(_cuts, len(doubtful), polygons, doubtful, out, kinds)
     small = counts < 3
     if holes is not None:
         small[holes] = False
@@ -103,14 +133,14 @@ def triangulate(
 
 
 @kernel
-def _fans(first, last, points, corners, start, triangles, at, out, polygon, doubtful):  # type: ignore[no-untyped-def]
-    """Fans of polygons; ``doubtful`` becomes 1 where one may be no triangulation."""
+def _fans(first, last, polygons, out, polygon, doubtful):  # type: ignore[no-untyped-def]
+    """Fans of polygons; ``doubtful`` becomes 1 where one may not cover its polygon once."""
     for f in range(first, last):
-        s, t = start[f], at[f]
-        for k in range(triangles[f]):
+        s, t, n = polygons.start[f], polygons.first[f], polygons.triangles[f]
+        for k in range(n):
             out[t + k, 0], out[t + k, 1], out[t + k, 2] = s, s + k + 1, s + k + 2
             polygon[t + k] = f
-        if triangles[f] > 1 and not _surely_a_fan(points, corners, s, triangles[f] + 2):
+        if n > 1 and not _surely_a_fan(polygons.points, polygons.corners, s, n + 2):
             doubtful[f] = 1
 
 
@@ -120,122 +150,112 @@ def _surely_a_fan(points, corners, s, n):  # type: ignore[no-untyped-def]
     for k in range(s, s + n):
         if corners[k] < 0 or corners[k] >= len(points):
             return True
-    nx, ny, nz, size = _normal(points, corners, s, n)
-    if not np.isfinite(nx + ny + nz):
+    normal, size = _normal(points, corners, s, n)
+    if not np.isfinite(normal[0] + normal[1] + normal[2]):
         return True
     least = (n + 8.0) * 2.0**-52 * size
-    o, a = corners[s], corners[s + 1]
-    ax, ay = points[a, 0] - points[o, 0], points[a, 1] - points[o, 1]
-    az = points[a, 2] - points[o, 2]
-    x, y, z = ax, ay, az
+    before = first = _way(points, corners[s], corners[s + 1])
     for k in range(s + 2, s + n):
-        b = corners[k]
-        bx, by = points[b, 0] - points[o, 0], points[b, 1] - points[o, 1]
-        bz = points[b, 2] - points[o, 2]
-        area, terms = _along(x, y, z, bx, by, bz, nx, ny, nz)
-        if not area > least * terms:
+        way = _way(points, corners[s], corners[k])
+        cross, sizes = _cross(before, way)
+        if not _dot(cross, normal) > least * sizes:
             return False
         if n > 4:
-            area, terms = _along(ax, ay, az, bx, by, bz, nx, ny, nz)
-            if not area > least * terms:
+            cross, sizes = _cross(first, way)
+            if not _dot(cross, normal) > least * sizes:
                 return False
-        x, y, z = bx, by, bz
+        before = way
     return True
 
 
 @inlined
-def _along(ax, ay, az, bx, by, bz, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """A cross product's part along n, times that; the sum of its terms' sizes."""
-    p, q, r, s, t, u = ay * bz, az * by, az * bx, ax * bz, ax * by, ay * bx
-    sizes = abs(p) + abs(q) + abs(r) + abs(s) + abs(t) + abs(u)
-    return (p - q) * nx + (r - s) * ny + (t - u) * nz, sizes
+def _way(points, a, b):  # type: ignore[no-untyped-def]
+    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+
+
+@inlined
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    """A cross product, and the sum of its terms' sizes, which its rounding errors go by."""
+    p, q, r = a[1] * b[2], a[2] * b[0], a[0] * b[1]
+    t, u, v = a[2] * b[1], a[0] * b[2], a[1] * b[0]
+    return (p - t, q - u, r - v), abs(p) + abs(q) + abs(r) + abs(t) + abs(u) + abs(v)
 
 
 @inlined
 def _normal(points, corners, s, n):  # type: ignore[no-untyped-def]
     """Newell's normal of a polygon, twice its area long; the sum of its terms' sizes."""
-    o, a = corners[s], corners[s + 1]
-    ax, ay = points[a, 0] - points[o, 0], points[a, 1] - points[o, 1]
-    az = points[a, 2] - points[o, 2]
-    nx, ny, nz, size = 0.0, 0.0, 0.0, 0.0
+    x, y, z, size = 0.0, 0.0, 0.0, 0.0
+    before = _way(points, corners[s], corners[s + 1])
     for k in range(s + 2, s + n):
-        b = corners[k]
-        bx, by = points[b, 0] - points[o, 0], points[b, 1] - points[o, 1]
-        bz = points[b, 2] - points[o, 2]
-        p, q, r, t, u, v = ay * bz, az * by, az * bx, ax * bz, ax * by, ay * bx
-        nx, ny, nz = nx + (p - q), ny + (r - t), nz + (u - v)
-        size += abs(p) + abs(q) + abs(r) + abs(t) + abs(u) + abs(v)
-        ax, ay, az = bx, by, bz
-    return nx, ny, nz, size
+        way = _way(points, corners[s], corners[k])
+        cross, sizes = _cross(before, way)
+        x, y, z, size = x + cross[0], y + cross[1], z + cross[2], size + sizes
+        before = way
+    return (x, y, z), size
 
 
 @kernel
-def _cuts(first, last, points, corners, start, triangles, at, chosen, out, kinds):  # type: ignore[no-untyped-def]
+def _cuts(first, last, polygons, chosen, out, kinds):  # type: ignore[no-untyped-def]
     """Triangles of polygons whose fans may be none; ``kinds`` says what they are."""
     most = 0
     for f in range(first, last):
-        most = max(most, triangles[chosen[f]] + 2)
-    x, y, terms = np.empty(most), np.empty(most), np.empty(12)
-    ahead, behind = np.empty(most, np.int64), np.empty(most, np.int64)
-    turn, tried = np.empty(most, np.int8), np.empty(most, np.int8)
+        most = max(most, polygons.triangles[chosen[f]] + 2)
+    ring = _Ring(
+        np.empty(most), np.empty(most), np.empty(12), np.empty(most, np.int64),
+        np.empty(most, np.int64), np.empty(most, np.int8), np.empty(most, np.int8),
+    )  # fmt: skip
     for k in range(first, last):
         f = chosen[k]
-        s, n = start[f], triangles[f] + 2
-        if not _project(points, corners, s, n, x, y):
+        s, n = polygons.start[f], polygons.triangles[f] + 2
+        if not _project(polygons.points, polygons.corners, s, n, ring):
             kinds[f] = _EMPTY
             continue
-        kinds[f] = _fan(x, y, n, terms)
+        kinds[f] = _fan(ring, n)
         if kinds[f] < 0:
-            if _crosses(x, y, n, terms):
-                kinds[f] = _CROSSING
-                if n == 4:
-                    # No other cut is better.
-                    continue
-            else:
-                kinds[f] = 0
-            kind = _clip(x, y, n, terms, ahead, behind, turn, tried, s, at[f], out)
-            kinds[f] = max(kinds[f], kind)
+            kinds[f] = _CROSSING if _crosses(ring, n) else 0
+            # Of a quad that crosses itself no other cut is better.
+            if n > 4 or kinds[f] == 0:
+                kinds[f] = max(kinds[f], _clip(ring, n, s, polygons.first[f], out))
 
 
 @kernel
-def _project(points, corners, s, n, x, y):  # type: ignore[no-untyped-def]
+def _project(points, corners, s, n, ring):  # type: ignore[no-untyped-def]
     """Puts a polygon into the plane, counter-clockwise; False where it has no area."""
-    nx, ny, nz, size = _normal(points, corners, s, n)
-    axis, part = 2, nz
-    if abs(nx) >= abs(ny) and abs(nx) >= abs(nz):
-        axis, part = 0, nx
-    elif abs(ny) >= abs(nz):
-        axis, part = 1, ny
-    if abs(part) <= 2.0**-50 * size:
+    normal, size = _normal(points, corners, s, n)
+    nx, ny, nz = abs(normal[0]), abs(normal[1]), abs(normal[2])
+    axis = 2
+    if nx >= ny and nx >= nz:
+        axis = 0
+    elif ny >= nz:
+        axis = 1
+    if abs(normal[axis]) <= 2.0**-50 * size:
         return False
     u, v = (axis + 1) % 3, (axis + 2) % 3
-    o = corners[s]
     off, reach = 0.0, 0.0
     for k in range(s, s + n):
-        p = corners[k]
-        dx, dy = points[p, 0] - points[o, 0], points[p, 1] - points[o, 1]
-        dz = points[p, 2] - points[o, 2]
-        off = max(off, abs(dx * nx + dy * ny + dz * nz))
-        reach = max(reach, abs(dx) + abs(dy) + abs(dz))
-    along_x, along_y = 0.0, 0.0
-    if off > _FLATNESS * reach * (abs(nx) + abs(ny) + abs(nz)):
-        normal = (nx, ny, nz)
-        along_x, along_y = normal[u] / part, normal[v] / part
+        way = _way(points, corners[s], corners[k])
+        off = max(off, abs(_dot(way, normal)))
+        reach = max(reach, abs(way[0]) + abs(way[1]) + abs(way[2]))
+    is_flat = off <= _FLATNESS * reach * (nx + ny + nz)
     for k in range(n):
         p = corners[s + k]
-        x[k], y[k] = points[p, u], points[p, v]
-        if along_x != 0.0 or along_y != 0.0:
-            height = points[p, axis] - points[o, axis]
-            x[k], y[k] = x[k] - along_x * height, y[k] - along_y * height
-        if part < 0.0:
-            y[k] = -y[k]
+        x, y = points[p, u], points[p, v]
+        if not is_flat:
+            height = (points[p, axis] - points[corners[s], axis]) / normal[axis]
+            x, y = x - height * normal[u], y - height * normal[v]
+        ring.x[k], ring.y[k] = x, y if normal[axis] > 0.0 else -y
     return True
 
 
 @kernel
-def _fan(x, y, n, terms):  # type: ignore[no-untyped-def]
+def _fan(ring, n):  # type: ignore[no-untyped-def]
     """Whether a fan is right: 0, or 1 if convex and corners in line give it no area, else -1."""
-    kind = 0
+    x, y, kind = ring.x, ring.y, 0
     first, before, beyond = 0, 0, False
     for k in range(1, n):
         if x[k] == x[0] and y[k] == y[0]:
@@ -247,16 +267,16 @@ def _fan(x, y, n, terms):  # type: ignore[no-untyped-def]
         if first == 0:
             first, before = k, k
             continue
-        step = _turn(x, y, 0, before, k, terms)
+        step = _turn(ring, 0, before, k)
         if step < 0:
             return -1
         if step == 0:
             kind = _FLAT
-            if _is_between(x, y, before, 0, k):
+            if _is_between(ring, before, 0, k):
                 return -1
         # Beyond a half turn from the first direction there is no way back.
-        side = _turn(x, y, 0, first, k, terms)
-        behind = side < 0 or (side == 0 and _is_between(x, y, first, 0, k))
+        side = _turn(ring, 0, first, k)
+        behind = side < 0 or (side == 0 and _is_between(ring, first, 0, k))
         if beyond and not behind:
             return -1
         beyond = behind
@@ -264,24 +284,25 @@ def _fan(x, y, n, terms):  # type: ignore[no-untyped-def]
     if kind == _FLAT:
         # Other cuts of what is not convex have more triangles with area.
         for k in range(n):
-            if _turn(x, y, (k - 1) % n, k, (k + 1) % n, terms) < 0:
+            if _turn(ring, (k - 1) % n, k, (k + 1) % n) < 0:
                 return -1
     return kind
 
 
 @kernel
-def _clip(x, y, n, terms, ahead, behind, turn, tried, s, t, out):  # type: ignore[no-untyped-def]
+def _clip(ring, n, s, t, out):  # type: ignore[no-untyped-def]
     """Cuts ear by ear into ``out`` from row ``t`` on; returns what the polygon is.
 
     An ear is a convex corner with no other corner in its closed triangle. Where there is none
     (outlines that touch themselves), others may lie on its border; where there is none either,
     the polygon crosses itself, and any convex corner is taken.
     """
+    ahead, behind, turn, tried = ring.ahead, ring.behind, ring.turn, ring.tried
     for i in range(n):
         ahead[i], behind[i] = (i + 1) % n, (i - 1) % n
         tried[i] = 0
     for i in range(n):
-        turn[i] = _turn(x, y, behind[i], i, ahead[i], terms)
+        turn[i] = _turn(ring, behind[i], i, ahead[i])
     kind, left = 0, n
     patience = _PATIENCE // n
     # 0: ears, 1: ears with corners on their borders, 2: convex corners, 3: any.
@@ -289,12 +310,12 @@ def _clip(x, y, n, terms, ahead, behind, turn, tried, s, t, out):  # type: ignor
     c = 0
     while left > 3:
         p, q = behind[c], ahead[c]
-        if turn[c] == 0 and not _is_between(x, y, p, c, q):
+        if turn[c] == 0 and not _is_between(ring, p, c, q):
             # A tip without width, or a corner that is there twice.
             taken = True
         elif rank < 2:
             if tried[c] == 0:
-                clear = turn[c] > 0 and _is_clear(x, y, p, c, q, ahead, behind, terms, rank)
+                clear = turn[c] > 0 and _is_clear(ring, p, c, q, rank)
                 tried[c] = 1 if clear else 2
             taken = tried[c] == 1
         else:
@@ -307,8 +328,8 @@ def _clip(x, y, n, terms, ahead, behind, turn, tried, s, t, out):  # type: ignor
             elif rank >= 2:
                 kind = _CROSSING
             ahead[p], behind[q] = q, p
-            turn[p] = _turn(x, y, behind[p], p, q, terms)
-            turn[q] = _turn(x, y, p, q, ahead[q], terms)
+            turn[p] = _turn(ring, behind[p], p, q)
+            turn[q] = _turn(ring, p, q, ahead[q])
             tried[p] = tried[q] = 0
             looked, fresh = 0, False
             if rank and patience:
@@ -330,21 +351,22 @@ def _clip(x, y, n, terms, ahead, behind, turn, tried, s, t, out):  # type: ignor
                 j = ahead[j]
     p, q = behind[c], ahead[c]
     out[t, 0], out[t, 1], out[t, 2] = s + p, s + c, s + q
-    last = _turn(x, y, p, c, q, terms)
+    last = _turn(ring, p, c, q)
     return _CROSSING if last < 0 else max(kind, _FLAT if last == 0 else 0)
 
 
 @kernel
-def _is_clear(x, y, p, c, q, ahead, behind, terms, rank):  # type: ignore[no-untyped-def]
+def _is_clear(ring, p, c, q, rank):  # type: ignore[no-untyped-def]
     """Whether a counter-clockwise corner can be cut off."""
+    x, y, ahead, behind = ring.x, ring.y, ring.ahead, ring.behind
     low_x, high_x = min(x[p], x[c], x[q]), max(x[p], x[c], x[q])
     low_y, high_y = min(y[p], y[c], y[q]), max(y[p], y[c], y[q])
     v = ahead[q]
     while v != p:
         if low_x <= x[v] <= high_x and low_y <= y[v] <= high_y:
-            one = _turn(x, y, p, c, v, terms)
-            two = _turn(x, y, c, q, v, terms)
-            three = _turn(x, y, q, p, v, terms)
+            one = _turn(ring, p, c, v)
+            two = _turn(ring, c, q, v)
+            three = _turn(ring, q, p, v)
             if one >= 0 and two >= 0 and three >= 0:
                 zeros = (one == 0) + (two == 0) + (three == 0)
                 if zeros == 0 or (zeros == 1 and rank == 0):
@@ -352,9 +374,9 @@ def _is_clear(x, y, p, c, q, ahead, behind, terms, rank):  # type: ignore[no-unt
                 for w in (behind[v], ahead[v]):
                     # Whether an edge leads from the border inward.
                     if (
-                        (one > 0 or _turn(x, y, p, c, w, terms) > 0)
-                        and (two > 0 or _turn(x, y, c, q, w, terms) > 0)
-                        and (three > 0 or _turn(x, y, q, p, w, terms) > 0)
+                        (one > 0 or _turn(ring, p, c, w) > 0)
+                        and (two > 0 or _turn(ring, c, q, w) > 0)
+                        and (three > 0 or _turn(ring, q, p, w) > 0)
                     ):
                         return False
         v = ahead[v]
@@ -362,8 +384,9 @@ def _is_clear(x, y, p, c, q, ahead, behind, terms, rank):  # type: ignore[no-unt
 
 
 @kernel
-def _crosses(x, y, n, terms):  # type: ignore[no-untyped-def]
+def _crosses(ring, n):  # type: ignore[no-untyped-def]
     """Whether a polygon's outline goes from one side of itself to the other."""
+    x, y = ring.x, ring.y
     for i in range(n):
         j = (i + 1) % n
         low_x, high_x = min(x[i], x[j]), max(x[i], x[j])
@@ -377,34 +400,34 @@ def _crosses(x, y, n, terms):  # type: ignore[no-untyped-def]
                 or min(y[k], y[m]) > high_y
             ):
                 continue
-            k_side, m_side = _turn(x, y, i, j, k, terms), _turn(x, y, i, j, m, terms)
-            i_side, j_side = _turn(x, y, k, m, i, terms), _turn(x, y, k, m, j, terms)
+            k_side, m_side = _turn(ring, i, j, k), _turn(ring, i, j, m)
+            i_side, j_side = _turn(ring, k, m, i), _turn(ring, k, m, j)
             if k_side * m_side < 0 and i_side * j_side < 0:
                 return True
             # A corner of one edge within the other one, or both at one place.
-            within = k_side == 0 and _is_between(x, y, i, k, j)
-            if within and _turn(x, y, i, j, k - 1, terms) * m_side < 0:
+            within = k_side == 0 and _is_between(ring, i, k, j)
+            if within and _turn(ring, i, j, k - 1) * m_side < 0:
                 return True
-            within = i_side == 0 and _is_between(x, y, k, i, m)
-            if within and _turn(x, y, k, m, (i - 1) % n, terms) * j_side < 0:
+            within = i_side == 0 and _is_between(ring, k, i, m)
+            if within and _turn(ring, k, m, (i - 1) % n) * j_side < 0:
                 return True
             if x[i] == x[k] and y[i] == y[k]:
-                before = _side(x, y, (i - 1) % n, i, j, k - 1, terms)
-                if before * _side(x, y, (i - 1) % n, i, j, m, terms) < 0:
+                before = _side(ring, (i - 1) % n, i, j, k - 1)
+                if before * _side(ring, (i - 1) % n, i, j, m) < 0:
                     return True
     return False
 
 
 @kernel
-def _side(x, y, a, b, c, p, terms):  # type: ignore[no-untyped-def]
+def _side(ring, a, b, c, p):  # type: ignore[no-untyped-def]
     """1 where p lies left of the way from a by b to c, -1 where right, 0 where it is on it."""
-    turn = _turn(x, y, a, b, c, terms)
-    one, two = _turn(x, y, a, b, p, terms), _turn(x, y, b, c, p, terms)
-    if turn == 0 and not _is_between(x, y, a, b, c):
+    turn = _turn(ring, a, b, c)
+    one, two = _turn(ring, a, b, p), _turn(ring, b, c, p)
+    if turn == 0 and not _is_between(ring, a, b, c):
         return 0
-    if one == 0 and not _is_between(x, y, a, b, p):
+    if one == 0 and not _is_between(ring, a, b, p):
         return 0
-    if two == 0 and not _is_between(x, y, c, b, p):
+    if two == 0 and not _is_between(ring, c, b, p):
         return 0
     if turn < 0:
         return 1 if one > 0 or two > 0 else -1
@@ -412,14 +435,16 @@ def _side(x, y, a, b, c, p, terms):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _is_between(x, y, a, b, c):  # type: ignore[no-untyped-def]
+def _is_between(ring, a, b, c):  # type: ignore[no-untyped-def]
     """Whether b lies between a and c, which are in line with it, and at neither."""
+    x, y = ring.x, ring.y
     return (x[a] < x[b] < x[c] or x[a] > x[b] > x[c]) or (y[a] < y[b] < y[c] or y[a] > y[b] > y[c])
 
 
 @inlined
-def _turn(x, y, a, b, c, terms):  # type: ignore[no-untyped-def]
+def _turn(ring, a, b, c):  # type: ignore[no-untyped-def]
     """1 where the way from a by b to c turns left, -1 where right, 0 where it is straight."""
+    x, y = ring.x, ring.y
     left = (x[a] - x[c]) * (y[b] - y[c])
     right = (y[a] - y[c]) * (x[b] - x[c])
     area, error = left - right, _ROUNDING * (abs(left) + abs(right))
@@ -429,11 +454,13 @@ def _turn(x, y, a, b, c, terms):  # type: ignore[no-untyped-def]
         return -1
     if error == 0.0:
         return 0
-    return _exact_turn(x[a], y[a], x[b], y[b], x[c], y[c], terms)
+    return _exact_turn(ring, a, b, c)
 
 
 @kernel
-def _exact_turn(ax, ay, bx, by, cx, cy, terms):  # type: ignore[no-untyped-def]
+def _exact_turn(ring, a, b, c):  # type: ignore[no-untyped-def]
+    x, y, terms = ring.x, ring.y, ring.terms
+    ax, ay, bx, by, cx, cy = x[a], y[a], x[b], y[b], x[c], y[c]
     count = _plus(terms, 0, ax, by)
     count = _plus(terms, count, -ax, cy)
     count = _plus(terms, count, -cx, by)

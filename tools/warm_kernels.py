@@ -34,7 +34,7 @@ passes = sys.argv[3].split(",")
 report = render(sys.argv[1], sys.argv[2], spp=2 if "rgb" in passes else None, passes=passes)
 sys.exit(not report.rendered)
 """
-#: A ground, two stones, a camera and a sun: all that annotation tells apart.
+#: A ground that is not convex, two stones, a camera and a sun: all that annotation tells apart.
 _STAGE = """#usda 1.0
 (
     defaultPrim = "World"
@@ -47,9 +47,9 @@ def Xform "World"
 {
     def Mesh "Ground"
     {
-        int[] faceVertexCounts = [3, 3]
-        int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
-        point3f[] points = [(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)]
+        int[] faceVertexCounts = [5]
+        int[] faceVertexIndices = [0, 1, 2, 3, 4]
+        point3f[] points = [(-9, -9, 0), (9, -9, 0), (9, 9, 0), (0, 2, 0), (-9, 9, 0)]
         uniform token subdivisionScheme = "none"
     }
     def PointInstancer "Stones"

@@ -30,7 +30,7 @@ _MOST_SAMPLES = 1_000_000
 def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
     """Reads a stage of scenec's schema, or any other, into flat arrays.
 
-    Accepted of foreign stages: polygons (fan triangulation, with a map back), either handedness,
+    Accepted of foreign stages: polygons (as triangles, with a map back), either handedness,
     Y or Z up, any unit, nested instancers, native instances, mirrored and sheared transforms,
     visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
     primvars, UsdPreviewSurface constants in place of ours. Implicit shapes are tessellated

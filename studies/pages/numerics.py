@@ -8,9 +8,13 @@ Times are single readings on the machine that runs it; errors are facts of the c
 from __future__ import annotations
 
 import time
+from fractions import Fraction
+from itertools import pairwise
 
 import mpmath
 import numpy as np
+from numpy.typing import NDArray
+from outlines import comb
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
@@ -23,7 +27,8 @@ from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.studies.runner import Page, run, table
+from scenec.schemas.polygons import triangulate
+from scenec.studies.runner import Page, run, table, times
 
 from scenes import affine, mesh, scene
 from small import small_cfg, write_cfg
@@ -157,6 +162,53 @@ def spheres(page: Page) -> str:
     )
 
 
+def polygons(page: Page) -> str:
+    """Area, winding and time of the triangles of polygons that are no fans."""
+    rng = np.random.default_rng(0)
+    c = np.array(
+        [(-1, 0), (1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2)], np.float64
+    )
+    outlines: dict[str, NDArray[np.float64]] = {
+        "C, 2 m": c,
+        "C, 2e-9 m": 1e-9 * c,
+        "C, 2e9 m": 1e9 * c,
+        "C, 2 m, 4,000 km from the origin": c + np.array([3e6, -3e6]),
+        "C, 2 m × 2e-9 m": c * np.array([1.0, 1e-9]),
+    }
+    for n in (100, 1000) if page.fast else (100, 1000, 10_000):
+        outlines |= {f"comb, {n:,} corners": np.array(comb(rng, n), np.float64)}
+        angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, n))
+        ring = rng.uniform(0.1, 1.0, n) * np.stack([np.cos(angle), np.sin(angle)])
+        outlines |= {f"star, {n:,} corners": ring.T}
+    rows = []
+    for name, outline in outlines.items():
+        points = np.column_stack([outline, np.zeros(len(outline))])
+        faces, counts = np.arange(len(points)), np.array([len(points)])
+        cost = times(lambda p=points, f=faces, k=counts: triangulate(p, f, k), 3)
+        exact = [(Fraction(x), Fraction(y)) for x, y in outline.tolist()]
+        area = _twice(exact)
+        parts = [_twice([exact[k] for k in corners])
+                 for corners in triangulate(points, faces, counts).corners.tolist()]  # fmt: skip
+        error = abs(sum(map(abs, parts)) - abs(area)) / abs(area)
+        wrong = sum(part * area <= 0 for part in parts)
+        rows.append(
+            [name, f"{len(parts):,}", f"{float(error):g}", wrong, f"{1e3 * min(cost.cpu):.2f}"]
+        )
+    return (
+        "## Polygons as triangles\n\n"
+        "*Error*: of the sum of the triangles' areas, each without its sign, in exact arithmetic. "
+        "Time grows with the square of the corners at worst; a convex quad takes 0.05 µs.\n\n"
+        + table(["polygon", "triangles", "error of area", "wound wrongly", "CPU ms"], rows)
+    )
+
+
+def _twice(outline: list[tuple[Fraction, Fraction]]) -> Fraction:
+    """Twice the signed area."""
+    return sum(
+        (a[0] * b[1] - a[1] * b[0] for a, b in pairwise([*outline, outline[0]])), Fraction(0)
+    )
+
+
 def monte_carlo(page: Page) -> str:
     """Noise of rgb: the estimate in the sidecar, the true error, the time."""
     cfg = small_cfg(samples=1)
@@ -190,7 +242,7 @@ def monte_carlo(page: Page) -> str:
 
 def main(page: Page) -> None:
     """Writes the page."""
-    parts = (elementary_functions, label_lines, spheres, monte_carlo)
+    parts = (elementary_functions, label_lines, spheres, polygons, monte_carlo)
     page.write(HEAD, ("scenec", "numpy", "numba", "mitsuba"), parts)
 
 

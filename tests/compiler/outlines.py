@@ -46,14 +46,17 @@ def untangled(rng: np.random.Generator, corners: int) -> list[Point]:
     """Random points, their tour freed of crossings by turning parts of it round (2-opt)."""
     x, y = rng.integers(-_HALF, _HALF, (2, corners))
     tour = list(dict.fromkeys(zip(x.tolist(), y.tolist(), strict=True)))
-    n, found = len(tour), True
-    while found:
-        found = False
+    n = len(tour)
+    # Of edges in line none may be shorter the other way: those are left to who asks for more.
+    for _ in range(100):
+        turned = False
         for i in range(n - 1):
             for k in range(i + 2, n - (i == 0)):
                 if touch(tour[i], tour[i + 1], tour[k], tour[(k + 1) % n]):
                     tour[i + 1 : k + 1] = tour[i + 1 : k + 1][::-1]
-                    found = True
+                    turned = True
+        if not turned:
+            break
     return tour
 
 
@@ -93,9 +96,11 @@ def keyhole(rng: np.random.Generator, corners: int) -> list[Point]:
         ring = star(rng, int(rng.integers(4, 9)), 150)
         holes.append([(x + middle[0], y + middle[1]) for x, y in ring[::-1]])
     while holes:
-        hole, rest = holes[0], holes[1:]
-        walls = [edge for ring in (outline, *holes) for edge in edges(ring)]
-        pairs = [(a, b) for a in range(len(outline)) for b in range(len(hole))]
+        hole = holes.pop()
+        walls = [edge for ring in (outline, hole, *holes) for edge in edges(ring)]
+        # Where a corner is there twice, it would matter at which place a bridge begins.
+        once = [a for a in range(len(outline)) if outline.count(outline[a]) == 1]
+        pairs = [(a, b) for a in once for b in range(len(hole))]
         pairs.sort(key=lambda p: _square(outline[p[0]], hole[p[1]]))
         for a, b in pairs:
             ends = (outline[a], hole[b])
@@ -105,12 +110,7 @@ def keyhole(rng: np.random.Generator, corners: int) -> list[Point]:
                 break
         else:
             raise AssertionError("no bridge")
-        if outline.count(ends[0]) > 1:
-            # Which of the places of this corner the bridge starts at would matter.
-            holes = [*rest, hole] if rest else []
-            continue
         outline = [*outline[: a + 1], *hole[b:], *hole[: b + 1], *outline[a:]]
-        holes = rest
     return outline
 
 

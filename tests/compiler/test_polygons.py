@@ -114,6 +114,24 @@ def test_a_quad_far_out_of_plane_is_seen_along_its_normal():
     assert cut(quad) == [[0, 1, 2], [0, 2, 3]]
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(4, 12), st.floats(1e-5, 0.05))
+def test_a_polygon_out_of_plane_is_cut_as_it_is_seen_along_its_normal(seed, corners, warp):
+    rng = np.random.default_rng(seed)
+    ring = np.array([(*p, 0.0) for p in SHAPES["star"](rng, corners)])
+    ring[:, 2] = 1000.0 * warp * rng.standard_normal(len(ring))
+    turned = ring @ np.linalg.qr(rng.standard_normal((3, 3)))[0].T
+    found = triangulate(turned, np.arange(len(ring)), np.array([len(ring)]))
+    a, b, c = np.moveaxis(turned[found.corners], 1, 0)
+    normals = np.cross(b - a, c - a)
+    # Any triangles of it have the same sum.
+    newell = np.cross(turned, np.roll(turned, -1, axis=0)).sum(axis=0)
+    assert np.allclose(normals.sum(axis=0), newell, atol=1e-9 * np.abs(newell).max())
+    seen = normals @ newell / (newell @ newell)
+    # Seen obliquely, an outline with thin parts may cross itself.
+    assert found.faults or (seen > -1e-12).all()
+    assert not found.faults or warp > 1e-3
+
+
 C = [(-1, 0), (1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2)]
 
 

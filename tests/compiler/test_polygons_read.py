@@ -138,7 +138,7 @@ def test_off_cut_short_is_refused(tmp_path):
 
 def cfg_with(folder: Path, relief: list, **objects) -> Path:
     cfg = {
-        "version": 1, "name": "c", "samples": 1, 
+        "version": 1, "name": "c", "samples": 1,
         "labels": {"class": {"ground": 1, **dict.fromkeys(objects, 2)}},
         "terrain": {"size_m": [20, 20], "spacing_m": 0.5, "relief": relief,
                     "ground": [{"material": "m", "labels": {"class": "ground"}}]},
