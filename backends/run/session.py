@@ -365,16 +365,16 @@ class Session:
         if why is not None:
             raise BackendError(why)
         # Imported here: few cameras have either.
-        from scenec.backends.picture import subframes
+        from scenec.backends.picture import blur, subframes
 
         caster = self.caster(details["seconds"])
         caster.pose(sample)
         with _timed(details["seconds"], "blur"):
-            blur = subframes.measure(camera, caster)
-        if blur is None:
+            found = blur.measure(camera, caster)
+        if found is None:
             return None
         backend = self._renderer(details["seconds"])
-        drawing = subframes.Drawing(blur, backend, self.scene, sample, caster)
+        drawing = subframes.Drawing(found, backend, self.scene, sample, caster)
         details["blur"] = drawing.facts
         return drawing.draw
 
