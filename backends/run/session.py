@@ -404,7 +404,10 @@ class Session:
             if hits is None:
                 hits = caster.hits(rays)
             made = veil(air, camera, caster, rays, hits.t, radiance.coverage)
-        details["haze"] = {"subsampled_pixels": made.subsampled}
+        details["haze"] = {
+            "subsampled_pixels": made.subsampled,
+            "changing_pixels": made.changing,
+        }
         return made
 
     def _compose(
