@@ -27,6 +27,7 @@ from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
 from scenec.backends.run import memory
 from scenec.backends.run.writer import annotated, annotation_facts, write_frame
+from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
@@ -103,7 +104,7 @@ class Session:
         """A line for each thing in the stage that was not read, or that ``rgb`` leaves out."""
         if self.backend is None:
             return self.scene.losses
-        lines = (*self.scene.losses, *self.backend.losses(self.scene))
+        lines = (*self.scene.losses, *sliding(self.scene), *self.backend.losses(self.scene))
         if any(self.scene.haze):
             from scenec.backends.picture.haze import GOBO_LOSS, LOSS
 
