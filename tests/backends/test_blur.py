@@ -18,6 +18,8 @@ from scenec.backends.camera.shutter import poses_at
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.blur import Blur, measure
 from scenec.backends.picture.subframes import moved_eye
+from scenec.backends.registry import open_backend
+from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.backends.testing.scenes import mesh, scene, surface
 from scenec.schemas.lens import EQUIRECTANGULAR, Lens, shown_at
@@ -191,3 +193,25 @@ def test_a_camera_within_a_thing_asks_for_all_sub_frames_there_may_be() -> None:
     blur = measured(camera, of)
     assert blur.wanted > 10000
     assert np.isfinite(blur.spacing_px(64))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mitsuba", "pyrender"])
+def test_renderers_draw_the_whole_streak_of_a_speck_that_shines(name: str) -> None:
+    """12 pixels of motion, and 2.1 by 0.8 pixels of light spread over it."""
+    f, z = 100.0, 2.0
+    camera = shaken(
+        ahead(144, 72, f), Shutter(0.02), lambda t: ([12.0 * z / f / 0.02 * t, 0.0, 0.0], 0.0)
+    )
+    left, right, top, bottom = (z / f * px for px in (0.1, 2.2, 0.1, 0.9))
+    speck, wall = mesh(*plate(z, left, right, top, bottom)), mesh(*plate(*FAR_WALL))
+    lit = replace(surface((0.0,) * 3), emission=(5.0,) * 3)
+    of = scene([speck, replace(wall, layers=(1,))], [lit, surface((0.0,) * 3)])
+    backend = open_backend(name)
+    rgb, details = Session(of, backend).render(camera, 0, ("rgb",), 256, 1)
+    assert details["blur"]["motion_px"] == pytest.approx(12.0, rel=1e-6)
+    along = rgb["rgb"][..., 0].sum(axis=0, dtype=float)
+    columns = np.flatnonzero(along > 1e-6)
+    assert along.sum() == pytest.approx(5.0 * 2.1 * 0.8, rel=0.15)
+    assert columns.min() in (66, 67)
+    assert columns.max() in (79, 80)
