@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import angle_between, camera_rays, to_world
 from scenec.backends.camera.shutter import poses_at
-from scenec.backends.camera.tiles import bands
+from scenec.backends.camera.tiles import bands, coarse
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.nearest import Pyramids, nearest
 from scenec.backends.stage.scene import Camera, Focus
@@ -265,8 +265,10 @@ def _farthest_hit(
     far = 0.0
     for pose in poses:
         view = replace(camera, camera_to_world=pose)
-        for rows in bands(view):
-            rays = camera_rays(view, rows)
+        # Most pictures show sky, and a few rays tell.
+        few = coarse(view, TILES[0] * TILES[1])
+        for one, rows in ((few, range(few.height)), *((view, rows) for rows in bands(view))):
+            rays = camera_rays(one, rows)
             known = None if rays.known is None else np.flatnonzero(rays.known)
             far = max(far, float(caster.cast(rays, known)[2].max(initial=0.0)))
             if far == math.inf:
