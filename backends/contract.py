@@ -72,7 +72,7 @@ class Radiance:
             estimate: its halves are equal, and its error is unknown.
         background: Sky and suns behind each half's surfaces, premultiplied, and both as haze lets
             them through, float32 [2, h, w, 3]: of a mean over several cameras
-            (``backends.subframes``), each of which sees another sky. None, as backends return it:
+            (``picture.subframes``), each of which sees another sky. None, as backends return it:
             what is behind is drawn later.
     """
 

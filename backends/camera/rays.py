@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.camera.shutter import is_rolling, row_poses
+from scenec.backends.camera.shutter import is_rolling, poses_at, row_poses
 from scenec.backends.contract import Rays
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.lens import directions as lens_directions
@@ -80,6 +80,25 @@ def _lens_rays(camera: Camera, rows: range) -> Rays:
             depth[part] = local[:, 2]
     missing = None if known.all() else known
     return Rays(origins, out, (height, width), depth, missing)
+
+
+def rays_at(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> Rays:
+    """One ray through each of some points of the picture, as ``camera_rays``' through centers.
+
+    Args:
+        camera: With a rolling shutter as it is while what is at ``v`` is exposed.
+        u, v: Columns and rows, pixels, float64 [n].
+    """
+    x, y = to_plane(camera.intrinsics, u, v)
+    local, known = lens_directions(camera.lens, x, y)
+    poses, held = camera.camera_to_world, camera.shutter
+    if held is not None and is_rolling(camera):
+        poses = poses_at(held, held.shutter.middles(v, camera.height))
+    origins = np.empty_like(local)
+    origins[:] = poses[..., :3, 3]
+    depth = None if camera.lens is None or camera.lens.planar else local[:, 2]
+    missing = None if known.all() else known
+    return Rays(origins, to_world(poses, local), (len(u), 1), depth, missing)
 
 
 def to_world(poses: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:

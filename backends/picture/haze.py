@@ -15,7 +15,8 @@ T and A are those of the pixel's center. Where T changes within the 3x3 window t
 the pixel of what is linear between centers, and where it changes most means over several rays, of
 those that meet something. A renderer's pixel is one number, so all of its light is weakened alike
 there: the error is the covariance of L and T in the pixel, and 0 where either is constant (measured
-in ``tests/backends/test_haze.py``).
+in ``tests/backends/test_haze.py``). What meets none of the nine centers, as a wire between two rows
+of pixels does, is weakened as what is behind it.
 """
 
 from __future__ import annotations
@@ -76,6 +77,7 @@ class Veil:
         behind: As ``transmittance``, of what is behind surfaces; 1 where they hide it.
         airlight_behind: As ``airlight``, likewise.
         subsampled: Pixels in which several rays were cast.
+        changing: Pixels where transmittance changes within, as their neighbors tell.
     """
 
     transmittance: NDArray[np.float64]
@@ -83,6 +85,7 @@ class Veil:
     behind: NDArray[np.float64]
     airlight_behind: NDArray[np.float64]
     subsampled: int
+    changing: int = 0
 
     def over(
         self, light: NDArray[np.float64], coverage: NDArray[np.float64]
@@ -217,8 +220,10 @@ def veil(
     hit, covered = np.isfinite(t).reshape(rays.shape), coverage > 0.0
     passed, added, changes = _between_centers(passed, added, hit, covered, edges)
     index = np.zeros(0, np.int64)
+    changing = 0
     if edges:
         index = np.flatnonzero(changes.ravel() > _STEP)
+        changing = len(index)
         most = int(_SHARE * len(t)) // SUBRAYS
         if len(index) > most:
             order = np.argsort(-changes.ravel()[index], kind="stable")
@@ -236,7 +241,7 @@ def veil(
     passed, added, behind, before = (
         part.reshape(*rays.shape, 3) for part in (passed, added, behind, before)
     )
-    return Veil(passed, added, behind, before, len(index))
+    return Veil(passed, added, behind, before, len(index), changing)
 
 
 def _through(

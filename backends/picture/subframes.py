@@ -19,10 +19,10 @@ that of times and points included.
 
 What is approximated: few sub-frames show blur as that many sharp copies; how far these are apart
 is stated in pixels (``Blur.spacing_px``). Rows whose exposure is so short that sub-frames of it
-alone would be too many (an instant above all) are exposed for longer: by ``QUANTUM_PX`` of motion
-at most, unless ``MOST`` asks for more, which is stated, too. Only cameras move: objects and lights
-stand as at the sample. Distances that blur is measured by are those of ``SIGHT`` rays: a nearer
-thing between them may move farther than what is stated.
+alone would be too many (an instant above all) are exposed for longer: by
+``blur.QUANTUM_PX`` of motion at most, unless ``blur.MOST`` asks for more, which is stated, too.
+Only cameras move: objects and lights stand as at the sample. How far things move and how wide they
+are blurred is measured by ``blur``, which misses nothing that is seen.
 """
 
 from __future__ import annotations
@@ -41,86 +41,18 @@ from scenec.backends.camera.shutter import poses_at
 from scenec.backends.camera.tiles import bands, crop
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.picture.blur import MOST, Blur
 from scenec.backends.picture.compose import background
 from scenec.backends.picture.sky import combine
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
-from scenec.schemas.lens import project, to_pixels
-from scenec.schemas.shutter import Shutter
 
 if TYPE_CHECKING:
     from scenec.backends.picture.airlight import Air
 
-#: How far copies may be apart where there are enough samples for more of them, pixels: without
-#: a rolling shutter, and with one.
-SPACING_PX = 1.0
-ROLLING_PX = 0.5
-#: Motion while a row is exposed that may be added to it, pixels.
-QUANTUM_PX = 0.5
-#: Sub-frames of a half at most.
-MOST = 1024
-#: Rays that distances are measured with, columns and rows.
-SIGHT = (48, 36)
-#: Motion below it, pixels, of all that is seen from the first light to the last, is none.
-STILL_PX = 1e-4
-#: Steps of time in which motion is measured.
-_STEPS = 64
 #: Fractional parts of a sequence that fills the unit square evenly, and of a spiral's turns.
 _R2 = (0.7548776662466927, 0.5698402909980532)
 _GOLDEN = 0.6180339887498949
-
-
-@dataclass(frozen=True, eq=False)
-class Blur:
-    """What a camera's shutter and aperture do to its picture.
-
-    Attributes:
-        camera: The camera.
-        shutter: Its rows' exposures as they are drawn; None: it stands still.
-        focus: Its aperture; None: all is sharp.
-        motion_px: The farthest that anything seen moves while a row is exposed.
-        disk_px: The widest circle of confusion, its diameter.
-        widened_px: Motion during what was added to the exposures.
-    """
-
-    camera: Camera
-    shutter: Shutter | None
-    focus: Focus | None
-    motion_px: float
-    disk_px: float
-    widened_px: float
-
-    @property
-    def wanted(self) -> int:
-        """Sub-frames of a row, in each half, that are as near as they may be wished."""
-        rolling = self.shutter is not None and self.shutter.readout_s > 0.0
-        along = math.ceil(self.motion_px / (ROLLING_PX if rolling else SPACING_PX) - 1e-9)
-        return max(1, along, math.ceil(self._disks / SPACING_PX**2 - 1e-9))
-
-    def spacing_px(self, count: int) -> float:
-        """How far neighbors among so many copies are apart where blur is widest."""
-        if self.disk_px == 0.0:
-            return self.motion_px / count
-        along = self.motion_px / count
-        return max(along, min(math.sqrt(self._disks / count), self.disk_px + self.motion_px))
-
-    def timing_px(self, count: int) -> float:
-        """How far rows are moved because all are early or late, standard deviation of the mean."""
-        if self.shutter is None or self.shutter.readout_s <= 0.0:
-            return 0.0
-        return self.motion_px / count / math.sqrt(24.0)
-
-    @property
-    def bands(self) -> float:
-        """Sub-frames of a half for each sub-frame of a row."""
-        if self.shutter is None or self.shutter.exposure_s <= 0.0:
-            return 1.0
-        return 1.0 + self.shutter.readout_s / self.shutter.exposure_s
-
-    @property
-    def _disks(self) -> float:
-        """What copies of a point are spread over, square pixels."""
-        return 0.25 * math.pi * self.disk_px**2 + self.disk_px * self.motion_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,104 +83,6 @@ class Share:
     each: int
 
 
-def measure(camera: Camera, caster: ExactCaster) -> Blur | None:
-    """What a camera's shutter and aperture do; None: nothing, it is a pinhole that stands still.
-
-    Args:
-        camera: The camera.
-        caster: Posed as at the sample: distances decide how far things move and how wide they are
-            blurred.
-    """
-    focus = camera.focus
-    if focus is not None and focus.aperture_radius_m <= 0.0:
-        focus = None
-    opened = camera.shutter
-    if focus is None and (opened is None or opened.shutter.half_span <= 0.0):
-        return None
-    still = replace(camera, shutter=None, focus=None)
-    points, depth = _sight(still, caster)
-    disk = 0.0
-    if focus is not None:
-        focal = float(max(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
-        inverse = np.abs(1.0 / focus.distance_m - 1.0 / depth)
-        disk = 2.0 * focus.aperture_radius_m * focal * float(inverse.max())
-    shutter, motion, widened = None, 0.0, 0.0
-    if opened is not None and opened.shutter.half_span > 0.0:
-        times = np.linspace(-1.0, 1.0, _STEPS + 1) * opened.shutter.half_span
-        way = _ways(still, points, poses_at(opened, times))
-        if float(way[:, -1].max()) > STILL_PX:
-            shutter = _widened(opened.shutter, camera.height, way, times)
-            motion = _farthest(way, times, shutter.exposure_s)
-            widened = max(0.0, motion - _farthest(way, times, opened.shutter.exposure_s))
-    if shutter is None and focus is None:
-        return None
-    return Blur(camera, shutter, focus, motion, disk, widened)
-
-
-def _sight(camera: Camera, caster: ExactCaster) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What a camera sees on a lattice, homogeneous world points [n, 4], and depths, +inf for sky.
-
-    Of the sky it is directions.
-    """
-    columns, rows = min(SIGHT[0], camera.width), min(SIGHT[1], camera.height)
-    k = camera.intrinsics.copy()
-    k[0] *= columns / camera.width
-    k[1] *= rows / camera.height
-    rays = camera_rays(replace(camera, width=columns, height=rows, intrinsics=k))
-    t = caster.cast(rays)[2]
-    hit = np.isfinite(t)
-    along = np.where(hit, t, 1.0)[:, None] * rays.directions
-    points = np.column_stack([along + np.where(hit[:, None], rays.origins, 0.0), hit])
-    depth = t if rays.depth is None else np.where(hit, t * rays.depth, np.inf)
-    if rays.known is not None:
-        points, depth = points[rays.known], depth[rays.known]
-    # Of pictures that show nothing at all.
-    return (points, depth) if len(points) else (np.array([[0.0, 0, 0, 1]]), np.array([np.inf]))
-
-
-def _ways(
-    camera: Camera, points: NDArray[np.float64], poses: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How far each point has moved in the picture at each pose, pixels, float64 [n, poses]."""
-    pixels = np.empty((len(poses), len(points), 2))
-    for i, pose in enumerate(poses):
-        local = points[:, :3] - points[:, 3:] * pose[:3, 3]
-        seen = np.stack([(local * pose[:3, axis]).sum(axis=1) for axis in range(3)], axis=1)
-        plane, shown = project(camera.lens, seen)
-        pixels[i] = to_pixels(camera.intrinsics, plane)
-        pixels[i, ~shown] = np.nan
-    # Only what is in the picture counts, but its border moves, too.
-    inside = (pixels >= -1.0).all(axis=2)
-    inside &= (pixels <= np.array([camera.width, camera.height]) + 1.0).all(axis=2)
-    steps = np.sqrt(((pixels[1:] - pixels[:-1]) ** 2).sum(axis=2))
-    steps[~(inside[1:] | inside[:-1])] = 0.0
-    # What goes out of a panorama on one side comes back on the other.
-    steps[np.isnan(steps) | (steps > 0.5 * max(camera.width, camera.height))] = 0.0
-    return np.concatenate([np.zeros((1, len(points))), np.cumsum(steps, axis=0)]).T
-
-
-def _farthest(way: NDArray[np.float64], times: NDArray[np.float64], duration: float) -> float:
-    """The farthest that any point moves in so much time, from any of the times on."""
-    ends = np.minimum(times + duration, times[-1])
-    low = np.clip(np.searchsorted(times, ends, side="right") - 1, 0, len(times) - 2)
-    share = (ends - times[low]) / (times[low + 1] - times[low])
-    after = (1.0 - share) * way[:, low] + share * way[:, low + 1]
-    return float((after - way).max(initial=0.0))
-
-
-def _widened(
-    shutter: Shutter, height: int, way: NDArray[np.float64], times: NDArray[np.float64]
-) -> Shutter:
-    """With exposures long enough for rows to share sub-frames."""
-    if shutter.readout_s <= 0.0:
-        return shutter
-    speed = float((np.diff(way, axis=1) / np.diff(times)).max())
-    # At most all of the motion there is: a picture that hardly moves is one sub-frame.
-    shared = min(QUANTUM_PX / speed, shutter.readout_s)
-    least = max(shutter.readout_s / height, shutter.readout_s / (MOST - 2), shared)
-    return replace(shutter, exposure_s=max(shutter.exposure_s, least))
-
-
 def share_out(blur: Blur, spp: int, stochastic: bool, most: int = MOST) -> Share:
     """How many sub-frames there are for so many samples, and how many samples each has.
 
@@ -267,7 +101,7 @@ def sub_frames(blur: Blur, count: int, seed: int, half: int) -> Iterator[SubFram
     """Sub-frames of a half, in order of time.
 
     Args:
-        blur: From ``measure``.
+        blur: From ``blur.measure``.
         count: Of each row.
         seed: Of the picture's numbers.
         half: Which half.
@@ -349,7 +183,7 @@ class Drawing:
     """Draws the pictures of one frame of a camera with a shutter or an aperture.
 
     Args:
-        blur: From ``measure``.
+        blur: From ``blur.measure``.
         backend: Loaded.
         scene: For what is behind surfaces, and haze.
         sample: Time code.
@@ -488,6 +322,8 @@ def _facts(blur: Blur, halves: int) -> dict[str, Any]:
         "aperture_radius_m": None if blur.focus is None else blur.focus.aperture_radius_m,
         "focus_distance_m": None if blur.focus is None else blur.focus.distance_m,
         "circle_of_confusion_px": blur.disk_px,
+        "nearest_m": blur.nearest_m if math.isfinite(blur.nearest_m) else None,
+        "gap_px": blur.gap_px,
         "sub_frames": 0,
         "sub_frames_per_row": 0,
         "sub_frames_wanted_per_row": halves * blur.wanted,

@@ -27,6 +27,7 @@ from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
 from scenec.backends.run import memory
 from scenec.backends.run.writer import annotated, annotation_facts, write_frame
+from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
@@ -103,7 +104,7 @@ class Session:
         """A line for each thing in the stage that was not read, or that ``rgb`` leaves out."""
         if self.backend is None:
             return self.scene.losses
-        lines = (*self.scene.losses, *self.backend.losses(self.scene))
+        lines = (*self.scene.losses, *sliding(self.scene), *self.backend.losses(self.scene))
         if any(self.scene.haze):
             from scenec.backends.picture.haze import GOBO_LOSS, LOSS
 
@@ -365,16 +366,16 @@ class Session:
         if why is not None:
             raise BackendError(why)
         # Imported here: few cameras have either.
-        from scenec.backends.picture import subframes
+        from scenec.backends.picture import blur, subframes
 
         caster = self.caster(details["seconds"])
         caster.pose(sample)
         with _timed(details["seconds"], "blur"):
-            blur = subframes.measure(camera, caster)
-        if blur is None:
+            found = blur.measure(camera, caster)
+        if found is None:
             return None
         backend = self._renderer(details["seconds"])
-        drawing = subframes.Drawing(blur, backend, self.scene, sample, caster)
+        drawing = subframes.Drawing(found, backend, self.scene, sample, caster)
         details["blur"] = drawing.facts
         return drawing.draw
 
@@ -404,7 +405,10 @@ class Session:
             if hits is None:
                 hits = caster.hits(rays)
             made = veil(air, camera, caster, rays, hits.t, radiance.coverage)
-        details["haze"] = {"subsampled_pixels": made.subsampled}
+        details["haze"] = {
+            "subsampled_pixels": made.subsampled,
+            "changing_pixels": made.changing,
+        }
         return made
 
     def _compose(

@@ -35,3 +35,17 @@ def moving(scene: RenderScene) -> NDArray[np.bool_]:
     if scene.rows.motion is not None:
         moves[scene.rows.motion.rows] = True
     return moves
+
+
+def sliding(scene: RenderScene) -> tuple[str, ...]:
+    """A line for each mesh whose pictures stay in the world while it moves."""
+    numbers = np.unique(scene.rows.mesh[moving(scene)])
+    found = {}
+    for mesh in (scene.meshes[n] for n in numbers.tolist()):
+        for maps in (scene.surfaces[layer].maps for layer in mesh.layers):
+            if maps is not None and maps.projection != "uv":
+                found[mesh.path] = (
+                    f"{mesh.path}: moves, and its pictures, projected {maps.projection}, stay in "
+                    "the world: they slide over it; pictures by texture coordinates (uv) do not"
+                )
+    return tuple(found.values())

@@ -292,7 +292,8 @@ def density_at(
     cut = _DEPTH * min(0.4 + 2.0 * share, 1.0)
     if inside < cut:
         billow = 0.0
-        x, y, z = east, north, above_m
+        # Where the pattern is moved, billows go with it.
+        x, y, z = east - layer.pattern.east_m, north - layer.pattern.north_m, above_m
         for octave in range(3):
             size = _BILLOWS[octave] * layer.size_m
             if octave and size < 2.0 * footprint_m:

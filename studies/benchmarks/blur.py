@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact import ExactCaster
+from scenec.backends.picture.blur import measure
 from scenec.backends.picture.compose import Picture, compose
-from scenec.backends.picture.subframes import Drawing, measure
+from scenec.backends.picture.subframes import Drawing
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.backends.testing.scenes import dome, look_at, mesh, plane, scene, sun, surface

@@ -11,7 +11,8 @@ from blur_scenes import Flat, ahead, of_plates, picture, plate, session
 from numpy.typing import NDArray
 
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.subframes import measure, moved_eye
+from scenec.backends.picture.blur import measure
+from scenec.backends.picture.subframes import moved_eye
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, Haze, Lighting, RenderScene, Sun
 from scenec.backends.testing.scenes import dome, mesh, scene, surface

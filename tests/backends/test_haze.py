@@ -218,7 +218,9 @@ def test_a_pixel_across_an_edge_has_the_mean_of_both_sides(part, monkeypatch):
     _, made = seen(scene, camera, haze(300.0), None)
     assert abs(made.transmittance[4, 4, 0] - (part * far + (1.0 - part) * near)) < 0.4
     assert near > made.transmittance[4, 4, 0] > far
+    # What the budget leaves out is counted.
     assert made.subsampled == 0
+    assert made.changing > 0
 
 
 def test_the_error_at_edges_is_the_covariance_of_light_and_transmittance(monkeypatch):

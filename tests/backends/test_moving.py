@@ -9,13 +9,15 @@ import moving_stages as ms
 import numpy as np
 import pytest
 import scenes
+from blur_scenes import Flat
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
+from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
-from scenec.backends.stage.scene import Motion, RenderScene
+from scenec.backends.stage.scene import DEFAULT_SURFACE, Maps, Motion, RenderScene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -240,6 +242,24 @@ def test_a_posed_caster_is_one_of_the_posed_scene_whatever_the_matrices():
             assert same(a, b)
         np.testing.assert_array_equal(caster.geometry.row_spheres, fresh.geometry.row_spheres)
     assert np.count_nonzero(caster.cast(rays)[0] >= 0) > 300
+
+
+@pytest.mark.parametrize("projection", ["above", "triplanar", "uv"])
+def test_pictures_that_stay_in_the_world_while_their_mesh_moves_are_a_loss(projection):
+    """They would slide over it, where flow says that the surface moves."""
+    look = dataclasses.replace(
+        DEFAULT_SURFACE, maps=Maps(1.0, Path("wood.png"), projection=projection)
+    )
+    points, faces = np.eye(3), np.array([[0, 1, 2]])
+    made = scenes.scene([scenes.mesh(points, faces)], [(0, scenes.affine())] * 2)
+    path = np.stack([made.rows.to_world[1:]] * 2)
+    path[1, 0, 0, 3] = 1.0
+    rows = dataclasses.replace(made.rows, motion=Motion(np.array([1], np.int32), path))
+    meshes = (dataclasses.replace(made.meshes[0], layers=(0,)),)
+    moved = dataclasses.replace(made, meshes=meshes, surfaces=(look,), rows=rows, samples=2)
+    assert sliding(dataclasses.replace(moved, rows=made.rows)) == ()
+    lines = Session(moved, Flat()).losses
+    assert [line.split(":")[0] for line in lines] == ([] if projection == "uv" else ["/World/Mesh"])
 
 
 def test_instancers_move_as_usd_says(tmp_path):

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from scenec.backends.camera.shutter import poses_at
 from scenec.backends.camera.tiles import crop
 from scenec.backends.exact import ExactCaster
+from scenec.backends.picture import blur as measuring
 from scenec.backends.picture import subframes
 from scenec.backends.picture.adaptive import Target
-from scenec.backends.picture.subframes import Blur, measure, share_out, sub_frames
+from scenec.backends.picture.blur import Blur, measure
+from scenec.backends.picture.subframes import share_out, sub_frames
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, Haze, OpenShutter
 from scenec.backends.testing.scenes import dome, mesh, scene, surface
@@ -122,7 +124,7 @@ def test_an_instant_of_each_row_is_widened_by_no_more_than_is_said() -> None:
     arrays, details = made.render(camera, 0, ("rgb",), 32, 1)
     facts = details["blur"]
     assert facts["exposure_s"] == 0.0
-    assert facts["exposure_widened_px"] <= subframes.QUANTUM_PX + 1e-9
+    assert facts["exposure_widened_px"] <= measuring.QUANTUM_PX + 1e-9
     wanted = 16.0 - 200.0 * shutter.middles(np.arange(24) + 0.5, 24)
     off = edges(arrays["rgb"][..., 0]) - wanted
     assert np.abs(off).max() <= 0.5 * facts["exposure_widened_px"] + 0.2

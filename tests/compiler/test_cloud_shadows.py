@@ -54,6 +54,25 @@ def from_disc(place, way, cumulus, cirrus, count=60) -> float:
     return total / count
 
 
+def test_shadows_of_a_layer_moved_by_texels_are_the_same_texels_elsewhere():
+    up = np.array([0.0, 0.0, 1.0])
+    layer = heaps(0.45)
+    land = Land((-8000.0, -8000.0, -20.0), (8000.0, 8000.0, 60.0), 0.0)
+    still = cloud_shadows(up, RADIUS, layer, no_cirrus(), land)
+    assert still is not None
+    # East is along the picture's first axis or its second, this way or that.
+    east, north = 5.0 * still.texel_m * facing(up)[:2, 0]
+    moved = cloud_shadows(
+        up, RADIUS,
+        layer._replace(pattern=layer.pattern._replace(east_m=east, north_m=north)),
+        no_cirrus(), land,
+    )  # fmt: skip
+    assert moved is not None
+    before, after = (made.picture.astype(int) for made in (still, moved))
+    assert np.ptp(before) > 20000
+    assert np.abs(after[:, 5:] - before[:, :-5]).max() <= 1
+
+
 @pytest.mark.parametrize(("elevation", "coverage"), [(80.0, 0.45), (40.0, 0.45), (12.0, 0.15)])
 def test_shadows_lie_where_beams_from_the_suns_disc_are_stopped(elevation, coverage):
     """At places of any height, against beams to all of the disc: softer by what is stated."""

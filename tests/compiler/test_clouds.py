@@ -105,6 +105,26 @@ def test_the_tallest_cumulus_has_the_optical_depth_that_is_asked_for():
     assert -np.log(beam_left(UP, 0.0, 0.0, layer, no_cirrus())) == pytest.approx(3.0, rel=0.2)
 
 
+@pytest.mark.parametrize("layer", ["cumulus", "cirrus"])
+def test_a_layer_that_is_moved_is_the_same_layer_elsewhere(layer: str):
+    """Pattern and billows alike: beams through it and rays at it find what they found."""
+    move = numbers(2817.0, -911.0)
+    cumulus, cirrus = no_cumulus(), no_cirrus()
+    moved_cumulus, moved_cirrus = cumulus, cirrus
+    if layer == "cumulus":
+        cumulus = CumulusField(plan := cumulus_plan(optical_depth=numbers(4.0))).at(0)
+        moved_cumulus = CumulusField(replace(plan, offset_m=move[None])).at(0)
+    else:
+        cirrus = CirrusField(cirrus_plan()).at(0)
+        moved_cirrus = CirrusField(cirrus_plan(offset_m=move[None])).at(0)
+    places = np.random.default_rng(4).uniform(-9000.0, 9000.0, (300, 2))
+    way = numbers(0.36, -0.48, 0.8)
+    still = np.array([beam_left(way, *place, cumulus, cirrus) for place in places])
+    moved = np.array([beam_left(way, *p, moved_cumulus, moved_cirrus) for p in places + move])
+    assert np.ptp(still) > 0.1
+    assert moved == pytest.approx(still, abs=1e-5)
+
+
 @pytest.mark.parametrize(("depth", "mu"), [(5.0, 0.6), (20.0, 1.0), (20.0, 0.3), (80.0, 0.6)])
 def test_a_slab_throws_back_what_a_slab_does(depth: float, mu: float):
     """Straight up from a slab, against its reflectance by Eddington's approximation over pi."""
