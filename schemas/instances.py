@@ -24,7 +24,7 @@ Columns of the CSV, one line an instance that is seen in at least one pixel, asc
                                vertices lie before the camera and within the continued picture
 ``cam_x`` ... ``cam_qw``       pose in the camera's frame
 ``x`` ... ``qw``               pose in the world
-``size_x`` ... ``size_z``      extent of its bounding box, meters
+``size_x`` ... ``size_z``      extent of its bounding box at this sample, meters
 ``box_x``, ``box_y``, ``box_z``  middle of its bounding box in the object's frame, meters
 
 Amodal areas are as exact as ``pixels``: the same ray through the same pixel's center, with one
@@ -83,13 +83,18 @@ class InstanceTable:
         labels: Per level, the label id that all faces share, 0 where they differ, uint32 [n, l].
         position: World, meters, float64 [n, 3]; at the first sample where it moves.
         quaternion: (x, y, z, w), float32 [n, 4]; likewise.
-        scale: Of the mesh's axes, float32 [n, 3]; x is below 0 where it is mirrored.
+        scale: Of the mesh's axes, float32 [n, 3]; x is below 0 where it is mirrored. Of the first
+            sample that shows it.
         box: Lower and upper corner of the bounding box in the object's frame, meters, float32
-            [n, 2, 3].
-        moving: Which move (or are hidden at some sample): indices into these arrays, int64 [k].
+            [n, 2, 3]; likewise.
+        moving: Which move (or are hidden, or of another size, at some sample): indices into these
+            arrays, int64 [k].
         moving_position: Of these at each sample, float64 [samples, k, 3].
         moving_quaternion: Likewise, float32 [samples, k, 4].
         moving_shown: Whether they are there, bool [samples, k].
+        moving_scale: Their scales at each sample, float32 [samples, k, 3]; None where all instances
+            keep theirs, and their boxes.
+        moving_box: Likewise, float32 [samples, k, 2, 3].
     """
 
     stage_digest: str
@@ -107,6 +112,8 @@ class InstanceTable:
     moving_position: NDArray[np.float64]
     moving_quaternion: NDArray[np.float32]
     moving_shown: NDArray[np.bool_]
+    moving_scale: NDArray[np.float32] | None = None
+    moving_box: NDArray[np.float32] | None = None
 
     def pose(self, sample: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """Positions [n, 3] and quaternions [n, 4] at a sample."""
@@ -116,11 +123,21 @@ class InstanceTable:
             quaternion[self.moving] = self.moving_quaternion[sample]
         return position, quaternion
 
+    def size(self, sample: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Scales [n, 3] and boxes [n, 2, 3] at a sample."""
+        scale, box = self.scale.copy(), self.box.copy()
+        if self.moving_scale is not None and self.moving_box is not None:
+            scale[self.moving] = self.moving_scale[sample]
+            box[self.moving] = self.moving_box[sample]
+        return scale, box
 
+
+#: In a table only where some instance changes its size.
+_OPTIONAL = ("moving_scale", "moving_box")
 _ARRAYS = tuple(
     name
     for name in InstanceTable.__annotations__
-    if name not in ("stage_digest", "classes", "levels")
+    if name not in ("stage_digest", "classes", "levels", *_OPTIONAL)
 )
 
 
@@ -137,6 +154,8 @@ def write_table(path: Path, table: InstanceTable) -> None:
         "levels": np.array(table.levels, np.str_),
         **{name: getattr(table, name) for name in _ARRAYS},
     }
+    if table.moving_scale is not None and table.moving_box is not None:
+        arrays.update(moving_scale=table.moving_scale, moving_box=table.moving_box)
     with atomic(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -169,6 +188,7 @@ def read_table(path: Path) -> InstanceTable:
                 tuple(map(str, arrays["classes"])),
                 tuple(map(str, arrays["levels"])),
                 **{name: arrays[name] for name in _ARRAYS},
+                **{name: arrays[name] for name in _OPTIONAL if name in arrays},
             )
     except FileNotFoundError as error:
         raise FrameError(f"{path}: no such table; render with the pass instance") from error

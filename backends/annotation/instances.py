@@ -5,7 +5,6 @@ The columns, and what they mean: ``scenec.schemas.instances``, which also reads 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,8 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.outlines import Outliner
+from scenec.backends.annotation.poses import (
+    Poses,
+    composed,
+    decomposed,
+    inverses_or_identity,
+    quaternions,
+)
 from scenec.backends.contract import Rays
-from scenec.backends.exact.bvh import Geometry, inverses
+from scenec.backends.exact.bvh import Geometry
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
 from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
@@ -29,23 +35,8 @@ from scenec.schemas.instances import (
 from scenec.schemas.kernels import kernel
 
 _IDENTITY = np.eye(4)[:3]
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Where instances are.
-
-    Attributes:
-        position: float64 [n, 3].
-        rotation: float64 [n, 3, 3], proper.
-        scale: float64 [n, 3].
-        linear: From the object's own units to its axes in meters, rotation^T M, float64 [n, 3, 3].
-    """
-
-    position: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    linear: NDArray[np.float64]
+#: By how much of itself an instance that only turns may seem to change its size: rounding.
+_SAME_SIZE = 2e-6
 
 
 @dataclass(frozen=True)
@@ -86,20 +77,25 @@ class Instances:
         self.slot_of_row = np.full(len(rows.mesh), -1, np.int32)
         self.slot_of_row[self._rows] = slots
         self._lead = self._rows[starts]
-        self._inverse = _inverses(scene.parts)
+        self._inverse = inverses_or_identity(scene.parts)
         self._lead_part = self._part[starts]
-        local_low, local_high = self._local_boxes()
-        poses = self.poses(np.arange(len(starts)), self._shown_first())
-        center = (poses.linear * (0.5 * (local_low + local_high))[:, None, :]).sum(axis=2)
-        half = (np.abs(poses.linear) * (0.5 * (local_high - local_low))[:, None, :]).sum(axis=2)
-        self._scale = poses.scale
-        self._box = np.stack([center - half, center + half], axis=1)
+        loose = (self._part < 0) & (self._rows != self._lead[slots])
+        self._loose = np.flatnonzero(loose)
+        self._local: tuple[int, NDArray[np.float64]] | None = None
+        every, first = np.arange(len(starts)), self._shown_first()
+        poses = self.poses(every, first)
+        self._scale, self._box = poses.scale, _boxes(poses.linear, self._local_boxes(0))
+        #: Instances whose scale or box is another at some sample, bool [n].
+        self._resized = self._find_resized()
+        for sample in np.unique(first[self._resized]).tolist():
+            which = np.flatnonzero(self._resized & (first == sample))
+            self._box[which] = _boxes(poses.linear[which], self._local_boxes(sample)[which])
         self._labels = self._find_labels()
         bases = np.array(list(scene.instance_paths.values()) or [0], np.int64)
         self._classes = tuple(scene.instance_paths) or ("",)
         of_class = np.searchsorted(bases, self.ids.astype(np.int64), side="left") - 1
         self._class: NDArray[np.int32] = np.maximum(of_class, 0).astype(np.int32)
-        self._local = (self.ids.astype(np.int64) - bases[self._class]).astype(np.uint32)
+        self._local_id = (self.ids.astype(np.int64) - bases[self._class]).astype(np.uint32)
 
     def poses(self, which: NDArray[np.int64], sample: int | NDArray[np.int64]) -> Poses:
         """Where some instances are.
@@ -116,8 +112,8 @@ class Instances:
             matrix[moves] = motion.to_world[np.broadcast_to(sample, lead.shape)[moves], at]
         part = self._lead_part[which]
         inner = np.flatnonzero(part > 0)
-        matrix[inner] = _composed(matrix[inner], self._inverse[part[inner]])
-        return _decomposed(matrix)
+        matrix[inner] = composed(matrix[inner], self._inverse[part[inner]])
+        return decomposed(matrix)
 
     def table(self) -> InstanceTable:
         """All of them, for ``schemas.instances.write_table``."""
@@ -125,16 +121,24 @@ class Instances:
         every = np.arange(len(self.ids))
         poses = self.poses(every, 0)
         motion = scene.rows.motion
-        moving = np.zeros(0, np.int64) if motion is None else motion.among(self._lead)[0]
+        moves = self._resized.copy()
+        if motion is not None:
+            moves[motion.among(self._lead)[0]] = True
+        moving = np.flatnonzero(moves)
         paths = [self.poses(moving, s) for s in range(scene.samples)] if len(moving) else []
         shape = (scene.samples if len(moving) else 0, len(moving))
+        sizes: dict[str, NDArray[np.float32]] = {}
+        if self._resized.any():
+            found = [self._sizes(moving, s) for s in range(scene.samples)]
+            sizes["moving_scale"] = np.array([scale for scale, _ in found], np.float32)
+            sizes["moving_box"] = np.array([box for _, box in found], np.float32)
         return InstanceTable(
             scene.digest,
             self._classes,
             scene.levels,
             self.ids,
             self._class,
-            self._local,
+            self._local_id,
             self._labels,
             poses.position,
             quaternions(poses.rotation).astype(np.float32),
@@ -144,6 +148,7 @@ class Instances:
             np.array([p.position for p in paths]).reshape(*shape, 3),
             np.array([quaternions(p.rotation) for p in paths], np.float32).reshape(*shape, 4),
             np.array([(p.linear != 0.0).any(axis=(1, 2)) for p in paths], bool).reshape(shape),
+            **sizes,
         )
 
     @cached_property
@@ -191,7 +196,7 @@ class Instances:
         table = {
             "id": self.ids[which],
             "class": np.array(self._classes, np.str_)[self._class[which]],
-            "local_id": self._local[which],
+            "local_id": self._local_id[which],
             **self._label_names(which),
             **dict(zip(PIXEL_COLUMNS, whole.T, strict=True)),
             **dict(zip(DEPTH_COLUMNS, depths.T, strict=True)),
@@ -212,7 +217,7 @@ class Instances:
         # Rows of the camera's axes: its inverse is its transpose.
         from_camera = ((poses.position - eye)[:, :, None] * turn).sum(axis=1)
         turned = (turn[None, :, :, None] * poses.rotation[:, :, None, :]).sum(axis=1)
-        box = self._box[which]
+        box = self._sizes(which, sample)[1]
         numbers = [
             from_camera, quaternions(turned), poses.position, quaternions(poses.rotation),
             box[:, 1] - box[:, 0], 0.5 * (box[:, 0] + box[:, 1]),
@@ -239,8 +244,54 @@ class Instances:
             first[moves] = np.argmax(there, axis=0)[at]
         return first
 
-    def _local_boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Boxes around the meshes of each instance in its own frame and units, [n, 3] each."""
+    def _find_resized(self) -> NDArray[np.bool_]:
+        resized = np.zeros(len(self.ids), bool)
+        resized[self.slot_of_row[self._rows[self._loose]]] = True
+        motion = self._scene.rows.motion
+        if motion is None:
+            return resized
+        moves, at = motion.among(self._lead)
+        least = np.full((len(moves), 3, 3), np.inf)
+        most = -least
+        hands = np.zeros((2, len(moves)), bool)
+        for to_world in motion.to_world:
+            linear = to_world[at, :, :3]
+            # Lengths and angles of its columns: the same however it is turned.
+            gram = (linear[:, :, :, None] * linear[:, :, None, :]).sum(axis=1)
+            shown = (linear != 0.0).any(axis=(1, 2))
+            mirrored = np.linalg.det(linear) < 0.0
+            hands |= shown & np.stack([mirrored, ~mirrored])
+            np.minimum(least, gram, out=least, where=shown[:, None, None])
+            np.maximum(most, gram, out=most, where=shown[:, None, None])
+        with np.errstate(invalid="ignore"):
+            # One that is never shown is infinite less infinite.
+            change = (most - least).max(axis=(1, 2), initial=0.0)
+            limit = _SAME_SIZE * np.abs(most).max(axis=(1, 2), initial=0.0)
+        resized[moves] |= (change > limit) | hands.all(axis=0)
+        return resized
+
+    def _sizes(
+        self, which: NDArray[np.int64], sample: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Scales [n, 3] and boxes [n, 2, 3] at a sample; of the hidden as when first shown."""
+        scale, box = self._scale[which], self._box[which]
+        at = np.flatnonzero(self._resized[which])
+        if len(at):
+            poses = self.poses(which[at], sample)
+            shown = (poses.linear != 0.0).any(axis=(1, 2))
+            at = at[shown]
+            scale[at] = poses.scale[shown]
+            box[at] = _boxes(poses.linear[shown], self._local_boxes(sample)[which[at]])
+        return scale, box
+
+    def _local_boxes(self, sample: int) -> NDArray[np.float64]:
+        """Boxes around the meshes of each instance in its own frame and units, [n, 2, 3]."""
+        sample = sample if len(self._loose) else 0
+        if self._local is None or self._local[0] != sample:
+            self._local = (sample, self._find_boxes(sample))
+        return self._local[1]
+
+    def _find_boxes(self, sample: int) -> NDArray[np.float64]:
         scene = self._scene
         count = len(scene.parts)
         key = scene.rows.mesh[self._rows].astype(np.int64) * count + np.maximum(self._part, 0)
@@ -249,22 +300,29 @@ class Instances:
         for i, (mesh, part) in enumerate(zip(kinds // count, kinds % count, strict=True)):
             low[i], high[i] = _mesh_box(scene.meshes[mesh], scene.parts[part])
         row_low, row_high = low[kind], high[kind]
-        if (self._part < 0).any():
-            self._add_loose(row_low, row_high)
+        if len(self._loose):
+            self._add_loose(sample, row_low, row_high)
         if not len(self._first):
-            return np.zeros((0, 3)), np.zeros((0, 3))
-        return (
+            return np.zeros((0, 2, 3))
+        corners = (
             np.minimum.reduceat(row_low, self._first, axis=0),
             np.maximum.reduceat(row_high, self._first, axis=0),
         )
+        return np.stack(corners, axis=1)
 
-    def _add_loose(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-        """Boxes of rows that do not keep their place: as at the first sample."""
-        scene, lead = self._scene, self._lead[self.slot_of_row[self._rows]]
-        for at in np.flatnonzero((self._part < 0) & (self._rows != lead)).tolist():
-            frame = scene.rows.to_world[lead[at]][None]
-            place = _composed(_inverses(frame), scene.rows.to_world[self._rows[at]][None])[0]
-            low[at], high[at] = _mesh_box(scene.meshes[scene.rows.mesh[self._rows[at]]], place)
+    def _add_loose(self, sample: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+        """Boxes of rows that do not keep their place, as they stand at a sample; none if hidden."""
+        scene = self._scene
+        to_world, rows = scene.rows_at(sample).to_world, self._rows[self._loose]
+        slots = self.slot_of_row[rows]
+        inverse = self._inverse[np.maximum(self._lead_part[slots], 0)]
+        frames = composed(to_world[self._lead[slots]], inverse)
+        places = composed(inverses_or_identity(frames), to_world[rows])
+        for at, row, place in zip(self._loose.tolist(), rows.tolist(), places, strict=True):
+            if to_world[row, :, :3].any():
+                low[at], high[at] = _mesh_box(scene.meshes[scene.rows.mesh[row]], place)
+            else:
+                low[at], high[at] = np.inf, -np.inf
 
     def _find_labels(self) -> NDArray[np.uint32]:
         """Per level, the label that all faces of an instance share, else 0: uint32 [n, levels]."""
@@ -285,6 +343,14 @@ class Instances:
         return found
 
 
+def _boxes(linear: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Boxes [n, 2, 3] around transformed ones [n, 2, 3], by matrices [n, 3, 3]."""
+    low, high = local[:, 0], local[:, 1]
+    center = (linear * (0.5 * (low + high))[:, None, :]).sum(axis=2)
+    half = (np.abs(linear) * (0.5 * (high - low))[:, None, :]).sum(axis=2)
+    return np.stack([center - half, center + half], axis=1)
+
+
 def _mesh_box(
     mesh: Mesh, place: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -295,163 +361,6 @@ def _mesh_box(
         return mesh.box[0], mesh.box[1]
     points = (mesh.used_points[:, None, :] * place[:, :3]).sum(axis=2) + place[:, 3]
     return points.min(axis=0), points.max(axis=0)
-
-
-def _composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Parent * child of affine matrices [n, 3, 4]."""
-    out = (parent[:, :, :3, None] * child[:, None, :, :]).sum(axis=2)
-    out[:, :, 3] += parent[:, :, 3]
-    return out
-
-
-def _inverses(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverses of affine matrices [n, 3, 4]; the identity for those that have none."""
-    out = np.empty_like(matrices)
-    with np.errstate(all="ignore"):
-        out[:, :, :3], determinant = inverses(matrices[:, :, :3])
-        out[:, :, 3] = -(out[:, :, :3] * matrices[:, None, :, 3]).sum(axis=2)
-    out[~np.isfinite(determinant) | (determinant == 0.0)] = _IDENTITY
-    return out
-
-
-def _decomposed(matrix: NDArray[np.float64]) -> Poses:
-    """Rotation (by Gram and Schmidt, x first) and what is left of affine matrices [n, 3, 4].
-
-    Of a mirrored one x is turned round; one that is flat along an axis gets any axis there.
-    """
-    count = len(matrix)
-    poses = Poses(
-        matrix[:, :, 3].copy(),
-        np.empty((count, 3, 3)),
-        np.empty((count, 3)),
-        np.empty((count, 3, 3)),
-    )
-    _decompose(matrix, poses.rotation, poses.scale, poses.linear, np.empty((4, 3)))
-    return poses
-
-
-@kernel
-def _normalized(v):  # type: ignore[no-untyped-def]
-    """Make a vector as long as 1; False, and the vector as it was, where there is none."""
-    # Scaled first: squares of small numbers may underflow.
-    largest = max(abs(v[0]), max(abs(v[1]), abs(v[2])))
-    if not largest > 0.0:
-        return False
-    for i in range(3):
-        v[i] /= largest
-    length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    for i in range(3):
-        v[i] /= length
-    return True
-
-
-@kernel
-def _cross(a, b, out):  # type: ignore[no-untyped-def]
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
-
-
-@kernel
-def _set_across(v, axis, out):  # type: ignore[no-untyped-def]
-    """Some unit vector across another, which is not 0; ``axis`` is scratch."""
-    least = 0
-    for i in range(1, 3):
-        if abs(v[i]) < abs(v[least]):
-            least = i
-    for i in range(3):
-        axis[i] = 1.0 if i == least else 0.0
-    _cross(v, axis, out)
-    _normalized(out)
-
-
-@kernel
-def _decompose(matrix, rotation, scale, rest, vectors):  # type: ignore[no-untyped-def]
-    """As ``_decomposed``; ``vectors`` is scratch, float64 [4, 3]."""
-    x, y, z, axis = vectors[0], vectors[1], vectors[2], vectors[3]
-    for k in range(matrix.shape[0]):
-        m = matrix[k]
-        for i in range(3):
-            x[i], y[i], z[i] = m[i, 0], m[i, 1], m[i, 2]
-            scale[k, i] = math.sqrt(m[0, i] * m[0, i] + m[1, i] * m[1, i] + m[2, i] * m[2, i])
-        determinant = (
-            (x[1] * y[2] - x[2] * y[1]) * z[0]
-            + (x[2] * y[0] - x[0] * y[2]) * z[1]
-            + (x[0] * y[1] - x[1] * y[0]) * z[2]
-        )
-        if determinant < 0.0:
-            scale[k, 0] = -scale[k, 0]
-            for i in range(3):
-                x[i] = -x[i]
-        flat = not _normalized(x)
-        if flat:
-            # Across what there is; the world's axis where there is nothing.
-            if _normalized(y):
-                if _normalized(z):
-                    _cross(y, z, x)
-                    flat = not _normalized(x)
-                if flat:
-                    _set_across(y, axis, x)
-            elif _normalized(z):
-                _set_across(z, axis, x)
-            else:
-                x[0], x[1], x[2] = 1.0, 0.0, 0.0
-        for again in range(2):
-            # Once more: of columns that are nearly along each other little is left.
-            along = y[0] * x[0] + y[1] * x[1] + y[2] * x[2]
-            for i in range(3):
-                y[i] -= along * x[i]
-            if not _normalized(y):
-                if _normalized(z) and again == 0:
-                    _cross(z, x, y)
-                if not _normalized(y):
-                    _set_across(x, axis, y)
-        _cross(x, y, z)
-        for i in range(3):
-            rotation[k, i, 0], rotation[k, i, 1], rotation[k, i, 2] = x[i], y[i], z[i]
-        for i in range(3):
-            for j in range(3):
-                total = 0.0
-                for n in range(3):
-                    total += rotation[k, n, i] * m[n, j]
-                rest[k, i, j] = total
-
-
-def quaternions(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (x, y, z, w), w >= 0, of rotation matrices [n, 3, 3]: float64 [n, 4].
-
-    Shepperd, "Quaternion from rotation matrix", 1978: the largest component first.
-    """
-    out = np.empty((len(rotation), 4))
-    _set_quaternions(np.ascontiguousarray(rotation), out)
-    return out
-
-
-@kernel
-def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
-    for k in range(rotation.shape[0]):
-        m, q = rotation[k], out[k]
-        trace = m[0, 0] + m[1, 1] + m[2, 2]
-        best = 3
-        most = trace
-        for i in range(3):
-            if m[i, i] > most:
-                best, most = i, m[i, i]
-        if best == 3:
-            q[0], q[1], q[2] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-            q[3] = 1.0 + trace
-        else:
-            i, j, n = best, (best + 1) % 3, (best + 2) % 3
-            q[i] = 1.0 + 2.0 * m[i, i] - trace
-            q[j] = m[i, j] + m[j, i]
-            q[n] = m[i, n] + m[n, i]
-            q[3] = m[n, j] - m[j, n]
-        length = math.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
-        if q[3] < 0.0:
-            length = -length
-        for i in range(4):
-            # + 0: no -0 in tables.
-            q[i] = q[i] / length + 0.0
 
 
 @kernel

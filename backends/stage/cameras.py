@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,18 +14,19 @@ from pxr import Gf, Usd, UsdGeom, UsdRender, Vt
 
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
-from scenec.backends.stage.scene import DEFAULT_OUTPUTS, Camera, Focus, OpenShutter
+from scenec.backends.stage.products import Request, conformed, read_requests
+from scenec.backends.stage.rigid import camera_poses
+from scenec.backends.stage.scene import Camera, Focus, OpenShutter
+from scenec.backends.stage.unread import Unread
 from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera, of_numbers
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import COEFFICIENTS, Lens
-from scenec.schemas.passes import is_pass
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import shown
 
-_DEFAULT_RESOLUTION = (640, 480)
 _DIRECTIONS = ("down", "up")
 #: What names of attributes of a camera's exposure begin with.
 _EXPOSURE = ("exposure", "scenec:exposure:")
@@ -36,87 +37,54 @@ _ENDS = 1e-9
 
 
 def read_cameras(
-    stage: Usd.Stage, frame: StageFrame, times: list[Usd.TimeCode]
+    stage: Usd.Stage,
+    frame: StageFrame,
+    times: list[Usd.TimeCode],
+    unread: Unread | None = None,
 ) -> tuple[tuple[Camera, ...], ...]:
-    """Cameras at every sample.
+    """Cameras at every sample, of what the stage asks to be rendered (``products``).
 
-    RenderProducts say which cameras are rendered, how large, and with which passes. Without any,
-    every camera is, 640 pixels wide.
+    Args:
+        stage: The stage.
+        frame: Of the stage.
+        times: Of the samples.
+        unread: Collects what is not followed of them.
 
     Raises:
-        StageError: A product without a camera, or a camera of no size.
+        StageError: A product without a camera, a camera of no size, or one that has no pose.
     """
-    found = [_of_product(p) for p in stage.Traverse() if p.IsA(UsdRender.Product)]
-    if not found:
-        everywhere = stage.Traverse(Usd.TraverseInstanceProxies())
-        cameras = [p for p in everywhere if p.IsA(UsdGeom.Camera)]
-        found = [
-            _Request(name, p, _resolution(p), DEFAULT_OUTPUTS)
-            for name, p in _distinct_names(cameras)
-        ]
-    columns = [_over_time(request, frame, times) for request in found]
+    requests, left_out = read_requests(stage)
+    columns = [_over_time(request, frame, times, unread) for request in requests]
+    if unread is not None:
+        for prim in left_out:
+            unread.add("an orthographic camera is not rendered", prim)
     return tuple(tuple(column[i] for column in columns) for i in range(len(times)))
 
 
-@dataclass(frozen=True)
-class _Request:
-    """What is to be rendered of a camera."""
-
-    name: str
-    prim: Usd.Prim
-    size: tuple[int, int]
-    outputs: tuple[str, ...]
-
-
-def _of_product(prim: Usd.Prim) -> _Request:
-    stage = prim.GetStage()
-    product = UsdRender.Product(prim)
-    targets = values.targets(prim, "camera")
-    camera = stage.GetPrimAtPath(targets[0]) if targets else None
-    if not camera or not camera.IsA(UsdGeom.Camera):
-        raise StageError(f"{prim.GetPath()}: this RenderProduct names no camera")
-    width, height = values.vector(product.GetResolutionAttr(), 2) or _DEFAULT_RESOLUTION
-    outputs: dict[str, None] = {}
-    for target in values.targets(prim, "orderedVars"):
-        var = UsdRender.Var(stage.GetPrimAtPath(target))
-        source = values.word(var.GetSourceNameAttr(), "") if var else ""
-        # Foreign products name their renderer's own variables: those are not ours to make.
-        if is_pass(source.split(".")[0]):
-            outputs[source.split(".")[0]] = None
-    size = (int(width), int(height))
-    return _Request(prim.GetName(), camera, size, tuple(outputs) or DEFAULT_OUTPUTS)
-
-
-def _distinct_names(prims: list[Usd.Prim]) -> list[tuple[str, Usd.Prim]]:
-    taken = [p.GetName() for p in prims]
-    return [
-        (
-            p.GetName()
-            if taken.count(p.GetName()) == 1
-            else str(p.GetPath())[1:].replace("/", "_"),
-            p,
-        )
-        for p in prims
-    ]
-
-
-def _resolution(prim: Usd.Prim) -> tuple[int, int]:
-    camera = UsdGeom.Camera(prim)
-    across = values.number(camera.GetHorizontalApertureAttr(), 0.0)
-    up = values.number(camera.GetVerticalApertureAttr(), 0.0)
-    width = _DEFAULT_RESOLUTION[0]
-    return width, max(1, round(width * up / across)) if across > 0 else _DEFAULT_RESOLUTION[1]
-
-
-def _over_time(request: _Request, frame: StageFrame, times: list[Usd.TimeCode]) -> list[Camera]:
+def _over_time(
+    request: Request, frame: StageFrame, times: list[Usd.TimeCode], unread: Unread | None
+) -> list[Camera]:
     """A camera at each time."""
     prim = request.prim
-    poses = frame.pose(values.matrices(prim, times, of_world=True))
-    poses[..., :3, :3] *= names.HALF_TURN
-    if not np.isfinite(poses).all() or min(request.size) < 1:
+    poses, told = camera_poses(prim, frame, times)
+    if told and prim.GetAttribute(names.ATTR_SHUTTER_EXPOSURE).HasValue():
         raise StageError(
-            f"{prim.GetPath()}: a camera needs a resolution and an invertible transform"
+            f"{prim.GetPath()}: {told[0].split(':')[0]}, and has {names.ATTR_SHUTTER_EXPOSURE}: "
+            "expected moves, turns and one scale above 0"
         )
+    if request.window != (0, 0, *request.full):
+        # Both are of the whole sensor.
+        for name in (names.ATTR_SHUTTER_EXPOSURE, formulas.attribute("rule")):
+            if prim.GetAttribute(name).HasAuthoredValue():
+                raise StageError(
+                    f"{prim.GetPath()}: has {name}, and a dataWindowNDC of a part of its picture; "
+                    "expected one of them"
+                )
+    if unread is not None:
+        unread.camera(prim)
+        for line in told:
+            unread.add(line, prim)
+    poses[..., :3, :3] *= names.HALF_TURN
     # What differs from sample to sample where nothing else does.
     exposures = [a for a in prim.GetAttributes() if a.GetName().startswith(_EXPOSURE)]
     exposed = values.kept(exposures, lambda time: _exposure(prim, time))
@@ -133,9 +101,9 @@ def _over_time(request: _Request, frame: StageFrame, times: list[Usd.TimeCode]) 
     return found
 
 
-def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
+def _camera(request: Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
     """All of a camera but its pose, exposure and shutter."""
-    prim, size = request.prim, request.size
+    prim, (_, _, width, height) = request.prim, request.window
     camera = UsdGeom.Camera(prim)
     projection = values.word(camera.GetProjectionAttr(), UsdGeom.Tokens.perspective, time)
     if projection != UsdGeom.Tokens.perspective:
@@ -145,9 +113,9 @@ def _camera(request: _Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
     return Camera(
         name=request.name,
         path=str(prim.GetPath()),
-        width=size[0],
-        height=size[1],
-        intrinsics=_intrinsics(prim, size, time),
+        width=width,
+        height=height,
+        intrinsics=_intrinsics(request, time),
         camera_to_world=np.eye(4),
         outputs=request.outputs,
         partner=_partner(prim),
@@ -261,21 +229,41 @@ def _partner(prim: Usd.Prim) -> str | None:
     return str(targets[0]) if targets else None
 
 
-def _intrinsics(prim: Usd.Prim, size: tuple[int, int], time: Usd.TimeCode) -> NDArray[np.float64]:
+def _intrinsics(request: Request, time: Usd.TimeCode) -> NDArray[np.float64]:
+    prim = request.prim
     stated = values.vector(prim.GetAttribute(names.ATTR_INTRINSICS), 9, time)
     if stated is None:
-        k = intrinsics_from_apertures(prim, size, time)
+        k = intrinsics_from_apertures(
+            prim, request.full, time, request.policy, request.pixel_aspect
+        )
     else:
         k = np.array(stated).reshape(3, 3)
     if k[0, 0] <= 0.0 or k[1, 1] <= 0.0:
         raise StageError(f"{prim.GetPath()}: a camera's focal length must be positive")
+    k[:2, 2] -= request.window[:2]
     return k
 
 
 def intrinsics_from_apertures(
-    prim: Usd.Prim, size: tuple[int, int], time: Usd.TimeCode
+    prim: Usd.Prim,
+    size: tuple[int, int],
+    time: Usd.TimeCode,
+    policy: str = UsdRender.Tokens.adjustPixelAspectRatio,
+    pixel_aspect: float = 1.0,
 ) -> NDArray[np.float64]:
-    """K in pixels from a camera's focal length, apertures and offsets, float64 [3, 3]."""
+    """K in pixels from a camera's focal length, apertures and offsets, float64 [3, 3].
+
+    Args:
+        prim: The camera.
+        size: Width and height of its picture, pixels.
+        time: When.
+        policy: How apertures are made to fit the picture (``products.conformed``); pixels as the
+            apertures have them without one.
+        pixel_aspect: Width of a pixel over its height.
+
+    Raises:
+        StageError: An aperture is not above 0.
+    """
     camera = UsdGeom.Camera(prim)
     focal, across, up, shift_x, shift_y = (
         values.number(attribute, 0.0, time)
@@ -290,6 +278,7 @@ def intrinsics_from_apertures(
     if across <= 0.0 or up <= 0.0:
         raise StageError(f"{prim.GetPath()}: a camera's apertures must be positive")
     width, height = size
+    across, up = conformed(across, up, size, policy, pixel_aspect)
     return np.array(
         [
             [focal * width / across, 0.0, 0.5 * width - shift_x * width / across],
@@ -408,7 +397,11 @@ def _shutter(
         )
     turns = steps[:, :3, :3]
     off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    rigid = (np.isfinite(steps[..., :3]).all(axis=(1, 2)) & (off <= _RIGID)) | (times == 0.0)
+    proper = (np.linalg.det(turns) > 0.0) & (
+        np.abs(steps[..., 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) <= _RIGID
+    )
+    rigid = np.isfinite(steps).all(axis=(1, 2)) & (off <= _RIGID) & proper
+    rigid |= times == 0.0
     if not rigid.all():
         at = int(np.argmin(rigid))
         raise StageError(f"{prim.GetPath()}: {names.ATTR_SHUTTER_POSES}[{at}] is no rigid motion")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from scenec.schemas.errors import StageError
+from scenec.schemas.spelling import shown
 
 #: Y-up to Z-up: x stays, y becomes z, z becomes -y.
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -28,13 +29,20 @@ class StageFrame:
 
     @classmethod
     def of(cls, stage: Usd.Stage) -> StageFrame:
-        """The frame that the stage declares."""
+        """The frame that the stage declares.
+
+        Raises:
+            StageError: A unit or an axis that cannot be.
+        """
         unit = UsdGeom.GetStageMetersPerUnit(stage)
         if not 0.0 < unit < np.inf:
             name = stage.GetRootLayer().GetDisplayName()
             raise StageError(f"{name}: metersPerUnit is {unit:g}, expected a number above 0")
-        y_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
-        return cls(unit, _Y_TO_Z if y_up else np.eye(3))
+        up = UsdGeom.GetStageUpAxis(stage)
+        if up not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
+            name = stage.GetRootLayer().GetDisplayName()
+            raise StageError(f"{name}: upAxis is {shown(str(up))}, expected Y or Z")
+        return cls(unit, _Y_TO_Z if up == UsdGeom.Tokens.y else np.eye(3))
 
     def affine(self, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
         """Local-to-world in meters, Z up, from one in stage units: float64 [..., 3, 4]."""

@@ -22,6 +22,11 @@ from scenec.schemas.errors import StageError
 _IDENTITY = np.eye(4)[:3]
 #: A local id above this would leave no room for others.
 _LARGEST_LOCAL_ID = 2**31
+#: What is said of an instancer whose ids are not used.
+_OTHER_IDS = (
+    "ids that are not from 1 to 2147483647, one for each instance and each once, are not followed, "
+    "instances are numbered by their places"
+)
 #: ``Expanded.part`` of rows that do not keep their place within their instance.
 _NO_PART = -1
 
@@ -151,6 +156,8 @@ class Expander:
         self._open: list[str] = []
         #: Base and largest frame id of each class, by path.
         self._ranges: dict[str, list[int]] = {}
+        #: Classes that state no base.
+        self._chosen: set[str] = set()
         self._parts: dict[bytes, int] = {}
         self._part(_IDENTITY)
 
@@ -171,6 +178,7 @@ class Expander:
         parts: list[Expanded] = []
         self._walk(root, _Place(_IDENTITY, _IDENTITY, {}), parts)
         rows = Expanded.joined(parts)
+        self._require_distinct()
         if not self._labeled:
             return rows
         # Only now all authored ids are known.
@@ -179,6 +187,22 @@ class Expander:
             self._take(path, base + number - 1, 1)
         ids = np.where(rows.instance_id < 0, base - rows.instance_id, rows.instance_id)
         return replace(rows, instance_id=ids)
+
+    def _require_distinct(self) -> None:
+        """Ends where a class whose ids were chosen has some of a class that states its own.
+
+        Raises:
+            StageError: So it is.
+        """
+        for path in self._chosen:
+            base, last = self._ranges[path]
+            for other, (first, end) in self._ranges.items():
+                if other != path and max(base, first) < min(last, end):
+                    raise StageError(
+                        f"{path}: has no {names.ATTR_INSTANCE_ID_BASE}, and {other} states one; "
+                        f"their ids from {max(base, first) + 1} to {min(last, end)} are the same: "
+                        "author it on both"
+                    )
 
     def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
         shown = self._shown(prim)
@@ -278,6 +302,7 @@ class Expander:
                 # No base: the first number that is free, one for all objects beside each other.
                 parent = str(prim.GetParent().GetPath())
                 of_class = _Class(parent, self._ranges.get(parent, [self._next_id])[0])
+                self._chosen.add(parent)
             if not 1 <= local < _LARGEST_LOCAL_ID:
                 raise StageError(
                     f"{path}: {names.ATTR_LOCAL_INSTANCE_ID} is {local}, expected 1 or more"
@@ -390,17 +415,26 @@ class Expander:
 
     def _frame_ids(self, instancer: UsdGeom.PointInstancer, count: int) -> NDArray[np.int64]:
         prim = instancer.GetPrim()
+        path = str(prim.GetPath())
         base = _number(prim, names.ATTR_INSTANCE_ID_BASE)
         if base is None:
             base = self._next_id
+            self._chosen.add(path)
         local = values.array(instancer.GetIdsAttr(), np.int64, self._times[0])
         usable = len(local) == count and (
-            count == 0 or (local.min() >= 1 and local.max() < _LARGEST_LOCAL_ID)
+            count == 0
+            or (
+                local.min() >= 1
+                and local.max() < _LARGEST_LOCAL_ID
+                and ((np.diff(local) > 0).all() or len(np.unique(local)) == count)
+            )
         )
         if not usable:
-            # Foreign ids may start at 0 or be missing: the place in the array then counts.
+            if len(local):
+                self._meshes.unread.add(_OTHER_IDS, prim)
+            # Foreign ids may be missing, too: the place in the array then counts.
             local = np.arange(1, count + 1, dtype=np.int64)
-        self._take(str(prim.GetPath()), base, int(local.max(initial=0)))
+        self._take(path, base, int(local.max(initial=0)))
         if not _ids_enabled(prim):
             return np.zeros(count, np.int64)
         return (base + local).astype(np.int64)

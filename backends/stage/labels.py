@@ -14,6 +14,8 @@ from scenec.backends.stage.implicit import kind_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
+#: Of labels that change, those that hold.
+_FIRST = Usd.TimeCode.EarliestTime()
 #: A prim with one of these says itself what ids there are below it.
 _OURS = (
     names.ATTR_INSTANCE_ID,
@@ -66,7 +68,7 @@ def _from_semantics(stage: Usd.Stage) -> dict[str, dict[str, int]]:
     found: dict[str, set[str]] = {}
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         for level in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
-            labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr())
+            labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr(), _FIRST)
             found.setdefault(str(level), set()).update(labels)
     return {
         level: {name: number for number, name in enumerate(sorted(labels), start=1)}
@@ -159,7 +161,7 @@ def _semantic_label(prim: Usd.Prim, level: str, table: LabelTable) -> int | None
 def _direct_label(prim: Usd.Prim, level: str, table: LabelTable) -> int | None:
     if not prim.HasAPI(UsdSemantics.LabelsAPI, level):
         return None
-    labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr())
+    labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr(), _FIRST)
     # USD allows several labels of a taxonomy; a face has one: the first that the table knows.
     known = [table.ids[level][name] for name in labels if name in table.ids[level]]
     return known[0] if known else None

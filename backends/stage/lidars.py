@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Usd
 
 from scenec.backends.stage import values
 from scenec.backends.stage.cameras import read_trigger
 from scenec.backends.stage.frame import StageFrame
+from scenec.backends.stage.rigid import lidar_poses
 from scenec.backends.stage.scene import Lidar
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -36,15 +36,15 @@ def read_lidars(
         scans = range(first, len(times), every)
         if not scans:
             continue
-        poses = frame.pose(values.matrices(prim, [times[i] for i in scans], of_world=True))
-        lidar = _lidar(prim, frame, poses)
+        poses = lidar_poses(prim, frame, [times[i] for i in scans])
+        lidar = _lidar(prim, frame)
         for sample, pose in zip(scans, poses, strict=True):
             found[sample].append(replace(lidar, to_world=pose))
     return tuple(tuple(lidars) for lidars in found)
 
 
-def _lidar(prim: Usd.Prim, frame: StageFrame, poses: NDArray[np.float64]) -> Lidar:
-    """A lidar at the first of its poses."""
+def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:
+    """All of a lidar but its pose."""
     elevations = values.array(prim.GetAttribute(names.ATTR_LIDAR_ELEVATIONS), np.float64)
     count = values.whole(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTHS), 0)
     if not 0 < count * len(elevations) <= _MOST:
@@ -53,16 +53,16 @@ def _lidar(prim: Usd.Prim, frame: StageFrame, poses: NDArray[np.float64]) -> Lid
     reach = values.vector(prim.GetAttribute(names.ATTR_LIDAR_RANGE), 2, finite=False)
     unit = frame.meters_per_unit
     near, far = (unit * value for value in reach or (0.0, np.inf))
-    if not (np.isfinite(poses).all() and 0.0 <= near <= far):
+    if not 0.0 <= near <= far:
         raise StageError(
-            f"{prim.GetPath()}: a lidar needs an invertible transform, finite elevations, and "
-            f"ranges from 0 up; {names.ATTR_LIDAR_RANGE} is {near:g} to {far:g} m"
+            f"{prim.GetPath()}: {names.ATTR_LIDAR_RANGE} is {near:g} to {far:g} m, expected ranges "
+            "from 0 up"
         )
     parent = prim.GetParent().GetName()
     return Lidar(
         name=f"{parent}_{prim.GetName()}",
         path=str(prim.GetPath()),
-        to_world=poses,
+        to_world=np.eye(4),
         elevations_deg=elevations,
         azimuths_deg=start + (stop - start) * np.arange(count) / count,
         range_m=(near, far),

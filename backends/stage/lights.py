@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom, UsdLux
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
 from scenec.backends.stage.labels import LabelTable
+from scenec.backends.stage.rigid import flat, sheared, straightened
 from scenec.backends.stage.scene import (
     UPRIGHT,
     Dome,
@@ -77,8 +78,10 @@ def _over_time(
         return found
     samples = np.flatnonzero(shown).tolist()
     matrices = values.matrices(prim, [times[i] for i in samples], of_world=True)
+    # The picture of a dome needs axes at right angles; other lights have but one.
+    dome = prim.GetTypeName().startswith("Dome")
     with np.errstate(all="ignore"):
-        poses = frame.pose(matrices)
+        poses = frame.pose(straightened(matrices) if dome else matrices)
     # Few lights change but for the picture of a dome.
     strength = values.kept(
         values.own(prim, "inputs:texture:"), lambda time: _strength(UsdLux.LightAPI(prim), time)
@@ -93,8 +96,8 @@ def _over_time(
 
     read = values.kept(values.own(prim), light)
     gobos = _gobos(prim, frame, times, sources)
-    # Scaled to nothing: there is no direction that it shines in.
-    dark = _flat(matrices) & (prim.GetTypeName() != "SphereLight")
+    # Without an inverse there are no directions that it shines in.
+    dark = flat(matrices) & (prim.GetTypeName() != "SphereLight")
     for k in np.flatnonzero(~dark).tolist():
         made = read(times[samples[k]])(matrices[k], poses[k])
         found[samples[k]] = replace(made, gobo=gobos[samples[k]]) if isinstance(made, Sun) else made
@@ -113,8 +116,8 @@ def _gobos(
     if made is None:
         return [None] * len(times)
     matrices = values.matrices(made, times, of_world=True)
-    if _flat(matrices).any():
-        raise StageError(f"{made.GetPath()}: is scaled to nothing")
+    if _flat(matrices).any() or sheared(matrices).any():
+        raise StageError(f"{made.GetPath()}: is scaled to nothing, or sheared")
     poses = frame.pose(matrices)
     return [_gobo(made, p, frame, time, sources) for p, time in zip(poses, times, strict=True)]
 
@@ -165,8 +168,9 @@ def _lamp(
     A transform that stretches it leaves a sphere of the same volume.
     """
     cone, softness = np.pi, 0.0
-    if light.GetPrim().HasAPI(UsdLux.ShapingAPI):
-        shaping = UsdLux.ShapingAPI(light.GetPrim())
+    # Older stages shape lights without an applied schema.
+    shaping = UsdLux.ShapingAPI(light.GetPrim())
+    if shaping.GetShapingConeAngleAttr():
         angle = values.number(shaping.GetShapingConeAngleAttr(), 180.0, time, finite=False)
         cone = float(np.radians(min(angle, 180.0)))
         softness = values.number(shaping.GetShapingConeSoftnessAttr(), 0.0, time, finite=False)
@@ -175,7 +179,7 @@ def _lamp(
         return lambda matrix, pose: None
     unit = frame.meters_per_unit
     radius = abs(values.number(light.GetRadiusAttr(), 0.0, time))
-    gain = np.maximum(strength(time), 0.0)
+    gain = strength(time)
     normalized = values.flag(light.GetNormalizeAttr(), False, time)
     as_point = values.flag(light.GetTreatAsPointAttr(), False, time)
 
@@ -229,7 +233,8 @@ def _strength(light: UsdLux.LightAPI, time: Usd.TimeCode) -> NDArray[np.float64]
     strength: NDArray[np.float64] = color * gain
     if not np.isfinite(strength).all():
         raise StageError(f"{light.GetPath()}: a light whose strength is not finite")
-    return strength
+    # + 0: of -0 none.
+    return np.maximum(strength, 0.0) + 0.0
 
 
 def read_sky_label_maps(

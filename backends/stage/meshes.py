@@ -165,6 +165,8 @@ class MeshTable:
         count = int(authored.max(initial=-1)) + 1
         surface = np.full(count, whole.layers[0], np.int32)
         for subset in subsets:
+            if values.word(subset.GetElementTypeAttr(), "") != UsdGeom.Tokens.face:
+                continue
             chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             bound = bound_surface(subset.GetPrim(), self._sources)

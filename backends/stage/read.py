@@ -19,12 +19,10 @@ from scenec.backends.stage.lights import read_haze, read_lighting, read_sky_labe
 from scenec.backends.stage.meshes import MeshTable
 from scenec.backends.stage.scene import Mesh, Motion, RenderScene, Rows
 from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.times import sample_times, time_codes
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
-
-#: Time codes of a stage, one a sample.
-_MOST_SAMPLES = 1_000_000
 
 
 def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
@@ -38,7 +36,8 @@ def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
     named in the scene's ``losses``.
     Topology and points are those of the first time code: meshes do not deform. Transforms, an
     instancer's positions, orientations and scales, and visibility are taken as they are at each
-    sample's time code (between authored codes as USD has them).
+    sample's time code (between authored codes as USD has them). The samples of a stage without a
+    range of time codes are those that are authored.
 
     Args:
         path: ``.usda``, ``.usdc``, ``.usd`` or ``.usdz``.
@@ -58,12 +57,14 @@ def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
 def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
     _require_schema(stage, path)
     frame = StageFrame.of(stage)
-    times = _time_codes(stage)
+    times = time_codes(stage)
     table = read_table(stage)
-    meshes = MeshTable(table, times[0], Unread(len(times) > 1, sources), sources)
+    may_move = len(times) > 1 or not stage.HasAuthoredTimeCodeRange()
+    unread = Unread(may_move, sources)
+    meshes = MeshTable(table, times[0], unread, sources)
     expander = Expander(meshes, times, labeled_instances(stage, table))
     rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
-    cameras = read_cameras(stage, frame, times)
+    cameras = read_cameras(stage, frame, times, unread)
     lighting = read_lighting(stage, frame, times, sources)
     label_maps = read_sky_label_maps(stage, table, times, sources)
     lidars = read_lidars(stage, frame, times)
@@ -84,12 +85,12 @@ def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         lighting=lighting,
         bounds=_bounds(tuple(meshes.meshes), rows),
         instance_paths=expander.bases,
-        times=_times(stage, times),
+        times=sample_times(stage, times),
         parts=expander.parts,
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
         lidars=lidars,
-        losses=meshes.unread.lines,
+        losses=unread.lines,
     )
 
 
@@ -104,20 +105,6 @@ def _require_schema(stage: Usd.Stage, path: Path) -> None:
         raise StageError(
             f"{path}: its schema version is {version}; this scenec reads {names.SCHEMA_VERSION}"
         )
-
-
-def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
-    if not stage.HasAuthoredTimeCodeRange():
-        # The first sample of whatever is animated, the default of all else.
-        return [Usd.TimeCode.EarliestTime()]
-    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    if not 0.0 <= last - first < _MOST_SAMPLES:
-        raise StageError(
-            f"{stage.GetRootLayer().identifier}: startTimeCode is {first:g} and endTimeCode "
-            f"{last:g}; expected one not after the other, and fewer than {_MOST_SAMPLES} samples"
-        )
-    count = int(np.floor(last - first)) + 1
-    return [Usd.TimeCode(first + i) for i in range(count)]
 
 
 def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
@@ -174,13 +161,3 @@ def _world_box(
         box[0] = np.minimum(box[0], (middle - reach).min(axis=0))
         box[1] = np.maximum(box[1], (middle + reach).max(axis=0))
     return box
-
-
-def _times(stage: Usd.Stage, times: list[Usd.TimeCode]) -> NDArray[np.float64]:
-    root = stage.GetDefaultPrim()
-    attribute = root.GetAttribute(names.ATTR_TIME) if root else None
-    if attribute and attribute.HasValue():
-        at = values.kept([attribute], lambda time: values.number(attribute, 0.0, time))
-        return np.array([at(time) for time in times])
-    rate = stage.GetTimeCodesPerSecond() or 1.0
-    return np.arange(len(times)) / rate

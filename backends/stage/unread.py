@@ -8,13 +8,17 @@ be drawn counts: the reader's walk leaves out what is hidden, guides and proxies
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, UsdSkel
 
 from scenec.backends.stage import values
+from scenec.backends.stage.followed import NEUTRAL, is_followed
 from scenec.backends.stage.implicit import LENGTHS, kind_of
+from scenec.backends.stage.products import settings_of_products
+from scenec.backends.stage.rigid import flat, sheared, stretched
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.textures import INPUTS, connected, constant, texture_maps
 from scenec.schemas import stage as names
@@ -76,44 +80,18 @@ _BASES = (
     *(getattr(UsdGeom, kind) for kind in LENGTHS),
 )
 
-#: Of no effect here, or followed, whatever the type.
-_EVERYWHERE = frozenset(("visibility", "purpose", "xformOpOrder", "extent"))
-#: Followed, or of no effect, on every light.
-_LIGHT = frozenset(
-    (
-        *("inputs:color", "inputs:enableColorTemperature", "inputs:colorTemperature"),
-        *("inputs:intensity", "inputs:exposure", "inputs:normalize", "guideRadius"),
-        *("light:shaderId", "light:materialSyncMode"),
-    )
-)
-#: The same of each type of light.
-_OF_LIGHT = {
-    "DistantLight": _LIGHT | {"inputs:angle"},
-    "DomeLight": _LIGHT | {"inputs:texture:file"},
-    "DomeLight_1": _LIGHT | {"inputs:texture:file", "poleAxis"},
-    "SphereLight": _LIGHT
-    | {"inputs:radius", "treatAsPoint"}
-    | {"inputs:shaping:cone:angle", "inputs:shaping:cone:softness"},
-}
-#: The same of cameras. The contract knows no clipping planes, so a clipping range hides nothing.
-_CAMERA = frozenset(
-    (
-        *("projection", "focalLength", "horizontalAperture", "verticalAperture"),
-        *("horizontalApertureOffset", "verticalApertureOffset", "focusDistance", "fStop"),
-        *("exposure", "clippingRange", "stereoRole"),
-    )
-)
-_PRODUCT = frozenset(
-    ("camera", "orderedVars", "resolution", "productName", "aspectRatioConformPolicy")
-)
-_SETTINGS = frozenset(("camera", "products", "aspectRatioConformPolicy", "renderingColorSpace"))
-
 _FILTERS = "light:filters"
-#: Of the same effect as what holds without them.
-_NEUTRAL = (("inputs:texture:format", "latlong"),)
-
+#: What names of other renderers' attributes and schemas say where they are about a lens.
+_LENS = re.compile("projection|lens|distort|fisheye|panoram", re.IGNORECASE)
+#: Their values for no other lens than the pinhole.
+_PINHOLES = ("pinhole", "perspective", "none", "")
 #: Inputs of UsdPreviewSurface that are not followed, and the value at which they do nothing.
-_WITHOUT_EFFECT = {"opacity": 1.0, "displacement": 0.0, "clearcoat": 0.0}
+_WITHOUT_EFFECT = {
+    "opacity": 1.0,
+    "displacement": 0.0,
+    "clearcoat": 0.0,
+    "normal": Gf.Vec3f(0.0, 0.0, 1.0),
+}
 #: Those that may be textures, by the kind of map that they become.
 _TEXTURED = {name: kind for kind, name in INPUTS.items()}
 #: Those that only say how one of the others is meant, or of no effect on traced light.
@@ -140,7 +118,7 @@ class Unread:
     """Collects what is not followed, in the order in which it is met.
 
     Args:
-        moving: Whether there is more than one sample, so that changes over time are lost.
+        moving: Whether what changes over time is seen to, or would be if its range were authored.
         sources: Of the stage.
     """
 
@@ -174,36 +152,86 @@ class Unread:
         """
         kind = str(prim.GetTypeName())
         if kind == "LightFilter" and prim.HasAttribute(names.ATTR_GOBO_FILE):
-            self._attributes(prim, ())
+            self._attributes(prim, kind)
         elif kind in LOST:
             self.add(f"{kind} is not read", prim)
         elif kind and kind not in KNOWN and not any(prim.IsA(schema) for schema in _BASES):
             self.add(f"the type {kind} is not known", prim)
         if prim.HasAPI(UsdLux.LightAPI) and kind not in LOST:
             self._light(prim, kind, in_prototype)
-        elif kind == "Camera":
-            ours = prim.HasAttribute(names.ATTR_SHUTTER_EXPOSURE)
-            shutter = {"shutter:open", "shutter:close"} if ours else set()
-            self._attributes(prim, _CAMERA | shutter)
+        elif kind == "Camera" and in_prototype:
+            self.add("a camera in the prototype of an instancer is not rendered", prim)
         elif kind == "RenderProduct":
-            self._attributes(prim, _PRODUCT)
+            self._attributes(prim, kind)
         elif kind == "RenderSettings":
-            self._attributes(prim, _SETTINGS)
+            self._attributes(prim, kind)
+            chosen = settings_of_products(prim.GetStage())
+            if any(chosen[path] != prim for path in values.targets(prim, "products")):
+                self.add("RenderSettings are not followed of products that others list", prim)
+        elif kind == "RenderPass":
+            if any(
+                found.HasAuthoredTargets()
+                for found in prim.GetAuthoredRelationships()
+                if found.GetName().startswith("collection:")
+            ) or any(
+                name.endswith(":membershipExpression") for name in _in_namespace(prim, "collection")
+            ):
+                self.add("collections of RenderPass are not followed", prim)
         elif kind == "RenderVar":
             source = values.word(UsdRender.Var(prim).GetSourceNameAttr(), "")
             if not is_pass(source.split(".")[0]):
                 self.add("a render variable of another renderer is not made", prim)
+        elif kind == "GeomSubset":
+            if self._changes(UsdGeom.Subset(prim).GetIndicesAttr()):
+                self.add("subsets that change stay as they are at the first sample", prim)
         elif kind == "PointInstancer":
+            self._attributes(prim, kind)
+            instancer = UsdGeom.PointInstancer(prim)
+            if self._changes(instancer.GetProtoIndicesAttr(), instancer.GetIdsAttr()):
+                self.add(
+                    "prototypes and ids that change stay as they are at the first sample", prim
+                )
+            if instancer.GetVelocitiesAttr().HasAuthoredValue() and self._changes(
+                instancer.GetPositionsAttr()
+            ):
+                self.add("velocities are not followed, positions between samples are mixed", prim)
             primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
             if primvar and primvar.HasValue() and primvar.GetInterpolation() != _CONSTANT:
                 self.add("displayColor of single instances is not shown", prim)
         if prim.HasAPI("LODRootAPI"):
             self.add("levels of detail are not chosen, all are shown", prim)
+        hidden = prim.GetAttribute("renderVisibility")
+        if hidden and values.word(hidden, "", _FIRST) == UsdGeom.Tokens.invisible:
+            self.add("renderVisibility is not followed, what it hides is shown", prim)
         draw_mode = prim.GetAttribute("model:drawMode")
         if draw_mode and values.word(draw_mode, "default") not in ("inherited", "default"):
             self.add("model:drawMode is not followed, all geometry is shown", prim)
+        labels = UsdSemantics.LabelsAPI
+        if self._moving and self._changes(
+            *(labels(prim, level).GetLabelsAttr() for level in labels.GetDirectTaxonomies(prim))
+        ):
+            self.add("labels that change stay as they are at the first sample", prim)
         if any(name.endswith(":semanticData") for name in _in_namespace(prim, "semantic")):
             self.add("a label of SemanticsAPI is not read, those of UsdSemantics are", prim)
+
+    def camera(self, prim: Usd.Prim) -> None:
+        """Notes what of a camera that is rendered is not followed."""
+        ours = prim.HasAttribute(names.ATTR_SHUTTER_EXPOSURE)
+        self._attributes(prim, "Camera", ("shutter:open", "shutter:close") if ours else ())
+        words: dict[str, None] = {}
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if name == "projection" or name.startswith("scenec:") or not _LENS.search(name):
+                continue
+            value = values.value_of(attribute, _FIRST)
+            switch = name.lower().endswith(("type", "model")) or isinstance(value, bool)
+            if switch and value and str(value).lower() not in _PINHOLES:
+                words[f"{name} = {value}" if isinstance(value, str) else name] = None
+        schemas = [name for name in prim.GetAppliedSchemas() if _LENS.search(name)]
+        for word in words or schemas:
+            self.add(
+                f"{word}: a lens of another renderer is not followed, a pinhole is drawn", prim
+            )
 
     def shape(self, prim: Usd.Prim, material: UsdShade.Material) -> None:
         """Notes what of the shape and the colors of a drawn prim is not followed.
@@ -214,6 +242,7 @@ class Unread:
         """
         mesh = UsdGeom.Mesh(prim)
         api = UsdGeom.PrimvarsAPI(prim)
+        self._attributes(prim, "Mesh" if mesh else kind_of(prim))
         if mesh:
             if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
                 self.add("a subdivision surface is shown as its cage", prim)
@@ -276,7 +305,24 @@ class Unread:
             return
         if in_prototype:
             self.add("a light in the prototype of an instancer is not read", prim)
-        self._attributes(prim, _OF_LIGHT[kind])
+        self._attributes(prim, kind)
+        light = UsdLux.LightAPI(prim)
+        if (
+            min(
+                values.number(light.GetIntensityAttr(), 1.0, _FIRST),
+                *(values.vector(light.GetColorAttr(), 3, _FIRST) or (1.0,)),
+            )
+            < 0.0
+        ):
+            self.add("a light of negative strength gives none", prim)
+        place = values.matrices(prim, [_FIRST], of_world=True)
+        if kind == "SphereLight" and (stretched(place).any() or sheared(place).any()):
+            self.add("a sphere light that is stretched shines as a sphere of its volume", prim)
+        if kind != "SphereLight" and flat(place).any():
+            self.add("a light whose transform has no inverse gives none", prim)
+        textured = values.value_of(prim.GetAttribute("inputs:texture:file"), _FIRST)
+        if textured and (stretched(place).any() or sheared(place).any()):
+            self.add("a picture of the sky that is stretched is shown as it is without that", prim)
         for relationship in prim.GetAuthoredRelationships():
             name = relationship.GetName()
             followed = not name.startswith(("light:", "portals", "collection:"))
@@ -284,18 +330,28 @@ class Unread:
             if not followed and relationship.HasAuthoredTargets():
                 self.add(f"{name} of {kind} is not followed", prim)
 
-    def _attributes(self, prim: Usd.Prim, followed: Collection[str]) -> None:
-        """Notes each attribute of a prim's schemas that is not as it is without being authored."""
+    def _attributes(self, prim: Usd.Prim, kind: str, others: Collection[str] = ()) -> None:
+        """Notes each attribute of a prim's schemas that is not as it is without being authored.
+
+        Args:
+            prim: The prim.
+            kind: Type that it is of, or derives from.
+            others: Attributes that are followed of this prim.
+        """
         definition = prim.GetPrimDefinition()
+        # Applied schemas have lines of their own, but those of lights.
+        own = Usd.SchemaRegistry().FindConcretePrimDefinition(kind)
         for attribute in prim.GetAuthoredAttributes():
             name = attribute.GetName()
-            if name in followed or not (
-                name.startswith("inputs:") or definition.GetSpecType(name) != _UNKNOWN
-            ):
+            if not (name.startswith("inputs:") or own.GetSpecType(name) != _UNKNOWN):
+                continue
+            if attribute.HasAuthoredConnections():
+                self.add(f"{name} of {prim.GetTypeName()} from a node is not read", prim)
+            if name in others or is_followed(kind, name):
                 continue
             value = values.value_of(attribute, _FIRST)
             neutral = value is None or value == definition.GetAttributeFallbackValue(name)
-            if name in _EVERYWHERE or (name, value) in _NEUTRAL:
+            if (name, value) in NEUTRAL:
                 neutral = True
             if not neutral or attribute.ValueMightBeTimeVarying():
                 self.add(f"{name} of {prim.GetTypeName()} is not followed", prim)
@@ -319,6 +375,8 @@ class Unread:
                 modes = {values.word(constant(node, w), "", _FIRST) for w in ("wrapS", "wrapT")}
                 if modes & {"black", "clamp", "mirror"}:
                     self.add("wrap modes of textures are not followed, they repeat", prim)
+                if name == "normal" and not _is_usual(node):
+                    self.add("scale and bias of a texture of normals are not followed", prim)
             elif not (
                 name == "diffuseColor"
                 and values.word(constant(node, "varname"), "", _FIRST) == "displayColor"
@@ -328,6 +386,16 @@ class Unread:
 
     def _changes(self, *attributes: Usd.Attribute) -> bool:
         return self._moving and any(a and a.ValueMightBeTimeVarying() for a in attributes)
+
+
+def _is_usual(texture: UsdShade.Shader) -> bool:
+    """Whether a texture of normals says 2 * value - 1, y either way, or nothing."""
+    scale, bias = (
+        values.vector(constant(texture, name), 3, _FIRST, of_more=True)
+        for name in ("scale", "bias")
+    )
+    usual = ((2.0, 2.0, 2.0), (-1.0, -1.0, -1.0)), ((2.0, -2.0, 2.0), (-1.0, 1.0, -1.0))
+    return (scale, bias) in (*usual, (None, None))
 
 
 def _in_namespace(prim: Usd.Prim, namespace: str) -> list[str]:

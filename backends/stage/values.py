@@ -21,6 +21,9 @@ from scenec.schemas.native import commentary
 from scenec.schemas.spelling import nearest, shown
 
 DEFAULT = Usd.TimeCode.Default()
+#: How far the last column of a transform may be from an affine one's: inverses that USD computes.
+_PROJECTIVE = 1e-9
+_AFFINE = np.array([0.0, 0.0, 0.0, 1.0])
 #: Longest value that a message quotes.
 _QUOTED = 40
 
@@ -318,8 +321,8 @@ def matrices(
         float64 [times, 3, 4]; in the parent [3, 4] where it does not move.
 
     Raises:
-        StageError: An operation of it, or of a prim above it that counts, is no transform, or holds
-            NaN or infinity.
+        StageError: An operation of it, or of a prim above it that counts, is no transform, is
+            projective, or holds NaN or infinity.
     """
     above, moves = prim, False
     while above and not above.IsPseudoRoot():
@@ -339,9 +342,18 @@ def matrices(
         raise StageError(
             f"{prim.GetPath()}: its transform cannot be read: {said(error)}"
         ) from error
-    affine = np.array(Vt.Matrix4dArray(found)).transpose(0, 2, 1)[:, :3].copy()
-    if not np.isfinite(affine).all():
+    whole = np.array(Vt.Matrix4dArray(found)).transpose(0, 2, 1)
+    affine = whole[:, :3].copy()
+    if not np.isfinite(whole).all():
         raise StageError(f"{prim.GetPath()}: its transform holds NaN or infinity")
+    last = whole[:, 3]
+    if (last != _AFFINE).any() and (np.abs(last - _AFFINE) > _PROJECTIVE).any():
+        worst = last[np.argmax(np.abs(last - _AFFINE).max(axis=1))]
+        raise StageError(
+            f"{prim.GetPath()}: its transform{' in the world' if of_world else ''} is projective: "
+            f"the last column is ({', '.join(f'{value:g}' for value in worst)}), expected "
+            "(0, 0, 0, 1)"
+        )
     if of_world:
         return affine if moves else np.repeat(affine, len(times), axis=0)
     return affine if moves and (affine != affine[0]).any() else affine[0]

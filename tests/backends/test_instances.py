@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import scenes
 
-from scenec.backends.annotation.instances import Instances, quaternions
+from scenec.backends.annotation.instances import Instances
+from scenec.backends.annotation.poses import quaternions
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.render import render

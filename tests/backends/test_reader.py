@@ -317,6 +317,7 @@ def test_intrinsics_from_apertures_project_as_usd_does(tmp_path):
         camera.CreateVerticalApertureOffsetAttr(-0.05)
         product = UsdRender.Product.Define(stage, "/Render/p")
         product.CreateResolutionAttr(Gf.Vec2i(320, 200))
+        product.CreateAspectRatioConformPolicyAttr("adjustPixelAspectRatio")
         product.CreateCameraRel().SetTargets(["/Root/camera"])
 
     scene = opened(tmp_path, build)

@@ -129,6 +129,17 @@ def clamped(stage):
     )
 
 
+def weak_normals(stage):
+    clamped(stage)
+    texture = UsdShade.Shader.Get(stage, "/Root/Looks/material/texture")
+    texture.GetInput("wrapS").Set("repeat")
+    texture.CreateInput("scale", TYPES.Float4).Set(Gf.Vec4f(1, 1, 2, 1))
+    texture.CreateInput("bias", TYPES.Float4).Set(Gf.Vec4f(-0.5, -0.5, -1, 0))
+    shader = UsdShade.Shader.Get(stage, "/Root/Looks/material/shader")
+    shader.GetInput("diffuseColor").GetAttr().ClearConnections()
+    shader.CreateInput("normal", TYPES.Normal3f).ConnectToSource(texture.GetOutput("rgb"))
+
+
 def mesh(change):
     return lambda stage: change(square(stage, "/Root/it"))
 
@@ -211,7 +222,7 @@ def camera(name: str, value):
 def product(stage):
     found = UsdRender.Product.Define(stage, "/Root/it")
     found.CreateCameraRel().AddTarget(UsdGeom.Camera.Define(stage, "/Root/camera").GetPath())
-    found.CreateDataWindowNDCAttr(Gf.Vec4f(0, 0, 0.5, 1))
+    found.CreateDisableDepthOfFieldAttr(True)
 
 
 def variable(stage):
@@ -228,12 +239,25 @@ def cards(stage):
     api.CreateModelDrawModeAttr("cards")
 
 
+def hidden(stage):
+    square(stage, "/Root/it")
+    api = UsdGeom.VisibilityAPI.Apply(stage.GetPrimAtPath("/Root/it"))
+    api.CreateRenderVisibilityAttr("invisible")
+
+
+def render_pass(stage):
+    found = UsdRender.Pass.Define(stage, "/Root/it")
+    found.GetRenderVisibilityCollectionAPI().CreateExcludesRel().AddTarget("/Root")
+
+
 def levels_of_detail(stage):
     UsdGeom.Xform.Define(stage, "/Root/it").GetPrim().AddAppliedSchema("LODRootAPI")
 
 
 LOSSES = {
     "cards": (cards, "model:drawMode is not followed"),
+    "hidden": (hidden, "renderVisibility is not followed"),
+    "pass": (render_pass, "collections of RenderPass are not followed"),
     "levels": (levels_of_detail, "levels of detail are not chosen"),
     "opacity": (preview("opacity", TYPES.Float, 0.5), "opacity of UsdPreviewSurface is not"),
     "coat": (preview("clearcoat", TYPES.Float, 1.0), "clearcoat of UsdPreviewSurface is not"),
@@ -248,6 +272,8 @@ LOSSES = {
     "materialx": (materialx_only, "a surface for other renderers is not read"),
     "displacement": (displaced, "the displacement of a material is not read"),
     "clamp": (clamped, "wrap modes"),
+    "weak normals": (weak_normals, "scale and bias of a texture of normals are not followed"),
+    "tilt": (preview("normal", TYPES.Normal3f, Gf.Vec3f(0, 0.6, 0.8)), "normal of UsdPreview"),
     "skin": (mesh(skinned), "a skinned mesh stands in its rest pose"),
     "blend": (mesh(blended), "a skinned mesh stands in its rest pose"),
     "colors": (mesh(colored), "displayColor that varies"),
@@ -284,13 +310,12 @@ LOSSES = {
     "filter": (filtered, "light:filters of SphereLight is not followed"),
     "prototype": (prototype_light, "a light in the prototype of an instancer is not read"),
     "instances": (many_colors, "displayColor of single instances is not shown"),
-    "iso": (camera("exposure:iso", 400.0), "exposure:iso of Camera is not followed"),
     "blur": (camera("shutter:close", 0.5), "shutter:close of Camera is not followed"),
     "planes": (
         camera("clippingPlanes", Vt.Vec4fArray([(0, 0, 1, 2)])),
         "clippingPlanes of Camera is not followed",
     ),
-    "window": (product, "dataWindowNDC of RenderProduct is not followed"),
+    "sharp": (product, "disableDepthOfField of RenderProduct is not followed"),
     "variable": (variable, "a render variable of another renderer is not made"),
     "older label": (older_label, "a label of SemanticsAPI is not read"),
 }
@@ -314,6 +339,7 @@ HARMLESS_OPINIONS = {
     "shadow": light("SphereLight", "inputs:shadow:enable", True),
     "stops": camera("exposure", 2.0),
     "clipping": camera("clippingRange", Gf.Vec2f(0.1, 10.0)),
+    "iso": camera("exposure:iso", 400.0),
 }
 
 
