@@ -137,12 +137,26 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
                 yield owner.fault(f"no array {shown(member)} in {file.name}{hint}", "array")
                 return
         span = (0.0, 1.0) if "height_range_m" in owner else None
-        dem = read_dem(file, member, height_range_m=span)
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, MemoryError) as error:
+        dem = read_dem(file, member, owner["nodata"], span, owner["band"], owner["unit_m"])
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise SceneError(f"{file.name}: a broken file: {error or type(error).__name__}") from error
-    if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
+    except MemoryError as error:
+        raise SceneError(f"{file.name}: its heights do not fit into memory: {error}") from error
+    if dem.void is not None and not ("nodata" in owner and owner["nodata"] is None):
+        sample, share = dem.void
         yield owner.fault(
-            f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters'
+            f"{100.0 * share:.2g} % of the samples of {file.name} are {sample:.17g}, which no "
+            "other height is near: it marks holes, and the file does not say so: say "
+            f'"nodata": {sample:.17g} (and "holes": "fill" where they are under the terrain), or '
+            '"nodata": null if they are heights'
+        )
+    if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
+        where = ""
+        if dem.reference is not None and dem.reference.crs:
+            where = ": its coordinates are degrees, or of an unknown unit: project it (gdalwarp"
+            where += " -t_srs), or say how large a pixel is"
+        yield owner.fault(
+            f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters{where}'
         )
 
 
