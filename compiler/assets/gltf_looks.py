@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets.looks import SAME_UV, Color, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import OPACITY, SAME_UV, Color, Look, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
@@ -91,7 +91,7 @@ class GltfLooks:
     def _left_out(material: dict[str, Any]) -> list[str]:
         notes = []
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
-            notes.append("its opacity is not shown")
+            notes.append(OPACITY)
         if any(material.get("emissiveFactor", ())) or "emissiveTexture" in material:
             notes.append("its emission is left out")
         if "occlusionTexture" in material:

@@ -169,19 +169,23 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     yield from missing
     if not missing:
         # Its unit may be drawn, and is of no account here.
-        finish_model(file, parsed, part=owner["part"])
-        yield from _warnings(file, owner, parsed)
+        yield from _warnings(file, owner, finish_model(file, parsed, part=owner["part"]).warnings)
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
-    from scenec.compiler.assets.model import cached_model, parsed_model
+    from scenec.compiler.assets import model
+    from scenec.compiler.assets.looks import OF_COLORS
 
-    parsed = parsed_model(file)
-    missing = _missing(file, owner, parsed)
+    missing = _missing(file, owner, model.parsed_model(file))
     yield from missing
     if not missing:
-        cached_model(file, owner["unit_m"], owner["up"], owner["part"])
-        yield from _warnings(file, owner, parsed)
+        made = model.cached_model(
+            file, owner["unit_m"], owner["up"], owner["part"], model.origin_of(owner["origin"])
+        )
+        model.require_near_origin(file, made)
+        plain = cfg.at(*owner.path[:-2])["material"] is not None
+        lines = [line for line in made.warnings if not (plain and line.endswith(OF_COLORS))]
+        yield from _warnings(file, owner, lines)
 
 
 def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
@@ -193,8 +197,8 @@ def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
     ]
 
 
-def _warnings(file: Path, owner: Node, parsed: ParsedModel) -> Iterator[Finding]:
-    for line in parsed.warnings:
+def _warnings(file: Path, owner: Node, lines: Iterable[str]) -> Iterator[Finding]:
+    for line in lines:
         yield replace(owner.fault(f"{file.name}: {line}", "file"), is_warning=True)
 
 
