@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.geotiff import GeoReference, read_geotiff, require_memory
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
+from scenec.schemas.maps import require_all_bits
 
 #: What marks holes in files that do not declare it; floating files take what is beyond any number.
 _VOIDS = frozenset(
@@ -219,6 +220,7 @@ def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         with warnings.catch_warnings():
             # Large is no fault; what is too large is an error of Pillow's own.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            require_all_bits(file)
             with Image.open(file) as image:
                 return _gray(file, image)
     except Image.DecompressionBombError as error:
@@ -229,14 +231,11 @@ def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         ) from error
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise SceneError(f"{file.name}: not a readable picture: {error}") from error
+    except ValueError as error:
+        raise SceneError(f"{file.name}: {error}") from error
 
 
 def _gray(file: Path, image: Any) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    if any(";16" in str(tile[3]) for tile in image.tile) and not image.mode.startswith("I"):
-        raise SceneError(
-            f"{file.name}: 16 bits a channel, of which a reader of pictures in color keeps 8: "
-            "store it as plain gray, without alpha"
-        )
     if image.mode.startswith("I;16"):
         return np.asarray(image).astype(np.uint16), None
     if image.mode == "I":

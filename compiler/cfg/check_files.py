@@ -102,9 +102,10 @@ def _check_texture_set(folder: Path, owner: Node, cfg: Node) -> Iterator[Finding
                 f"{shown(owner['folder'])}: no picture of {key}, and {why}: found "
                 f"{', '.join(files.values())}"
             )
-    for name in files.values():
+    for kind, name in files.items():
+        check = _check_heights if kind == "displacement" else _check_map
         try:
-            _check_map(folder / name, owner, cfg)
+            check(folder / name, owner, cfg)
         except SceneError as error:
             yield owner.fault(str(error), "folder")
 
@@ -265,6 +266,12 @@ def _check_map(file: Path, owner: Node, cfg: Node) -> None:
         raise SceneError(f"{file.name}: {error}") from error
 
 
+def _check_heights(file: Path, owner: Node, cfg: Node) -> None:
+    from scenec.compiler.materials.heights import read_heights
+
+    read_heights(file)
+
+
 def _check_polyline(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.compiler.assets.polyline import read_polyline
 
@@ -289,6 +296,7 @@ def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:
 _CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding] | None]] = {
     "dem": _check_dem,
     "density": _check_density,
+    "heights": _check_heights,
     "image": _check_image,
     "label_map": _check_label_map,
     "map": _check_map,
