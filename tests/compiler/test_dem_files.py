@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 from small import small_cfg, write_cfg
 
+from scenec.cli.main import main
 from scenec.compiler.assets.dem_file import read_dem
 from scenec.compiler.cfg.load import load
 from scenec.compiler.terrain.grid import Grid
@@ -349,3 +350,17 @@ def test_a_file_that_is_larger_than_memory_says_its_true_size(tmp_path):
         text = refusal(tmp_path, file=name, pixel_m=1)
         assert "120,000 x 120,000 samples of float32 take 202 GB" in text
         assert "broken" not in text
+
+
+def test_what_a_file_says_of_its_numbers_is_said_on_the_screen(tmp_path, capsys):
+    samples = np.round((METERS / 0.3048 - 100.0) * 8.0).astype(np.int16)
+    write(tmp_path / "a.tif", samples, unit="ft", scale=0.125, offset=100.0)
+    cfg = small_cfg()
+    cfg["samples"] = 1
+    cfg["terrain"]["relief"] = [{"type": "dem", "edge": "clamp", "file": "a.tif"}]
+    cfg["objects"] = {}
+    cfg["materials"].pop("stone")
+    out = tmp_path / "out"
+    assert main(["compile", str(write_cfg(tmp_path, cfg)), "-o", str(out), "--no-cache"]) == 0
+    line = "/terrain/relief/0 (dem): heights are (sample * 0.125 + 100) * 0.3048 m of band 1"
+    assert line in capsys.readouterr().err

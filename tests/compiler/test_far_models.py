@@ -13,6 +13,7 @@ from overhangs import glb
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from small import small_cfg, write_cfg
 
+from scenec.cli.main import main
 from scenec.compiler.assets.model import Model, cached_model, read_model
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -407,3 +408,16 @@ def test_colors_of_off_files_and_of_the_faces_of_ply_files_are_told(tmp_path):
     plain = ["OFF", "8 6 0", *points, *sides, ""]
     (tmp_path / "p.off").write_text("\n".join(plain))
     assert told(tmp_path, "p.off") == []
+
+
+def test_compile_tells_on_the_screen_and_in_the_report_what_is_not_drawn(tmp_path, capsys):
+    whole, binary = gltf_parts(False)
+    whole["materials"][0]["alphaMode"] = "MASK"
+    (tmp_path / "a.glb").write_bytes(glb(whole, binary))
+    out = tmp_path / "out"
+    assert main(["compile", str(crate_cfg(tmp_path, "a.glb")), "-o", str(out), "--no-cache"]) == 0
+    line = f"a.glb: material 'plain': {SOLID}"
+    assert f"warning: {tmp_path}" in (screen := capsys.readouterr().err)
+    assert screen.count(line) == 1
+    report = json.loads((out / "batch_0000" / "report.json").read_text())
+    assert line in report["objects"]["crate"]["left_out"]
