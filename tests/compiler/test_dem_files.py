@@ -358,8 +358,7 @@ def test_what_a_file_says_of_its_numbers_is_said_on_the_screen(tmp_path, capsys)
     cfg = small_cfg()
     cfg["samples"] = 1
     cfg["terrain"]["relief"] = [{"type": "dem", "edge": "clamp", "file": "a.tif"}]
-    cfg["objects"] = {}
-    cfg["materials"].pop("stone")
+    cfg["objects"]["rocks"]["count"] = 1
     out = tmp_path / "out"
     assert main(["compile", str(write_cfg(tmp_path, cfg)), "-o", str(out), "--no-cache"]) == 0
     line = "/terrain/relief/0 (dem): heights are (sample * 0.125 + 100) * 0.3048 m of band 1"
