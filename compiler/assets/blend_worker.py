@@ -201,7 +201,7 @@ class _Look:
             self.values["specular_level"] = shader.inputs["Specular IOR Level"].default_value
             for name, plain, what in (
                 ("Alpha", 1.0, _OPACITY),
-                ("Transmission Weight", 0.0, "transmission is left out"),
+                ("Transmission Weight", 0.0, _OPACITY),
                 ("Emission Strength", 0.0, "emission is left out"),
                 ("Coat Weight", 0.0, "coat is left out"),
                 ("Sheen Weight", 0.0, "sheen is left out"),

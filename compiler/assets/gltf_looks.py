@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets.looks import OPACITY, SAME_UV, Color, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import (
+    NOT_FOLLOWED,
+    OPACITY,
+    SAME_UV,
+    Color,
+    Look,
+    Slot,
+    UvMap,
+    reflectance,
+)
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
@@ -97,7 +106,7 @@ class GltfLooks:
         if "occlusionTexture" in material:
             notes.append("its occlusion picture is left out: light is traced")
         notes += [
-            f"its {name} is left out"
+            f"its {name} {NOT_FOLLOWED}"
             for name in material.get("extensions", {})
             if name not in _READ
         ]

@@ -14,6 +14,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
+from scenec.compiler.assets import blend_worker, looks
 from scenec.compiler.assets.model import Model, cached_model, read_model
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -284,6 +285,15 @@ def test_the_opacity_of_a_gltf_is_told(tmp_path, mode):
     assert told(tmp_path, "a.glb") == expected
 
 
+def test_glass_of_a_gltf_is_told(tmp_path):
+    whole, binary = gltf_parts(False)
+    whole["extensionsUsed"] = ["KHR_materials_transmission"]
+    whole["materials"][0]["extensions"] = {"KHR_materials_transmission": {"transmissionFactor": 1}}
+    (tmp_path / "a.glb").write_bytes(glb(whole, binary))
+    line = "a.glb: material 'plain': its KHR_materials_transmission is not followed"
+    assert told(tmp_path, "a.glb") == [line]
+
+
 def quad_stage(path: Path) -> tuple[Usd.Stage, UsdGeom.Mesh]:
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -386,6 +396,18 @@ def test_colors_of_vertices_that_become_one_are_told(tmp_path, kind):
     where = "/box" if kind == "glb" else "the mesh"
     assert told(tmp_path, path.name) == [f"{path.name}: {where}: {AVERAGE}"]
     assert told(tmp_path, path.name, "stone") == []
+
+
+def test_colors_of_some_vertices_of_an_obj_are_told(tmp_path):
+    lines = [f"v {x} {y} {z}" for x, y, z in BOX.tolist()]
+    sides = ["f " + " ".join(str(v + 1) for v in quad) for quad in QUADS.tolist()]
+    (tmp_path / "a.obj").write_text("\n".join([lines[0] + " 1 0 0", *lines[1:], *sides, ""]))
+    assert told(tmp_path, "a.obj") == ["a.obj: the colors of its vertices are left out"]
+
+
+def test_the_process_that_reads_blend_files_tells_it_in_the_same_words():
+    assert f"its {blend_worker._OPACITY}" == looks.OPACITY == SOLID
+    assert blend_worker._NO_VERTEX_COLORS == looks.NO_VERTEX_COLORS
 
 
 def test_colors_of_off_files_and_of_the_faces_of_ply_files_are_told(tmp_path):
