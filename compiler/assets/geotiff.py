@@ -154,8 +154,8 @@ def require_memory(file: Path, shape: tuple[int, ...], kind: np.dtype, mend: str
     if needed > free:
         size = " x ".join(f"{side:,}" for side in reversed(shape))
         raise SceneError(
-            f"{file.name}: {size} samples of {kind} take {needed / memory.GB:,.3g} GB of memory "
-            f"to read, and {free / memory.GB:,.3g} GB are free: {mend}"
+            f"{file.name}: {size} samples of {kind} take {needed / memory.GB:,.1f} GB of memory "
+            f"to read, and {free / memory.GB:,.1f} GB are free: {mend}"
         )
 
 

@@ -335,7 +335,7 @@ def test_points_on_the_ground_in_place_of_a_transform_are_refused(tmp_path):
 
 
 def test_a_file_that_is_larger_than_memory_says_its_true_size(tmp_path):
-    side = 120_000
+    side = 400_000
     with rasterio.open(
         tmp_path / "a.tif", "w", driver="GTiff", height=side, width=side, count=1,
         dtype="float32", crs=UTM, transform=rasterio.Affine(1, 0, 0, 0, -1, 0.5), tiled=True,
@@ -348,7 +348,7 @@ def test_a_file_that_is_larger_than_memory_says_its_true_size(tmp_path):
     assert memory.available() < 14 * side * side
     for name in ("a.tif", "a.npy"):
         text = refusal(tmp_path, file=name, pixel_m=1)
-        assert "120,000 x 120,000 samples of float32 take 202 GB" in text
+        assert "400,000 x 400,000 samples of float32 take 2,240.0 GB" in text
         assert "broken" not in text
 
 
