@@ -267,7 +267,7 @@ def _check_map(file: Path, owner: Node, cfg: Node) -> None:
 
 
 def _check_heights(file: Path, owner: Node, cfg: Node) -> None:
-    from scenec.compiler.materials.heights import read_heights
+    from scenec.compiler.assets.pictures import read_heights
 
     read_heights(file)
 

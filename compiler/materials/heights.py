@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.pictures import read_heights
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile
 from scenec.compiler.scene.scene import MaterialMaps
 from scenec.schemas.errors import SceneError
-from scenec.schemas.maps import read_pixels, require_all_bits
-
-#: What rounding may put beyond black and white.
-_CUT = 1e-3
 
 
 @lru_cache(maxsize=2)
@@ -51,29 +48,6 @@ def stamp(path: Path) -> tuple[int, int]:
 @lru_cache(maxsize=4)
 def _gray(path: Path, _stamp: tuple[int, int]) -> Plane:
     return read_heights(path)
-
-
-def read_heights(path: Path) -> Plane:
-    """``gray``, read anew.
-
-    Raises:
-        SceneError: It cannot be read, or holds what would be cut off or rounded to 8 bits.
-    """
-    try:
-        pixels = read_pixels(path)[..., 0]
-        require_all_bits(path)
-    except ValueError as error:
-        raise SceneError(f"{path.name}: {error}") from error
-    if pixels.dtype.kind == "f":
-        low, high = float(pixels.min()), float(pixels.max())
-        if low < -_CUT or high > 1.0 + _CUT:
-            raise SceneError(
-                f"{path.name}: its heights reach from {low:.6g} to {high:.6g}: expected 0 for "
-                "black to 1 for white, since what lies beyond would be cut off"
-            )
-        return np.clip(pixels, 0.0, 1.0).astype(np.float32)
-    largest = float(np.iinfo(pixels.dtype).max)
-    return (pixels.astype(np.float64) / largest).astype(np.float32)
 
 
 def relief_of(maps: MaterialMaps) -> Plane | None:
