@@ -13,6 +13,8 @@ from scenec.cli.output import Progress, print_json, say, say_next, status, warn
 if TYPE_CHECKING:
     from scenec.compiler.compile import CompileReport
 
+#: What a file of heights says of its numbers where they are meters.
+_HEIGHTS = {"scale": 1.0, "offset": 0.0, "unit_m": 1.0}
 #: Steps of a batch that are named with ``--verbose``.
 _SLOWEST = 5
 
@@ -91,6 +93,12 @@ def compile_now(options: argparse.Namespace) -> CompileReport:
                 "keep cameras farther from it"
             )
         for place, entry in enumerate(facts["relief"]):
+            read = tuple(entry.get(key, rest) for key, rest in _HEIGHTS.items())
+            if read != tuple(_HEIGHTS.values()):
+                say(
+                    f"{name}: /terrain/relief/{place} (dem): heights are (sample * {read[0]:g} + "
+                    f"{read[1]:g}) * {read[2]:.9g} m of band {entry['band']}"
+                )
             if entry.get("error_rms_m", 0.0) > entry.get("error_aim_m", math.inf):
                 say(
                     f"{name}: warning: /terrain/relief/{place} ({entry['type']}) errs by about "

@@ -62,6 +62,24 @@ def read_pixels(path: Path | bytes) -> NDArray:
         raise ValueError(f"not a readable picture: {error}") from error
 
 
+def require_all_bits(path: Path) -> None:
+    """Refuses a picture in color of 16 bits a channel, of which ``read_pixels`` keeps 8.
+
+    Raises:
+        ValueError: It is one.
+    """
+    from PIL import Image
+
+    if path.suffix.lower() == ".exr":
+        return
+    with Image.open(path) as image:
+        if not image.mode.startswith("I") and any(";16" in str(tile[3]) for tile in image.tile):
+            raise ValueError(
+                "16 bits a channel, of which a reader of pictures in color keeps 8: store it as "
+                "plain gray, without alpha"
+            )
+
+
 def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.float32]:
     """What stored pixels mean, float32 [h, w, channels of the kind].
 

@@ -21,6 +21,9 @@ from scenec.schemas.system_libraries import OF_BLENDER, mend, missing
 #: Types of objects that have a surface.
 _SURFACES = ("MESH", "CURVE", "SURFACE", "FONT", "META")
 _KINDS = {"base_color": "Base Color", "roughness": "Roughness", "metallic": "Metallic"}
+#: As in ``looks``, which this process has no use for.
+_OPACITY = "opacity is not shown: it is drawn, and labeled, as if it were solid"
+_NO_VERTEX_COLORS = "the colors of its vertices are left out"
 _CHANNELS = {"Red": 0, "Green": 1, "Blue": 2}
 
 
@@ -197,8 +200,8 @@ class _Look:
             self.values["ior"] = shader.inputs["IOR"].default_value
             self.values["specular_level"] = shader.inputs["Specular IOR Level"].default_value
             for name, plain, what in (
-                ("Alpha", 1.0, "opacity is not shown"),
-                ("Transmission Weight", 0.0, "transmission is left out"),
+                ("Alpha", 1.0, _OPACITY),
+                ("Transmission Weight", 0.0, _OPACITY),
                 ("Emission Strength", 0.0, "emission is left out"),
                 ("Coat Weight", 0.0, "coat is left out"),
                 ("Sheen Weight", 0.0, "sheen is left out"),
@@ -241,7 +244,11 @@ class _Look:
             self.values[kind] = list(node.outputs[0].default_value)[:3]
             return
         if node.bl_idname != "ShaderNodeTexImage" or socket == "Alpha":
-            self._notes.append(f"what gives its {kind} ({node.bl_label}) is not known")
+            of_vertices = node.bl_idname in ("ShaderNodeVertexColor", "ShaderNodeAttribute")
+            if kind == "base_color" and of_vertices:
+                self._notes.append(_NO_VERTEX_COLORS)
+            else:
+                self._notes.append(f"what gives its {kind} ({node.bl_label}) is not known")
             return
         picture = self._reader.picture(node.image)
         if isinstance(picture, str):

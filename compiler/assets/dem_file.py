@@ -5,54 +5,34 @@ from __future__ import annotations
 import io
 import warnings
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.geotiff import GeoReference, read_geotiff, require_memory
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
+from scenec.schemas.maps import require_all_bits
 
-#: Farther than any coordinate on a planet, and small enough that sums of products are numbers.
-_FARTHEST = 1e15
+#: What marks holes in files that do not declare it; floating files take what is beyond any number.
+_VOIDS = frozenset(
+    sign * value
+    for value in (9999.0, 99999.0, 999999.0, 9999999.0, 32767.0, 32768.0, 65535.0, 2.0**31 - 1.0,
+                  2.0**31, 2.0**32 - 1.0)
+    for sign in (1.0, -1.0)
+)  # fmt: skip
+#: Samples that are no heights in any unit, and heights farther from any datum than on any body.
+_NO_SAMPLE, _NO_HEIGHT_M = 1e15, 3e4
+#: Farther than any surface is from its body's center.
+_NO_BODY_M = 1e7
 _NUMPY = (".npz", ".npy")
 _GEOTIFF = (".tif", ".tiff")
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
-
-
-@dataclass(frozen=True)
-class GeoReference:
-    """Where on a planet a DEM lies. Recorded, and never part of any arithmetic on heights.
-
-    Attributes:
-        crs: Coordinate reference system: an authority's code, or WKT.
-        metric: Whether its axes are in meters.
-        transform: (a, b, c, d, e, f): pixel (column, row) corners lie at (a column + b row + c,
-            d column + e row + f).
-    """
-
-    crs: str
-    metric: bool
-    transform: tuple[float, float, float, float, float, float]
-
-    def at(self, column: float, row: float) -> tuple[float, float]:
-        """Coordinates of a place in the file, in pixels from its first corner."""
-        a, b, c, d, e, f = self.transform
-        return a * column + b * row + c, d * column + e * row + f
-
-    def first_row(self) -> str:
-        """Which end of the file is its northern one, by the transform: north or south."""
-        return "south" if self.transform[4] > 0.0 else "north"
-
-    def pixel_m(self) -> tuple[float, float] | None:
-        """Size of a pixel in meters; None where axes are no meters or turned."""
-        a, b, _, d, e, _ = self.transform
-        if not self.metric or b != 0.0 or d != 0.0 or a == 0.0 or e == 0.0:
-            return None
-        return abs(a), abs(e)
 
 
 @dataclass(frozen=True)
@@ -60,15 +40,20 @@ class DemFile:
     """A measured height field.
 
     Attributes:
-        values: Heights with the file's own scale and offset applied, 0 in holes; float64 [ny, nx],
-            in the file's order.
+        values: Heights in meters with the file's own scale and offset applied, 0 in holes; float64
+            [ny, nx], in the file's order.
         holes: Where there are none, bool [ny, nx].
         reference: Where it lies, if the file says so.
+        facts: Which band was read and what its numbers mean, for report.json.
+        void: A value of the file that looks like a hole's mark which it does not declare, and the
+            share of its samples that have it; None without one.
     """
 
     values: NDArray[np.float64]
     holes: NDArray[np.bool_]
     reference: GeoReference | None
+    facts: dict[str, Any]
+    void: tuple[float, float] | None
 
 
 def read_dem(
@@ -76,6 +61,8 @@ def read_dem(
     array: str | None = None,
     nodata: float | None = None,
     height_range_m: tuple[float, float] | None = None,
+    band: int | None = None,
+    unit_m: float | None = None,
 ) -> DemFile:
     """Reads a DEM.
 
@@ -84,26 +71,36 @@ def read_dem(
         array: Member of an ``.npz``; None takes the only two-dimensional one.
         nodata: Value in the file that marks holes, besides NaN and what the file itself declares.
         height_range_m: Heights of black and of white, for pictures.
+        band: Band of a GeoTIFF, from 1; None takes its only one.
+        unit_m: Meters per unit of the file's heights; None takes what a GeoTIFF says, else 1.
 
     Raises:
-        SceneError: The file is not a two-dimensional field of numbers, or a picture's range is
-            missing.
+        SceneError: The file is not a two-dimensional field of numbers, or is larger than memory; a
+            picture's range is missing; or see ``geotiff.read_geotiff``.
     """
     suffix = file.suffix.lower()
     missing = None
-    scale, offset = 1.0, 0.0
+    scale, offset, unit = 1.0, 0.0, 1.0 if unit_m is None else unit_m
     reference = None
+    facts: dict[str, Any] = {}
+    if suffix not in _GEOTIFF and band is not None:
+        raise SceneError(f"{file.name}: band is for GeoTIFF")
+    if suffix in PICTURES and unit_m is not None:
+        raise SceneError(f"{file.name}: unit_m is for numbers; use height_range_m")
     if suffix in _NUMPY:
         samples = _read_numpy(file, array)
     elif suffix in _GEOTIFF:
-        samples, missing, scale, offset, reference = _read_geotiff(file)
+        tiff = read_geotiff(file, band, unit_m)
+        samples, missing, reference = tiff.samples, tiff.missing, tiff.reference
+        scale, offset, unit = tiff.scale, tiff.offset, tiff.unit_m
+        facts = {"band": tiff.band, "scale": scale, "offset": offset, "unit_m": unit}
     elif suffix in PICTURES:
         if height_range_m is None:
             raise SceneError(
                 f"{file.name}: a picture holds no heights: give height_range_m, those of black and "
                 "white"
             )
-        samples = _read_picture(file)
+        samples, missing = _read_picture(file)
         low, high = height_range_m
         scale, offset = (high - low) / float(np.iinfo(samples.dtype).max), low
     else:
@@ -120,30 +117,65 @@ def read_dem(
     # Signaling NaN, and what is beyond float64: neither is a height.
     with np.errstate(over="ignore", invalid="ignore"):
         values = samples.astype(np.float64)
+        if nodata is not None and samples.dtype.kind == "f":
+            # As the file can hold it: no float32 is -9999.9.
+            nodata = float(np.array(nodata).astype(samples.dtype))
     holes = ~np.isfinite(values)
     if missing is not None:
         holes |= missing
     if nodata is not None:
         holes |= values == nodata
-    if (scale, offset) != (1.0, 0.0):
-        if not np.isfinite([scale, offset]).all():
-            raise SceneError(f"{file.name}: its scale {scale:g} or offset {offset:g} is not finite")
+    if not np.isfinite([scale, offset]).all():
+        raise SceneError(f"{file.name}: its scale {scale:g} or offset {offset:g} is not finite")
+    void = None
+    if suffix not in PICTURES:
+        void = _void(values, holes, lambda sample: (sample * scale + offset) * unit)
+    if (scale, offset, unit) != (1.0, 0.0, 1.0):
         with np.errstate(over="ignore", invalid="ignore"):
             values = values * scale + offset
+            values *= unit
         # What overflows is no height.
         holes |= ~np.isfinite(values)
     values[holes] = 0.0
-    return DemFile(values, holes, reference)
+    return DemFile(values, holes, reference, facts, void)
+
+
+def _void(
+    values: NDArray[np.float64], holes: NDArray[np.bool_], height_m: Callable[[float], float]
+) -> tuple[float, float] | None:
+    """The file's lowest or highest value that is no hole and no height, and its share."""
+    for extreme, none in ((np.min, np.inf), (np.max, -np.inf)):
+        end = float(extreme(values, where=~holes, initial=none))
+        height = abs(height_m(end))
+        if not (end in _VOIDS or abs(end) >= _NO_SAMPLE or height >= _NO_BODY_M):
+            continue
+        marked = (values == end) & ~holes
+        share = float(np.count_nonzero(marked)) / values.size
+        others = values[~(holes | marked)]
+        if not np.isfinite(end):
+            continue
+        if abs(end) >= _NO_SAMPLE or (end in _VOIDS and height >= _NO_HEIGHT_M):
+            return end, share
+        # A true height has others near it; a mark has none.
+        if not others.size or np.abs(others - end).min() > np.ptp(others):
+            return end, share
+    return None
 
 
 def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
     try:
+        if file.suffix.lower() == ".npy":
+            with file.open("rb") as stream:
+                _require_room(file, stream)
         loaded = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
     except NUMPY_FAULTS as error:
         raise SceneError(f"{file.name}: not a NumPy file: {_reason(error)}") from error
     if isinstance(loaded, np.ndarray):
         return loaded
     try:
+        for name in loaded.zip.namelist():
+            with loaded.zip.open(name) as stream:
+                _require_room(file, stream)
         members = {name: loaded[name] for name in loaded.files}
     except NUMPY_FAULTS as error:
         raise SceneError(f"{file.name}: a broken NumPy file: {_reason(error)}") from error
@@ -161,6 +193,15 @@ def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:
     return members[fields[0]]
 
 
+def _require_room(file: Path, stream: IO[bytes]) -> None:
+    """Refuses an array that is larger than memory, by its header."""
+    layout = np.lib.format
+    first = layout.read_magic(stream) == (1, 0)
+    header = layout.read_array_header_1_0 if first else layout.read_array_header_2_0
+    shape, _, kind = header(stream)
+    require_memory(file, shape, kind, "store the part that is needed, or fewer samples")
+
+
 def _reason(error: Exception) -> str:
     """What NumPy holds against a file, where that is a sentence for users."""
     text = " ".join(str(error).split())
@@ -171,73 +212,44 @@ def _reason(error: Exception) -> str:
     return text if said and text and " at 0x" not in text else "its header or data are broken"
 
 
-def _read_geotiff(
-    file: Path,
-) -> tuple[NDArray[Any], NDArray[np.bool_], float, float, GeoReference | None]:
-    """Samples, holes, scale, offset, place."""
-    try:
-        import rasterio
-        from rasterio.errors import NotGeoreferencedWarning, RasterioError
-    except ModuleNotFoundError as error:
-        raise SceneError(
-            f"{file.name}: reading GeoTIFF needs the extra 'geotiff': pip install 'scenec[geotiff]'"
-        ) from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            # Nothing but the file itself counts: masks and statistics beside it are no inputs.
-            alone = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
-            with rasterio.Env(**alone), rasterio.open(file) as source:
-                samples = source.read(1)
-                missing = source.read_masks(1) == 0
-                scale, offset = float(source.scales[0]), float(source.offsets[0])
-                reference = None
-                if source.crs:
-                    unit, to_m = (
-                        source.crs.linear_units_factor if source.crs.is_projected else ("", 0.0)
-                    )
-                    t = source.transform
-                    if not np.abs([t.a, t.b, t.c, t.d, t.e, t.f]).max() <= _FARTHEST:
-                        raise SceneError(
-                            f"{file.name}: its transform holds numbers that are not finite or "
-                            f"beyond {_FARTHEST:g}"
-                        )
-                    reference = GeoReference(
-                        source.crs.to_string(),
-                        bool(unit) and to_m == 1.0,
-                        (t.a, t.b, t.c, t.d, t.e, t.f),
-                    )
-    except (RasterioError, OSError) as error:
-        raise SceneError(f"{file.name}: not a readable GeoTIFF: {error}") from error
-    return samples, missing, scale, offset, reference
-
-
-def _read_picture(file: Path) -> NDArray[Any]:
-    """Gray values, uint8 or uint16 [ny, nx]."""
+def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+    """Gray values, uint8 or uint16 [ny, nx], and where pixels are transparent."""
     from PIL import Image, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
             # Large is no fault; what is too large is an error of Pillow's own.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            require_all_bits(file)
             with Image.open(file) as image:
                 return _gray(file, image)
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError as error:
+        most = f"{2 * (Image.MAX_IMAGE_PIXELS or 0):,}"
+        raise SceneError(
+            f"{file.name}: too large a picture: at most {most} pixels are taken: store heights as "
+            ".npy or GeoTIFF"
+        ) from error
+    except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise SceneError(f"{file.name}: not a readable picture: {error}") from error
+    except ValueError as error:
+        raise SceneError(f"{file.name}: {error}") from error
 
 
-def _gray(file: Path, image: Any) -> NDArray[Any]:
+def _gray(file: Path, image: Any) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
     if image.mode.startswith("I;16"):
-        return np.asarray(image).astype(np.uint16)
+        return np.asarray(image).astype(np.uint16), None
     if image.mode == "I":
         # How Pillow opens some 16-bit pictures.
         wide = np.asarray(image)
         if wide.min() >= 0 and wide.max() <= 0xFFFF:
-            return wide.astype(np.uint16)
-    if image.mode in ("1", "L", "LA"):
-        return np.asarray(image.convert("L"))
-    if image.mode in ("P", "RGB", "RGBA"):
+            return wide.astype(np.uint16), None
+    if image.mode in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
+        missing = None
+        if image.mode[-1] == "A" or "transparency" in image.info:
+            missing = np.asarray(image.convert("RGBA"))[..., 3] == 0
+        if image.mode in ("1", "L", "LA"):
+            return np.asarray(image.convert("L")), missing
         colors = np.asarray(image.convert("RGB"))
         if (colors == colors[..., :1]).all():
-            return np.ascontiguousarray(colors[..., 0])
+            return np.ascontiguousarray(colors[..., 0]), missing
     raise SceneError(f"{file.name}: expected a gray picture of 8 or 16 bits, got {image.mode}")

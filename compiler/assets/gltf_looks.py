@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets.looks import SAME_UV, Color, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import (
+    NOT_FOLLOWED,
+    OPACITY,
+    SAME_UV,
+    Color,
+    Look,
+    Slot,
+    UvMap,
+    reflectance,
+)
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
@@ -91,13 +100,13 @@ class GltfLooks:
     def _left_out(material: dict[str, Any]) -> list[str]:
         notes = []
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
-            notes.append("its opacity is not shown")
+            notes.append(OPACITY)
         if any(material.get("emissiveFactor", ())) or "emissiveTexture" in material:
             notes.append("its emission is left out")
         if "occlusionTexture" in material:
             notes.append("its occlusion picture is left out: light is traced")
         notes += [
-            f"its {name} is left out"
+            f"its {name} {NOT_FOLLOWED}"
             for name in material.get("extensions", {})
             if name not in _READ
         ]

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.gltf_looks import GltfLooks, natural
+from scenec.compiler.assets.looks import NOT_FOLLOWED
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed, repeated
@@ -31,9 +32,23 @@ _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 #: Items that all reads of accessors together may take, in terms of the buffers' bytes.
 _MOST_SHARED = 32
-#: Required extensions that leave geometry as it is or are read, by how their names begin.
-_READABLE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_mesh_quantiz",
-             "EXT_mesh_gpu_instancing")  # fmt: skip
+#: Extensions that are followed, or that change nothing that is seen.
+_FOLLOWED = frozenset((
+    "KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "KHR_node_visibility",
+    "KHR_texture_transform", "EXT_texture_webp", "KHR_xmp", "KHR_xmp_json_ld",
+))  # fmt: skip
+#: Those that leave geometry as it is, of which ``gltf_looks`` says what of them is left out.
+_OF_LOOKS = frozenset((
+    *(f"KHR_materials_{name}" for name in (
+        "anisotropy", "clearcoat", "diffuse_transmission", "dispersion", "emissive_strength",
+        "ior", "iridescence", "pbrSpecularGlossiness", "sheen", "specular", "transmission",
+        "unlit", "volume", "volume_scatter",
+    )),
+    "KHR_texture_basisu", "EXT_texture_avif",
+))  # fmt: skip
+#: Those without which the file's geometry stands, too; it is said that they are left out.
+_LEFT_OUT = frozenset(("KHR_lights_punctual", "KHR_materials_variants"))
+_READABLE = _FOLLOWED | _OF_LOOKS | _LEFT_OUT
 
 
 def read_gltf(file: Path, looks: bool) -> ParsedModel:
@@ -139,6 +154,11 @@ class GltfFile:
             f"its {what} are left out: it stands as at rest"
             for key, what in (("animations", "animations"), ("skins", "skins"))
             if document.get(key)
+        ]
+        notes += [
+            f"its extension {name} {NOT_FOLLOWED}"
+            for name in sorted(set(map(str, document.get("extensionsUsed", []))))
+            if name not in _FOLLOWED | _OF_LOOKS
         ]
         looks = GltfLooks(self) if with_looks else None
         shells: dict[int, list[Shell]] = {}
@@ -247,7 +267,7 @@ def _required_version(document: Any) -> dict[str, Any]:
     if not version.startswith("2"):
         raise MeshFileError(f"glTF of version {version or 'unknown'}: expected version 2")
     for extension in document.get("extensionsRequired", []):
-        if not str(extension).startswith(_READABLE):
+        if extension not in _READABLE:
             raise MeshFileError(f"needs the extension {extension}: export it without")
     return document
 
@@ -279,6 +299,8 @@ def _placed_meshes(
             raise MeshFileError(f"a broken glTF file: node {index} is in two places")
         seen.add(index)
         node = nodes[natural(index)]
+        if node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible") is False:
+            continue
         matrix = compose(parent, _local(node))
         own = natural(node["mesh"]) if "mesh" in node else None
         name = node.get("name")

@@ -23,6 +23,15 @@ SAME_UV: UvMap = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 #: Reflectance at normal incidence of most of what is no metal: an index of refraction of 1.5.
 DIELECTRIC = 0.04
 Color = tuple[float, float, float]
+#: Notes that are warnings, since a user who does not see them trusts a wrong picture.
+OPACITY = "its opacity is not shown: it is drawn, and labeled, as if it were solid"
+VERTEX_COLORS = "the colors of its vertices are shown as their average"
+NO_VERTEX_COLORS = "the colors of its vertices are left out"
+NO_FACE_COLORS = "the colors of its faces are left out"
+NOT_FOLLOWED = "is not followed"
+_WARNINGS = (OPACITY, VERTEX_COLORS, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
+#: Of these, those that do not count where a cfg gives a material of its own.
+OF_COLORS = (VERTEX_COLORS, NO_VERTEX_COLORS, NO_FACE_COLORS)
 
 
 @dataclass(frozen=True)
@@ -156,6 +165,11 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
         numbers["diffuse transmission"],
     )
     return material, notes
+
+
+def is_warning(note: str) -> bool:
+    """Whether a note on a model is to be told on the screen, too."""
+    return note.endswith(_WARNINGS)
 
 
 def reflectance(ior: float) -> float:

@@ -5,22 +5,34 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.joining import chosen_parts, join
-from scenec.compiler.assets.looks import Look, ModelMaterial, finished_look
+from scenec.compiler.assets.looks import (
+    VERTEX_COLORS,
+    Look,
+    ModelMaterial,
+    finished_look,
+    is_warning,
+)
 from scenec.compiler.assets.parse import faults_of, parse_model
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.geometry import affine
 from scenec.compiler.geometry.normals import face_normals
+from scenec.compiler.geometry.rounding import rounding_of
 from scenec.schemas.errors import SceneError
 
 #: Files that are kept once they are read: for checking, hashing and all batches.
 _MOST = 64
 _parsed: dict[Path, tuple[list[tuple[int, int]], ParsedModel]] = {}
+#: Part of a model's size by which float32 may move its vertices: half a pixel of 5000.
+_ROUNDED = 1e-4
+#: A point of a model in meters, z up, that becomes its origin; or "base", see ``base_of``.
+Origin = str | tuple[float, float, float] | None
 _MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
 
 
@@ -45,6 +57,7 @@ class Model:
         normals: Shading normals of the faces' corners, unit, float32 [m, 3, 3]; None where the
             file has none. A face without them has its geometric one.
         notes: What of the file is left out, in words for a user.
+        warnings: Those of them, and of what is unsound, that are to be told on the screen.
         degenerate: Faces dropped.
         welded: Vertices that were copies.
     """
@@ -58,6 +71,7 @@ class Model:
     materials: tuple[ModelMaterial, ...]
     normals: NDArray[np.float32] | None
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     degenerate: int
     welded: int
 
@@ -96,8 +110,12 @@ def finish_model(
     unit_m: float | None = None,
     up: str | None = None,
     part: str | None = None,
+    origin: Origin = None,
 ) -> Model:
     """What ``read_model`` makes of a parsed file; where nobody says them, 1 m and z.
+
+    Args:
+        origin: What of it becomes the model's origin.
 
     Raises:
         SceneError: It is no sound mesh, has no such part, or a picture is broken.
@@ -105,9 +123,43 @@ def finish_model(
     with faults_of(file):
         unit = parsed.unit_m if unit_m is None else unit_m
         axis = (parsed.up if up is None else up) or "z"
-        return _finished(
+        made = _finished(
             chosen_parts(parsed.parts, part), parsed, 1.0 if unit is None else unit, axis
         )
+        if origin is None:
+            return made
+        place = base_of(made.points) if isinstance(origin, str) else np.array(origin)
+        return replace(made, points=made.points - place)
+
+
+def origin_of(value: Any) -> Origin:
+    """A model's origin as the cfg's ``origin`` says it: None where it is the file's."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def base_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The middle of a model's extent in plan, at its lowest height: float64 [3]."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+
+
+def require_near_origin(file: Path, model: Model) -> None:
+    """Refuses a model that is so far from its origin that float32 changes its shape.
+
+    Raises:
+        SceneError: It is.
+    """
+    size = np.ptp(model.points, axis=0)
+    size_m, off_m = float(np.sqrt((size * size).sum())), rounding_of(model.points)
+    if off_m <= _ROUNDED * size_m:
+        return
+    base = ", ".join(f"{value:.12g}" for value in base_of(model.points).tolist())
+    far_m = np.abs(model.points).max()
+    raise SceneError(
+        f"{file.name}: it is {size_m:.3g} m large and lies {far_m:,.0f} m from its origin, where "
+        f'float32 holds vertices within {off_m:.2g} m: say "origin": "base" to have it stand on '
+        f'its pose, or "origin": [x, y, z] near [{base}]'
+    )
 
 
 def parsed_model(file: Path) -> ParsedModel:
@@ -140,20 +192,31 @@ def _state(file: Path, parsed: ParsedModel) -> list[tuple[int, int]]:
     return found
 
 
-def cached_model(file: Path, unit_m: float | None, up: str | None, part: str | None) -> Model:
+def cached_model(
+    file: Path, unit_m: float | None, up: str | None, part: str | None, origin: Origin = None
+) -> Model:
     """``read_model``, once for the same arguments and files.
+
+    Args:
+        file, unit_m, up, part: As of ``read_model``.
+        origin: As of ``finish_model``.
 
     Raises:
         SceneError: As ``read_model``.
     """
-    return _finished_once(file, parsed_model(file), unit_m, up, part)
+    return _finished_once(file, parsed_model(file), unit_m, up, part, origin)
 
 
 @lru_cache(maxsize=_MOST)
 def _finished_once(
-    file: Path, parsed: ParsedModel, unit_m: float | None, up: str | None, part: str | None
+    file: Path,
+    parsed: ParsedModel,
+    unit_m: float | None,
+    up: str | None,
+    part: str | None,
+    origin: Origin,
 ) -> Model:
-    return finish_model(file, parsed, unit_m=unit_m, up=up, part=part)
+    return finish_model(file, parsed, unit_m=unit_m, up=up, part=part, origin=origin)
 
 
 def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:
@@ -177,6 +240,7 @@ def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) 
     numbers[used] = np.arange(len(used))
     parts = {path: i for i, path in enumerate(dict.fromkeys(shell.path for shell in shells))}
     part_numbers = np.array([parts[shell.path] for shell in shells], np.int32)
+    notes = list(dict.fromkeys(notes))
     return Model(
         joined.points,
         joined.faces,
@@ -186,7 +250,8 @@ def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) 
         numbers[owner],
         tuple(materials),
         _normals(shells, joined.points, joined.faces, joined.sound, up),
-        tuple(dict.fromkeys(notes)),
+        tuple(notes),
+        tuple(note for note in notes if note in parsed.warnings or is_warning(note)),
         int((~joined.sound).sum()),
         joined.welded,
     )
@@ -215,7 +280,7 @@ def _with_averages(
             known.append(replace(base, base_color=(red, green, blue)))
             if not (corners == corners[:1, :1]).all():
                 name = shell.path or "the mesh"
-                notes.append(f"{name}: the colors of its vertices are shown as their average")
+                notes.append(f"{name}: {VERTEX_COLORS}")
         out.append(replace(shell, material=new))
     return out, known
 

@@ -13,7 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from scenec.compiler.assets.looks import DIELECTRIC, SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import (
+    DIELECTRIC,
+    OPACITY,
+    SAME_UV,
+    Look,
+    Slot,
+    UvMap,
+    reflectance,
+)
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, pixels_of
 
@@ -27,7 +35,7 @@ _MAPS = {
     "map_kn": "normal", "map_bump": "bump", "bump": "bump",
 }  # fmt: skip
 _LEFT_OUT = {
-    "map_d": "opacity", "map_ke": "emission", "disp": "displacement", "map_disp": "displacement",
+    "map_ke": "emission", "disp": "displacement", "map_disp": "displacement",
     "map_ns": "picture of the exponent", "map_ks": "picture of the highlight's color",
     "decal": "decal", "map_ps": "sheen", "map_refl": "reflection map", "refl": "reflection map",
 }  # fmt: skip
@@ -105,8 +113,12 @@ def _look(
         # Below stand the many exporters that write 1 whatever the material.
         specular = reflectance(ior)
     opacity, through = one("d") if lines.get("d", (0, ""))[1][:1] != "-" else None, one("tr")
-    if (opacity is not None and opacity < 1.0) or (opacity is None and (through or 0.0) > 0.0):
-        notes.append("its opacity is not shown")
+    if (
+        "map_d" in lines
+        or (opacity is not None and opacity < 1.0)
+        or (opacity is None and (through or 0.0) > 0.0)
+    ):
+        notes.append(OPACITY)
     if max(_numbers(lines, "ke", 3) or [0.0]) > 0.0:
         notes.append("its emission is left out")
     return Look(

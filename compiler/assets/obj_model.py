@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.looks import Look, linear_array
+from scenec.compiler.assets.looks import NO_VERTEX_COLORS, Look, linear_array
 from scenec.compiler.assets.mtl import read_mtl
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.pictures import companion
@@ -59,6 +59,7 @@ class _Reader:
         self._parts: dict[str, int] = {}
         self._looks: dict[str, int] = {}
         self._libraries: list[str] = []
+        self._lost_colors = False
         part, look, changed = "", -1, True
         for line in text.split("\n"):
             key, _, rest = line.partition(" ")
@@ -129,6 +130,7 @@ class _Reader:
             shell = replace(whole.chosen(own), path=name)
             has_uv = uv is not None and (spelled[own, :, 1] >= 0).any()
             shells.append(shell if has_uv else replace(shell, uv={}))
+        notes += (NO_VERTEX_COLORS,) * self._lost_colors
         warnings = polygon_warnings(cut.faults)
         return ParsedModel(tuple(shells), looks, None, None, companions, notes, warnings)
 
@@ -152,7 +154,9 @@ class _Reader:
         rows = [line.split() for line in self._positions]
         points = _numbers(rows, 3)
         # Three more numbers are a color, as MeshLab and others write it; one more is a weight.
-        if not self._with_looks or any(len(row) < 6 for row in rows):
+        colored = sum(len(row) >= 6 for row in rows)
+        if not self._with_looks or colored < len(rows):
+            self._lost_colors = self._with_looks and colored > 0
             return points, None
         return points, linear_array(np.nan_to_num(_numbers([row[3:] for row in rows], 3)))
 

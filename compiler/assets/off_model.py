@@ -1,4 +1,4 @@
-"""OFF files as models: geometry only; colors and normals of vertices are passed over."""
+"""OFF files as models: geometry only; normals of vertices are passed over."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scenec.compiler.assets.looks import NO_FACE_COLORS, NO_VERTEX_COLORS
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell
 from scenec.compiler.assets.trimesh_file import sound
@@ -42,5 +43,11 @@ def read_off(file: Path, looks: bool) -> ParsedModel:
         second = (size == 4) & (np.diff(cut.polygon, prepend=-1) == 0)
         triangles[second] = np.roll(triangles[second], -1, axis=1)
         order = np.argsort(np.minimum(size, 5) + (second | (size > 4)), kind="stable")
+        notes = []
+        if "C" in text.partition("OFF")[0]:
+            notes.append(NO_VERTEX_COLORS)
+        if any(len(row) > int(row[0]) + 1 for row in rows[vertices : vertices + faces]):
+            notes.append(NO_FACE_COLORS)
         shell = Shell("", points, triangles[order])
-        return ParsedModel((shell,), (), None, None, warnings=polygon_warnings(cut.faults))
+        warnings = polygon_warnings(cut.faults)
+        return ParsedModel((shell,), (), None, None, notes=tuple(notes), warnings=warnings)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
-from scenec.schemas.maps import read_pixels
+from scenec.schemas.maps import read_pixels, require_all_bits
 from scenec.schemas.scratch import scratch_folder
 
 #: Where a picture is: beside the model or inside of it.
@@ -26,6 +26,8 @@ Source = Path | Picture
 #: Endings of pictures that are taken as they are.
 _COMMON = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 _BLOCK = 65535
+#: What rounding may put beyond black and white.
+_CUT = 1e-3
 #: What decoders raise for broken pictures.
 _FAULTS = (
     ValueError, TypeError, LookupError, ArithmeticError, RuntimeError, AttributeError, EOFError,
@@ -172,3 +174,26 @@ def read_gray(file: Path) -> NDArray[np.float64]:
     if not gray.max() > 0.0:
         raise SceneError(f"{file.name}: black everywhere; a density is above 0 somewhere")
     return gray / gray.max()
+
+
+def read_heights(file: Path) -> NDArray[np.float32]:
+    """A raw picture's red channel in [0, 1], float32 [h, w], row 0 at the top.
+
+    Raises:
+        SceneError: It cannot be read, or holds what would be cut off or rounded to 8 bits.
+    """
+    try:
+        pixels = read_pixels(file)[..., 0]
+        require_all_bits(file)
+    except ValueError as error:
+        raise SceneError(f"{file.name}: {error}") from error
+    if pixels.dtype.kind == "f":
+        low, high = float(pixels.min()), float(pixels.max())
+        if low < -_CUT or high > 1.0 + _CUT:
+            raise SceneError(
+                f"{file.name}: its heights reach from {low:.6g} to {high:.6g}: expected 0 for "
+                "black to 1 for white, since what lies beyond would be cut off"
+            )
+        return np.clip(pixels, 0.0, 1.0).astype(np.float32)
+    largest = float(np.iinfo(pixels.dtype).max)
+    return (pixels.astype(np.float64) / largest).astype(np.float32)

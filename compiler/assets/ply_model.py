@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.looks import Look, Slot, linear_array
+from scenec.compiler.assets.looks import (
+    NO_FACE_COLORS,
+    NO_VERTEX_COLORS,
+    OPACITY,
+    Look,
+    Slot,
+    linear_array,
+)
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.pictures import companion
 from scenec.compiler.assets.shells import ParsedModel, Shell
@@ -81,11 +88,22 @@ def _with_looks(file: Path, data: bytes, mesh: PlyMesh, faces: NDArray[np.int64]
     elif pictures:
         notes.append(f"its picture {pictures[0]} lies on no texture coordinates of vertices")
     colors = None
-    if inside and {"red", "green", "blue"} <= set(mesh.values) and not looks:
+    names = {"red", "green", "blue"}
+    if names <= set(mesh.face_keys):
+        notes.append(NO_FACE_COLORS)
+    if names <= set(mesh.values) and looks:
+        notes.append(NO_VERTEX_COLORS)
+    elif inside and names <= set(mesh.values):
         stored = _columns(mesh, ("red", "green", "blue"))
         kind = mesh.values["red"].dtype
         codes = stored / np.iinfo(kind).max if kind.kind in "iu" else stored
         colors = linear_array(np.nan_to_num(codes))[faces]
+    alpha = mesh.values.get("alpha")
+    if (
+        alpha is not None
+        and (alpha < (np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else 1.0)).any()
+    ):
+        notes.append(OPACITY)
     normals = None
     if inside and {"nx", "ny", "nz"} <= set(mesh.values):
         normals = _columns(mesh, ("nx", "ny", "nz"))[faces]
@@ -104,6 +122,11 @@ def _read(data: bytes, load: Callable[..., dict[str, Any]]) -> PlyMesh:
         raise MeshFileError("not a PLY file: its header has no end_header")
     # Comments may stand before the format, and in any encoding.
     head = re.sub(rb"^(?:comment|obj_info)\b.*\n", b"", head, flags=re.MULTILINE)
+    if b"\nformat ascii" in head:
+        # Text is as precise as it is spelled, whatever type stands before it.
+        head = re.sub(
+            rb"^property\s+float(?:32)?\s+([xyz])\b", rb"property double \1", head, flags=re.M
+        )
     loaded = load(b"end_header".join((head, *body)), fix_texture=False, skip_materials=True)
     # As the file has it: what trimesh makes of it puts quads behind triangles.
     raw = loaded["metadata"]["_ply_raw"]

@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import Look
+from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
+
+#: What rounding may leave of the last row of an affine map.
+_AFFINE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,16 @@ def placed(shell: Shell, matrix: NDArray[np.float64], *, turned: bool | None = N
     Args:
         matrix: float64 [4, 4], for columns.
         turned: Whether to turn the faces; None: where the map mirrors.
+
+    Raises:
+        MeshFileError: The map is projective.
     """
+    row = matrix[3].tolist()
+    if np.isfinite(row).all() and np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > _AFFINE:
+        raise MeshFileError(
+            f"{shell.path or 'a mesh'}: its transform is projective: its matrix ends in "
+            f"{' '.join(f'{value:.6g}' for value in row)}, expected 0 0 0 1"
+        )
     mirrored = affine.mirrors(matrix)
     step = -1 if (mirrored if turned is None else turned) else 1
     normals = shell.normals

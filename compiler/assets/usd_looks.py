@@ -8,7 +8,15 @@ from typing import Any
 
 from pxr import Sdf, UsdShade
 
-from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import (
+    NO_VERTEX_COLORS,
+    OPACITY,
+    SAME_UV,
+    Look,
+    Slot,
+    UvMap,
+    reflectance,
+)
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, companion, embedded
 from scenec.compiler.assets.usd import TIME
@@ -78,7 +86,7 @@ class UsdLooks:
             slots.pop("metallic", None)
             notes.append("the tint of its highlight is left out")
         for key, what, default in (
-            ("opacity", "its opacity is not shown", 1.0),
+            ("opacity", OPACITY, 1.0),
             ("clearcoat", "its coat is left out", 0.0),
             ("displacement", "its displacement is left out", 0.0),
         ):
@@ -114,7 +122,10 @@ class UsdLooks:
         texture = UsdShade.Shader(output.GetPrim())
         shader = str(texture.GetIdAttr().Get()) if texture else ""
         if shader != "UsdUVTexture":
-            notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
+            if kind == "base_color" and shader.startswith("UsdPrimvarReader"):
+                notes.append(NO_VERTEX_COLORS)
+            else:
+                notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
             return None
         asset = _value(texture, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:

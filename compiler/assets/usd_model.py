@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
+from scenec.compiler.assets.looks import OPACITY
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.assets.usd import (
@@ -92,6 +93,8 @@ def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -
         reader.color(),
         np.full(len(faces), looks.number(_bound(mesh.GetPrim())), np.int64),
     )
+    if reader.is_transparent():
+        looks.notes.append(f"{path}: {OPACITY}")
     whole = placed(whole, polygons.to_world, turned=polygons.turned)
     return _split(mesh, whole, polygons.polygon[polygon], looks)
 
@@ -185,6 +188,14 @@ class _Primvars:
             return None
         spread = self._spread("displayColor", values, primvar.GetInterpolation(), 3)
         return np.clip(np.nan_to_num(spread), 0.0, 1.0)
+
+    def is_transparent(self) -> bool:
+        """Whether displayOpacity, without a material, is below 1 somewhere."""
+        primvar = self._mesh.GetDisplayOpacityPrimvar()
+        if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
+            return False
+        values = np.array(primvar.Get(TIME) or (), np.float64)
+        return bool(values.min(initial=1.0) < 1.0)
 
     def _spread(self, name: str, values: object, kind: str, width: int) -> NDArray[np.float64]:
         array = np.array(values, np.float64).reshape(-1, width)

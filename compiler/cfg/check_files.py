@@ -102,9 +102,10 @@ def _check_texture_set(folder: Path, owner: Node, cfg: Node) -> Iterator[Finding
                 f"{shown(owner['folder'])}: no picture of {key}, and {why}: found "
                 f"{', '.join(files.values())}"
             )
-    for name in files.values():
+    for kind, name in files.items():
+        check = _check_heights if kind == "displacement" else _check_map
         try:
-            _check_map(folder / name, owner, cfg)
+            check(folder / name, owner, cfg)
         except SceneError as error:
             yield owner.fault(str(error), "folder")
 
@@ -137,12 +138,26 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
                 yield owner.fault(f"no array {shown(member)} in {file.name}{hint}", "array")
                 return
         span = (0.0, 1.0) if "height_range_m" in owner else None
-        dem = read_dem(file, member, height_range_m=span)
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, MemoryError) as error:
+        dem = read_dem(file, member, owner["nodata"], span, owner["band"], owner["unit_m"])
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise SceneError(f"{file.name}: a broken file: {error or type(error).__name__}") from error
-    if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
+    except MemoryError as error:
+        raise SceneError(f"{file.name}: its heights do not fit into memory: {error}") from error
+    if dem.void is not None and not ("nodata" in owner and owner["nodata"] is None):
+        sample, share = dem.void
         yield owner.fault(
-            f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters'
+            f"{100.0 * share:.2g} % of the samples of {file.name} are {sample:.17g}, which no "
+            "other height is near: it marks holes, and the file does not say so: say "
+            f'"nodata": {sample:.17g} (and "holes": "fill" where they are under the terrain), or '
+            '"nodata": null if they are heights'
+        )
+    if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
+        where = ""
+        if dem.reference is not None and dem.reference.crs:
+            where = ": its coordinates are degrees, or of an unknown unit: project it (gdalwarp"
+            where += " -t_srs), or say how large a pixel is"
+        yield owner.fault(
+            f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters{where}'
         )
 
 
@@ -155,19 +170,23 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     yield from missing
     if not missing:
         # Its unit may be drawn, and is of no account here.
-        finish_model(file, parsed, part=owner["part"])
-        yield from _warnings(file, owner, parsed)
+        yield from _warnings(file, owner, finish_model(file, parsed, part=owner["part"]).warnings)
 
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
-    from scenec.compiler.assets.model import cached_model, parsed_model
+    from scenec.compiler.assets import model
+    from scenec.compiler.assets.looks import OF_COLORS
 
-    parsed = parsed_model(file)
-    missing = _missing(file, owner, parsed)
+    missing = _missing(file, owner, model.parsed_model(file))
     yield from missing
     if not missing:
-        cached_model(file, owner["unit_m"], owner["up"], owner["part"])
-        yield from _warnings(file, owner, parsed)
+        made = model.cached_model(
+            file, owner["unit_m"], owner["up"], owner["part"], model.origin_of(owner["origin"])
+        )
+        model.require_near_origin(file, made)
+        plain = cfg.at(*owner.path[:-2])["material"] is not None
+        lines = [line for line in made.warnings if not (plain and line.endswith(OF_COLORS))]
+        yield from _warnings(file, owner, lines)
 
 
 def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
@@ -179,8 +198,8 @@ def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:
     ]
 
 
-def _warnings(file: Path, owner: Node, parsed: ParsedModel) -> Iterator[Finding]:
-    for line in parsed.warnings:
+def _warnings(file: Path, owner: Node, lines: Iterable[str]) -> Iterator[Finding]:
+    for line in lines:
         yield replace(owner.fault(f"{file.name}: {line}", "file"), is_warning=True)
 
 
@@ -247,6 +266,12 @@ def _check_map(file: Path, owner: Node, cfg: Node) -> None:
         raise SceneError(f"{file.name}: {error}") from error
 
 
+def _check_heights(file: Path, owner: Node, cfg: Node) -> None:
+    from scenec.compiler.assets.pictures import read_heights
+
+    read_heights(file)
+
+
 def _check_polyline(file: Path, owner: Node, cfg: Node) -> None:
     from scenec.compiler.assets.polyline import read_polyline
 
@@ -271,6 +296,7 @@ def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:
 _CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding] | None]] = {
     "dem": _check_dem,
     "density": _check_density,
+    "heights": _check_heights,
     "image": _check_image,
     "label_map": _check_label_map,
     "map": _check_map,

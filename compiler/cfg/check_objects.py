@@ -205,10 +205,12 @@ def check_parts(cfg: Node, files: Mapping[str, InputFile]) -> Iterator[Finding]:
 
 
 def _part_names(file: Path, node: Node) -> list[str]:
-    from scenec.compiler.assets.model import cached_model
+    from scenec.compiler.assets.model import cached_model, origin_of
 
     try:
-        model = cached_model(file, node["unit_m"], node["up"], node["part"])
+        model = cached_model(
+            file, node["unit_m"], node["up"], node["part"], origin_of(node["origin"])
+        )
     except SceneError:
         # Told where it stands.
         return []

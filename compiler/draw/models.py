@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets.model import origin_of
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.draw.of_keys import Setting
@@ -75,7 +76,7 @@ def draw_placed(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Sett
 def _models(path: str, cfg: Mapping[str, Any], setting: Setting) -> tuple[ModelPlan, ...]:
     files = [setting.files[f"{path}/models/{i}/file"].path for i in range(len(cfg["models"]))]
     return tuple(
-        ModelPlan(file, node["unit_m"], node["up"], node["part"])
+        ModelPlan(file, node["unit_m"], node["up"], node["part"], origin_of(node["origin"]))
         for file, node in zip(files, cfg["models"], strict=True)
     )
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.pictures import read_heights
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile
 from scenec.compiler.scene.scene import MaterialMaps
 from scenec.schemas.errors import SceneError
-from scenec.schemas.maps import read_pixels
 
 
 @lru_cache(maxsize=2)
@@ -47,14 +47,7 @@ def stamp(path: Path) -> tuple[int, int]:
 
 @lru_cache(maxsize=4)
 def _gray(path: Path, _stamp: tuple[int, int]) -> Plane:
-    try:
-        pixels = read_pixels(path)[..., 0]
-    except ValueError as error:
-        raise SceneError(f"{path.name}: {error}") from error
-    if pixels.dtype.kind == "f":
-        return np.clip(pixels, 0.0, 1.0).astype(np.float32)
-    largest = float(np.iinfo(pixels.dtype).max)
-    return (pixels.astype(np.float64) / largest).astype(np.float32)
+    return read_heights(path)
 
 
 def relief_of(maps: MaterialMaps) -> Plane | None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import Model, cached_model
+from scenec.compiler.assets.model import Model, cached_model, require_near_origin
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.coatings import coat
@@ -87,6 +87,7 @@ def build_objects(
                 near = around.only(_strings_in(plan), plan.beyond_m)
                 levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
                 own |= facts_of_it
+                own["float32_error_max_m"] += _rounding_m(levels.scatter)
                 found.append(levels)
                 around.objects[plan.name] = footprints(levels.scatter)
                 if plan.fillet is not None:
@@ -178,7 +179,8 @@ def _prototypes(
     found = []
     notes: list[str] = []
     for index, model in enumerate(source.models):
-        loaded = cached_model(model.file, model.unit_m, model.up, model.part)
+        loaded = cached_model(model.file, model.unit_m, model.up, model.part, model.origin)
+        require_near_origin(model.file, loaded)
         notes.extend(f"{model.file.name}: {note}" for note in loaded.notes)
         mesh = build_prototype(plan, source, _prim_name(index, model), loaded, looks)
         found.append((mesh, loaded))
@@ -200,5 +202,14 @@ def _report(placed: Placed) -> dict[str, Any]:
         "prototypes": len(placed.prototypes),
         "triangles": int(triangles[placed.prototype].sum()),
         # Their places stand in doubles.
-        "float32_error_max_m": 0.0,
+        "float32_error_max_m": _rounding_m(placed),
     }
+
+
+def _rounding_m(objects: Scatter | Placed) -> float:
+    """How far float32 moves a vertex at most, in its prototype, meters."""
+    if not objects.count:
+        return 0.0
+    shares = np.array([mesh.rounding / mesh.radius for mesh in objects.prototypes])
+    reach = objects.balls()[1].reshape(objects.count, -1)
+    return float((shares[objects.prototype][:, None] * reach).max())

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import ModelMaterial
-from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.model import Model, Origin
 from scenec.compiler.assets.parts import is_of
+from scenec.compiler.geometry.rounding import rounding_of
 from scenec.compiler.objects.corners import corner_normals, split
 from scenec.compiler.scene.scene import Labels, Material, MaterialMaps, MeshPart, Prototype
 from scenec.schemas.errors import SceneError
@@ -46,12 +47,14 @@ class ModelPlan:
 
     Attributes:
         unit_m, up, part: See ``assets.model.read_model``.
+        origin: See ``assets.model.finish_model``.
     """
 
     file: Path
     unit_m: float | None
     up: str | None
     part: str | None
+    origin: Origin
 
 
 @dataclass
@@ -115,6 +118,7 @@ def build_prototype(
         radius=radius * (1.0 + 1e-6),
         uv=model.uv if looks is not None else None,
         parts=_parts(plan, source, model, rule_of_face, looks),
+        rounding=rounding_of(model.points),
     )
 
 

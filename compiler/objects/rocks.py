@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.geometry.icosphere import EDGE, icosphere
 from scenec.compiler.geometry.normals import vertex_normals
+from scenec.compiler.geometry.rounding import rounding_of
 from scenec.compiler.objects.creases import along_creases
 from scenec.compiler.objects.deviation import deviation
 from scenec.compiler.objects.families.shape import Shape
@@ -94,7 +95,14 @@ def _mesh(
     _, faces = icosphere(subdivisions)
     rounded = points.astype(np.float32)
     normals = vertex_normals(rounded.astype(np.float64), faces).astype(np.float32)
-    return Prototype(name, rounded, faces, normals, variation.astype(np.float32))
+    return Prototype(
+        name,
+        rounded,
+        faces,
+        normals,
+        variation.astype(np.float32),
+        rounding=rounding_of(points),
+    )
 
 
 @kernel

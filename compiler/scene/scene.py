@@ -297,6 +297,7 @@ class Prototype:
         uv: Texture coordinates of the faces' corners, float32 [m, 3, 2], or None.
         parts: What differs from the class; empty where nothing does.
         coatings: What lies over the class's material, the lowest first; only without parts.
+        rounding: How far float32 moved its vertices at most, in its own unit.
     """
 
     name: str
@@ -309,6 +310,7 @@ class Prototype:
     uv: NDArray[np.float32] | None = None
     parts: tuple[MeshPart, ...] = ()
     coatings: tuple[Coating, ...] = ()
+    rounding: float = 0.0
 
 
 @dataclass(frozen=True)

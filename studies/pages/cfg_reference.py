@@ -188,7 +188,8 @@ def _type(entry: Mapping[str, Any]) -> str:
         return " or ".join(of_kind.get(name, name) for name in kind)
     if isinstance(kind, list):
         number = _number_of(entry)
-        assert number is not None
+        if number is None:
+            return " or ".join(_type({"type": name}) for name in kind)
         others = {"array": " or a list of 2", "null": " or null"}
         return _type(number) + "".join(others.get(name, "") for name in kind)
     if kind == "array":

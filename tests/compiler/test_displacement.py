@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -20,10 +21,12 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.materials.displacement import Displacement, displacement_of, octaves_of
 from scenec.compiler.materials.finer import finer_normals
-from scenec.compiler.materials.heights import relief_of
+from scenec.compiler.materials.heights import gray, relief_of
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.materials.values import normal_picture, normals, unit
 from scenec.compiler.scene.scene import Cells, MaterialMaps, Sources
+from scenec.schemas.errors import CfgError
+from scenec.schemas.exr import write_rgb
 
 
 def picture(folder: Path, codes: np.ndarray, size_m: float, high_m: float, **more) -> Displacement:
@@ -217,3 +220,35 @@ def test_heights_are_the_same_bits_for_any_number_of_threads_and_without_fma(tmp
         )
         found.add(run.stdout)
     assert len(found) == 1
+
+
+def heights_refused(folder: Path, name: str) -> str:
+    cfg = small_cfg()
+    cfg["materials"]["sand"]["maps"] = {
+        "size_m": 1, "displacement": name, "displacement_m": 0.1,
+    }  # fmt: skip
+    with pytest.raises(CfgError) as caught:
+        load(write_cfg(folder, cfg))
+    (fault,) = caught.value.faults
+    assert fault.pointer == "/materials/sand/maps/displacement"
+    return fault.message
+
+
+def test_heights_beyond_black_and_white_are_refused_and_not_cut_off(tmp_path):
+    heights = np.linspace(-0.05, 0.4, 64, dtype=np.float32).reshape(8, 8)
+    write_rgb(tmp_path / "a.exr", np.repeat(heights[..., None], 3, axis=2))
+    assert "from -0.05 to 0.4" in heights_refused(tmp_path, "a.exr")
+    raised = heights + np.float32(0.05)
+    write_rgb(tmp_path / "b.exr", np.repeat(raised[..., None], 3, axis=2))
+    cfg = small_cfg()
+    cfg["materials"]["sand"]["maps"] = {"size_m": 1, "displacement": "b.exr", "displacement_m": 1}
+    load(write_cfg(tmp_path, cfg))
+    assert np.allclose(gray(tmp_path / "b.exr"), raised)
+
+
+def test_heights_in_color_of_16_bits_are_not_read_as_8(tmp_path):
+    gray_16 = np.arange(64, dtype=np.uint16).reshape(8, 8) * 1000
+    cv2.imwrite(str(tmp_path / "a.png"), np.repeat(gray_16[..., None], 3, axis=2))
+    assert "16 bits a channel" in heights_refused(tmp_path, "a.png")
+    cv2.imwrite(str(tmp_path / "b.png"), gray_16)
+    assert np.allclose(gray(tmp_path / "b.png"), gray_16 / 65535.0)

@@ -96,8 +96,9 @@ def test_the_pixel_of_a_geotiff_in_meters_is_the_default(tmp_path):
     with pytest.raises(SceneError, match="give pixel_m"):
         apply(replace(DEM, file=degrees, pixel_m=None))
     assert apply(replace(DEM, file=degrees)).shape == GRID.shape
-    feet = write_geotiff(tmp_path / "c.tif", field(), crs="EPSG:2225")
-    assert read_dem(feet).reference.pixel_m() is None
+    feet = write_geotiff(tmp_path / "c.tif", field(), crs="EPSG:2225", pixel=3.0)
+    survey = pytest.approx(3.0 * 1200 / 3937, rel=1e-12)
+    assert read_dem(feet, unit_m=1.0).reference.pixel_m() == (survey, survey)
 
 
 def test_a_file_whose_rows_run_north_is_not_laid_upside_down(tmp_path):

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.dem_file import GeoReference, read_dem
+from scenec.compiler.assets.dem_file import read_dem
+from scenec.compiler.assets.geotiff import GeoReference
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import SceneError
@@ -30,7 +31,8 @@ class Dem:
     Attributes:
         file: ``.npz``, ``.npy``, GeoTIFF, or a gray picture.
         array: Member of an ``.npz``; None takes the only two-dimensional one.
-        pixel_m: Size that a pixel gets, in x and y, meters; None takes that of a GeoTIFF in meters.
+        pixel_m: Size that a pixel gets, in x and y, meters; None takes that of a GeoTIFF whose axes
+            are lengths.
         height_scale: Factor on the file's heights.
         height_offset_m: Added after scaling, meters; None puts the mean at 0.
         first_row: Whether the file's first row is the northern or the southern one.
@@ -39,6 +41,8 @@ class Dem:
         edge: What happens where the terrain is larger than the DEM.
         holes: What happens where there is no data: an error, or a membrane over the hole.
         height_range_m: Heights of black and of white, for pictures.
+        band: Of a GeoTIFF, from 1; None takes its only one.
+        unit_m: Meters per unit of the file's heights; None takes what it says itself.
     """
 
     file: Path
@@ -52,6 +56,8 @@ class Dem:
     edge: Literal["error", "clamp"]
     holes: Literal["error", "fill"] = "error"
     height_range_m: tuple[float, float] | None = None
+    band: int | None = None
+    unit_m: float | None = None
 
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
@@ -64,7 +70,9 @@ class Dem:
                 filled, is too small, or lies the other way round; or nothing says how large its
                 pixels are.
         """
-        dem = read_dem(self.file, self.array, self.nodata, self.height_range_m)
+        dem = read_dem(
+            self.file, self.array, self.nodata, self.height_range_m, self.band, self.unit_m
+        )
         samples, holes = dem.values, dem.holes
         pixel = self.pixel_m or (dem.reference.pixel_m() if dem.reference else None)
         if pixel is None:
@@ -102,7 +110,8 @@ class Dem:
         samples, report = self._filled(samples, holes, u, v)
         base = _bicubic(np.ascontiguousarray(samples), u, v) * self.height_scale
         offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
-        if dem.reference is not None:
+        report = {**dem.facts, **report}
+        if dem.reference is not None and dem.reference.crs:
             row = (1.0 - self.center[1]) * ny if self.first_row == "north" else self.center[1] * ny
             report["georeference"] = _place(dem.reference, self.center[0] * nx, row)
         return height + (base + offset), {
