@@ -30,7 +30,7 @@ def check_scene(scene: RenderScene) -> Iterator[Finding]:
 
 def _carried(scene: RenderScene, level: str) -> set[int]:
     """Label ids that a pixel may show at some sample."""
-    found = {scene.sky_labels[level]}
+    found = {scene.sky_labels[level], scene.sky_labels_below.get(level, 0)}
     for index in np.unique(scene.rows.mesh).tolist():
         found.update(np.unique(scene.meshes[index].labels[level]).tolist())
     for file in {maps[level].file for maps in scene.sky_label_maps if level in maps}:
