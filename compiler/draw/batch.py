@@ -73,8 +73,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
         label_table=cfg["labels"],
         sky_labels=label_ids(cfg, sky.get("labels") or {}),
         sky_labels_below={
-            level: cfg["labels"][level][name]
-            for level, name in sky.get("labels_below", {}).items()
+            level: cfg["labels"][level][name] for level, name in sky.get("labels_below", {}).items()
         },
         materials=materials,
         terrain=terrain,
