@@ -32,7 +32,7 @@ class Annotation:
             pass.
         height_m: From the camera straight down to the first surface; None where there is none.
         sky: Pixels that show no surface, and how many of those look below the horizontal plane
-            where the sky's picture has no labels of its own; None: not known.
+            and have a label of the sky all the same; None: not known.
         hits: First hits; None where they were not cast for this.
         seconds: That casting and the passes of the whole picture took, by name.
     """
@@ -133,7 +133,7 @@ def _sky(view: View) -> tuple[int, int]:
         missed &= rays.known
     maps = scene.sky_label_maps[view.sample] if scene.sky_label_maps else {}
     named = scene.sky_labels_below.keys() | maps.keys()
-    if scene.levels and named.issuperset(scene.levels):
+    if not any(number for level, number in scene.sky_labels.items() if level not in named):
         return int(missed.sum()), 0
     return int(missed.sum()), int((missed & (rays.directions[:, 2] < 0.0)).sum())
 
