@@ -115,13 +115,13 @@ def require_open(
         _meet(tile.points + tile.translate, tile.faces, at, *column)
     wrong: dict[int, str] = {}
     nothing = np.isinf(column.above) & np.isinf(column.below) & ~on.all(axis=1)
-    for k in np.flatnonzero(nothing):
+    for k in np.flatnonzero(nothing).tolist():
         wrong[k] = (
             f"is off the terrain, which ends at ({half[0]:g}, {half[1]:g}) m: there is no ground "
             "(a terrain.horizon makes some)"
         )
     below = np.isfinite(column.above) & (column.upper | np.isinf(column.below))
-    for k in np.flatnonzero(below):
+    for k in np.flatnonzero(below).tolist():
         deep = column.above[k] - eyes.at[k, 2]
         wrong[k] = f"is {deep:.4g} m below the ground, which is at {column.above[k]:.6g} m there"
     for one in objects:
@@ -134,7 +134,10 @@ def require_open(
 
 
 def _eyes_of(rigs: Sequence[Rig]) -> _Eyes:
-    at, sample, sensor, names = [], [], [], []
+    at: list[NDArray[np.float64]] = []
+    sample: list[NDArray[np.int64]] = []
+    sensor: list[NDArray[np.int64]] = []
+    names: list[str] = []
 
     def add(name: str, poses: NDArray[np.float64], trigger: tuple[int, int]) -> None:
         """Poses of a sensor, [s, k, 4, 4]."""
