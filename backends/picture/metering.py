@@ -275,8 +275,9 @@ class _Paths:
         way = directions / np.sqrt((directions * directions).sum(axis=1))[:, None]
         at = origins + t[:, None] * directions
         distance = np.abs(at).max(axis=1) + t * np.abs(directions).max(axis=1)
-        none = (np.zeros_like(at) for _ in range(3))
-        out = _Points(at, np.empty_like(at), -way, (_LIFT * distance)[:, None], *none)
+        diffuse, through, emission = np.zeros((3, *at.shape))
+        lift = (_LIFT * distance)[:, None]
+        out = _Points(at, np.empty_like(at), -way, lift, diffuse, through, emission)
         mesh_of = self._rows.mesh[row]
         for number in np.unique(mesh_of):
             mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
