@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.cameras.enclosed import require_open
 from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
 from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
@@ -159,6 +160,8 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             assert land is not None
             around = _horizon(plan, plan.terrain.horizon, surface, land, tiles, views, color, log)
             ground = replace(ground, horizon=around)
+    with log.timed("cameras"):
+        require_open(plan.rigs, rigs, ground, objects, plan.terrain.size_m)
     _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
     with log.timed("outputs"):
         used = needed.without_unused(looks.materials if looks else {}, ground, objects, needs)
@@ -211,6 +214,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         lamps=lamps,
         haze=light.haze,
         sky_label_maps=light.sky_label_maps,
+        sky_labels_below=plan.sky_labels_below if labels else {},
     )
     with log.timed("prune"):
         sharp = scene.sky is not None and scene.sky.sharp

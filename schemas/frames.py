@@ -78,6 +78,8 @@ CONVENTIONS = {
     "surface facing it, linear Rec.709, W/m^2; null without one",
     "height_above_surface_m": "from the camera straight down to the first surface, meters; null "
     "where there is none",
+    "sky": "pixels that show no surface; how many of them look below the horizontal plane and have "
+    "a label of the sky all the same",
 }
 
 

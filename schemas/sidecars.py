@@ -92,6 +92,7 @@ _SHAPE = {
     "sky_labels?": (None, Each(natural)),
     "sun?": (None, {"elevation_deg": float, "azimuth_deg": float, "irradiance": [float] * 3}),
     "height_above_surface_m?": (None, float),
+    "sky?": (None, {"pixels": natural, "below_horizon": natural}),
     "backend": str,
     "backend_version?": (None, str),
     "stage_digest": str,

@@ -133,6 +133,8 @@ ATTR_HAZE_FLOOR = "scenec:haze:floor"
 #: raw; and double: its turn about the vertical, degrees, clockwise from above, as of the dome.
 ATTR_SKY_LABEL_MAP = "scenec:sky:labelMap:{level}"
 ATTR_SKY_ROTATION = "scenec:sky:rotation"
+#: On the Sky prim. int: label id of directions below the horizontal plane that meet nothing.
+ATTR_SKY_LABEL_BELOW = "scenec:sky:labelBelow:{level}"
 
 #: On the LightFilter in the ``light:filters`` of a DistantLight. asset, time-sampled: picture of
 #: the share of the light that comes through, one 8- or 16-bit channel, raw; empty: all of it.

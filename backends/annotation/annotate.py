@@ -31,6 +31,8 @@ class Annotation:
         seen: What it shows of instances (``schemas.instances``, ``schemas.amodal``), if it has that
             pass.
         height_m: From the camera straight down to the first surface; None where there is none.
+        sky: Pixels that show no surface, and how many of those look below the horizontal plane
+            and have a label of the sky all the same; None: not known.
         hits: First hits; None where they were not cast for this.
         seconds: That casting and the passes of the whole picture took, by name.
     """
@@ -38,6 +40,7 @@ class Annotation:
     arrays: dict[str, NDArray[Any]]
     seen: Seen | None
     height_m: float | None
+    sky: tuple[int, int] | None = None
     hits: Hits | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -74,7 +77,9 @@ def annotate(
         seconds[step] = seconds.get(step, 0.0) + time.perf_counter() - start
         return made
 
-    picture = timed("annotate", lambda: _cast(scene, caster, camera, sample, wanted, instances))
+    picture, sky = timed(
+        "annotate", lambda: _cast(scene, caster, camera, sample, wanted, instances)
+    )
     # Before the masks, which are made with it.
     seen = timed("instances", lambda: picture.seen) if "instance" in wanted else None
     arrays: dict[str, NDArray[Any]] = {}
@@ -84,7 +89,7 @@ def annotate(
             arrays[name] = made.reshape(camera.height, camera.width, *made.shape[1:])
     height = float(caster.cast(ray_down(camera))[2][0])
     return Annotation(
-        arrays, seen, height if math.isfinite(height) else None, picture.hits, seconds
+        arrays, seen, height if math.isfinite(height) else None, sky, picture.hits, seconds
     )
 
 
@@ -95,25 +100,42 @@ def _cast(
     sample: int,
     wanted: Mapping[str, Pass],
     instances: Instances | None,
-) -> Picture:
-    """The picture with its hits; of several bands also with what passes make of each."""
+) -> tuple[Picture, tuple[int, int]]:
+    """The picture with its hits, and its sky; of several bands also what passes make of each."""
     more = camera, caster, AMODAL in wanted, instances
     parts = bands(camera)
     if len(parts) == 1:
         rays = camera_rays(camera)
-        return Picture(scene, sample, caster.hits(rays), lambda: rays, *more)
+        whole = Picture(scene, sample, caster.hits(rays), lambda: rays, *more)
+        return whole, _sky(whole)
     n = camera.height * camera.width
     hits = Hits(np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n), caster.geometry)
     picture = Picture(scene, sample, hits, lambda: camera_rays(camera), *more)
+    pixels_of_sky, below = 0, 0
     for rows in parts:
         pixels = slice(rows.start * camera.width, rows.stop * camera.width)
         band = _band(picture, rows)
+        own = _sky(band)
+        pixels_of_sky, below = pixels_of_sky + own[0], below + own[1]
         for name in ("row", "face", "t"):
             getattr(hits, name)[pixels] = getattr(band.hits, name)
         for one in wanted.values():
             if not one.whole:
                 picture.put(one.compute, pixels, band.once(one.compute))
-    return picture
+    return picture, (pixels_of_sky, below)
+
+
+def _sky(view: View) -> tuple[int, int]:
+    """See ``Annotation.sky``."""
+    scene, rays = view.scene, view.rays
+    missed = view.hits.row < 0
+    if rays.known is not None:
+        missed &= rays.known
+    maps = scene.sky_label_maps[view.sample] if scene.sky_label_maps else {}
+    named = scene.sky_labels_below.keys() | maps.keys()
+    if not any(number for level, number in scene.sky_labels.items() if level not in named):
+        return int(missed.sum()), 0
+    return int(missed.sum()), int((missed & (rays.directions[:, 2] < 0.0)).sum())
 
 
 def _band(picture: Picture, rows: range) -> View:

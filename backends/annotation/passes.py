@@ -73,6 +73,9 @@ def label(view: View, level: str) -> NDArray[np.uint32]:
         scene.sky_labels.get(level, 0),
     )
     sky = scene.sky_label_maps[view.sample].get(level) if scene.sky_label_maps else None
+    if sky is None and level in scene.sky_labels_below:
+        down = view.rays.directions[:, 2] < 0.0
+        out[(view.hits.row < 0) & down] = scene.sky_labels_below[level]
     if sky is not None:
         # Imported here: few scenes have a map of labels.
         from scenec.backends.stage.sky_labels import label_of_sky

@@ -11,7 +11,7 @@ import numpy as np
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
-from scenec.backends.picture.brightness import brief, told
+from scenec.backends.picture.brightness import brief, told, told_of_sky
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.manifest import FRAMES
@@ -52,9 +52,9 @@ def check_frames(
         for message in (*inconsistencies(frame), *table_faults(frame)):
             yield check.finding(path, message)
     for camera, sidecars in pictures.items():
-        line = told(sidecars)
-        if line is not None:
-            yield Finding("brightness", "warning", check.name(camera), line)
+        for name, line in (("brightness", told(sidecars)), ("sky", told_of_sky(sidecars))):
+            if line is not None:
+                yield Finding(name, "warning", check.name(camera), line)
 
 
 def check_scans(

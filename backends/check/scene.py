@@ -1,19 +1,26 @@
-"""Checks of what became of a stage: what was not read of it, and labels that nothing carries."""
+"""Checks of what became of a stage: what was not read, labels without use, cameras inside of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.backends.check.finding import Finding
+from scenec.backends.contract import Rays
+from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.stage.scene import RenderScene
 from scenec.backends.stage.sky_labels import load_label_map
 from scenec.schemas.errors import StageError
 
+#: Rays about a camera that have to meet the backs of surfaces: below a sheet five look up steeply.
+_FEWEST = 5
+
 
 def check_scene(scene: RenderScene) -> Iterator[Finding]:
-    """Warnings: each of the scene's losses, each label that no pixel can show."""
+    """Warnings: the scene's losses, labels that no pixel can show, cameras below or inside."""
     where = scene.source.name
     for line in scene.losses:
         yield Finding("unread", "warning", where, line)
@@ -26,11 +33,18 @@ def check_scene(scene: RenderScene) -> Iterator[Finding]:
             if number not in carried:
                 message = f"no face, instance or sky carries the label {name} of the level {level}"
                 yield Finding("labels", "warning", where, message)
+    for path, samples in _enclosed(scene).items():
+        more = f" and {len(samples) - 1} others" if len(samples) > 1 else ""
+        message = (
+            f"at sample {samples[0]}{more} all surfaces about it show their backs: is it below the "
+            "ground or inside of something, or are these turned inside out?"
+        )
+        yield Finding("enclosed", "warning", path, message)
 
 
 def _carried(scene: RenderScene, level: str) -> set[int]:
     """Label ids that a pixel may show at some sample."""
-    found = {scene.sky_labels[level]}
+    found = {scene.sky_labels[level], scene.sky_labels_below.get(level, 0)}
     for index in np.unique(scene.rows.mesh).tolist():
         found.update(np.unique(scene.meshes[index].labels[level]).tolist())
     for file in {maps[level].file for maps in scene.sky_label_maps if level in maps}:
@@ -40,3 +54,40 @@ def _carried(scene: RenderScene, level: str) -> set[int]:
             # Another check's: here nothing is known of it.
             found.update(scene.label_names[level])
     return found
+
+
+def _enclosed(scene: RenderScene) -> dict[str, list[int]]:
+    """Samples of cameras and lidars that see none but the backs of surfaces, by their prims."""
+    # Along the axes and between three of them.
+    ways = [way for way in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, way)) in (1, 3)]
+    found: dict[str, list[int]] = {}
+    caster = ExactCaster(scene)
+    for sample, cameras in enumerate(scene.cameras):
+        places = [(one.path, one.camera_to_world[:3, 3]) for one in cameras if one.fires(sample)]
+        if scene.lidars:
+            places += [(one.path, one.to_world[:3, 3]) for one in scene.lidars[sample]]
+        if not places:
+            continue
+        caster.pose(sample)
+        origins = np.repeat(np.stack([at for _, at in places]), len(ways), axis=0)
+        rays = Rays(origins, np.tile(ways, (len(places), 1)), (len(origins), 1))
+        row, face, _ = caster.cast(rays)
+        hit = (row >= 0).reshape(len(places), -1)
+        back = np.zeros(len(row), np.bool_)
+        for k in np.flatnonzero(row >= 0):
+            back[k] = (_outward(scene, sample, row[k], face[k]) * rays.directions[k]).sum() > 0.0
+        backs = back.reshape(hit.shape)
+        for k in np.flatnonzero((backs == hit).all(axis=1) & (hit.sum(axis=1) >= _FEWEST)):
+            found.setdefault(places[k][0], []).append(sample)
+    return found
+
+
+def _outward(scene: RenderScene, sample: int, row: int, face: int) -> NDArray[np.float64]:
+    """Normal of a face on the side from which it is wound counter-clockwise, [3], of any length."""
+    rows = scene.rows_at(sample)
+    mesh, matrix = scene.meshes[rows.mesh[row]], rows.to_world[row][:, :3]
+    corners = mesh.points[mesh.faces[face]].astype(np.float64) @ matrix.T
+    # A mirrored row winds its faces the other way.
+    return np.asarray(
+        np.cross(corners[1] - corners[0], corners[2] - corners[0]) * np.sign(np.linalg.det(matrix))
+    )

@@ -9,10 +9,10 @@ A thing that takes the share p of all pictures that are metered is missed with a
 exp(-12288 p): what takes a thousandth, 5 times in a million.
 
 The surfaces are those of the shared model with colors from maps, variation and layers, and with
-their laws of reflectance, but glossy lobes scatter like diffuse ones: a highlight is what a meter
-should not heed; and what passes through a sheet counts as reflected. Left out beside these: normal
-maps, the order that height maps give to layers, and the size of suns and lamps. What that costs
-against the pictures of renderers is measured in ``docs/sensors.md``.
+their laws of reflectance, and light passes through sheets; but glossy lobes scatter like diffuse
+ones: a highlight is what a meter should not heed. Left out beside these: normal maps, the order
+that height maps give to layers, and the size of suns and lamps. What that costs against the
+pictures of renderers is measured in ``docs/sensors.md``.
 """
 
 from __future__ import annotations
@@ -113,7 +113,9 @@ class _Points:
 
     Attributes:
         at, normal, to_viewer: World, float64 [k, 3]; the normal faces the viewer, both are units.
+        lift: How far ``at`` is above the surface, meters, float64 [k, 1].
         diffuse: Albedo of what scatters as Lambert's law says, float64 [k, 3].
+        through: The same of light from behind, float64 [k, 3].
         emission: float64 [k, 3].
         laws: Other laws, or facets that hide each other: (the surface, which hits, the share [n, 1]
             of its dull part, its color [n, 3]).
@@ -122,14 +124,16 @@ class _Points:
     at: NDArray[np.float64]
     normal: NDArray[np.float64]
     to_viewer: NDArray[np.float64]
+    lift: NDArray[np.float64]
     diffuse: NDArray[np.float64]
+    through: NDArray[np.float64]
     emission: NDArray[np.float64]
     laws: list[tuple[Surface, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]] = field(
         default_factory=list
     )
 
-    def reflected(self, to_light: NDArray[np.float64]) -> NDArray[np.float64]:
-        """BRDF times the cosine for unit vectors [k, 3], float64 [k, 3]."""
+    def shown(self, to_light: NDArray[np.float64]) -> NDArray[np.float64]:
+        """BRDF, or BTDF from behind, times the cosine for unit vectors [k, 3], float64 [k, 3]."""
         cosine = (self.normal * to_light).sum(axis=1)[:, None]
         out = self.diffuse / np.pi
         for surface, which, share, color in self.laws:
@@ -142,7 +146,16 @@ class _Points:
             if rough > 0.0:
                 f = f * facets.factor(FLOAT64, rough, mu, cosine[which], phase)
             out[which] += share * f
-        return np.asarray(out * np.maximum(cosine, 0.0))
+        out *= np.maximum(cosine, 0.0)
+        if self.through.any():
+            out += self.through / np.pi * np.maximum(-cosine, 0.0)
+        return np.asarray(out)
+
+    def rays(self, ways: NDArray[np.float64]) -> Rays:
+        """Rays from the points, on the sides of the surfaces that the ways [k, 3] go to."""
+        behind = (self.normal * ways).sum(axis=1, keepdims=True) < 0.0
+        at = np.where(behind, self.at - 2.0 * self.lift * self.normal, self.at)
+        return Rays(at, np.ascontiguousarray(ways), (len(at), 1))
 
 
 class _Paths:
@@ -172,15 +185,16 @@ class _Paths:
         alive, weight = np.arange(len(t)), np.ones((len(t), 3))
         for _ in range(BOUNCES):
             # By the cosine, which cancels: pi times the BRDF is what is left.
-            ways = self._bounces(points.normal)
-            cosine = np.maximum((points.normal * ways).sum(axis=1), 1e-12)[:, None]
-            weight = weight * (np.pi / cosine) * points.reflected(ways)
-            row, face, far = self._caster.cast(_rays(points, ways))
+            ways, chance = self._bounces(points)
+            cosine = np.maximum(np.abs((points.normal * ways).sum(axis=1)), 1e-12)[:, None]
+            weight = weight * (np.pi / cosine) * points.shown(ways) / chance
+            rays = points.rays(ways)
+            row, face, far = self._caster.cast(rays)
             on = np.isfinite(far) & (weight > 0.0).any(axis=1)
             if not on.any():
                 break
             alive, weight = alive[on], weight[on]
-            starts = points.at[on]
+            starts = rays.origins[on]
             points = self._points(starts, ways[on], row[on], face[on], far[on])
             light[alive] += weight * (points.emission + self._direct(points, 1))
         if self._air is not None:
@@ -195,7 +209,7 @@ class _Paths:
         for sun in self._suns:
             ways = np.broadcast_to(sun.to_light, points.at.shape)
             light = sun.irradiance * passed(sun, points.at)[:, None]
-            out += self._unshaded(points, points.reflected(ways) * light, ways, np.inf)
+            out += self._unshaded(points, points.shown(ways) * light, ways, np.inf)
         if self._lamps:
             out += self._lamplight(points)
         if self._dome is not None and self._dome.total > 0.0:
@@ -203,7 +217,7 @@ class _Paths:
                 # One of each part of the sky, from its top down.
                 u = (k + self._random.random(len(out))) / sky_rays
                 ways, light = self._dome.draw(u)
-                lit = points.reflected(ways) * light
+                lit = points.shown(ways) * light
                 out += self._unshaded(points, lit, ways, np.inf) / sky_rays
         return out
 
@@ -221,7 +235,7 @@ class _Paths:
         length = np.sqrt((ways * ways).sum(axis=1))[:, None]
         units = ways / np.where(length > 0.0, length, 1.0)
         light = each[k, which] * (total / chance)[:, None]
-        return self._unshaded(points, points.reflected(units) * light, ways, 1.0)
+        return self._unshaded(points, points.shown(units) * light, ways, 1.0)
 
     def _unshaded(
         self, points: _Points, lit: NDArray[np.float64], ways: NDArray[np.float64], end: float
@@ -229,13 +243,17 @@ class _Paths:
         """Light where nothing stands between a point and ``end`` ways from it; 0 elsewhere."""
         index = np.flatnonzero((lit > 0.0).any(axis=1))
         out = np.zeros(lit.shape)
-        t = self._caster.cast(_rays(points, ways), index)[2]
+        t = self._caster.cast(points.rays(ways), index)[2]
         free = index[t >= end]
         out[free] = lit[free]
         return out
 
-    def _bounces(self, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Directions by the cosine to the normals (Malley's method), float64 [k, 3]."""
+    def _bounces(self, points: _Points) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Directions by the cosine (Malley's method), [k, 3], and the chance of their side, [k, 1].
+
+        Of sheets, each side about as often as it shows more light.
+        """
+        normals = points.normal
         u = self._random.random((len(normals), 2))
         turn, radius = 2.0 * np.pi * u[:, :1], np.sqrt(u[:, 1:])
         # An axis across the normal: of the world's the one that is farthest from it.
@@ -243,7 +261,21 @@ class _Paths:
         across = np.cross(normals, np.eye(3)[least])
         across /= np.sqrt((across * across).sum(axis=1))[:, None]
         flat = np.cos(turn) * across + np.sin(turn) * np.cross(normals, across)
-        return np.asarray(radius * flat + np.sqrt(1.0 - u[:, 1:]) * normals)
+        ways = np.asarray(radius * flat + np.sqrt(1.0 - u[:, 1:]) * normals)
+        chance = np.ones((len(ways), 1))
+        if points.through.any():
+            passed, kept = (
+                (part * LUMINANCE).sum(axis=1, keepdims=True)
+                for part in (points.through, points.diffuse)
+            )
+            whole = passed + kept
+            # Never all of them: other laws than Lambert's are not in ``diffuse``.
+            share = np.minimum(passed / np.where(whole > 0.0, whole, 1.0), 0.5)
+            behind = self._random.random(chance.shape) < share
+            up = (ways * normals).sum(axis=1, keepdims=True)
+            ways = np.where(behind, ways - 2.0 * up * normals, ways)
+            chance = np.where(behind, share, 1.0 - share)
+        return ways, chance
 
     def _points(
         self,
@@ -255,7 +287,10 @@ class _Paths:
     ) -> _Points:
         way = directions / np.sqrt((directions * directions).sum(axis=1))[:, None]
         at = origins + t[:, None] * directions
-        out = _Points(at, np.empty_like(at), -way, np.zeros_like(at), np.zeros_like(at))
+        distance = np.abs(at).max(axis=1) + t * np.abs(directions).max(axis=1)
+        diffuse, through, emission = np.zeros((3, *at.shape))
+        lift = (_LIFT * distance)[:, None]
+        out = _Points(at, np.empty_like(at), -way, lift, diffuse, through, emission)
         mesh_of = self._rows.mesh[row]
         for number in np.unique(mesh_of):
             mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
@@ -267,8 +302,7 @@ class _Paths:
             flat = (normal == 0.0).all(axis=1, keepdims=True)
             out.normal[index] = np.where(flat, to_viewer, np.where(facing < 0.0, -normal, normal))
             self._add_layers(out, mesh, index, *there, corners)
-        distance = np.abs(at).max(axis=1) + t * np.abs(directions).max(axis=1)
-        out.at += (_LIFT * distance)[:, None] * out.normal
+        out.at += out.lift * out.normal
         return out
 
     def _add_layers(
@@ -299,7 +333,7 @@ class _Paths:
             found = lobes.lobes_of(FLOAT64, numbers, picture, (own, self._rows.variation[row]))
             color, dull, part = found.color.T, found.dull, share[:, None]
             if found.through is not None:
-                dull = dull + found.through
+                out.through[index] += part * np.reshape(found.through, (-1, 1)) * color
             gloss = found.white + found.tinted * color
             if surface.reflectance is None and not facets.deviation(surface):
                 gloss = gloss + dull * color
@@ -349,10 +383,6 @@ def _map(
         return map_mean(maps, kind)[:, None]
     point = Point(at.T, normal.T, uv=None if uv is None else uv.T)
     return values_at(maps, (kind,), point)[kind]
-
-
-def _rays(points: _Points, ways: NDArray[np.float64]) -> Rays:
-    return Rays(points.at, np.ascontiguousarray(ways), (len(points.at), 1))
 
 
 def _irradiance(lamp: Lamp, at: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -405,12 +405,10 @@ class _Render:
             self._progress(self._done, total, f"{frame.what}: {text}")
 
     def _finish(self, work: _Work) -> None:
-        """Notes cameras whose pictures are black or burnt out, once a batch is whole."""
+        """Notes what is wrong with all pictures of a camera, once a batch is whole."""
         if work.left:
             return
         sweep({frame.stem.parent for frame in work.frames})
-        if not any("rgb" in frame.key.passes for frame in work.frames):
-            return
         sidecars: dict[str, list[dict[str, Any]]] = {}
         for frame in work.frames:
             # What was given up, or was deleted meanwhile, shows nothing.
@@ -421,6 +419,11 @@ class _Render:
             line = brightness.told(found)
             if line is not None:
                 self.warn(f"{work.batch.name}/{camera}: {line}")
+            sky = brightness.told_of_sky(found)
+            # Once a render: other batches mostly show as much of it.
+            if sky is not None and (camera, "sky") not in self._said:
+                self._said.add((camera, "sky"))
+                self.warn(f"{work.batch.name}/{camera}: {sky}")
 
     def _strays(self, batch: Batch, opened: Opened) -> None:
         """Notes frames of an earlier stage that this one does not replace."""

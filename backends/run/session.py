@@ -207,6 +207,8 @@ class Session:
                     seconds[step] = seconds.get(step, 0.0) + took
             arrays |= {name: found.arrays[name] for name in annotation if name in found.arrays}
             details["height_above_surface_m"] = found.height_m
+            if found.sky is not None:
+                details["sky"] = dict(zip(("pixels", "below_horizon"), found.sky, strict=True))
         if radiance is not None:
             hits = None if found is None else found.hits
             veil = self._veil(radiance, camera, sample, hits, details)

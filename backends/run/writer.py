@@ -155,7 +155,8 @@ def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotation | No
             if "instance" in passes:
                 masks = read_amodal(path) if AMODAL in passes else None
                 seen = Seen(read_frame_table(path), masks)
-            return Annotation(frame.passes, seen, sidecar["height_above_surface_m"])
+            sky = sidecar["sky"]["pixels"], sidecar["sky"]["below_horizon"]
+            return Annotation(frame.passes, seen, sidecar["height_above_surface_m"], sky)
         except (FrameError, OSError, ValueError, KeyError, TypeError):
             # Damaged, or of another version: it is cast again.
             continue

@@ -89,6 +89,7 @@ def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         parts=expander.parts,
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
+        sky_labels_below=_sky_labels_below(stage, table),
         lidars=lidars,
         losses=unread.lines,
     )
@@ -126,6 +127,19 @@ def _sky_labels(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
     prim = stage.GetPrimAtPath(names.SKY_PRIM)
     own = prim_labels(prim, table) if prim else {}
     return {level: own.get(level, 0) for level in table.levels}
+
+
+def _sky_labels_below(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
+    prim = stage.GetPrimAtPath(names.SKY_PRIM)
+    found = {}
+    for level in table.levels if prim else ():
+        attribute = prim.GetAttribute(names.ATTR_SKY_LABEL_BELOW.format(level=level))
+        if attribute and attribute.HasValue():
+            found[level] = values.whole(attribute, 0)
+            if found[level] not in (0, *table.ids[level].values()):
+                what = f"{attribute.GetPath()}: {found[level]}"
+                raise StageError(f"{what}: expected an id that the level {level} has")
+    return found
 
 
 def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:

@@ -548,6 +548,8 @@ class RenderScene:
     haze: tuple[Haze | None, ...] = ()
     #: Per sample, by level: labels of directions that hit nothing, in place of ``sky_labels``.
     sky_label_maps: tuple[dict[str, SkyLabelMap], ...] = ()
+    #: Label ids of rays that go down and hit nothing, on levels where they are not the sky's.
+    sky_labels_below: dict[str, int] = field(default_factory=dict)
     #: Per sample: those that scan then.
     lidars: tuple[tuple[Lidar, ...], ...] = ()
     #: A line for each thing in the stage that was not read, whatever the backend and the pass.

@@ -33,14 +33,20 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
         if materials and name is not None and name not in materials:
             yield user.fault(unknown("material", name, materials.entries), "material")
     if levels or "labels" not in cfg:
-        for node in (*users, cfg.at("light", "sky")):
-            yield from _check_choice(levels, node.at("labels"))
+        for choice in _choices(cfg, users):
+            yield from _check_choice(levels, choice)
         if not levels.entries:
             yield from _check_label_outputs(cfg)
     for level in levels.each("*"):
         yield from _check_ids(level)
     made_of = [user["material"] for user in (*users, *coatings)]
     yield from _check_unused(cfg, users, made_of, frozenset() if sound else _all_words(cfg))
+
+
+def _choices(cfg: Node, users: list[Node]) -> list[Node]:
+    """All choices of labels: of what has a material, of the sky, of its picture's ground."""
+    sky = cfg.at("light", "sky")
+    return [*(node.at("labels") for node in (*users, sky)), sky.at("labels_below")]
 
 
 def _check_choice(levels: Node, chosen: Node) -> Iterator[Finding]:
@@ -92,7 +98,7 @@ def _check_unused(
             yield materials.key_fault(
                 f"the material {shown(name)} is not used: use it or take it away", name
             )
-    choices = [node.at("labels") for node in (*users, cfg.at("light", "sky"))]
+    choices = _choices(cfg, users)
     for level in levels.each("*"):
         key = level.path[-1]
         given = [choice[key] for choice in choices]

@@ -71,6 +71,7 @@ class Rig(TypedDict):
     pose: Kind
     sensors: dict[str, Sensor]
     lidars: NotRequired[dict[str, Kind]]
+    allow_below: NotRequired[bool]
 
 
 class ObjectDetail(TypedDict):

@@ -63,6 +63,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     """
     streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
+    sky = cfg["light"]["sky"] or {}
     materials = draw_materials(spec, streams)
     terrain, setting = _terrain(spec, streams, materials)
     return Plan(
@@ -70,7 +71,10 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
         batch=batch,
         samples=samples,
         label_table=cfg["labels"],
-        sky_labels=label_ids(cfg, (cfg["light"]["sky"] or {}).get("labels") or {}),
+        sky_labels=label_ids(cfg, sky.get("labels") or {}),
+        sky_labels_below={
+            level: cfg["labels"][level][name] for level, name in sky.get("labels_below", {}).items()
+        },
         materials=materials,
         terrain=terrain,
         objects=tuple(
@@ -213,4 +217,4 @@ def _rig(spec: Spec, name: str, setting: Setting) -> RigPlan:
         draw_lidar(lidar, node, f"rigs/{name}/lidars/{lidar}", streams)
         for lidar, node in cfg.get("lidars", {}).items()
     )
-    return RigPlan(name, pose, sensors, lidars)
+    return RigPlan(name, pose, sensors, lidars, cfg.get("allow_below", False))

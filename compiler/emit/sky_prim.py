@@ -30,6 +30,9 @@ def write_sky_prim(path: Path, scene: Scene) -> None:
         if scene.sky_labels:
             constant_label_ids(sky, scene.sky_labels)
             label(sky, label_names(scene.label_table, scene.sky_labels))
+        for level, number in scene.sky_labels_below.items():
+            below = custom(sky, names.ATTR_SKY_LABEL_BELOW.format(level=level), TYPES.Int)
+            below.Set(number)
         if scene.sky_label_maps is not None:
             _write_label_maps(sky, path.parent, scene.sky_label_maps)
         if scene.haze is not None:

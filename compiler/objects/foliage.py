@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model
+from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.noise.lattice import mix
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.scene import Prototype
@@ -96,9 +97,7 @@ def foliage_chain(finest: Prototype, model: Model) -> Chain:
 
 
 def _pieces(model: Model, partner: NDArray[np.int64]) -> _Pieces:
-    root = np.arange(len(model.points))
-    _join(model.faces, root)
-    of_vertex = (np.cumsum(root == np.arange(len(root))) - 1)[root]
+    of_vertex = pieces_of(model.faces, len(model.points))
     of_face = of_vertex[model.faces[:, 0]]
     count = int(of_vertex.max()) + 1
     a, b, c = (model.points[model.faces[:, i]] for i in range(3))
@@ -243,27 +242,6 @@ def _across(points, faces, least, nearest):  # type: ignore[no-untyped-def]
                 least[a], nearest[a] = square, b
             if square < least[b]:
                 least[b], nearest[b] = square, a
-
-
-@kernel
-def _join(faces, parent):  # type: ignore[no-untyped-def]
-    """Makes each vertex's parent the first of its connected piece (Tarjan 1975, path halving)."""
-    for f in range(len(faces)):
-        for k in range(1, 3):
-            a, b = faces[f, 0], faces[f, k]
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            # The lower number is the root, whatever came first.
-            if a < b:
-                parent[b] = a
-            else:
-                parent[a] = b
-    for n in range(len(parent)):
-        parent[n] = parent[parent[n]]
 
 
 def _bits(numbers: NDArray[np.int64], level: int) -> NDArray[np.int64]:

@@ -227,12 +227,17 @@ class SensorPlan:
 
 @dataclass(frozen=True)
 class RigPlan:
-    """A rig, its motion and its sensors."""
+    """A rig, its motion and its sensors.
+
+    Attributes:
+        allow_below: Whether it may be below the ground, inside of objects and off the terrain.
+    """
 
     name: str
     pose: Motion
     sensors: tuple[SensorPlan, ...]
     lidars: tuple[Lidar, ...] = ()
+    allow_below: bool = False
 
     @property
     def outputs(self) -> list[str]:
@@ -249,6 +254,7 @@ class Plan:
     samples: int
     label_table: dict[str, dict[str, int]]
     sky_labels: Labels
+    sky_labels_below: Labels
     materials: dict[str, Material]
     terrain: TerrainPlan
     objects: tuple[ScatterPlan | PlacedPlan, ...]

@@ -554,6 +554,7 @@ class Scene:
         times: Real time of each sample, seconds, [samples].
         label_table: Per level, name -> id.
         sky_labels: Label id of the sky per level.
+        sky_labels_below: Of its picture's ground, on levels that give that a label of its own.
         materials: By name; only those in use.
         objects: Object classes in the cfg's order.
         sun, sky: Light; None where there is none.
@@ -582,6 +583,7 @@ class Scene:
     lamps: tuple[Lamp, ...] = ()
     haze: Haze | None = None
     sky_label_maps: SkyLabelMaps | None = None
+    sky_labels_below: Labels = field(default_factory=dict)
 
     @property
     def reach(self) -> NDArray[np.float64]:

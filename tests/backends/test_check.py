@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_stages import opened, square
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from small import write_cfg
 
 from scenec.backends.check.files import check_files
+from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import check_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
@@ -179,3 +181,43 @@ def test_a_folder_without_a_manifest_is_refused(tmp_path, content):
         (tmp_path / "manifest.json").write_text(content)
     with pytest.raises(OutputError, match="manifest"):
         read_manifest(tmp_path)
+
+
+def _ball(stage: Usd.Stage) -> None:
+    UsdGeom.Sphere.Define(stage, "/Root/Ball").CreateRadiusAttr(2.0)
+
+
+def _ground(stage: Usd.Stage) -> None:
+    ground = square(stage, "/Root/Ground")
+    ground.AddScaleOp().Set((100.0, 100.0, 1.0))
+    ground.GetPointsAttr().Set([(x - 0.5, y - 0.5, z) for x, y, z in ground.GetPointsAttr().Get()])
+
+
+def _mirrored(stage: Usd.Stage) -> None:
+    _ball(stage)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Root/Ball")).AddScaleOp().Set((-1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("build", "places", "samples"),
+    [
+        (_ball, [(0, 0, 1), (0, 0, 5)], "at sample 0 all"),
+        (_ground, [(0, 0, 1), (0, 0, -1), (3, 3, -2)], "at sample 1 and 1 others"),
+        # Mirrored, it still has its front outside.
+        (_ball, [(0, 0, 2.05)], None),
+        (_mirrored, [(0, 0, 2.05)], None),
+    ],
+)
+def test_a_camera_that_sees_backs_alone_is_a_warning(tmp_path, build, places, samples) -> None:
+    def all_of_it(stage: Usd.Stage) -> None:
+        build(stage)
+        eye = UsdGeom.Camera.Define(stage, "/Root/Eye")
+        move = eye.AddTranslateOp()
+        for code, place in enumerate(places):
+            move.Set(Gf.Vec3d(*place), code)
+
+    scene = opened(tmp_path, all_of_it, samples=len(places))
+    found = [one for one in check_scene(scene) if one.check == "enclosed"]
+    assert [one.where for one in found] == ([] if samples is None else ["/Root/Eye"])
+    assert [one.severity for one in found] == ["warning"] * len(found)
+    assert all(samples in one.message for one in found)

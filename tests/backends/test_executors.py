@@ -61,7 +61,9 @@ def tiny_cfg(**change):
     lidar = {"beams": 2, "elevation_deg": [-5, -30], "azimuths": 8}
     outputs = ["rgb", "label", "instance", "depth", "amodal"]
     sensors = {"front": {"resolution": [8, 6], "fov_deg": 70, "outputs": outputs}}
-    cfg["rigs"]["rover"] = {"pose": pose, "sensors": sensors, "lidars": {"top": lidar}}
+    rig = {"pose": pose, "sensors": sensors, "lidars": {"top": lidar}}
+    # The circle may leave the terrain.
+    cfg["rigs"]["rover"] = rig | {"allow_below": True}
     return cfg
 
 

@@ -110,6 +110,45 @@ def test_light_that_only_arrives_by_reflections_counts() -> None:
     assert seen == pytest.approx(np.full(len(seen), 2.0 * sum(0.5**k for k in range(5))))
 
 
+def leaf(color: float, passed: float, **more):
+    return dataclasses.replace(surface((color,) * 3), diffuse_transmission=passed, **more)
+
+
+@pytest.mark.parametrize("albedo", [0.18, 0.9])
+def test_a_leaf_that_is_lit_from_behind_alone_is_shown_as_the_gray_card(albedo: float) -> None:
+    below = automatic(look_at([0, 0, -5], [0, 0, 0]))
+    made = scene(
+        [mesh(*plane(500.0))], [leaf(albedo, 0.4)], cameras=[below], lights=[sun(30.0, 1000.0)]
+    )
+    radiance = 0.4 * albedo * 1000.0 * 0.5 / np.pi
+    assert ev_of(made) == pytest.approx(np.log2(0.18 / radiance), abs=1.0 / 128.0 + 1e-9)
+
+
+def test_from_its_lit_side_a_leaf_shows_what_does_not_pass() -> None:
+    made = scene(
+        [mesh(*plane(500.0))], [leaf(0.5, 0.4)], cameras=[down()], lights=[sun(30.0, 1000.0)]
+    )
+    radiance = 0.6 * 0.5 * 1000.0 * 0.5 / np.pi
+    assert ev_of(made) == pytest.approx(np.log2(0.18 / radiance), abs=1.0 / 128.0 + 1e-9)
+
+
+def test_reflections_arrive_through_a_leaf_as_from_it() -> None:
+    """A sheet across a closed box that glows is as bright as its walls, whatever passes it."""
+    corners = [[(x, y, z) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))] for z in (-1.0, 1.0)]
+    points = np.array(corners, float).reshape(-1, 3)
+    quads = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
+    sheet = mesh(np.array([[0.2, y, z] for y in (-1, 1) for z in (-1, 1)]), np.array(
+        [[0, 1, 3], [0, 3, 2]]), layers=(1,))  # fmt: skip
+    glow = {"emission": (2.0, 2.0, 2.0)}
+    walls = dataclasses.replace(surface((0.5,) * 3), **glow)
+    camera = automatic(look_at([-0.9, 0, 0], [1, 0, 0]))
+    box = mesh(points, np.array(faces))
+    furnace = scene([box, sheet], [walls, leaf(0.5, 0.4, **glow)], cameras=[camera])
+    seen = look(furnace, ExactCaster(furnace), camera, 0, 400).surfaces
+    assert seen == pytest.approx(np.full(len(seen), 2.0 * sum(0.5**k for k in range(5))))
+
+
 @examples(50)
 @given(stops=st.integers(-40, 40), elevation=st.floats(1.0, 90.0))
 def test_twice_the_light_is_the_same_picture_to_the_bit(stops: int, elevation: float) -> None:
@@ -382,6 +421,26 @@ def test_no_light_at_all_is_said(tmp_path: Path) -> None:
     (line,) = [line for line in warnings if "black" in line]
     assert "there is no light" in line
     assert "add a light" in line
+
+
+def test_a_light_that_reaches_nothing_in_view_is_there_all_the_same(tmp_path: Path) -> None:
+    def from_below(stage: Usd.Stage) -> None:
+        made = UsdLux.DistantLight.Define(stage, "/World/Sun")
+        made.AddRotateXOp().Set(180.0)
+
+    _, sidecar, warnings = shown(foreign(tmp_path / "stage.usda", from_below), tmp_path)
+    assert sidecar["exposure"]["of"] == "nothing"
+    (line,) = [line for line in warnings if "black" in line]
+    assert "/World/Sun gives" in line
+    assert "none of that reaches what the camera sees" in line
+    assert "add a light" not in line
+
+
+def test_without_a_light_no_other_exposure_helps(tmp_path: Path) -> None:
+    stage = foreign(tmp_path / "stage.usda", camera=authored(2.0))
+    (line,) = [line for line in shown(stage, tmp_path)[2] if "black" in line]
+    assert "add a light" in line
+    assert "expose more" not in line
 
 
 def test_frames_that_are_there_already_are_said_again(tmp_path: Path) -> None:

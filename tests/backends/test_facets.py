@@ -201,10 +201,10 @@ def test_exposure_meters_what_facets_reflect():
     sun = np.array([[-math.cos(light), 0.0, math.sin(light)]])
     rough = Surface("", (0.4,) * 3, 0.0, 1.0, 0.0, maps=Maps(1.0, lean=0.25))
     every = np.zeros(1, np.int64)
-    points = _Points(at, up, toward, np.zeros((1, 3)), np.zeros((1, 3)))
+    points = _Points(at, up, toward, np.zeros((1, 1)), *(np.zeros((1, 3)) for _ in range(3)))
     points.laws.append((rough, every, np.ones((1, 1)), np.full((1, 3), 0.4)))
     expected = 0.4 / np.pi * math.sin(light) * factor(facets.deviation(rough), 10.0, 20.0, 180.0)
-    np.testing.assert_allclose(points.reflected(sun), np.full((1, 3), expected), rtol=1e-9)
+    np.testing.assert_allclose(points.shown(sun), np.full((1, 3), expected), rtol=1e-9)
 
 
 def test_a_stage_says_how_far_normals_lean(tmp_path: Path):

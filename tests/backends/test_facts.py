@@ -178,6 +178,7 @@ def test_light_that_float32_cannot_hold_is_left_out_and_counted(tmp_path):
     cfg = small_cfg(samples=1)
     # Cliffs of kilometers around the camera: slivers whose barycentrics overflow.
     cfg["terrain"]["relief"][1]["amplitude_m"] = 1e6
+    cfg["rigs"]["rover"]["allow_below"] = True
     session = Session.open(compiled(tmp_path, cfg, 3), "mitsuba")
     camera = session.scene.cameras[0][0]
     arrays, details = session.render(camera, 0, ("rgb",), 8, 0)

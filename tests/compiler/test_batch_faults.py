@@ -34,7 +34,8 @@ def cfg_of(**change: Any) -> dict[str, Any]:
     center = {"type": "object", "object": "rocks"}
     pose = {"type": "orbit", "center": center, "radius_m": 5, "height_m": 3, "period_s": 10}
     sensor = {"resolution": [8, 6], "fov_deg": 70}
-    cfg["rigs"]["rover"] = {"pose": pose, "sensors": {"front": sensor}}
+    # The circle may leave the terrain.
+    cfg["rigs"]["rover"] = {"pose": pose, "sensors": {"front": sensor}, "allow_below": True}
     return cfg
 
 

@@ -77,6 +77,7 @@ def track_cfg(folder: Path, convention: str) -> dict:
     np.savetxt(folder / "track.csv", rows, "%.17g", ",", header=header, comments="")
     cfg = small_cfg()
     cfg["rigs"]["rover"]["pose"] = {"type": "track", "file": "track.csv", "convention": convention}
+    cfg["rigs"]["rover"]["allow_below"] = True
     return cfg
 
 

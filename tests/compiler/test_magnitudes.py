@@ -33,6 +33,8 @@ def tiny_cfg() -> dict[str, Any]:
     pose["position"] |= {axis: {"type": "uniform", "min": -2, "max": 2} for axis in ("x_m", "y_m")}
     pose["target"]["distance_m"] = 2
     cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [24, 16]
+    # Of cliffs of kilometers the mesh is not exact to the height of a camera.
+    cfg["rigs"]["rover"]["allow_below"] = True
     return cfg
 
 
