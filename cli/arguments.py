@@ -327,7 +327,8 @@ def add_replace(parser: argparse.ArgumentParser) -> None:
         "--replace",
         action="store_true",
         help="replace what OUT holds of another cfg, seed, --keep or version: its batches go, and "
-        "frames and scans of stages that change; files of your own stay",
+        "frames and scans of stages that change; run and sweep render frames again, too, that are "
+        "there with other options; files of your own stay",
     )
     parser.add_argument(
         "--faults",

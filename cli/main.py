@@ -245,6 +245,12 @@ def parser() -> argparse.ArgumentParser:
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
+    render.add_argument(
+        "--replace",
+        action="store_true",
+        help="render frames again that are there with other samples, target, noise seed, denoising "
+        "or passes (default: that is an error; frames that hold more passes count as made)",
+    )
     add_allow_missing(render)
     add_batches(render)
     add_verbose(render)

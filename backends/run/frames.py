@@ -73,6 +73,7 @@ def frames_of(
                 key=plan.key(opened.digest, made, opened.backend, version),
                 seed=frame_seed(plan.noise_seed, batch.name, camera.name, sample),
                 choice=choice,
+                replace=plan.replace,
             )
         )
     return found

@@ -25,10 +25,11 @@ from scenec.backends.run.units import (
     Opening,
     RenderFrame,
     open_stage,
+    require_replaceable,
 )
 from scenec.schemas.errors import CameraRefusedError, FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import frame_stem, is_done
+from scenec.schemas.frames import ANNOTATION, frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
 from scenec.schemas.sidecars import read_sidecar
@@ -100,7 +101,9 @@ def render(
     """Render to ``<batch>/frames/<backend>/<camera>/<sample>.{exr,png,json}``.
 
     Frames that are there and were made from the same stage with the same passes, samples per pixel
-    (or target), noise seed, denoising and backend are not made again.
+    (or target), noise seed, denoising and backend are not made again; nor are those that hold more
+    passes. One that lacks passes alone is made again with all of them. One that differs otherwise
+    is replaced only where the plan says so; else nothing is rendered.
 
     Several processes may render one output at once, with one backend or several: what one is making
     the others leave to it, and look at it again in the end. While one renders nobody compiles.
@@ -124,7 +127,8 @@ def render(
         BackendError: The backend is not there, or cannot do what is asked: it refuses every camera,
             or is to denoise the picture of one with an aperture or an open shutter, which is said
             before anything is rendered.
-        OutputError: No manifest, a frame cannot be written, or a compilation is at work.
+        OutputError: No manifest, a frame cannot be written or is not to be replaced, or a
+            compilation is at work.
     """
     plan = RenderPlan(plan, **options) if isinstance(plan, str) else replace(plan, **options)
     out, say = Path(out), say or (lambda _line: None)
@@ -202,7 +206,10 @@ class _Render:
         self._report = report
         self._batches = {opening_of(batch, plan): batch for batch in batches}
         self._count = len(batches)
-        self._unopened = deque(self._batches)
+        #: Batches that may hold frames which are not to be replaced: nothing is rendered before
+        #: all of them are opened.
+        self._unjudged = {opening for opening, batch in self._batches.items() if _has(batch, plan)}
+        self._unopened = deque(sorted(self._batches, key=lambda one: one not in self._unjudged))
         self._works: dict[Hashable, _Work] = {}
         #: Frames that others are making.
         self._busy: list[RenderFrame] = []
@@ -269,6 +276,9 @@ class _Render:
 
     def _next(self, holds: Hashable) -> Unit | None:
         """A unit for a worker: of the stage it holds, a stage to open, or of another's stage."""
+        if self._unjudged:
+            first = self._unopened[0] if self._unopened else None
+            return open_stage(self._unopened.popleft()) if first in self._unjudged else None
         own = self._works.get(holds)
         works = ([own] if own else []) + (
             sorted(self._works.values(), key=lambda work: -len(work.ready))
@@ -304,6 +314,7 @@ class _Render:
     def _open(self, opening: Opening, outcome: Outcome) -> None:
         """Notes what a batch holds."""
         batch = self._batches[opening]
+        self._unjudged.discard(opening)
         try:
             opened: Opened = outcome.result()
             frames = frames_of(batch, self._plan, opened, self._report.choice)
@@ -311,6 +322,7 @@ class _Render:
             self._unread.append((f"{batch.name}: {error}", error))
             self._tell_unread()
             return
+        require_replaceable(frames)
         self._tell_opened(opened, rgb=any("rgb" in frame.key.passes for frame in frames))
         if self.strays_count:
             self._strays(batch, opened)
@@ -449,3 +461,12 @@ class _Render:
         self.warn(*unasked(opened.cameras[0] if opened.cameras else []))
         report.losses += [line for line in opened.losses if line not in report.losses]
         self.warn(*opened.losses)
+
+
+def _has(batch: Batch, plan: RenderPlan) -> bool:
+    """Whether a batch has frames that a plan could replace and may not."""
+    names = {plan.backend if plan.passes is None or "rgb" in plan.passes else ANNOTATION}
+    names |= {ANNOTATION} if plan.passes is None else set()
+    return not plan.replace and any(
+        next((batch.folder / FRAMES / name).glob("*/*.json"), None) for name in names
+    )

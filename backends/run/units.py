@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sweep
-from scenec.schemas.frames import FrameKey, is_done
+from scenec.schemas.frames import FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
 from scenec.schemas.units import Keeper
@@ -186,6 +186,7 @@ class RenderFrame:
         key: What it is made with.
         seed: Of its noise.
         choice: Why this backend, for the sidecar (``auto.Choice``), or None.
+        replace: As of ``RenderPlan``.
     """
 
     holds: Opening
@@ -197,6 +198,7 @@ class RenderFrame:
     key: FrameKey
     seed: int
     choice: Mapping[str, Any] | None = None
+    replace: bool = False
 
     @property
     def claim(self) -> Path:
@@ -209,7 +211,7 @@ class RenderFrame:
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
             StageError: The stage is no more what it was.
-            OutputError: A file cannot be written.
+            OutputError: A file cannot be written, or is not to be replaced.
         """
         session = self.holds.session(keeper)
         if self.stem.parent not in session.folders:
@@ -226,6 +228,7 @@ class RenderFrame:
                 # It may have come while nobody looked.
                 if is_done(self.stem, self.key):
                     return Made()
+                require_replaceable([self])
                 place = self.number, self.sample
                 details = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
         except BusyError as error:
@@ -240,6 +243,30 @@ class RenderFrame:
     def clean(self) -> None:
         """Remove what a worker that died left half written."""
         sweep([self.stem.parent])
+
+
+def require_replaceable(frames: Iterable[RenderFrame]) -> None:
+    """Refuses to replace frames of the same stage by others that lack something of them.
+
+    Args:
+        frames: Of one batch.
+
+    Raises:
+        OutputError: One of them would be; says which, and what it has.
+    """
+    found = [
+        (frame, lost)
+        for frame in frames
+        if not (frame.replace or is_done(frame.stem, frame.key))
+        and (lost := would_lose(frame.stem, frame.key)) is not None
+    ]
+    if found:
+        frame, lost = found[0]
+        more = f" (and {len(found) - 1} more like it)" if len(found) > 1 else ""
+        raise OutputError(
+            f"{frame.stem.with_suffix('.exr')}{more} is there, {lost}; --replace renders it again "
+            "as asked now; to keep both, compile into another folder"
+        )
 
 
 def describe(details: Mapping[str, Any]) -> str:
