@@ -49,6 +49,7 @@ from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas import notice
 from scenec.schemas.errors import CfgError, ScenecError
+from scenec.schemas.plugins import blaming
 from scenec.schemas.spelling import closest
 from scenec.schemas.versions import version_of
 
@@ -90,7 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     notice.listen(tell)
     try:
         command = importlib.import_module(f"scenec.cli.{options.module}")
-        status: int = command.run(options)
+        with blaming():
+            status: int = command.run(options)
         sys.stdout.flush()
         if arguments is None:
             # The interpreter's end would look at every object for cycles, twice: 0.3 CPU s.

@@ -321,6 +321,10 @@ def _difference(old: dict[str, Any], head: dict[str, Any]) -> str | None:
     if old.get("libraries") != head["libraries"] or old.get("format") != head["format"]:
         return "made with other versions of libraries"
     was, now = old.get("cfg", {}), head["cfg"]
+    others = [old.get("plugins", {}), head.get("plugins", {})]
+    for name in sorted(others[0].keys() & others[1].keys()):
+        if others[0][name] != others[1][name]:
+            return f"made with {others[0][name]}, not {others[1][name]}"
     same = any(was.get(key) == now[key] for key in ("sha256", "batch_sha256"))
     return None if same and was.get("inputs") == now["inputs"] else "of another cfg"
 

@@ -17,7 +17,7 @@ import socket
 import tempfile
 import tokenize
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, lru_cache, wraps
 from pathlib import Path, PurePosixPath
@@ -74,6 +74,21 @@ def once_per_file[**P, R](most: int) -> Callable[[Callable[P, R]], Callable[P, R
         return cast(Callable[P, R], of)
 
     return keeping
+
+
+def digest_of_folder(folder: Path, suffixes: Collection[str] = ()) -> str:
+    """Hex digest of the names and contents of all files below a folder, as of code and its data.
+
+    Args:
+        folder: Hidden files in it, and byte code, do not count.
+        suffixes: Of the files that count; none: all.
+    """
+    digest = hashlib.sha256()
+    for path in tree(folder):
+        hidden = any(part.startswith(".") or part == "__pycache__" for part in path.parts)
+        if not hidden and (not suffixes or path.suffix in suffixes):
+            digest.update(f"{path.as_posix()} {sha256(folder / path)}\n".encode())
+    return digest.hexdigest()
 
 
 @contextmanager

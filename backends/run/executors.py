@@ -16,7 +16,7 @@ from scenec.backends.run.supervise import Supervisor
 from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError, ScenecError
 from scenec.schemas.memory import available
-from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all
+from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all, run_unit
 
 #: How many processes work where nobody says; 0: none but this one.
 WORKERS = "SCENEC_WORKERS"
@@ -52,7 +52,7 @@ class Here:
         while (unit := take(holds)) is not None:
             outcome = Outcome()
             try:
-                outcome.value = unit.run(self._keeper)
+                outcome.value = run_unit(unit, self._keeper)
             except ScenecError as error:
                 outcome.error = error
             holds = unit.holds

@@ -27,7 +27,7 @@ from scenec.backends.run.units import (
     open_stage,
     require_replaceable,
 )
-from scenec.schemas.errors import CameraRefusedError, FrameError, StageError
+from scenec.schemas.errors import CameraRefusedError, FrameError, PluginError, StageError
 from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import ANNOTATION, frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
@@ -362,7 +362,7 @@ class _Render:
         work, report = self._works[frame.holds], self._report
         if outcome.deaths or outcome.error is not None:
             frame.clean()
-        if isinstance(outcome.error, FrameLostError):
+        if isinstance(outcome.error, FrameLostError | PluginError):
             self._fail(str(outcome.error))
             self._ended(work, frame, "given up")
         elif isinstance(outcome.error, CameraRefusedError):

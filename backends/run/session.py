@@ -25,6 +25,7 @@ from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
 from scenec.backends.picture.compose import compose
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
+from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
 from scenec.backends.run.writer import annotated, annotation_facts, write_frame
 from scenec.backends.stage.read import read_stage
@@ -92,7 +93,7 @@ class Session:
             }
         return {
             "backend": backend.name,
-            "version": backend.version(),
+            "version": version_of_backend(backend),
             "device": backend.device,
             "denoiser": backend.denoiser,
             "warning": backend.warning(),
@@ -247,6 +248,8 @@ class Session:
         if key.stage_digest != self.scene.digest:
             # A process that was replaced has opened it again.
             raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
+        if not key.backend_version.startswith(self.facts()["version"]):
+            raise BackendError(f"backend {key.backend} has changed meanwhile; run again")
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
         annotation = [name for name in key.passes if name != "rgb"]

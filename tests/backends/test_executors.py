@@ -342,7 +342,7 @@ def test_two_renders_with_workers_make_no_frame_twice(out, tmp_path, monkeypatch
     install(tmp_path, monkeypatch)
     plan_fault(tmp_path, monkeypatch, "work", amount=0.2)
     command = [sys.executable, "-m", "scenec.cli.main", "render", str(out), "--backend", "plain",
-               "--spp", "7", "--workers", "2", "--json"]  # fmt: skip
+               "--spp", "7", "--workers", "2", "--replace", "--json"]  # fmt: skip
     both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     told = [json.loads(one.communicate()[0]) for one in both]
     assert [one.returncode for one in both] == [0, 0]

@@ -83,7 +83,7 @@ def test_sidecar_and_report_say_where_it_ran_and_what_annotated(stage):
     assert sidecar["annotation"] == {"scenec": version_of()}
     assert sidecar["denoised"] is None
     assert sidecar["peak_memory_gb"] > 0.01
-    assert one(stage, "plain", passes=["rgb"]).sidecar.get("annotation") is None
+    assert one(stage, "raster", passes=["rgb"]).sidecar.get("annotation") is None
 
 
 @pytest.mark.usefixtures("worker_here")
@@ -97,7 +97,7 @@ def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stag
         progress=lambda done, total, text: texts.append(text),
         say=lines.append,
     )
-    noisy = one(stage, "smooth", denoise=False)
+    noisy = one(stage, "smooth", denoise=False, replace=True)
     # The denoiser's answer is the picture's mean: the standard error is NOISE / sqrt(2 n).
     rgb = denoised.passes["rgb"]
     assert np.ptp(rgb) == 0.0
@@ -117,8 +117,8 @@ def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stag
 @pytest.mark.slow
 def test_denoised_and_noisy_frames_are_not_taken_for_each_other(stage):
     assert run(stage, "smooth").rendered == 2
-    assert run(stage, "smooth", denoise=True).rendered == 2
-    assert run(stage, "smooth", denoise=True).skipped == 2
+    assert run(stage, "smooth", denoise=True, replace=True).rendered == 2
+    assert run(stage, "smooth", denoise=True, replace=True).skipped == 2
 
 
 @pytest.mark.usefixtures("worker_here")

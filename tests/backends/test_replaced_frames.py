@@ -37,14 +37,23 @@ def frames(stage: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"spp": 1}, "rendered otherwise \\(4 samples per pixel; asked for: 1 samples per pixel\\)"),
+        (
+            {"spp": 1},
+            "rendered otherwise \\(4 samples per pixel; asked for: 1 samples per pixel\\)",
+        ),
         ({"spp": 8}, "4 samples per pixel; asked for: 8 samples per pixel"),
-        ({"error": 0.5, "spp": 4}, "4 samples per pixel; asked for: to 50 % error, at most 4 samples"),
+        (
+            {"error": 0.5, "spp": 4},
+            "4 samples per pixel; asked for: to 50 % error, at most 4 samples",
+        ),
         ({"seconds": 9.0, "spp": 4}, "4 samples per pixel; asked for: for 9 s, at most 4 samples"),
         ({"noise_seed": 3}, "of noise seed 0, not 3"),
         ({"denoise": True}, "not denoised"),
         ({"passes": ("rgb", "normal")}, "holding depth, instance, not asked for"),
-        ({"spp": 1, "passes": ("rgb",)}, "holding depth, instance, not asked for, rendered otherwise"),
+        (
+            {"spp": 1, "passes": ("rgb",)},
+            "holding depth, instance, not asked for, rendered otherwise",
+        ),
     ],
 )
 def test_what_a_frame_would_lose_is_said_and_nothing_is_touched(
@@ -78,7 +87,9 @@ def test_frames_to_a_target_go_on_with_the_same_target_alone(stage: Path) -> Non
     ask = {"error": 0.5, "spp": 64, "passes": ("rgb",), "samples": [0], "cameras": ["left"]}
     render(stage, "plain", **ask)
     assert render(stage, "plain", **ask).skipped == 1
-    with pytest.raises(OutputError, match="to 50 % error, at most 64 samples per pixel; asked for: 64"):
+    with pytest.raises(
+        OutputError, match="to 50 % error, at most 64 samples per pixel; asked for: 64"
+    ):
         render(stage, "plain", **{**ask, "error": None})
 
 
