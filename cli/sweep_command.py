@@ -107,7 +107,7 @@ def _to_compile(
     out, cache = Path(options.out), cache_of(options)
     units = [
         CompilePoint(
-            cfg=spec.path.absolute(),
+            spec=spec,
             point=point,
             out=(out / point.name).absolute(),
             keep=Keep(options.keep),
@@ -118,7 +118,7 @@ def _to_compile(
         )
         for point, spec in zip(swept, specs, strict=True)
     ]
-    return [(unit, unit.is_done(spec)) for unit, spec in zip(units, specs, strict=True)]
+    return [(unit, unit.is_done()) for unit in units]
 
 
 def _refuse_early(options: argparse.Namespace, specs: Sequence[Spec]) -> list[bool]:

@@ -161,13 +161,13 @@ class CompilePoint:
     """Compiles all batches of a point into its folder; returns nothing.
 
     Attributes:
-        cfg: Absolute path of the cfg.
+        spec: The cfg, as it was read for the point.
         point: What is set over it, and the seed.
         out: The folder, absolute.
         keep, batches, cache, replace, faults: As of ``compile_cfg``.
     """
 
-    cfg: Path
+    spec: Spec
     point: Point
     out: Path
     keep: Keep
@@ -193,7 +193,7 @@ class CompilePoint:
             ScenecError: See ``compile_cfg``; a batch that cannot be built, too.
         """
         report = compile_cfg(
-            load(self.cfg, self.point.settings),
+            self.spec,
             seed=self.point.seed,
             out=self.out,
             batches=self.batches,
@@ -206,7 +206,7 @@ class CompilePoint:
             name, reason = next(iter(report.failed.items()))
             raise ScenecError(f"{name} cannot be built: {reason}")
 
-    def is_done(self, spec: Spec) -> bool:
+    def is_done(self) -> bool:
         """Whether the folder holds all of it.
 
         Raises:
@@ -214,11 +214,11 @@ class CompilePoint:
         """
         if not (self.out / MANIFEST).exists():
             return False
-        there, other = held(self.out, spec, self.point.seed, self.keep)
+        there, other = held(self.out, self.spec, self.point.seed, self.keep)
         if other and not self.replace:
             raise OutputError(
                 f"{self.out}: holds batches {other}; --replace throws them away, or choose another "
                 "folder"
             )
-        wanted = self.batches or range(int(spec.cfg["batches"]))
+        wanted = self.batches or range(int(self.spec.cfg["batches"]))
         return not other and there >= set(wanted)

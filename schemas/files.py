@@ -46,13 +46,27 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _stamp(path: Any) -> tuple[int, int] | None:
-    """What tells a file from what it was before, within a process; None where there is none."""
+#: What tells a file from what it was before, within a process.
+type Stamp = tuple[int, int, int, int]
+
+
+def stamp(path: Path) -> Stamp:
+    """The stamp of a file as it is: times of its content and of its entry, number, size.
+
+    Whoever writes a file can set the first time, and keep the size. The second one is the system's.
+
+    Raises:
+        OSError: It is not there.
+    """
+    found = path.stat()
+    return found.st_mtime_ns, found.st_ctime_ns, found.st_ino, found.st_size
+
+
+def _stamp(path: Any) -> Stamp | None:
     try:
-        found = path.stat()
+        return stamp(path)
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size
 
 
 def once_per_file[**P, R](most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:

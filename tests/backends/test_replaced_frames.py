@@ -120,7 +120,7 @@ def test_no_batch_is_rendered_where_a_later_one_holds_what_would_go(
     compile_cfg(write_cfg(tmp_path, cfg), seed=1, out=tmp_path / "out")
     out = tmp_path / "out"
     render(out, "annotation", passes=("depth", "normal"), batches=[1])
-    with pytest.raises(OutputError, match="batch_0001.*is there, holding normal"):
+    with pytest.raises(OutputError, match=r"batch_0001.*is there, holding normal"):
         render(out, "annotation", passes=("depth", "range"))
     assert not (out / "batch_0000" / "frames").exists()
     # Another process made them since they were looked at.
