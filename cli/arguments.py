@@ -83,6 +83,10 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )
 
 
+#: More are asked for by a slip, and are listed somewhere.
+_LONGEST_SPAN = 1_000_000
+
+
 def span(text: str) -> range:
     """``A:B`` as the range A to B - 1; ``A`` alone is A:A+1."""
     first, colon, last = text.partition(":")
@@ -95,9 +99,9 @@ def span(text: str) -> range:
         raise argparse.ArgumentTypeError(
             f"{text!r}: expected A:B with 0 <= A < B (it holds A to B-1), or one number"
         )
-    if stop > 2**64 or stop - start > 2**31:
+    if stop > 2**64 or stop - start > _LONGEST_SPAN:
         raise argparse.ArgumentTypeError(
-            f"{text!r}: expected numbers below 2^64, {2**31} of them at most"
+            f"{text!r}: expected numbers below 2^64, {_LONGEST_SPAN:,} of them at most"
         )
     return range(start, stop)
 
