@@ -156,7 +156,9 @@ def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) ->
     assert 5.0 < one[:, 0, 0].std() < 50.0
     assert (picture == 100).all()
     older = json.dumps(effect | {"from": "scenec-farmland 0.9"})
-    with pytest.raises(BackendError, match=r"of scenec-farmland 0\.9, and scenec-farmland 1\.0 \(c"):
+    with pytest.raises(
+        BackendError, match=r"of scenec-farmland 0\.9, and scenec-farmland 1\.0 \(c"
+    ):
         apply(picture, [older], 0)
 
 
