@@ -168,7 +168,11 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
         help="render rgb in rounds for S seconds a frame; not reproducible, since machines differ",
     )
     parser.add_argument(
-        "--passes", type=passes, metavar="A,B,…", help=f"of {','.join(PASSES)}; default: the cfg's"
+        "--passes",
+        type=passes,
+        metavar="A,B,…",
+        help=f"of {','.join(PASSES)}; default: the cfg's, with --backend annotation all of these "
+        "but rgb",
     )
     parser.add_argument(
         "--samples", type=span, metavar="A:B", help="only these samples of each batch"

@@ -82,6 +82,7 @@ def refuse_early(options: argparse.Namespace, cfg: Cfg, executor: Executor | Non
     """
     from scenec.backends.run.auto import check_backend
     from scenec.cli.render_command import plan_of
+    from scenec.schemas.frames import ANNOTATION_NAMES
 
     wanted = options.passes
     rigs = cfg["rigs"]
@@ -89,6 +90,9 @@ def refuse_early(options: argparse.Namespace, cfg: Cfg, executor: Executor | Non
     drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:
         wanted = [name for s in sensors.values() for name in s["outputs"]]
+        if options.backend in ANNOTATION_NAMES and set(wanted) != {"rgb"}:
+            # All but that is made.
+            wanted = [name for name in wanted if name != "rgb"]
     apertures = [name for name in drawn if "focus" in sensors[name]]
     check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures, executor=executor)
     return any("lidars" in rig for rig in rigs.values())

@@ -11,7 +11,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
 from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.files import inside
-from scenec.schemas.frames import frame_stem
+from scenec.schemas.frames import ANNOTATION_NAMES, frame_stem
 from scenec.schemas.manifest import Batch
 from scenec.schemas.spelling import nearest
 
@@ -57,6 +57,9 @@ def frames_of(
     found = []
     for sample, number, camera in _wanted(plan, opened):
         made = tuple(camera.passes if passes is None else passes)
+        if not made and plan.passes is None and plan.backend in ANNOTATION_NAMES:
+            # For rgb alone: said by ``unasked``.
+            continue
         if not made:
             raise StageError(f"{batch.stage}: no passes asked for, and none in the stage")
         if plan.denoise and "rgb" in made and camera.undenoised:
@@ -106,6 +109,11 @@ _PRUNED_BY = ("rgb", "label", "instance")
 def unasked(cameras: Sequence[CameraFacts]) -> Iterator[str]:
     """A line for each camera that is to render what its stage was not compiled for."""
     for camera in cameras:
+        if not camera.passes:
+            yield (
+                f"camera {camera.name} asks for rgb alone: no frame of it is made; --passes says "
+                "what it should hold"
+            )
         asked = {name.split(".")[0] for name in camera.passes}
         missing = [n for n in _PRUNED_BY if n in asked and n not in camera.outputs]
         if missing:

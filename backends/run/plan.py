@@ -25,7 +25,8 @@ class RenderPlan:
             Without ``rgb`` no renderer starts, and frames go to ``frames/annotation``.
         passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
             ``instance``, ``normal``, ``position``, ``face``, ``amodal`` (masks, a file of their
-            own; it brings ``instance`` with it); None takes the stage's own choice.
+            own; it brings ``instance`` with it); None takes the stage's own choice, of annotation
+            alone all of that but ``rgb``.
         samples: Only these time codes.
         batches: Only these batches.
         cameras: Only these, by name.

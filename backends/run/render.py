@@ -29,7 +29,7 @@ from scenec.backends.run.units import (
 )
 from scenec.schemas.errors import CameraRefusedError, FrameError, PluginError, StageError
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import ANNOTATION, frame_stem, is_done
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
 from scenec.schemas.sidecars import read_sidecar
@@ -159,7 +159,11 @@ def render(
         executor.prepare(plan.folder or batches[0].folder, plan.device, backend)
         run.run(executor)
     if not report.frames:
-        raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
+        alone = plan.backend in ANNOTATION_NAMES and plan.passes is None
+        why = ", or rgb alone is asked for" if alone else ""
+        raise StageError(
+            f"{out}: no frame to render: no camera, or no sample in the range asked{why}"
+        )
     return report
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sweep
-from scenec.schemas.frames import FrameKey, is_done, would_lose
+from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
     from scenec.backends.run.session import Session
+    from scenec.backends.stage.scene import Camera
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Opening:
     Attributes:
         stage: Absolute path.
         backend, device, allow_missing: As of ``RenderPlan``.
-        passes: Those that any frame will have; None: what each camera asks for.
+        passes: Those that any frame will have; None: what each camera asks for, of annotation all
+            of that but ``rgb``.
     """
 
     stage: str
@@ -133,15 +135,20 @@ class OfBackend:
 
 def open_stage(opening: Opening) -> OfSession:
     """Open a stage, and say what there is to render; returns ``Opened``."""
-    return OfSession(opening, f"opening {opening.stage}", partial(_opened, opening.passes))
+    every_but_rgb = opening.passes is None and opening.backend in ANNOTATION_NAMES
+    do = partial(_opened, opening.passes, every_but_rgb)
+    return OfSession(opening, f"opening {opening.stage}", do)
 
 
-def _opened(passes: tuple[str, ...] | None, session: Session) -> Opened:
+def _opened(passes: tuple[str, ...] | None, every_but_rgb: bool, session: Session) -> Opened:
+    def wanted(camera: Camera) -> Sequence[str] | None:
+        return [n for n in camera.outputs if n != "rgb"] if every_but_rgb else passes
+
     cameras = [
         [
             CameraFacts(
                 name=camera.name,
-                passes=session.passes(passes, camera),
+                passes=session.passes(wanted(camera), camera),
                 fires=camera.fires(sample),
                 outputs=tuple(camera.outputs),
                 undenoised=session.undenoised(camera),

@@ -351,3 +351,16 @@ def test_two_renders_with_workers_make_no_frame_twice(out, tmp_path, monkeypatch
     # As often as there are frames, whatever was claimed by whom.
     assert len((tmp_path / "faults").read_text()) == 9
     assert not list(out.rglob(".scenec-*"))
+
+
+@pytest.mark.parametrize("who", [partial(Processes, 64), partial(make_executor, 64, "local")])
+def test_memory_is_shared_by_the_processes_that_there_are(who, tmp_path, monkeypatch):
+    # A 64th of this is less than any of them holds.
+    monkeypatch.setattr("scenec.backends.run.supervise.default_limit", lambda: 2 * 10**9)
+    monkeypatch.setattr("scenec.backends.run.executors.default_limit", lambda: 2 * 10**9)
+    stage = square_stage(tmp_path / "square.usda", samples=1, width=8)
+    with who() as executor:
+        report = render(stage, "annotation", passes=["depth"], executor=executor)
+    assert (report.rendered, report.deaths, report.replaced) == (2, 0, 0)
+    with Processes(64) as many:
+        assert many.room(2)[0] > 10**9 / 4

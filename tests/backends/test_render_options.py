@@ -246,7 +246,7 @@ def test_a_limit_below_what_any_worker_holds_ends_in_one_line(stage, capsys):
 
 
 REFUSED = {
-    "reference has no rgb": ["--backend", "reference"],
+    "reference has no rgb": ["--backend", "reference", "--passes", "rgb,depth"],
     "has no device 'cuda'": ["--backend", "smooth", "--device", "cuda"],
     "without rgb": ["--backend", "smooth", "--denoise", "--passes", "depth"],
     "did you mean 'smooth'": ["--backend", "smoth"],
