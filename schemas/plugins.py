@@ -43,7 +43,7 @@ _codes: dict[tuple[str, tuple[str, ...]], str] = {}
 #: Where the code lies that was loaded, and whose it is.
 _loaded: dict[Path, str] = {}
 #: Names that kinds were loaded by.
-_names: dict[tuple[str, type[Any]], str] = {}
+_names: dict[tuple[str, Any], str] = {}
 
 
 def entry_points_of(group: str, name: str) -> tuple[EntryPoint, ...]:

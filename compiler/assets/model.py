@@ -21,7 +21,7 @@ from scenec.schemas.files import Stamp, stamp
 
 #: Files that are kept once they are read: for checking, hashing and all batches.
 _MOST = 64
-_parsed: dict[Path, tuple[list[tuple[int, int]], ParsedModel]] = {}
+_parsed: dict[Path, tuple[list[Stamp], ParsedModel]] = {}
 _MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
 
 
@@ -122,10 +122,10 @@ def parsed_model(file: Path) -> ParsedModel:
         if state == _state(file, parsed):
             return parsed
         del _parsed[file]
-    before = stamp(file) if file.is_file() else None
+    before = [stamp(file)] if file.is_file() else []
     parsed = parse_model(file)
     state = _state(file, parsed)
-    if state[:1] == [before]:
+    if state[:1] == before:
         # Else it was replaced while it was read.
         if len(_parsed) >= _MOST:
             del _parsed[next(iter(_parsed))]
