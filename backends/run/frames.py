@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
-from scenec.schemas.errors import BackendError, StageError
+from scenec.schemas.errors import BackendError, FrameError, StageError
 from scenec.schemas.files import inside
-from scenec.schemas.frames import ANNOTATION_NAMES, frame_stem
-from scenec.schemas.manifest import Batch
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem
+from scenec.schemas.manifest import FRAMES, Batch, stage_digest
+from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
 
 
@@ -80,6 +82,27 @@ def frames_of(
             )
         )
     return found
+
+
+def may_lose(batch: Batch, plan: RenderPlan, manifest: dict[str, Any] | None) -> bool:
+    """Whether a batch has frames of its stage that a plan could replace and may not.
+
+    Args:
+        batch: The batch.
+        plan: What is asked.
+        manifest: Of the output; None beside a USD file.
+    """
+    if plan.replace:
+        return False
+    names = {plan.backend if plan.passes is None or "rgb" in plan.passes else ANNOTATION}
+    names |= {ANNOTATION} if plan.passes is None else set()
+    digest = None if manifest is None else stage_digest(manifest, batch.name)
+    for name in sorted(names):
+        for path in (batch.folder / FRAMES / name).glob("*/*.json"):
+            with suppress(FrameError):
+                if digest in (None, read_sidecar(path)["stage_digest"]):
+                    return True
+    return False
 
 
 def require_samples(batch: Batch, samples: Collection[int] | None, count: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from operator import methodcaller
@@ -15,7 +15,7 @@ from scenec.backends.picture import brightness
 from scenec.backends.registry import AUTO
 from scenec.backends.run.auto import choose
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.frames import frames_of, opening_of, unasked
+from scenec.backends.run.frames import frames_of, may_lose, opening_of, unasked
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.supervise import FrameLostError
 from scenec.backends.run.units import (
@@ -27,9 +27,14 @@ from scenec.backends.run.units import (
     open_stage,
     require_replaceable,
 )
-from scenec.schemas.errors import CameraRefusedError, FrameError, PluginError, StageError
+from scenec.schemas.errors import (
+    CameraRefusedError,
+    FrameError,
+    PluginError,
+    StageError,
+)
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem, is_done
+from scenec.schemas.frames import ANNOTATION_NAMES, frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
 from scenec.schemas.sidecars import read_sidecar
@@ -148,11 +153,13 @@ def render(
         report = RenderReport(
             backend=plan.backend, choice=None if choice is None else choice.as_json()
         )
-        run = _Render(plan, batches, report, progress, warn, say)
+        manifest = read_manifest(out) if out.is_dir() else None
+        judged = {batch.name for batch in batches if may_lose(batch, plan, manifest)}
+        run = _Render(plan, batches, judged, report, progress, warn, say)
         # Beside a USD file there may be the frames of another.
         run.strays_count = plan.folder is None and out.is_dir()
-        if plan.batches is None and out.is_dir():
-            run.warn(*gaps(read_manifest(out)))
+        if plan.batches is None and manifest is not None:
+            run.warn(*gaps(manifest))
         executor = executor or stack.enter_context(make_executor())
         drawn = plan.passes is None or "rgb" in plan.passes
         backend = plan.backend if drawn else ""
@@ -192,6 +199,7 @@ class _Render:
         plan: What is asked.
         batches: Of what.
         report: Filled.
+        judged: Names of batches that may hold frames which are not to be replaced.
         progress, warn, say: Told.
     """
 
@@ -199,6 +207,7 @@ class _Render:
         self,
         plan: RenderPlan,
         batches: Sequence[Batch],
+        judged: Collection[str],
         report: RenderReport,
         progress: Progress | None,
         warn: Say | None,
@@ -210,9 +219,8 @@ class _Render:
         self._report = report
         self._batches = {opening_of(batch, plan): batch for batch in batches}
         self._count = len(batches)
-        #: Batches that may hold frames which are not to be replaced: nothing is rendered before
-        #: all of them are opened.
-        self._unjudged = {opening for opening, batch in self._batches.items() if _has(batch, plan)}
+        #: Nothing is rendered before all of them are opened.
+        self._unjudged = {one for one, batch in self._batches.items() if batch.name in judged}
         self._unopened = deque(sorted(self._batches, key=lambda one: one not in self._unjudged))
         self._works: dict[Hashable, _Work] = {}
         #: Frames that others are making.
@@ -465,12 +473,3 @@ class _Render:
         self.warn(*unasked(opened.cameras[0] if opened.cameras else []))
         report.losses += [line for line in opened.losses if line not in report.losses]
         self.warn(*opened.losses)
-
-
-def _has(batch: Batch, plan: RenderPlan) -> bool:
-    """Whether a batch has frames that a plan could replace and may not."""
-    names = {plan.backend if plan.passes is None or "rgb" in plan.passes else ANNOTATION}
-    names |= {ANNOTATION} if plan.passes is None else set()
-    return not plan.replace and any(
-        next((batch.folder / FRAMES / name).glob("*/*.json"), None) for name in names
-    )

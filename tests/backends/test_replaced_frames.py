@@ -127,7 +127,7 @@ def test_no_batch_is_rendered_where_a_later_one_holds_what_would_go(
     from scenec.backends.run import render as module
 
     shutil.rmtree(out / "batch_0001" / "frames")
-    monkeypatch.setattr(module, "_has", lambda batch, plan: False)
+    monkeypatch.setattr(module, "may_lose", lambda *_: False)
     monkeypatch.setattr(module, "require_replaceable", lambda frames: None)
     render(out, "annotation", passes=("depth", "normal"), batches=[1])
     with pytest.raises(OutputError, match="is there, holding normal"):
