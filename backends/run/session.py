@@ -248,8 +248,6 @@ class Session:
         if key.stage_digest != self.scene.digest:
             # A process that was replaced has opened it again.
             raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
-        if not key.backend_version.startswith(self.facts()["version"]):
-            raise BackendError(f"backend {key.backend} has changed meanwhile; run again")
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
         annotation = [name for name in key.passes if name != "rgb"]

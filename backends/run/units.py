@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.schemas.errors import OutputError
+from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
@@ -221,6 +221,9 @@ class RenderFrame:
             OutputError: A file cannot be written, or is not to be replaced.
         """
         session = self.holds.session(keeper)
+        if not self.key.backend_version.startswith(session.facts()["version"]):
+            # A process that was replaced has imported it again.
+            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
         if self.stem.parent not in session.folders:
             folder = self.stem.parent
             try:

@@ -282,9 +282,12 @@ def test_a_sweep_of_too_many_points_makes_no_list(capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as left:
         main(["sweep", "c.json", "--seeds", "0:1000000000", "-o", "out"])
     assert left.value.code == 2
-    assert "'0:1000000000': expected numbers below 2^64, 1,000,000 of them" in capsys.readouterr().err
+    assert (
+        "'0:1000000000': expected numbers below 2^64, 1,000,000 of them" in capsys.readouterr().err
+    )
     many = ",".join(map(str, range(400)))
-    assert main(["sweep", "c.json", "--set", f"a={many}", "--seeds", "0:400", "-o", "out"]) == 2
+    words = ["sweep", "c.json", "--set", f"a={many}", "--seeds", "0:400", "-o", "out"]
+    assert main(words) == 2
     assert "a sweep of 160,000 points: expected at most 100,000" in capsys.readouterr().err
 
 
