@@ -17,8 +17,9 @@ from third_party import square_stage
 
 from scenec.backends.registry import open_backend
 from scenec.backends.run.frames import frame_seed
+from scenec.backends.run.limits import RETRIES
 from scenec.backends.run.render import render
-from scenec.backends.run.supervise import RETRIES, Supervisor
+from scenec.backends.run.supervise import Supervisor
 from scenec.backends.run.units import OfBackend, RenderFrame
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
