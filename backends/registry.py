@@ -10,12 +10,13 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from functools import partial
 from typing import Any
 
 from scenec.backends.contract import Backend
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
+from scenec.schemas.plugins import entry_points_of, load, names_of, origin, told
 
 GROUP = "scenec.backends"
 
@@ -35,8 +36,7 @@ AUTO = "auto"
 
 def backend_names() -> tuple[str, ...]:
     """Names of all renderers that could be asked for, installed or not; ours first."""
-    others = sorted({point.name for point in _points()} - BUILT_IN.keys())
-    return (*BUILT_IN, *others)
+    return (*BUILT_IN, *(name for name in names_of(GROUP) if name not in BUILT_IN))
 
 
 def require_name(name: str) -> None:
@@ -61,7 +61,13 @@ def distribution(name: str) -> tuple[str, ...]:
     """The package whose version a backend's pictures depend on; none for what is no renderer."""
     if name in _PACKAGES:
         return (_PACKAGES[name],)
-    return tuple(point.dist.name for point in _points() if point.name == name and point.dist)
+    return tuple(point.dist.name for point in entry_points_of(GROUP, name) if point.dist)
+
+
+def version_of(backend: Backend) -> str:
+    """What a backend says of its version; with package and code where it is another's."""
+    others = "" if backend.name in BUILT_IN else origin(GROUP, backend.name)
+    return f"{backend.version()} of {others}" if others else backend.version()
 
 
 def backend_class(name: str, device: str = "auto") -> type[Backend]:
@@ -79,10 +85,12 @@ def backend_class(name: str, device: str = "auto") -> type[Backend]:
         raise BackendError(
             f"{name} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
         )
-    load, mend = _target(name)
+    get, mend = _target(name)
     try:
-        found: type[Backend] = load()
-    except (ImportError, AttributeError) as error:
+        found: type[Backend] = get()
+    except Exception as error:
+        if name in BUILT_IN and not isinstance(error, ImportError | AttributeError):
+            raise
         raise _not_imported(name, error, mend) from error
     if device not in ("auto", *found.devices):
         raise BackendError(
@@ -116,14 +124,11 @@ def _target(name: str) -> tuple[Callable[[], Any], str]:
         module, _, attribute = target.partition(":")
         mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
         return lambda: getattr(importlib.import_module(module), attribute), mend
-    point = next(point for point in _points() if point.name == name)
+    point = entry_points_of(GROUP, name)[0]
     package = point.dist.name if point.dist else name
-    return point.load, f"pip install --force-reinstall {package}"
+    return partial(load, point), f"pip install --force-reinstall {package}"
 
 
 def _not_imported(name: str, error: Exception, mend: str) -> BackendError:
-    return BackendError(f"backend {name} cannot be imported ({error}). Mend it with: {mend}")
-
-
-def _points() -> list[EntryPoint]:
-    return list(entry_points(group=GROUP))
+    why = str(error) if name in BUILT_IN else told(error)
+    return BackendError(f"backend {name} cannot be imported ({why}). Mend it with: {mend}")

@@ -83,6 +83,10 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )
 
 
+#: More are asked for by a slip, and are listed somewhere.
+_LONGEST_SPAN = 1_000_000
+
+
 def span(text: str) -> range:
     """``A:B`` as the range A to B - 1; ``A`` alone is A:A+1."""
     first, colon, last = text.partition(":")
@@ -95,9 +99,9 @@ def span(text: str) -> range:
         raise argparse.ArgumentTypeError(
             f"{text!r}: expected A:B with 0 <= A < B (it holds A to B-1), or one number"
         )
-    if stop > 2**64 or stop - start > 2**31:
+    if stop > 2**64 or stop - start > _LONGEST_SPAN:
         raise argparse.ArgumentTypeError(
-            f"{text!r}: expected numbers below 2^64, {2**31} of them at most"
+            f"{text!r}: expected numbers below 2^64, {_LONGEST_SPAN:,} of them at most"
         )
     return range(start, stop)
 
@@ -164,7 +168,11 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
         help="render rgb in rounds for S seconds a frame; not reproducible, since machines differ",
     )
     parser.add_argument(
-        "--passes", type=passes, metavar="A,B,…", help=f"of {','.join(PASSES)}; default: the cfg's"
+        "--passes",
+        type=passes,
+        metavar="A,B,…",
+        help=f"of {','.join(PASSES)}; default: the cfg's, with --backend annotation all of these "
+        "but rgb",
     )
     parser.add_argument(
         "--samples", type=span, metavar="A:B", help="only these samples of each batch"
@@ -327,7 +335,8 @@ def add_replace(parser: argparse.ArgumentParser) -> None:
         "--replace",
         action="store_true",
         help="replace what OUT holds of another cfg, seed, --keep or version: its batches go, and "
-        "frames and scans of stages that change; files of your own stay",
+        "frames and scans of stages that change; run and sweep render frames again, too, that are "
+        "there with other options; files of your own stay",
     )
     parser.add_argument(
         "--faults",

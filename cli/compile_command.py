@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from scenec.cli.output import Progress, print_json, say, say_next, status, warn
 
 if TYPE_CHECKING:
+    from scenec.compiler.cfg.load import Spec
     from scenec.compiler.compile import CompileReport
 
 #: What a file of heights says of its numbers where they are meters.
@@ -29,13 +30,13 @@ def run(options: argparse.Namespace) -> int:
     return 1 if report.failed else 0
 
 
-def compile_now(options: argparse.Namespace) -> CompileReport:
-    """Compiles, and says what came of it."""
+def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> CompileReport:
+    """Compiles, and says what came of it; a cfg that has been read is not read again."""
     # Here: importing these takes time, in which a line is read already. What is wrong with a cfg is
     # told before the rest is imported.
     from scenec.compiler.cfg.load import load
 
-    spec = warn(load(options.cfg, options.settings))
+    spec = warn(spec or load(options.cfg, options.settings))
     from scenec.compiler.compile import compile_cfg
     from scenec.compiler.views.needed import Keep
 

@@ -14,7 +14,7 @@ import re
 import resource
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
@@ -49,12 +49,15 @@ from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
 from scenec.schemas import notice
 from scenec.schemas.errors import CfgError, ScenecError
+from scenec.schemas.plugins import blaming
 from scenec.schemas.spelling import closest
 from scenec.schemas.versions import version_of
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
+#: Where the options that were given are noted while they are read.
+_GIVEN = "_given"
 #: Files that a command opens at a time, at least: below that, even imports fail, some silently.
 _LEAST_FILES = 32
 
@@ -90,7 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     notice.listen(tell)
     try:
         command = importlib.import_module(f"scenec.cli.{options.module}")
-        status: int = command.run(options)
+        with blaming():
+            status: int = command.run(options)
         sys.stdout.flush()
         if arguments is None:
             # The interpreter's end would look at every object for cycles, twice: 0.3 CPU s.
@@ -245,6 +249,12 @@ def parser() -> argparse.ArgumentParser:
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
+    render.add_argument(
+        "--replace",
+        action="store_true",
+        help="render frames again that are there with other samples, target, noise seed, denoising "
+        "or passes (default: that is an error; frames that hold more passes count as made)",
+    )
     add_allow_missing(render)
     add_batches(render)
     add_verbose(render)
@@ -365,6 +375,20 @@ def _command(
 class _Parser(argparse.ArgumentParser):
     """Names the nearest command, value or option to one that there is not."""
 
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for name in (None, "store"):
+            self.register("action", name, _Once)
+        self.register("action", "append", _Each)
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As of the base class."""
+        found, rest = super().parse_known_args(args, namespace)
+        vars(found).pop(_GIVEN, None)
+        return found, rest
+
     def error(self, message: str) -> NoReturn:
         """As of the base class, with a question after it."""
         if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
@@ -385,6 +409,43 @@ class _Parser(argparse.ArgumentParser):
             if isinstance(action, argparse._SubParsersAction):
                 found.update(*(of._options() for of in action.choices.values()))
         return found
+
+
+class _Once(argparse._StoreAction):
+    """Stores an option's value: lists of several add up, a second value of another is refused."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        given = vars(namespace).setdefault(_GIVEN, set())
+        if option_string is not None and self.dest in given:
+            if not isinstance(values, list | tuple) or not callable(self.type):
+                raise argparse.ArgumentError(self, "is given twice: expected one value")
+            # Read again as one text, in which its type brings order.
+            values = self.type(",".join(map(str, [*getattr(namespace, self.dest), *values])))
+        given.add(self.dest)
+        super().__call__(parser, namespace, values, option_string)
+
+
+class _Each(argparse._AppendAction):
+    """Adds an option's value to those before; of NAME=VALUE, each name has one."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        name, equals, _ = str(values).partition("=")
+        held = [one.partition("=")[0] for one in map(str, getattr(namespace, self.dest) or ())]
+        if equals and "=" in str(self.metavar) and name in held:
+            raise argparse.ArgumentError(self, f"{name} is set twice: expected one value")
+        super().__call__(parser, namespace, values, option_string)
 
 
 class _Version(argparse.Action):

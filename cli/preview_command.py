@@ -7,7 +7,6 @@ import base64
 import contextlib
 import io
 import json
-import os
 import re
 import secrets
 import shutil
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from scenec.cli.output import say
 from scenec.schemas.errors import CfgError, ScenecError
-from scenec.schemas.files import atomic, check_output
+from scenec.schemas.files import Stamp, atomic, check_output, stamp
 from scenec.schemas.scratch import scratch_folder
 
 if TYPE_CHECKING:
@@ -212,20 +211,19 @@ class _Preview:
             if stem.name == f"{sample:06d}"
         ]
 
-    def _wait(self, seen: list[tuple[int, int] | None]) -> None:
+    def _wait(self, seen: list[Stamp | None]) -> None:
         """Wait until files change, and rest: some editors empty one before they write it."""
         now = last = seen
         while now == seen or now != last:
             time.sleep(_LOOK_S)
             now, last = self._stamps(), now
 
-    def _stamps(self) -> list[tuple[int, int] | None]:
+    def _stamps(self) -> list[Stamp | None]:
         """What tells whether files have changed; None of one that is away."""
-        stamps: list[tuple[int, int] | None] = []
+        stamps: list[Stamp | None] = []
         for name in self._files:
             try:
-                stat = os.stat(name)
-                stamps.append((stat.st_mtime_ns, stat.st_size))
+                stamps.append(stamp(Path(name)))
             except OSError:
                 stamps.append(None)
         return stamps

@@ -11,6 +11,7 @@ from scenec.cli.output import print_json, say_next, status
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
+    from scenec.compiler.cfg.load import Spec
     from scenec.compiler.cfg.typed import Cfg
     from scenec.schemas.units import Executor
 
@@ -25,24 +26,24 @@ def run(options: argparse.Namespace) -> int:
     from scenec.cli.render_command import executor_of
     from scenec.compiler.cfg.load import load
 
-    cfg = load(options.cfg, options.settings).cfg
+    spec = load(options.cfg, options.settings)
     with ExitStack() as stack:
         executor = None
         if options.cluster is None:
             # Its worker starts the renderer now, and has it once there is a stage.
             executor = stack.enter_context(executor_of(options))
-        return _run(options, cfg, executor)
+        return _run(options, spec, executor)
 
 
-def _run(options: argparse.Namespace, cfg: Cfg, executor: Executor | None) -> int:
+def _run(options: argparse.Namespace, spec: Spec, executor: Executor | None) -> int:
     from scenec.cli import render_command
 
-    lidars = refuse_early(options, cfg, executor)
+    lidars = refuse_early(options, spec.cfg, executor)
     made: dict[str, object] = {}
     stopped: SceneError | None = None
     failed = False
     try:
-        compiled = compile_command.compile_now(options)
+        compiled = compile_command.compile_now(options, spec)
         made["compile"] = compile_command.as_json(compiled)
         failed = bool(compiled.failed)
     except SceneError as error:
@@ -81,6 +82,7 @@ def refuse_early(options: argparse.Namespace, cfg: Cfg, executor: Executor | Non
     """
     from scenec.backends.run.auto import check_backend
     from scenec.cli.render_command import plan_of
+    from scenec.schemas.frames import ANNOTATION_NAMES
 
     wanted = options.passes
     rigs = cfg["rigs"]
@@ -88,6 +90,9 @@ def refuse_early(options: argparse.Namespace, cfg: Cfg, executor: Executor | Non
     drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
     if wanted is None:
         wanted = [name for s in sensors.values() for name in s["outputs"]]
+        if options.backend in ANNOTATION_NAMES and set(wanted) != {"rgb"}:
+            # All but that is made.
+            wanted = [name for name in wanted if name != "rgb"]
     apertures = [name for name in drawn if "focus" in sensors[name]]
     check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures, executor=executor)
     return any("lidars" in rig for rig in rigs.values())

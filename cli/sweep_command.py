@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Sequence
+import io
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +23,12 @@ from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, check_writable, write_json
 from scenec.schemas.manifest import MANIFEST
+from scenec.schemas.shape import natural, read_shaped
 from scenec.schemas.units import Executor, run_all
 
 TABLE = "sweep"
+#: What is relied on of a point in the list.
+_POINT = {"folder": str, "seed": natural, "cfg_sha256": str, "state": str}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,6 +67,7 @@ class _Table:
     def __init__(self, out: Path, swept: Sequence[Point], specs: Sequence[Spec]) -> None:
         if (out / MANIFEST).exists():
             raise OutputError(f"{out}: holds one compilation, no sweep; choose another folder")
+        _require_own(out)
         self.out = out
         self._name = specs[0].cfg["name"]
         self._rows: dict[str, dict[str, Any]] = {
@@ -78,14 +84,9 @@ class _Table:
     def note(self, point: Point, state: str) -> None:
         """Writes what came of a point."""
         self._rows[point.name]["state"] = state
-        rows = list(self._rows.values())
         write_json(self.out / f"{TABLE}.json", self.content())
-        with (
-            atomic(self.out / f"{TABLE}.csv") as temporary,
-            temporary.open("w", encoding="utf-8", newline="") as file,
-        ):
-            lines = csv.writer(file, lineterminator="\n")
-            lines.writerows(map(guarded_line, [list(rows[0]), *(row.values() for row in rows)]))
+        with atomic(self.out / f"{TABLE}.csv") as temporary:
+            temporary.write_text(_as_csv(list(self._rows.values())), encoding="utf-8", newline="")
 
     def content(self) -> dict[str, Any]:
         """For scripts."""
@@ -94,6 +95,41 @@ class _Table:
     def failed(self, point: Point) -> bool:
         """Whether it could not be made."""
         return str(self._rows[point.name]["state"]).startswith("failed")
+
+
+def _as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The table of points, a line each below their keys."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerows(map(guarded_line, [list(rows[0]), *(row.values() for row in rows)]))
+    return text.getvalue()
+
+
+def _require_own(out: Path) -> None:
+    """Refuses a folder whose tables of that name are not those of a sweep.
+
+    Raises:
+        OutputError: One is somebody's own.
+    """
+    listed, table = out / f"{TABLE}.json", out / f"{TABLE}.csv"
+    rows: list[dict[str, Any]] = []
+    with suppress(FileNotFoundError):
+        found = read_shaped(listed, {"name": str, "points": [_POINT]}, OutputError, "sweep's list")
+        rows = found["points"]
+    try:
+        there = table.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{table}: cannot be read: {error}") from error
+    ours = _as_csv(rows) if rows else ""
+    # The last column is the state, which may be a step behind.
+    kept, own = ([row[:-1] for row in csv.reader(io.StringIO(text))] for text in (there, ours))
+    if kept != own:
+        raise OutputError(
+            f"{table}: is not what a sweep wrote, and its own goes there; move it away, or choose "
+            "another folder"
+        )
 
 
 def _to_compile(
@@ -107,7 +143,7 @@ def _to_compile(
     out, cache = Path(options.out), cache_of(options)
     units = [
         CompilePoint(
-            cfg=spec.path.absolute(),
+            spec=spec,
             point=point,
             out=(out / point.name).absolute(),
             keep=Keep(options.keep),
@@ -118,7 +154,7 @@ def _to_compile(
         )
         for point, spec in zip(swept, specs, strict=True)
     ]
-    return [(unit, unit.is_done(spec)) for unit, spec in zip(units, specs, strict=True)]
+    return [(unit, unit.is_done()) for unit in units]
 
 
 def _refuse_early(options: argparse.Namespace, specs: Sequence[Spec]) -> list[bool]:

@@ -19,6 +19,7 @@ from scenec.schemas.files import tree, write_json
 from scenec.schemas.left_out import write_left_out
 from scenec.schemas.manifest import REPORT
 from scenec.schemas.native import commentary
+from scenec.schemas.plugins import blaming
 from scenec.schemas.strays import Firing
 from scenec.schemas.units import Keeper
 
@@ -138,9 +139,9 @@ class CompileBatch:
             log = BuildLog(seconds={}, tell=step)
             memo = None if store is None else Memo(store)
             try:
-                with log.timed("draw"):
-                    plans = [draw(spec, self.seed, self.batch, attempt)]
-                with memoizing(memo):
+                with blaming(kind=SceneError), memoizing(memo):
+                    with log.timed("draw"):
+                        plans = [draw(spec, self.seed, self.batch, attempt)]
                     # Handed over, so that it can let go of what it has built.
                     scene = build(plans.pop(), log, self.keep)
                     with self._naming():

@@ -13,6 +13,7 @@ from typing import Any
 
 from scenec.compiler.batch_unit import CompileBatch, Compiled
 from scenec.compiler.cache.store import Store
+from scenec.compiler.cfg.check_files import require_unchanged
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.estimate import needs_of, require_memory, told_time
 from scenec.compiler.output import Output, locked
@@ -95,7 +96,8 @@ def compile_cfg(
         executor: Who compiles the batches; None: this process, one after the other.
 
     Raises:
-        CfgError: The cfg has faults; all of them are in the error.
+        CfgError: The cfg has faults; all of them are in the error. Or a file that it names was
+            changed meanwhile; batches before are there.
         SceneError: The cfg is valid but what it asks for cannot be built; batches before that one
             are there. With ``skip`` and ``redraw``: no batch can be built, and nothing is written.
         OutputError: The output folder cannot be written, holds something that is not to be
@@ -136,6 +138,7 @@ def compile_cfg(
         ended = stack.enter_context(closing(_compiled(units, spec, executor, tell)))
         for unit, compiled in ended:
             name, batch = unit.what, unit.batch
+            require_unchanged(spec.files, spec.path)
             if compiled.error is not None:
                 if faults == "stop":
                     raise _stopped(compiled.error, name, made, len(chosen)) from compiled.error

@@ -104,8 +104,9 @@ def require_memory(needs: list[Need], free: int | None = None, workers: int = 1)
     each = f" to each of {workers} workers (--workers)" if workers > 1 else ""
     said = f"compiling needs about {most / GB:.2g} GB, {free / GB:.2g} GB are available{each}"
     if most <= MARGIN * free:
-        return f"{said} ({named})"
-    raise SceneError(f"{named}: {said}: expected fewer, or more memory")
+        return f"{said} ({named})" if named else said
+    before = f"{named}: " if named else ""
+    raise SceneError(f"{before}{said}: expected {'fewer, or ' if named else ''}more memory")
 
 
 def told_time(needs: list[Need], batches: int) -> str | None:

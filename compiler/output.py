@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 
 from scenec.compiler.cfg import licenses
 from scenec.compiler.cfg.load import Spec, digest_of
+from scenec.compiler.cfg.resources import PREFIX
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import (
@@ -30,6 +32,7 @@ from scenec.schemas.files import (
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.manifest import (
     CFG,
+    CFG_FOLDER,
     FRAMES,
     LEFT_OUT,
     MANIFEST,
@@ -111,6 +114,7 @@ class Output:
         self._cfg = spec.text
         self._cfg_role = "the cfg, " + ("as it was given" if spec.is_verbatim else "in one piece")
         self._replace = replace
+        self._origin = _origin(spec, out)
         head = _head(spec, seed, keep)
         old = _old_manifest(out)
         #: What the compiler has written here: all else is not ours.
@@ -258,7 +262,7 @@ class Output:
                 # Timings promise nothing: a broken file is begun anew.
                 timings = {}
         merged = {**{k: v for k, v in timings.items() if k in known}, **seconds}
-        write_json(path, {"compile": dict(sorted(merged.items()))})
+        write_json(path, {"compile": dict(sorted(merged.items())), **self._origin})
 
 
 def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
@@ -280,6 +284,15 @@ def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
         "libraries": {name: version_of(name) for name in _LIBRARIES},
         **({"plugins": dict(spec.plugins)} if spec.plugins else {}),
     }
+
+
+def _origin(spec: Spec, out: Path) -> dict[str, str]:
+    """Where an output's cfg finds the files that it names beside it; outside of the promise."""
+    beside = [f for f in spec.files.values() if not f.reference.startswith(PREFIX)]
+    if not beside:
+        return {}
+    relative = os.path.relpath(os.path.realpath(spec.folder), os.path.realpath(out))
+    return {CFG_FOLDER: Path(relative).as_posix()}
 
 
 def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | None]:
@@ -321,6 +334,10 @@ def _difference(old: dict[str, Any], head: dict[str, Any]) -> str | None:
     if old.get("libraries") != head["libraries"] or old.get("format") != head["format"]:
         return "made with other versions of libraries"
     was, now = old.get("cfg", {}), head["cfg"]
+    others = [old.get("plugins", {}), head.get("plugins", {})]
+    for name in sorted(others[0].keys() & others[1].keys()):
+        if others[0][name] != others[1][name]:
+            return f"made with {others[0][name]}, not {others[1][name]}"
     same = any(was.get(key) == now[key] for key in ("sha256", "batch_sha256"))
     return None if same and was.get("inputs") == now["inputs"] else "of another cfg"
 

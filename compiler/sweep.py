@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from scenec.schemas.units import Keeper
 
 #: Longer names of folders are cut; what is cut off stands in the table.
 _LONGEST_NAME, _LONGEST_VALUE = 120, 32
+#: Each is a folder, and a line of a table that is written after each of them.
+_MOST_POINTS = 100_000
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,8 @@ def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False)
             so on, rather than each with each; lists of one value hold for all.
 
     Raises:
-        ScenecError: A list has no value, or stands twice; lists in step are not equally long.
+        ScenecError: A list has no value, or stands twice; lists in step are not equally long; there
+            are too many points.
     """
     values: dict[str, list[str]] = {}
     for text in lists:
@@ -70,9 +74,11 @@ def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False)
             told = ", ".join(f"{length} of {path}" for path, length in lengths.items())
             raise ScenecError(f"--zip: lists in step are equally long; there are {told}")
         longest = max(lengths.values(), default=1)
+        _require_few(longest * len(seeds))
         full = [given * longest if len(given) == 1 else given for given in values.values()]
         rows = list(zip(*full, strict=True)) or [()]
     else:
+        _require_few(math.prod(map(len, values.values())) * len(seeds))
         rows = list(itertools.product(*values.values()))
     labels = dict(zip(many, _labels(list(many)), strict=True))
     words = {path: dict(zip(given, _words(given), strict=True)) for path, given in many.items()}
@@ -85,6 +91,13 @@ def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False)
             own = [*parts, f"seed={seed}"] if len(seeds) > 1 or not parts else parts
             found.append(Point(_short("_".join(own)), settings, seed))
     return found
+
+
+def _require_few(count: int) -> None:
+    if count > _MOST_POINTS:
+        raise ScenecError(
+            f"a sweep of {count:,} points: expected at most {_MOST_POINTS:,}; make several"
+        )
 
 
 def _typed(value: str) -> Any:
@@ -161,13 +174,13 @@ class CompilePoint:
     """Compiles all batches of a point into its folder; returns nothing.
 
     Attributes:
-        cfg: Absolute path of the cfg.
+        spec: The cfg, as it was read for the point.
         point: What is set over it, and the seed.
         out: The folder, absolute.
         keep, batches, cache, replace, faults: As of ``compile_cfg``.
     """
 
-    cfg: Path
+    spec: Spec
     point: Point
     out: Path
     keep: Keep
@@ -193,7 +206,7 @@ class CompilePoint:
             ScenecError: See ``compile_cfg``; a batch that cannot be built, too.
         """
         report = compile_cfg(
-            load(self.cfg, self.point.settings),
+            self.spec,
             seed=self.point.seed,
             out=self.out,
             batches=self.batches,
@@ -206,7 +219,7 @@ class CompilePoint:
             name, reason = next(iter(report.failed.items()))
             raise ScenecError(f"{name} cannot be built: {reason}")
 
-    def is_done(self, spec: Spec) -> bool:
+    def is_done(self) -> bool:
         """Whether the folder holds all of it.
 
         Raises:
@@ -214,11 +227,11 @@ class CompilePoint:
         """
         if not (self.out / MANIFEST).exists():
             return False
-        there, other = held(self.out, spec, self.point.seed, self.keep)
+        there, other = held(self.out, self.spec, self.point.seed, self.keep)
         if other and not self.replace:
             raise OutputError(
                 f"{self.out}: holds batches {other}; --replace throws them away, or choose another "
                 "folder"
             )
-        wanted = self.batches or range(int(spec.cfg["batches"]))
+        wanted = self.batches or range(int(self.spec.cfg["batches"]))
         return not other and there >= set(wanted)

@@ -41,6 +41,7 @@ from scenec.datasets.export_records import (
 )
 from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Narrowed, Task
+from scenec.datasets.formats.registry import origin_of
 from scenec.datasets.source import FrameFault
 from scenec.datasets.statistics import Statistics
 from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
@@ -48,7 +49,8 @@ from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
 from scenec.schemas.lock import LOCK, Lock
-from scenec.schemas.units import Executor, Keeper, run_all
+from scenec.schemas.plugins import blaming
+from scenec.schemas.units import Executor, Keeper, run_all, run_unit
 from scenec.schemas.update import finish_update, reading, replace_files
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
@@ -125,10 +127,25 @@ def export(
         FrameError: A frame is missing, foreign or damaged (unless they are to be skipped), or
             there are none.
         OutputError: What is asked for makes no sense, or the folder cannot be written.
+        PluginError: The code of another package's format fails.
     """
     say = say or (lambda _line: None)
     choice = choice or Choice()
-    plan = make_plan(Path(out), format_name, folder, choice)
+    with blaming(f"format {format_name!r}"):
+        return _export(Path(out), format_name, folder, choice, executor, replace, progress, say)
+
+
+def _export(
+    out: Path,
+    format_name: str,
+    folder: Path | str | None,
+    choice: Choice,
+    executor: Executor | None,
+    replace: bool,
+    progress: Progress | None,
+    say: Say,
+) -> ExportReport:
+    plan = make_plan(out, format_name, folder, choice)
     found = _already_there(plan, replace)
     if found is not None:
         return found
@@ -139,7 +156,7 @@ def export(
             f"exporting the frames of {plan.source.backend}; there are those of "
             f"{', '.join(others)} too (--backend)"
         )
-    with reading(Path(out)), _begun(plan) as partial:
+    with reading(out), _begun(plan) as partial:
         _missing(plan, report, say)
         for line in plan.remarks():
             say(f"warning: {line}")
@@ -153,8 +170,9 @@ def export(
         if report.resumed:
             say(f"{report.resumed} of {total} steps were done already")
         finished = report.resumed
+        package = origin_of(format_name)
         parts = (
-            ExportPart(plan, partial.absolute(), task, plan.task_key(task), Path.cwd())
+            ExportPart(plan, partial.absolute(), task, plan.task_key(task), Path.cwd(), package)
             for task in todo
         )
         for what, faults in _written(parts, executor, partial, say):
@@ -177,7 +195,7 @@ def _written(
     """Name of each part that is there now, and the frames left out."""
     if executor is None:
         for part in parts:
-            yield part.what, part.run(Keeper())
+            yield part.what, run_unit(part, Keeper())
         return
     executor.prepare(partial)
     with closing(run_all(executor, parts)) as ended:

@@ -12,11 +12,11 @@ from scenec.datasets.export_plan import Plan
 from scenec.datasets.export_records import DATA, SCRATCH, write_record
 from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Task
-from scenec.datasets.formats.registry import find_format
+from scenec.datasets.formats.registry import find_format, origin_of
 from scenec.datasets.pictures import counted, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
-from scenec.schemas.errors import FrameError
+from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.units import Keeper
 
@@ -31,6 +31,7 @@ class ExportPart:
         task: Which part.
         key: Of that, for its record.
         base: What the plan's paths are relative to.
+        package: Of the format, where it is another's (``registry.origin_of``).
     """
 
     plan: Plan
@@ -38,6 +39,7 @@ class ExportPart:
     task: Task
     key: str
     base: Path
+    package: str | None = None
 
     @property
     def what(self) -> str:
@@ -54,8 +56,10 @@ class ExportPart:
 
         Raises:
             FrameError: A frame is damaged, and none is to be skipped.
-            OutputError: A file cannot be written.
+            OutputError: A file cannot be written, or the format is no more what it was.
         """
+        if origin_of(self.plan.format_name) != self.package:
+            raise OutputError(f"format {self.plan.format_name!r} has changed meanwhile; run again")
         task = self.task
         lines: list[list[str]] = []
         faults: list[FrameFault] = []

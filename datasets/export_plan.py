@@ -11,7 +11,7 @@ from typing import Any
 
 from scenec.datasets.filters import Filters, make_filters
 from scenec.datasets.formats.contract import Format, Info, Task
-from scenec.datasets.formats.registry import find_format
+from scenec.datasets.formats.registry import find_format, origin_of
 from scenec.datasets.pictures import kinds, taken
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source, one_of_each
@@ -119,9 +119,11 @@ class Plan:
     def key(self) -> dict[str, Any]:
         """What decides the files beside the frames."""
         choice = self.choice
+        package = origin_of(self.format_name)
         return {
             "format": self.format_name,
             "format_version": self.format().version,
+            **({} if package is None else {"format_package": package}),
             "scenec": version_of(),
             "level": self.info.level,
             "options": dict(sorted(self.info.options.items())),

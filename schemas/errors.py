@@ -85,5 +85,9 @@ class CameraRefusedError(BackendError):
     """A camera that a renderer cannot draw, whatever the sample: others it may."""
 
 
+class PluginError(ScenecError):
+    """Code of another package that failed; says whose, and at which line."""
+
+
 class OutputError(ScenecError):
     """An output folder or file that cannot be written."""

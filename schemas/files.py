@@ -17,7 +17,7 @@ import socket
 import tempfile
 import tokenize
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, lru_cache, wraps
 from pathlib import Path, PurePosixPath
@@ -46,13 +46,27 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _stamp(path: Any) -> tuple[int, int] | None:
-    """What tells a file from what it was before, within a process; None where there is none."""
+#: What tells a file from what it was before, within a process.
+type Stamp = tuple[int, int, int, int]
+
+
+def stamp(path: Path) -> Stamp:
+    """The stamp of a file as it is: times of its content and of its entry, number, size.
+
+    Whoever writes a file can set the first time, and keep the size. The second one is the system's.
+
+    Raises:
+        OSError: It is not there.
+    """
+    found = path.stat()
+    return found.st_mtime_ns, found.st_ctime_ns, found.st_ino, found.st_size
+
+
+def _stamp(path: Any) -> Stamp | None:
     try:
-        found = path.stat()
+        return stamp(path)
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_size
 
 
 def once_per_file[**P, R](most: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -74,6 +88,21 @@ def once_per_file[**P, R](most: int) -> Callable[[Callable[P, R]], Callable[P, R
         return cast(Callable[P, R], of)
 
     return keeping
+
+
+def digest_of_folder(folder: Path, suffixes: Collection[str] = ()) -> str:
+    """Hex digest of the names and contents of all files below a folder, as of code and its data.
+
+    Args:
+        folder: Hidden files in it, and byte code, do not count.
+        suffixes: Of the files that count; none: all.
+    """
+    digest = hashlib.sha256()
+    for path in tree(folder):
+        hidden = any(part.startswith(".") or part == "__pycache__" for part in path.parts)
+        if not hidden and (not suffixes or path.suffix in suffixes):
+            digest.update(f"{path.as_posix()} {sha256(folder / path)}\n".encode())
+    return digest.hexdigest()
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +133,7 @@ class FrameKey:
     def digest(self) -> str:
         """The resume key: sha256, hex."""
         values = {"frame": FRAME_VERSION, "scenec": version_of(), **asdict(self)}
+        values["passes"] = sorted(self.passes)
         others = origins(self.passes)
         if others:
             values["packages"] = others
@@ -149,12 +150,27 @@ def beside_path(stem: Path, kind: str) -> Path:
     return stem.with_name(f"{stem.name}.{kind}.png")
 
 
+def quality(spp: int, error: float | None, seconds: float | None) -> str:
+    """How well ``rgb`` is rendered, in words; as of ``FrameKey``."""
+    most = f"{spp} samples per pixel"
+    if error is None and seconds is None:
+        return most
+    goals = [] if error is None else [f"to {100 * error:.3g} % error"]
+    goals += [] if seconds is None else [f"for {seconds:g} s"]
+    return f"{' or '.join(goals)}, at most {most}"
+
+
 def is_done(stem: Path, key: FrameKey) -> bool:
-    """Whether the frame is there, whole as far as its sizes tell, and made with this key."""
+    """Whether the frame is there, whole as far as its sizes tell, and made with this key.
+
+    One that holds more passes than are asked for, and is otherwise as asked, counts.
+    """
     try:
         sidecar = json.loads(stem.with_suffix(".json").read_bytes())
+        wider = replace(key, **_rgb_of(sidecar)) if "rgb" not in key.passes else key
         done: bool = (
-            sidecar["resume_key"] == key.digest()
+            set(key.passes) <= _held(sidecar)
+            and sidecar["resume_key"] == replace(wider, passes=tuple(_held(sidecar))).digest()
             and stem.with_suffix(".exr").stat().st_size == sidecar["exr"]["bytes"]
             and (not sidecar["png"] or stem.with_suffix(".png").is_file())
             and _is_there(frame_table_path(stem), sidecar["instance_table"])
@@ -167,6 +183,50 @@ def is_done(stem: Path, key: FrameKey) -> bool:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return False
     return done
+
+
+def would_lose(stem: Path, key: FrameKey) -> str | None:
+    """What a frame of the same stage has that one of this key would not, in words.
+
+    Returns:
+        None where nothing that was asked for then goes: there is no such frame, it is of another
+        stage or damaged, or it differs by versions alone.
+    """
+    try:
+        sidecar = json.loads(stem.with_suffix(".json").read_bytes())
+        if sidecar["stage_digest"] != key.stage_digest or not stem.with_suffix(".exr").is_file():
+            return None
+        lost = sorted(_held(sidecar) - set(key.passes))
+        parts = [f"holding {', '.join(lost)}, not asked for"] if lost else []
+        was = _rgb_of(sidecar)
+        if "rgb" in key.passes and "rgb" in _held(sidecar):
+            now = {name: getattr(key, name) for name in was}
+            then, asked = (quality(of["spp"], of["error"], of["seconds"]) for of in (was, now))
+            parts += [f"rendered otherwise ({then}; asked for: {asked})"] if then != asked else []
+            if was["noise_seed"] != now["noise_seed"]:
+                parts.append(f"of noise seed {was['noise_seed']}, not {now['noise_seed']}")
+            if was["denoise"] != now["denoise"]:
+                parts.append("denoised" if was["denoise"] else "not denoised")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    return ", ".join(parts) or None
+
+
+def _held(sidecar: dict[str, Any]) -> set[str]:
+    """The passes of a frame."""
+    return {*sidecar["passes"], *([AMODAL] if sidecar.get("amodal") else [])}
+
+
+def _rgb_of(sidecar: dict[str, Any]) -> dict[str, Any]:
+    """What a frame's key says of its ``rgb``."""
+    rounds = sidecar.get("rounds") or {}
+    return {
+        "spp": sidecar["spp"],
+        "noise_seed": sidecar["noise_seed"],
+        "denoise": sidecar.get("denoised") is not None,
+        "error": rounds.get("target_relative_rms"),
+        "seconds": rounds.get("target_seconds"),
+    }
 
 
 def _is_there(path: Path, entry: dict[str, Any] | None) -> bool:

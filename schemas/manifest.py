@@ -29,6 +29,8 @@ MANIFEST = "manifest.json"
 TIMINGS = "timings.json"
 #: The cfg, whole and as JSON; paths in it are relative to the folder that it lay in.
 CFG = "cfg.json"
+#: Key of ``timings.json``: that folder, relative to the output, where the cfg names files in it.
+CFG_FOLDER = "cfg_folder"
 #: Endings of a cfg's name.
 CFG_SUFFIXES = (".json", ".jsonc", ".yaml", ".yml")
 #: Root layer of a batch.

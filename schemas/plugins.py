@@ -2,19 +2,24 @@
 
 A cfg's kind is a class whose ``SCHEMA`` says which keys it has, as JSON Schema, and whose fields
 are those keys. Which kinds there are: ``KINDS``. Nothing is imported to know that one is there.
+
+What is made by another package's code depends on it: ``origin`` states package, version and a
+digest of the code, without running any of it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import sys
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.schemas.errors import ScenecError
+from scenec.schemas.errors import PluginError, ScenecError
 from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
@@ -31,6 +36,15 @@ KINDS = {
     "scenec.effects": "effect",
 }
 
+#: Hexadecimal digits that a digest of code is stated by.
+_DIGITS = 12
+#: Digests of code by module and ``sys.path``: of the code that this process runs, edited or not.
+_codes: dict[tuple[str, tuple[str, ...]], str] = {}
+#: Where the code lies that was loaded, and whose it is.
+_loaded: dict[Path, str] = {}
+#: Names that kinds were loaded by.
+_names: dict[tuple[str, Any], str] = {}
+
 
 def entry_points_of(group: str, name: str) -> tuple[EntryPoint, ...]:
     """What other packages offer under a name."""
@@ -43,9 +57,9 @@ def names_of(group: str) -> tuple[str, ...]:
 
 
 def origin(group: str, name: str) -> str:
-    """Package and version that something comes from."""
+    """Package, version and code that something comes from."""
     return ", ".join(
-        f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+        (f"{point.dist.name} {point.dist.version}" if point.dist else point.value) + _code_of(point)
         for point in entry_points_of(group, name)
     )
 
@@ -60,10 +74,95 @@ def place(point: EntryPoint) -> str:
     return point.value + (f" of {point.dist.name}" if point.dist else "")
 
 
-def told(error: Exception) -> str:
-    """An error of another package's code, and where it was raised, in a line."""
-    at = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({Path(at.filename).name}, line {at.lineno})"
+def load(point: EntryPoint) -> Any:
+    """What an entry point leads to; its exceptions are another package's, see ``told``."""
+    # First: what is stated is what runs.
+    _code_of(point)
+    who = point.dist.name if point.dist else point.module
+    _loaded.update((root, who) for root in _roots(point.module))
+    return point.load()
+
+
+def told(error: BaseException) -> str:
+    """An error of another package's code, and where in that code it was raised, in a line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    found = _raised_in(error)
+    at = found[1] if found else frames[-1]
+    file = Path(at.filename)
+    name = file.relative_to(found[0].parent).as_posix() if found else file.name
+    return f"{type(error).__name__}: {' '.join(str(error).split())} ({name}, line {at.lineno})"
+
+
+@contextmanager
+def blaming(what: str = "", kind: type[ScenecError] = PluginError) -> Iterator[None]:
+    """Turns an exception that comes out of another package's code into one line that names it.
+
+    Args:
+        what: Was being made, for the message.
+        kind: Of the error.
+
+    Raises:
+        ScenecError: Of that kind. Exceptions of scenec's own, and of its code, stay as they are.
+    """
+    try:
+        yield
+    except ScenecError:
+        raise
+    except (Exception, SystemExit) as error:
+        found = _raised_in(error)
+        if found is None:
+            raise
+        before = f"{what}: " if what else ""
+        raise kind(f"{before}plug-in {_loaded[found[0]]}: {told(error)}") from error
+
+
+def _raised_in(error: BaseException) -> tuple[Path, traceback.FrameSummary] | None:
+    """The innermost line of another package's code that an error came through, and its root."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        for root in _loaded:
+            if Path(frame.filename).is_relative_to(root):
+                return root, frame
+    return None
+
+
+def _code_of(point: EntryPoint) -> str:
+    """A digest of the code behind an entry point, in words; "" where it cannot be found."""
+    key = point.module, tuple(sys.path)
+    if key not in _codes:
+        # Imported here: few processes meet another package.
+        import hashlib
+
+        from scenec.schemas.files import digest_of_folder, sha256
+
+        digest = hashlib.sha256()
+        roots = _roots(point.module)
+        for root in roots:
+            digest.update((digest_of_folder(root) if root.is_dir() else sha256(root)).encode())
+        # Other modules that came with it.
+        for name in sorted((point.dist.files if point.dist else None) or (), key=str):
+            file = Path(str(name.locate()))
+            if name.suffix == ".py" and file.is_file():
+                digest.update(f"{name} {sha256(file)}\n".encode())
+        _codes[key] = f" (code {digest.hexdigest()[:_DIGITS]})" if roots else ""
+    return _codes[key]
+
+
+def _roots(module: str) -> list[Path]:
+    """The file of a module, or the folder of the package that it is in; no code is run."""
+    name, _, rest = module.partition(".")
+    try:
+        spec = importlib.util.find_spec(name)
+        while spec is not None and not spec.has_location and rest:
+            # A namespace holds packages of many.
+            part, _, rest = rest.partition(".")
+            name = f"{name}.{part}"
+            spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError, AttributeError):
+        return []
+    if spec is None:
+        return []
+    folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
+    return folders or ([Path(spec.origin)] if spec.has_location and spec.origin else [])
 
 
 @cache
@@ -82,7 +181,7 @@ def load_kind(group: str, name: str) -> type[Any]:
         raise ScenecError(f"several packages offer the {what} {shown(name)}: {listed}; remove one")
     who = f"{what} {shown(name)} ({place(points[0])})"
     try:
-        made = points[0].load()
+        made = load(points[0])
     except Exception as error:
         raise ScenecError(f"{who}: cannot be imported: {told(error)}") from error
     schema = getattr(made, "SCHEMA", None)
@@ -94,6 +193,7 @@ def load_kind(group: str, name: str) -> type[Any]:
     lacks = sorted(set(keys) - {field.name for field in dataclasses.fields(made)})
     if lacks:
         raise ScenecError(f"{who}: SCHEMA: the class has no field {shown(lacks[0])}")
+    _names.setdefault((group, made), name)
     return made  # type: ignore[return-value]
 
 
@@ -111,8 +211,8 @@ class Kinds[T](dict[str, T]):
 
     def name_of(self, kind: T) -> str:
         """The name that a class goes by."""
-        others = ((name, self[name]) for name in names_of(self.group))
-        return next(name for name, found in (*self.items(), *others) if found is kind)
+        ours = next((name for name, found in self.items() if found is kind), None)
+        return ours or _names[self.group, kind]
 
 
 @cache

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.plugins import blaming
 
 T = TypeVar("T")
 
@@ -138,6 +139,16 @@ class Executor(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *_: object) -> None: ...
+
+
+def run_unit(unit: Unit, keeper: Keeper) -> Any:
+    """Runs a unit here; returns what it returns.
+
+    Raises:
+        ScenecError: It cannot be done; ``PluginError`` where another package's code fails.
+    """
+    with blaming(unit.what):
+        return unit.run(keeper)
 
 
 def run_all(executor: Executor, units: Iterable[Unit]) -> Generator[tuple[Unit, Outcome]]:

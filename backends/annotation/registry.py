@@ -17,7 +17,7 @@ from scenec.schemas.correspondence import BEFORE, NEXT, PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, ScenecError
 from scenec.schemas.passes import BUILT_IN, GROUP, LABEL, pass_names
-from scenec.schemas.plugins import entry_points_of, place, told
+from scenec.schemas.plugins import entry_points_of, load, place, told
 from scenec.schemas.spelling import nearest, shown
 
 #: Modules of ours but ``passes``, where the others are; a pass is its name in capitals.
@@ -78,7 +78,7 @@ def find_pass(name: str) -> Pass:
         raise BackendError(f"no pass {shown(name)}{nearest(name, pass_names())}")
     who = f"pass {shown(name)} ({place(points[0])})"
     try:
-        made = points[0].load()
+        made = load(points[0])
     except Exception as error:
         raise BackendError(f"{who}: cannot be imported: {told(error)}") from error
     fault = _fault(made, name)

@@ -16,7 +16,7 @@ from scenec.backends.run.doctor import start
 from scenec.backends.run.executors import ask
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfBackend
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, PluginError
 from scenec.schemas.units import Executor
 
 #: What ``scenec converge`` measured, in the output folder.
@@ -68,7 +68,7 @@ def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) ->
             if backend_class(name, plan.device).denoiser is None and plan.denoise:
                 raise BackendError("it has no denoiser")
             ask(OfBackend(name, partial(start, plan.device)))
-        except BackendError as error:
+        except (BackendError, PluginError) as error:
             left_out[name] = str(error)
             say(f"auto: {name} is left out: {error}")
             continue

@@ -27,7 +27,7 @@ from scenec.backends.stage.scene import (
     Sun,
     Surface,
 )
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, PluginError
 
 LIBRARIES = (
     "scenec",
@@ -92,7 +92,7 @@ def _diagnosis(name: str) -> Diagnosis:
                 "render something with --device cuda, or optix, and ask again"
             )
             return replace(on_cpu, message=message)
-    except BackendError as error:
+    except (BackendError, PluginError) as error:
         return Diagnosis(name, False, "", "", str(error))
 
 

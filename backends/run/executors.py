@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,7 +14,7 @@ from scenec.backends.run.supervise import Supervisor
 from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError, ScenecError
 from scenec.schemas.memory import available
-from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all
+from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all, run_unit
 
 #: How many processes work where nobody says; 0: none but this one.
 WORKERS = "SCENEC_WORKERS"
@@ -52,7 +50,7 @@ class Here:
         while (unit := take(holds)) is not None:
             outcome = Outcome()
             try:
-                outcome.value = unit.run(self._keeper)
+                outcome.value = run_unit(unit, self._keeper)
             except ScenecError as error:
                 outcome.error = error
             holds = unit.holds
@@ -64,7 +62,8 @@ class Processes:
 
     Args:
         workers: How many.
-        limits: What each may take; memory, where it is not said, is shared out evenly.
+        limits: What each may take; memory, where it is not said, is shared out evenly among those
+            that have been started.
         threads: How many threads each works with; None shares the cores out.
     """
 
@@ -72,11 +71,12 @@ class Processes:
         self, workers: int = 1, limits: Limits | None = None, threads: int | None = None
     ) -> None:
         limits = limits or Limits()
-        if limits.memory_bytes is None:
-            limits = replace(limits, memory_bytes=default_limit() // workers)
         if threads is None and workers > 1:
             threads = max(1, (thread_budget() or os.process_cpu_count() or 1) // workers)
-        self._hands = [Supervisor(limits, threads) for _ in range(workers)]
+        self._hands = [Supervisor(limits, threads, self._count) for _ in range(workers)]
+
+    def _count(self) -> int:
+        return sum(hand.is_there for hand in self._hands)
 
     def __enter__(self) -> Self:
         return self
@@ -92,7 +92,7 @@ class Processes:
         """See ``Executor``."""
         limits, _ = self._hands[0].budget
         count = min(units, len(self._hands))
-        return min(available() // count, limits.memory_bytes or sys.maxsize), count
+        return min(available() // count, limits.memory_bytes or default_limit() // count), count
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
-from scenec.schemas.errors import BackendError, StageError
+from scenec.schemas.errors import BackendError, FrameError, StageError
 from scenec.schemas.files import inside
-from scenec.schemas.frames import frame_stem
-from scenec.schemas.manifest import Batch
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem
+from scenec.schemas.manifest import FRAMES, Batch, stage_digest
+from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
 
 
@@ -57,6 +59,9 @@ def frames_of(
     found = []
     for sample, number, camera in _wanted(plan, opened):
         made = tuple(camera.passes if passes is None else passes)
+        if not made and plan.passes is None and plan.backend in ANNOTATION_NAMES:
+            # For rgb alone: said by ``unasked``.
+            continue
         if not made:
             raise StageError(f"{batch.stage}: no passes asked for, and none in the stage")
         if plan.denoise and "rgb" in made and camera.undenoised:
@@ -73,9 +78,31 @@ def frames_of(
                 key=plan.key(opened.digest, made, opened.backend, version),
                 seed=frame_seed(plan.noise_seed, batch.name, camera.name, sample),
                 choice=choice,
+                replace=plan.replace,
             )
         )
     return found
+
+
+def may_lose(batch: Batch, plan: RenderPlan, manifest: dict[str, Any] | None) -> bool:
+    """Whether a batch has frames of its stage that a plan could replace and may not.
+
+    Args:
+        batch: The batch.
+        plan: What is asked.
+        manifest: Of the output; None beside a USD file.
+    """
+    if plan.replace:
+        return False
+    names = {plan.backend if plan.passes is None or "rgb" in plan.passes else ANNOTATION}
+    names |= {ANNOTATION} if plan.passes is None else set()
+    digest = None if manifest is None else stage_digest(manifest, batch.name)
+    for name in sorted(names):
+        for path in (batch.folder / FRAMES / name).glob("*/*.json"):
+            with suppress(FrameError):
+                if digest in (None, read_sidecar(path)["stage_digest"]):
+                    return True
+    return False
 
 
 def require_samples(batch: Batch, samples: Collection[int] | None, count: int) -> None:
@@ -105,6 +132,11 @@ _PRUNED_BY = ("rgb", "label", "instance")
 def unasked(cameras: Sequence[CameraFacts]) -> Iterator[str]:
     """A line for each camera that is to render what its stage was not compiled for."""
     for camera in cameras:
+        if not camera.passes:
+            yield (
+                f"camera {camera.name} asks for rgb alone: no frame of it is made; --passes says "
+                "what it should hold"
+            )
         asked = {name.split(".")[0] for name in camera.passes}
         missing = [n for n in _PRUNED_BY if n in asked and n not in camera.outputs]
         if missing:

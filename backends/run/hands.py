@@ -6,12 +6,11 @@ whichever thread had it before.
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
-from dataclasses import replace
 
 from scenec.backends.run.limits import Limits
-from scenec.backends.run.memory import default_limit
 from scenec.backends.run.supervise import Supervisor
 from scenec.schemas.budget import thread_budget
 from scenec.schemas.memory import available
@@ -31,7 +30,8 @@ def work(unit: Unit, limits: Limits, token: str, threads: int, share: int) -> Ou
 
     Args:
         unit: To be run.
-        limits: What the process may take; memory, where it is not said, is shared out.
+        limits: What the process may take; memory, where it is not said, is shared out among the
+            processes that there are.
         token: Of who asks (``stop``).
         threads: Of this dask worker.
         share: Processes that work for who asks with the cores that this one may use.
@@ -39,10 +39,13 @@ def work(unit: Unit, limits: Limits, token: str, threads: int, share: int) -> Ou
     # Imported here: only a dask worker comes here.
     from dask.system import CPU_COUNT
 
-    if limits.memory_bytes is None:
-        limits = replace(limits, memory_bytes=default_limit() // share)
     cores = thread_budget() or CPU_COUNT
-    hand = _borrow(unit, Supervisor(limits, max(1, cores // share)), token, threads)
+
+    def among() -> int:
+        # As many of each dask worker here as of this one.
+        return math.ceil((len(_idle) + len(_busy)) * share / threads)
+
+    hand = _borrow(unit, Supervisor(limits, max(1, cores // share), among), token, threads)
     try:
         return hand.do(unit)
     finally:

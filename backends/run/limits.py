@@ -63,12 +63,14 @@ class Watch:
         limits: What it may take; ``memory_bytes`` None is no limit here.
 
     Attributes:
+        most: Resident memory that it may hold now, bytes; None is no limit.
         memory: Resident memory at the last look, bytes; 0 before the first.
         peak: The highest since ``begin``, bytes.
     """
 
     def __init__(self, pid: int, limits: Limits) -> None:
         self._limits = limits
+        self.most = limits.memory_bytes
         self._root: psutil.Process | None = None
         with contextlib.suppress(psutil.Error):
             self._root = psutil.Process(pid)
@@ -102,7 +104,7 @@ class Watch:
         self._spent += awake
         self._idle += awake
         cpu, moved = self.measure()
-        limit = self._limits.memory_bytes
+        limit = self.most
         if limit is not None and self.memory > limit:
             return (
                 f"grew beyond {limit / GB:.2f} GB and was ended (--memory-limit allows more; "
@@ -154,10 +156,13 @@ class Growth:
 
     Args:
         limit: Bytes it may hold; None is no limit.
+
+    Attributes:
+        most: The same, as it is now.
     """
 
     def __init__(self, limit: int | None) -> None:
-        self._limit = limit
+        self.most = limit
         self._first = 0
         self._last = 0
         self._frames = 0
@@ -180,15 +185,15 @@ class Growth:
         fresh worker would stay below. The next frame is expected to rise as high above rest as the
         highest one did, or as the mean growth.
         """
-        if self._limit is None or self._frames == 0:
+        if self.most is None or self._frames == 0:
             return None
         per_frame = (self._last - self._first) / max(1, self._frames - 1)
         rise = max(self._rise, per_frame)
-        grown = self._last > self._first and self._last + rise > self._limit
-        if not (self._last > self._limit or (grown and self._first + rise <= self._limit)):
+        grown = self._last > self._first and self._last + rise > self.most
+        if not (self._last > self.most or (grown and self._first + rise <= self.most)):
             return None
         return (
-            f"holds {self._last / GB:.2f} GB of the {self._limit / GB:.2f} GB it may after "
+            f"holds {self._last / GB:.2f} GB of the {self.most / GB:.2f} GB it may after "
             f"{self._frames} frames ({per_frame / 1e6:+.1f} MB a frame)"
         )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from scenec.backends.picture.adaptive import MOST_SPP
 from scenec.backends.registry import AUTO, backend_class, backend_names, require_name
 from scenec.schemas.errors import BackendError
-from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey
+from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, quality
 
 #: Samples per pixel where a user says nothing.
 USUAL_SPP = 64
@@ -25,7 +25,8 @@ class RenderPlan:
             Without ``rgb`` no renderer starts, and frames go to ``frames/annotation``.
         passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
             ``instance``, ``normal``, ``position``, ``face``, ``amodal`` (masks, a file of their
-            own; it brings ``instance`` with it); None takes the stage's own choice.
+            own; it brings ``instance`` with it); None takes the stage's own choice, of annotation
+            alone all of that but ``rgb``.
         samples: Only these time codes.
         batches: Only these batches.
         cameras: Only these, by name.
@@ -45,6 +46,8 @@ class RenderPlan:
             pictures that are missing, files that are not those of the manifest): sidecars then say
             what was missing, under ``losses``, and a later render of the whole stage makes these
             frames again.
+        replace: Whether frames of the same stage may be replaced that have passes, samples, a
+            target, noise or denoising that this plan does not ask for.
 
     Raises:
         BackendError: What no stage and no machine could make possible: there is no such backend, it
@@ -64,6 +67,7 @@ class RenderPlan:
     device: str = "auto"
     folder: Path | None = None
     allow_missing: bool = False
+    replace: bool = False
 
     def __post_init__(self) -> None:
         if self.backend != AUTO:
@@ -85,11 +89,7 @@ class RenderPlan:
     @property
     def quality(self) -> str:
         """How well ``rgb`` is rendered, in words."""
-        if self.error is None and self.seconds is None:
-            return f"{self.most_spp} samples per pixel"
-        goals = [] if self.error is None else [f"to {100 * self.error:.3g} % error"]
-        goals += [] if self.seconds is None else [f"for {self.seconds:g} s"]
-        return f"{' or '.join(goals)}, at most {self.most_spp} samples per pixel"
+        return quality(self.most_spp, self.error, self.seconds)
 
     def check_rgb(self, *, rgb: bool) -> None:
         """Refuse what cannot be had of ``rgb``: where there is none, or of its backend.

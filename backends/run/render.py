@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from operator import methodcaller
@@ -15,7 +15,7 @@ from scenec.backends.picture import brightness
 from scenec.backends.registry import AUTO
 from scenec.backends.run.auto import choose
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.frames import frames_of, opening_of, unasked
+from scenec.backends.run.frames import frames_of, may_lose, opening_of, unasked
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.supervise import FrameLostError
 from scenec.backends.run.units import (
@@ -25,10 +25,16 @@ from scenec.backends.run.units import (
     Opening,
     RenderFrame,
     open_stage,
+    require_replaceable,
 )
-from scenec.schemas.errors import CameraRefusedError, FrameError, StageError
+from scenec.schemas.errors import (
+    CameraRefusedError,
+    FrameError,
+    PluginError,
+    StageError,
+)
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import frame_stem, is_done
+from scenec.schemas.frames import ANNOTATION_NAMES, frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
 from scenec.schemas.sidecars import read_sidecar
@@ -100,7 +106,9 @@ def render(
     """Render to ``<batch>/frames/<backend>/<camera>/<sample>.{exr,png,json}``.
 
     Frames that are there and were made from the same stage with the same passes, samples per pixel
-    (or target), noise seed, denoising and backend are not made again.
+    (or target), noise seed, denoising and backend are not made again; nor are those that hold more
+    passes. One that lacks passes alone is made again with all of them. One that differs otherwise
+    is replaced only where the plan says so; else nothing is rendered.
 
     Several processes may render one output at once, with one backend or several: what one is making
     the others leave to it, and look at it again in the end. While one renders nobody compiles.
@@ -124,7 +132,8 @@ def render(
         BackendError: The backend is not there, or cannot do what is asked: it refuses every camera,
             or is to denoise the picture of one with an aperture or an open shutter, which is said
             before anything is rendered.
-        OutputError: No manifest, a frame cannot be written, or a compilation is at work.
+        OutputError: No manifest, a frame cannot be written or is not to be replaced, or a
+            compilation is at work.
     """
     plan = RenderPlan(plan, **options) if isinstance(plan, str) else replace(plan, **options)
     out, say = Path(out), say or (lambda _line: None)
@@ -144,18 +153,24 @@ def render(
         report = RenderReport(
             backend=plan.backend, choice=None if choice is None else choice.as_json()
         )
-        run = _Render(plan, batches, report, progress, warn, say)
+        manifest = read_manifest(out) if out.is_dir() else None
+        judged = {batch.name for batch in batches if may_lose(batch, plan, manifest)}
+        run = _Render(plan, batches, judged, report, progress, warn, say)
         # Beside a USD file there may be the frames of another.
         run.strays_count = plan.folder is None and out.is_dir()
-        if plan.batches is None and out.is_dir():
-            run.warn(*gaps(read_manifest(out)))
+        if plan.batches is None and manifest is not None:
+            run.warn(*gaps(manifest))
         executor = executor or stack.enter_context(make_executor())
         drawn = plan.passes is None or "rgb" in plan.passes
         backend = plan.backend if drawn else ""
         executor.prepare(plan.folder or batches[0].folder, plan.device, backend)
         run.run(executor)
     if not report.frames:
-        raise StageError(f"{out}: no frame to render: no camera, or no sample in the range asked")
+        alone = plan.backend in ANNOTATION_NAMES and plan.passes is None
+        why = ", or rgb alone is asked for" if alone else ""
+        raise StageError(
+            f"{out}: no frame to render: no camera, or no sample in the range asked{why}"
+        )
     return report
 
 
@@ -184,6 +199,7 @@ class _Render:
         plan: What is asked.
         batches: Of what.
         report: Filled.
+        judged: Names of batches that may hold frames which are not to be replaced.
         progress, warn, say: Told.
     """
 
@@ -191,6 +207,7 @@ class _Render:
         self,
         plan: RenderPlan,
         batches: Sequence[Batch],
+        judged: Collection[str],
         report: RenderReport,
         progress: Progress | None,
         warn: Say | None,
@@ -202,7 +219,9 @@ class _Render:
         self._report = report
         self._batches = {opening_of(batch, plan): batch for batch in batches}
         self._count = len(batches)
-        self._unopened = deque(self._batches)
+        #: Nothing is rendered before all of them are opened.
+        self._unjudged = {one for one, batch in self._batches.items() if batch.name in judged}
+        self._unopened = deque(sorted(self._batches, key=lambda one: one not in self._unjudged))
         self._works: dict[Hashable, _Work] = {}
         #: Frames that others are making.
         self._busy: list[RenderFrame] = []
@@ -269,6 +288,9 @@ class _Render:
 
     def _next(self, holds: Hashable) -> Unit | None:
         """A unit for a worker: of the stage it holds, a stage to open, or of another's stage."""
+        if self._unjudged:
+            first = self._unopened[0] if self._unopened else None
+            return open_stage(self._unopened.popleft()) if first in self._unjudged else None
         own = self._works.get(holds)
         works = ([own] if own else []) + (
             sorted(self._works.values(), key=lambda work: -len(work.ready))
@@ -304,6 +326,7 @@ class _Render:
     def _open(self, opening: Opening, outcome: Outcome) -> None:
         """Notes what a batch holds."""
         batch = self._batches[opening]
+        self._unjudged.discard(opening)
         try:
             opened: Opened = outcome.result()
             frames = frames_of(batch, self._plan, opened, self._report.choice)
@@ -311,6 +334,7 @@ class _Render:
             self._unread.append((f"{batch.name}: {error}", error))
             self._tell_unread()
             return
+        require_replaceable(frames)
         self._tell_opened(opened, rgb=any("rgb" in frame.key.passes for frame in frames))
         if self.strays_count:
             self._strays(batch, opened)
@@ -350,7 +374,7 @@ class _Render:
         work, report = self._works[frame.holds], self._report
         if outcome.deaths or outcome.error is not None:
             frame.clean()
-        if isinstance(outcome.error, FrameLostError):
+        if isinstance(outcome.error, FrameLostError | PluginError):
             self._fail(str(outcome.error))
             self._ended(work, frame, "given up")
         elif isinstance(outcome.error, CameraRefusedError):

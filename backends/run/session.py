@@ -25,6 +25,7 @@ from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
 from scenec.backends.picture.compose import compose
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
+from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
 from scenec.backends.run.writer import annotated, annotation_facts, write_frame
 from scenec.backends.stage.posing import sliding
@@ -93,7 +94,7 @@ class Session:
             }
         return {
             "backend": backend.name,
-            "version": backend.version(),
+            "version": version_of_backend(backend),
             "device": backend.device,
             "denoiser": backend.denoiser,
             "warning": backend.warning(),

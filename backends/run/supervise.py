@@ -8,9 +8,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
-from dataclasses import replace
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
 
@@ -52,17 +51,22 @@ class Supervisor:
     holds something else (another stage) is, too: memory goes back, whatever a renderer keeps.
 
     Args:
-        limits: What the worker may take; its memory, where it is not said, is all there is for
-            workers.
+        limits: What the worker may take; its memory, where it is not said, is its share of all
+            there is for workers.
         threads: How many it may work with; None is all cores.
+        among: How many processes share the memory, asked again and again.
     """
 
-    def __init__(self, limits: Limits | None = None, threads: int | None = None) -> None:
-        limits = limits or Limits()
-        if limits.memory_bytes is None:
-            limits = replace(limits, memory_bytes=default_limit())
-        self._limits = limits
+    def __init__(
+        self,
+        limits: Limits | None = None,
+        threads: int | None = None,
+        among: Callable[[], int] = lambda: 1,
+    ) -> None:
+        self._limits = limits or Limits()
         self._threads = threads
+        self._among = among
+        self._room = default_limit()
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
         self._log: Any = None
@@ -78,6 +82,11 @@ class Supervisor:
     def budget(self) -> tuple[Limits, int | None]:
         """What its workers may take: limits, and threads."""
         return self._limits, self._threads
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its worker process runs."""
+        return self._process is not None
 
     @property
     def holds(self) -> Hashable:
@@ -199,6 +208,10 @@ class Supervisor:
         self._growth = Growth(self._limits.memory_bytes)
         self._done = 0
 
+    def _most(self) -> int:
+        """Bytes that the worker may hold, with as many processes as there are now."""
+        return self._limits.memory_bytes or self._room // max(1, self._among())
+
     def _replace_if_grown(self, outcome: Outcome) -> None:
         """Note what the last unit left behind; end a worker that should not run another."""
         # The first one opens what the others work with.
@@ -207,6 +220,7 @@ class Supervisor:
         peak = max(self._watch.peak, self._peak)
         self._watch.measure()
         self._growth.add(self._watch.memory, peak)
+        self._growth.most = self._most()
         reason = self._growth.reason()
         if reason is not None:
             self.close()
@@ -254,6 +268,7 @@ class Supervisor:
             if waits_for and waits_for == before:
                 notice.tell(waits_for)
             before = waits_for
+            watch.most = self._most()
             verdict = watch.look()
             if verdict is not None:
                 watch.kill()

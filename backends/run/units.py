@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.schemas.errors import OutputError
+from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import sweep
-from scenec.schemas.frames import FrameKey, is_done
+from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
     from scenec.backends.run.session import Session
+    from scenec.backends.stage.scene import Camera
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Opening:
     Attributes:
         stage: Absolute path.
         backend, device, allow_missing: As of ``RenderPlan``.
-        passes: Those that any frame will have; None: what each camera asks for.
+        passes: Those that any frame will have; None: what each camera asks for, of annotation all
+            of that but ``rgb``.
     """
 
     stage: str
@@ -133,15 +135,20 @@ class OfBackend:
 
 def open_stage(opening: Opening) -> OfSession:
     """Open a stage, and say what there is to render; returns ``Opened``."""
-    return OfSession(opening, f"opening {opening.stage}", partial(_opened, opening.passes))
+    every_but_rgb = opening.passes is None and opening.backend in ANNOTATION_NAMES
+    do = partial(_opened, opening.passes, every_but_rgb)
+    return OfSession(opening, f"opening {opening.stage}", do)
 
 
-def _opened(passes: tuple[str, ...] | None, session: Session) -> Opened:
+def _opened(passes: tuple[str, ...] | None, every_but_rgb: bool, session: Session) -> Opened:
+    def wanted(camera: Camera) -> Sequence[str] | None:
+        return [n for n in camera.outputs if n != "rgb"] if every_but_rgb else passes
+
     cameras = [
         [
             CameraFacts(
                 name=camera.name,
-                passes=session.passes(passes, camera),
+                passes=session.passes(wanted(camera), camera),
                 fires=camera.fires(sample),
                 outputs=tuple(camera.outputs),
                 undenoised=session.undenoised(camera),
@@ -186,6 +193,7 @@ class RenderFrame:
         key: What it is made with.
         seed: Of its noise.
         choice: Why this backend, for the sidecar (``auto.Choice``), or None.
+        replace: As of ``RenderPlan``.
     """
 
     holds: Opening
@@ -197,6 +205,7 @@ class RenderFrame:
     key: FrameKey
     seed: int
     choice: Mapping[str, Any] | None = None
+    replace: bool = False
 
     @property
     def claim(self) -> Path:
@@ -209,9 +218,12 @@ class RenderFrame:
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
             StageError: The stage is no more what it was.
-            OutputError: A file cannot be written.
+            OutputError: A file cannot be written, or is not to be replaced.
         """
         session = self.holds.session(keeper)
+        if not self.key.backend_version.startswith(session.facts()["version"]):
+            # A process that was replaced has imported it again.
+            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
         if self.stem.parent not in session.folders:
             folder = self.stem.parent
             try:
@@ -226,6 +238,7 @@ class RenderFrame:
                 # It may have come while nobody looked.
                 if is_done(self.stem, self.key):
                     return Made()
+                require_replaceable([self])
                 place = self.number, self.sample
                 details = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
         except BusyError as error:
@@ -240,6 +253,30 @@ class RenderFrame:
     def clean(self) -> None:
         """Remove what a worker that died left half written."""
         sweep([self.stem.parent])
+
+
+def require_replaceable(frames: Iterable[RenderFrame]) -> None:
+    """Refuses to replace frames of the same stage by others that lack something of them.
+
+    Args:
+        frames: Of one batch.
+
+    Raises:
+        OutputError: One of them would be; says which, and what it has.
+    """
+    found = [
+        (frame, lost)
+        for frame in frames
+        if not (frame.replace or is_done(frame.stem, frame.key))
+        and (lost := would_lose(frame.stem, frame.key)) is not None
+    ]
+    if found:
+        frame, lost = found[0]
+        more = f" (and {len(found) - 1} more like it)" if len(found) > 1 else ""
+        raise OutputError(
+            f"{frame.stem.with_suffix('.exr')}{more} is there, {lost}; --replace renders it again "
+            "as asked now; to keep both, compile into another folder"
+        )
 
 
 def describe(details: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.schemas import native, notice
-from scenec.schemas.units import Keeper
+from scenec.schemas.units import Keeper, run_unit
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def _answer(pickled: bytes, keeper: Keeper) -> tuple[bool, Any, int | None]:
 
     memory.reset_peak()
     try:
-        value = pickle.loads(pickled).run(keeper)  # noqa: S301 (from the parent's pipe)
+        value = run_unit(pickle.loads(pickled), keeper)  # noqa: S301 (from the parent's pipe)
     except ScenecError as error:
         return False, error, memory.peak()
     return True, value, memory.peak()

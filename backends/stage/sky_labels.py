@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import SkyLabelMap
 from scenec.schemas.errors import StageError
+from scenec.schemas.files import once_per_file
 from scenec.schemas.kernels import kernel
 from scenec.schemas.maps import read_pixels
 from scenec.schemas.threads import over_threads
@@ -48,7 +48,7 @@ def label_of_sky(
     return out
 
 
-@lru_cache(maxsize=8)
+@once_per_file(most=8)
 def load_label_map(path: Path) -> NDArray[np.uint32]:
     """A picture of label ids, uint32 [h, w].
 

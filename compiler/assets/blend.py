@@ -14,7 +14,6 @@ import subprocess
 import sys
 import time
 import zipfile
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.geometry import affine
+from scenec.schemas.files import once_per_file
 from scenec.schemas.scratch import scratch_folder
 
 #: What the process may take; a file that needs more is refused.
@@ -49,8 +49,7 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
             raise MeshFileError("not a Blender file: it does not begin with 'BLENDER'")
     if importlib.util.find_spec("bpy") is None:
         raise MeshFileError("reading .blend needs the extra 'cycles': pip install 'scenec[cycles]'")
-    status = file.stat()
-    document, arrays = _evaluated(file.resolve(), status.st_size, status.st_mtime_ns)
+    document, arrays = _evaluated(file.resolve())
     found: list[Path] = []
     notes = tuple(document["notes"])
     materials = tuple(_look(file, values, arrays, found) for values in document["looks"])
@@ -59,9 +58,9 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
     return ParsedModel(shells, materials, unit, "z", tuple(dict.fromkeys(found)), notes)
 
 
-@lru_cache(maxsize=2)
-def _evaluated(file: Path, size: int, changed: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What the worker makes of a file of this size and time of change."""
+@once_per_file(most=2)
+def _evaluated(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the worker makes of a file."""
     with scratch_folder() as folder:
         out = Path(folder) / "model.npz"
         _run(file, out, Path(folder))

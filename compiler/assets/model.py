@@ -25,10 +25,11 @@ from scenec.compiler.geometry import affine
 from scenec.compiler.geometry.normals import face_normals
 from scenec.compiler.geometry.rounding import rounding_of
 from scenec.schemas.errors import SceneError
+from scenec.schemas.files import Stamp, stamp
 
 #: Files that are kept once they are read: for checking, hashing and all batches.
 _MOST = 64
-_parsed: dict[Path, tuple[list[tuple[int, int]], ParsedModel]] = {}
+_parsed: dict[Path, tuple[list[Stamp], ParsedModel]] = {}
 #: Part of a model's size by which float32 may move its vertices: half a pixel of 5000.
 _ROUNDED = 1e-4
 #: A point of a model in meters, z up, that becomes its origin; or "base", see ``base_of``.
@@ -173,23 +174,23 @@ def parsed_model(file: Path) -> ParsedModel:
         if state == _state(file, parsed):
             return parsed
         del _parsed[file]
+    before = [stamp(file)] if file.is_file() else []
     parsed = parse_model(file)
-    if len(_parsed) >= _MOST:
-        del _parsed[next(iter(_parsed))]
-    _parsed[file] = (_state(file, parsed), parsed)
+    state = _state(file, parsed)
+    if state[:1] == before:
+        # Else it was replaced while it was read.
+        if len(_parsed) >= _MOST:
+            del _parsed[next(iter(_parsed))]
+        _parsed[file] = (state, parsed)
     return parsed
 
 
-def _state(file: Path, parsed: ParsedModel) -> list[tuple[int, int]]:
-    """When a model's files were changed, and how large they are."""
-    found = []
-    for path in (file, *parsed.companions):
-        try:
-            stat = path.stat()
-        except OSError:
-            return []
-        found.append((stat.st_mtime_ns, stat.st_size))
-    return found
+def _state(file: Path, parsed: ParsedModel) -> list[Stamp]:
+    """What tells a model's files from what they were."""
+    try:
+        return [stamp(path) for path in (file, *parsed.companions)]
+    except OSError:
+        return []
 
 
 def cached_model(

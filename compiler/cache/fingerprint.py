@@ -11,6 +11,7 @@ from pathlib import Path
 
 import scenec.compiler
 import scenec.schemas
+from scenec.schemas.files import digest_of_folder
 
 #: Whose version can change what is computed.
 _LIBRARIES = (
@@ -29,21 +30,11 @@ def fingerprint() -> str:
     """
     digest = hashlib.sha256()
     for room in (scenec.compiler, scenec.schemas):
-        digest.update(_of_folder(Path(room.__path__[0])).encode())
+        digest.update(digest_of_folder(Path(room.__path__[0]), _SUFFIXES).encode())
     for name in _LIBRARIES:
         digest.update(f"{name} {_version(name)}\n".encode())
     python = platform.python_implementation(), *sys.version_info[:3]
     digest.update(f"{python} {platform.machine()} {sys.byteorder} {sys.platform}".encode())
-    return digest.hexdigest()
-
-
-def _of_folder(folder: Path) -> str:
-    """Of all files' names and contents below a folder."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.suffix in _SUFFIXES and path.is_file():
-            content = hashlib.sha256(path.read_bytes()).hexdigest()
-            digest.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
     return digest.hexdigest()
 
 

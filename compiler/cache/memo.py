@@ -35,6 +35,7 @@ from scenec.compiler.cache.structure import (
     restored,
     text_of,
 )
+from scenec.schemas.files import Stamp, stamp
 
 _log = logging.getLogger("scenec.incremental")
 _current: ContextVar[Memo | None] = ContextVar("memo", default=None)
@@ -59,7 +60,7 @@ class Memo:
         self.taken: Counter[str] = Counter()
         self._store = store
         self._known = Known(hold)
-        self._files: dict[tuple[Path, int, int], str] = {}
+        self._files: dict[tuple[Path, Stamp], str] = {}
 
     def call(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any]
@@ -109,8 +110,13 @@ class Memo:
         describer = Describer(self._known, self._files)
         try:
             structure = describer.describe(value)
+            changed = [p.name for p in files.values() if (p, stamp(p)) not in self._files]
         except (NotPlainError, OSError) as error:
             _log.debug("%s: not kept: %s", name, error)
+            return
+        if changed:
+            # The key is that of what they were.
+            _log.debug("%s: not kept: %s has changed", name, changed[0])
             return
         # Files that were not given could not be found again.
         if foreign := foreign_class(structure):

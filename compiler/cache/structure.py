@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.kinds import KINDS, PLAIN
 from scenec.compiler.cache.known import Known, order_of
+from scenec.schemas.files import Stamp, stamp
 
 #: Kinds of numbers that arrays of ours hold.
 _NUMBERS = "biufc"
@@ -44,8 +45,6 @@ _NUMBERS = "biufc"
 _REFER = frozenset(
     {".gltf", ".glb", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".obj", ".dae", ".vrt"}
 )
-#: A file's path, when it was changed and its size.
-type _Stamp = tuple[Path, int, int]
 
 
 class NotPlainError(Exception):
@@ -60,7 +59,7 @@ class Describer:
         files: Paths by name and digest.
     """
 
-    def __init__(self, known: Known, files: dict[_Stamp, str]) -> None:
+    def __init__(self, known: Known, files: dict[tuple[Path, Stamp], str]) -> None:
         """Takes what is known already: digests of arrays, and of files."""
         self.blobs: dict[str, NDArray[Any] | bytes] = {}
         self.files: dict[tuple[str, str], Path] = {}
@@ -127,14 +126,13 @@ class Describer:
     def _file(self, path: Path) -> Any:
         if path.suffix.lower() in _REFER or path.is_dir():
             raise NotPlainError(f"{path.name} can refer to other files")
-        stat = path.stat()
-        stamp = (path, stat.st_mtime_ns, stat.st_size)
-        if stamp not in self._of_files:
+        known = path, stamp(path)
+        if known not in self._of_files:
             with path.open("rb") as file:
                 found = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=32))
-            self._of_files[stamp] = found.hexdigest()
-        self.files[path.name, self._of_files[stamp]] = path
-        return ["p", path.name, self._of_files[stamp]]
+            self._of_files[known] = found.hexdigest()
+        self.files[path.name, self._of_files[known]] = path
+        return ["p", path.name, self._of_files[known]]
 
 
 def restored(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,8 @@ from scenec.compiler.cfg.faults import Finding
 from scenec.compiler.cfg.node import Node
 from scenec.compiler.cfg.resources import ResourceError, find_file
 from scenec.compiler.cfg.schema import Field
-from scenec.schemas.errors import SceneError
+from scenec.schemas.errors import CfgError, Fault, SceneError
+from scenec.schemas.files import sha256
 from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
@@ -31,11 +32,13 @@ class InputFile:
         path: Where it is on this machine, a file or a folder; never written to any output.
         sha256: Of its bytes, in hexadecimal; with those of the files that belong to a model.
         reference: The string in the cfg.
+        members: All files that are read for it, and the digest of each.
     """
 
     path: Path
     sha256: str
     reference: str = ""
+    members: tuple[tuple[Path, str], ...] = ()
 
 
 def check_files(
@@ -61,13 +64,17 @@ def check_files(
             continue
         try:
             path = find_file(name, folder, "folder" if kind == "texture_set" else "file")
-            digest = _sha256(path) if path.is_file() else ""
             found = list(_CHECKS[kind](path, owner, cfg) or ())
-            sound = all(finding.is_warning for finding in found)
-            if sound and kind in _DIGESTS:
-                digest = _DIGESTS[kind](path, owner, digest)
-            if sound:
-                files["/".join(map(str, field.path))] = InputFile(path, digest, name)
+            if all(finding.is_warning for finding in found):
+                named = _MEMBERS[kind](path, owner) if kind in _MEMBERS else [("", path)]
+                digests = [sha256(file) for _, file in named]
+                members = tuple(zip((file for _, file in named), digests, strict=True))
+                alone = len(named) == 1 and not named[0][0]
+                lines = [
+                    f"{what} {one}".strip() for (what, _), one in zip(named, digests, strict=True)
+                ]
+                digest = lines[0] if alone else _joined(lines)
+                files["/".join(map(str, field.path))] = InputFile(path, digest, name, members)
         except (ResourceError, SceneError) as error:
             found = [Finding(field.path, str(error))]
         except OSError as error:
@@ -76,13 +83,29 @@ def check_files(
     return files, findings
 
 
-def _sha256(*files: Path) -> str:
-    """Of a file's bytes; of several files, of their digests, a line each."""
-    digests = []
-    for file in files:
-        with file.open("rb") as stream:
-            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
-    return digests[0] if len(files) == 1 else _joined(digests)
+def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
+    """Refuses files that are no more what they were when they were checked: all are read again.
+
+    Args:
+        files: By their path in the cfg.
+        cfg: Of which they are.
+
+    Raises:
+        CfgError: Some were changed, or have gone.
+    """
+    faults = []
+    for pointer, file in files.items():
+        for path, digest in file.members:
+            try:
+                now = sha256(path)
+            except OSError:
+                now = ""
+            if now != digest:
+                what = "has changed" if now else "has gone"
+                text = f"{shown(file.reference)}: {path.name} {what} since it was read; run again"
+                faults.append(Fault(str(cfg), 0, 0, f"/{pointer}", text))
+    if faults:
+        raise CfgError(faults)
 
 
 def _joined(lines: list[str]) -> str:
@@ -119,10 +142,9 @@ def _texture_set(folder: Path, owner: Node) -> dict[str, str]:
         raise SceneError(f"{shown(owner['folder'])}: {error}") from error
 
 
-def _digest_of_texture_set(folder: Path, owner: Node, digest: str) -> str:
-    """Of the kinds and bytes of the pictures that are taken."""
-    files = _texture_set(folder, owner).items()
-    return _joined([f"{kind} {_sha256(folder / name)}" for kind, name in files])
+def _members_of_texture_set(folder: Path, owner: Node) -> list[tuple[str, Path]]:
+    """The pictures that are taken, by kind."""
+    return [(kind, folder / name) for kind, name in _texture_set(folder, owner).items()]
 
 
 def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
@@ -203,20 +225,20 @@ def _warnings(file: Path, owner: Node, lines: Iterable[str]) -> Iterator[Finding
         yield replace(owner.fault(f"{file.name}: {line}", "file"), is_warning=True)
 
 
-def _digest_of_mesh(file: Path, owner: Node, digest: str) -> str:
-    """With those of the buffers beside a glTF file."""
+def _members_of_mesh(file: Path, owner: Node) -> list[tuple[str, Path]]:
+    """With the buffers beside a glTF file."""
     from scenec.compiler.assets.parse import GLTF, parse_model
 
     if file.suffix.lower() not in GLTF:
-        return digest
-    return _sha256(file, *parse_model(file, looks=False).companions)
+        return [("", file)]
+    return [("", path) for path in (file, *parse_model(file, looks=False).companions)]
 
 
-def _digest_of_model(file: Path, owner: Node, digest: str) -> str:
-    """With those of the files that belong to it, in its order."""
+def _members_of_model(file: Path, owner: Node) -> list[tuple[str, Path]]:
+    """With the files that belong to it, in its order."""
     from scenec.compiler.assets.model import parsed_model
 
-    return _sha256(file, *parsed_model(file).companions)
+    return [("", path) for path in (file, *parsed_model(file).companions)]
 
 
 def _check_poses(file: Path, owner: Node, cfg: Node) -> None:
@@ -307,9 +329,9 @@ _CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding] | None]] = {
     "texture_set": _check_texture_set,
     "track": _check_track,
 }
-#: Digests of more than the file itself.
-_DIGESTS: dict[str, Callable[[Path, Node, str], str]] = {
-    "mesh": _digest_of_mesh,
-    "model": _digest_of_model,
-    "texture_set": _digest_of_texture_set,
+#: What is more than the file itself: files, and what each is called in the digest.
+_MEMBERS: dict[str, Callable[[Path, Node], list[tuple[str, Path]]]] = {
+    "mesh": _members_of_mesh,
+    "model": _members_of_model,
+    "texture_set": _members_of_texture_set,
 }

@@ -23,7 +23,7 @@ from scenec.compiler.cfg.faults import Finding, locate
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.node import Node, Tree
 from scenec.compiler.cfg.slips import improbable
-from scenec.compiler.cfg.sources import located, mixed, read
+from scenec.compiler.cfg.sources import folder_of, located, mixed, read
 from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.schemas.errors import CfgError, Fault
@@ -50,6 +50,7 @@ class Spec:
         settings: What was set over it.
         warnings: Values that can be and are probably a slip; files of unsound geometry.
         plugins: Packages of the kinds that are not scenec's own (``schema.origins``).
+        folder: What its files are relative to.
     """
 
     cfg: Cfg
@@ -61,6 +62,7 @@ class Spec:
     settings: tuple[str, ...] = ()
     warnings: tuple[Fault, ...] = ()
     plugins: Mapping[str, str] = field(default_factory=dict)
+    folder: FilePath = FilePath()
 
 
 def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None = None) -> Spec:
@@ -96,7 +98,8 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
     for check in _CHECKS:
         findings += check(cfg)
-    files, file_findings = check_files(fields, cfg, path.parent)
+    folder = folder_of(path)
+    files, file_findings = check_files(fields, cfg, folder)
     findings += [finding for finding in file_findings if not finding.is_warning]
     findings += check_parts(cfg, files)
     faults = locate(findings, document)
@@ -117,6 +120,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
         tuple(settings),
         warnings,
         plugins,
+        folder,
     )
 
 

@@ -11,6 +11,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -21,6 +22,7 @@ from scenec.compiler.cfg.faults import Finding, pointer
 from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.files import as_json
+from scenec.schemas.manifest import CFG, CFG_FOLDER, MANIFEST, TIMINGS
 from scenec.schemas.spelling import closest, nearest, shown
 
 EXTENDS = "extends"
@@ -108,6 +110,20 @@ def located(path: FilePath) -> FilePath:
     if not name.startswith(PREFIX):
         return path
     return _cfg_file(name, FilePath(), Position(1, 1, name), ())
+
+
+def folder_of(path: FilePath) -> FilePath:
+    """The folder that the files which a cfg names are relative to.
+
+    That is its own; of an output's ``cfg.json``, that of the cfg which was compiled, as long as it
+    is there.
+    """
+    out = path.parent
+    if path.name == CFG and (out / MANIFEST).is_file():
+        with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            known = out / json.loads((out / TIMINGS).read_bytes())[CFG_FOLDER]
+            return known if known.is_dir() else out
+    return out
 
 
 def _cfg_file(reference: str, folder: FilePath, position: Position, at: Path) -> FilePath:
@@ -245,7 +261,7 @@ def _rebase_files(document: Document, folder: FilePath) -> None:
     fields = list(schema.walk(schema.root(document.value)))
     for field in fields:
         position = document.values[field.path]
-        origin = FilePath(position.file).parent
+        origin = folder_of(FilePath(position.file))
         if "x-file" not in field.keywords or not isinstance(field.value, str) or not position.line:
             continue
         if origin == folder or field.value.startswith(PREFIX) or os.path.isabs(field.value):

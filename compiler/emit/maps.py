@@ -11,7 +11,7 @@ import numpy as np
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.materials.heights import stamp
 from scenec.compiler.scene.scene import Material, Picture
-from scenec.schemas.files import inside
+from scenec.schemas.files import Stamp, inside
 from scenec.schemas.maps import read_pixels
 
 TEXTURES = "textures"
@@ -46,7 +46,7 @@ def average_color(material: Material) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=32)
-def _average(source: Path | Picture, _stamp: tuple[int, int] | None) -> tuple[float, float, float]:
+def _average(source: Path | Picture, _stamp: Stamp | None) -> tuple[float, float, float]:
     pixels = read_pixels(source.data if isinstance(source, Picture) else source)
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)

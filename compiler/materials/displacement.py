@@ -23,6 +23,7 @@ from scenec.compiler.materials.surface import Surface
 from scenec.compiler.scene.scene import Cells, MaterialMaps, Sources
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.cells import SIDE, STEPS, table
+from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -64,7 +65,7 @@ def displacement_of(maps: MaterialMaps | None) -> Displacement | None:
 
 
 #: What a relief depends on: procedural kind, size, file, what tells it from others, its range.
-type _Key = tuple[Surface | None, float, Path | None, tuple[int, int] | None, float | None]
+type _Key = tuple[Surface | None, float, Path | None, Stamp | None, float | None]
 
 
 def _key(maps: MaterialMaps) -> _Key:
@@ -82,9 +83,15 @@ def _spectrum(maps: MaterialMaps) -> Spectrum:
 
 
 @lru_cache(maxsize=4)
-@memoized("displacement")
 def _cached_plane(key: _Key) -> Plane:
     surface, size_m, file, _, range_m = key
+    return _made_plane(surface, size_m, file, range_m)
+
+
+@memoized("displacement")
+def _made_plane(
+    surface: Surface | None, size_m: float, file: Path | None, range_m: float | None
+) -> Plane:
     sources = Sources(heights=file, heights_m=range_m)
     plane = relief_of(MaterialMaps(size_m, {}, "", procedural=surface, sources=sources))
     assert plane is not None
@@ -92,9 +99,17 @@ def _cached_plane(key: _Key) -> Plane:
 
 
 @lru_cache(maxsize=16)
-@memoized("displacement")
 def _cached_spectrum(key: _Key) -> Spectrum:
-    return octaves_of(_cached_plane(key), key[1])
+    surface, size_m, file, _, range_m = key
+    return _made_spectrum(surface, size_m, file, range_m)
+
+
+@memoized("displacement")
+def _made_spectrum(
+    surface: Surface | None, size_m: float, file: Path | None, range_m: float | None
+) -> Spectrum:
+    key = surface, size_m, file, stamp(file) if file else None, range_m
+    return octaves_of(_cached_plane(key), size_m)
 
 
 def octaves_of(plane: Plane, size_m: float) -> Spectrum:

@@ -13,7 +13,9 @@ from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile
 from scenec.compiler.scene.scene import MaterialMaps
+from scenec.schemas import files
 from scenec.schemas.errors import SceneError
+from scenec.schemas.files import Stamp
 
 
 @lru_cache(maxsize=2)
@@ -36,17 +38,20 @@ def gray(path: Path) -> Plane:
     return _gray(path, stamp(path))
 
 
-def stamp(path: Path) -> tuple[int, int]:
-    """What tells a file from what it was before: for caches within a process."""
+def stamp(path: Path) -> Stamp:
+    """As ``schemas.files.stamp``: for caches within a process.
+
+    Raises:
+        SceneError: It is not there any more.
+    """
     try:
-        found = path.stat()
+        return files.stamp(path)
     except OSError as error:
         raise SceneError(f"{path.name}: {error.strerror or error}") from error
-    return found.st_mtime_ns, found.st_size
 
 
 @lru_cache(maxsize=4)
-def _gray(path: Path, _stamp: tuple[int, int]) -> Plane:
+def _gray(path: Path, _stamp: Stamp) -> Plane:
     return read_heights(path)
 
 

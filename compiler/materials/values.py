@@ -19,6 +19,7 @@ from scenec.compiler.materials.heights import stamp
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.scene.scene import Picture
 from scenec.schemas.errors import SceneError
+from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -50,7 +51,7 @@ def stored(source: Source) -> NDArray:
 
 
 @lru_cache(maxsize=4)
-def _stored(source: Source, _stamp: tuple[int, int] | None) -> NDArray:
+def _stored(source: Source, _stamp: Stamp | None) -> NDArray:
     name = source.name if isinstance(source, Path) else "of a model"
     try:
         pixels = pixels_of(source, name)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mask import Masked
+from scenec.compiler.terrain.mask import Masked, applied
 from scenec.compiler.terrain.operator import ReliefOperator, operator_type
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
@@ -74,7 +74,7 @@ def run(
             elif isinstance(operator, Masked) and weight is not None:
                 height, report = operator.blended(grid, height, weight)
             else:
-                height, report = operator.apply(grid, height)
+                height, report = applied(operator, grid, height)
             if not _adds(operator) and details:
                 report = {**report, "finer_detail_ended": len(details)}
                 details = []

@@ -32,7 +32,6 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -52,8 +51,8 @@ from scenec.datasets.formats.poses import (
 from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.amodal import amodal_path
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import atomic, write_json
-from scenec.schemas.instances import BATCH_TABLE, InstanceTable, read_table
+from scenec.schemas.files import atomic, once_per_file, write_json
+from scenec.schemas.instances import BATCH_TABLE, read_table
 from scenec.schemas.picture import write_png
 from scenec.schemas.spelling import nearest
 
@@ -261,14 +260,8 @@ def _table_path(ref: FrameRef) -> Path:
     return ref.stem.parents[2] / BATCH_TABLE
 
 
-@lru_cache(maxsize=2)
-def _cached_table(path: Path, _changed: int) -> InstanceTable:
-    return read_table(path)
-
-
-def _batch_table(path: Path) -> InstanceTable:
-    """A batch's table, read once for all its frames."""
-    return _cached_table(path, path.stat().st_mtime_ns if path.is_file() else 0)
+#: A batch's table, read once for all its frames.
+_batch_table = once_per_file(most=2)(read_table)
 
 
 def _amodal_masks(

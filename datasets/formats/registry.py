@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 from scenec.schemas.errors import OutputError
+from scenec.schemas.plugins import entry_points_of, load, names_of, origin, place, told
 from scenec.schemas.spelling import nearest
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _OURS = {
 
 def format_names() -> list[str]:
     """All names, sorted."""
-    return sorted({*_OURS, *(entry.name for entry in entry_points(group=GROUP))})
+    return sorted({*_OURS, *names_of(GROUP)})
 
 
 def find_format(name: str) -> type[Format]:
@@ -50,14 +50,22 @@ def find_format(name: str) -> type[Format]:
         return found
     from scenec.datasets.formats import contract
 
-    for entry in entry_points(group=GROUP, name=name):
-        try:
-            loaded = entry.load()
-        except (ImportError, AttributeError) as error:
-            raise OutputError(
-                f"format {name!r}: {entry.value} cannot be loaded: {error}"
-            ) from error
-        if isinstance(loaded, type) and issubclass(loaded, contract.Format):
-            return loaded
-        raise OutputError(f"format {name!r}: {entry.value} is no scenec.datasets format")
-    raise OutputError(f"no format {name!r}{nearest(name, format_names())}")
+    points = entry_points_of(GROUP, name)
+    if not points:
+        raise OutputError(f"no format {name!r}{nearest(name, format_names())}")
+    if len(points) > 1:
+        listed = ", ".join(map(place, points))
+        raise OutputError(f"several packages offer the format {name!r}: {listed}; remove one")
+    who = f"format {name!r} ({place(points[0])})"
+    try:
+        loaded = load(points[0])
+    except Exception as error:
+        raise OutputError(f"{who}: cannot be imported: {told(error)}") from error
+    if isinstance(loaded, type) and issubclass(loaded, contract.Format):
+        return loaded
+    raise OutputError(f"{who}: is no scenec.datasets format")
+
+
+def origin_of(name: str) -> str | None:
+    """Package, version and code of a format that is another's; None of ours."""
+    return None if name in _OURS else origin(GROUP, name)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from scenec.schemas.files import atomic
+from scenec.schemas.files import atomic, stamp
 from scenec.schemas.manifest import FRAMES, MANIFEST, find_batches
 
 
@@ -24,11 +24,11 @@ def state_of(out: Path) -> str:
     found = hashlib.sha256()
     for file in files:
         try:
-            told = file.stat()
+            told = stamp(file)
         except FileNotFoundError:
             # Between two steps of who replaces it.
             continue
-        found.update(f"{file}\0{told.st_size}\0{told.st_mtime_ns}\n".encode())
+        found.update(f"{file}\0{told}\n".encode())
     return found.hexdigest()[:16]
 
 

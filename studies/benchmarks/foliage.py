@@ -81,7 +81,7 @@ def _seen(
     cfg["terrain"]["relief"] = [{"type": "plane"}]
     cfg["outputs"] = ["rgb", "label"]
     batch, spp = study.batch(cfg), 4 if study.fast else study.options.spp
-    drawn = render(batch.parent, "mitsuba", spp=spp, noise_seed=seed)
+    drawn = render(batch.parent, "mitsuba", spp=spp, noise_seed=seed, replace=True)
     passes = read_frame(drawn.frames[0]).passes
     report = json.loads((batch / "report.json").read_text(encoding="utf-8"))
     light = (passes["rgb"].astype(np.float64) * LUMINANCE).sum(axis=-1)

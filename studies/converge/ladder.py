@@ -245,7 +245,9 @@ class _Climb:
         all_: bool = False,
     ) -> list[Shown]:
         """All frames of one quality and noise; with annotation if ``all_``."""
-        plan = replace(self._wanted, spp=spp, noise_seed=seed, denoise=denoise, seconds=seconds)
+        plan = replace(
+            self._wanted, spp=spp, noise_seed=seed, denoise=denoise, seconds=seconds, replace=True
+        )
         folder = self._folder / self._wanted.backend / name
         frames = self._frames(plan, folder, all_)
         todo = [frame for frame in frames if not is_done(frame.stem, frame.key)]

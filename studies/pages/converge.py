@@ -188,7 +188,7 @@ class Example:
             lines: list[str] = []
             folder = self.out / "choices" / str(number)
             render(self.out, "auto", passes=["rgb"], folder=folder, say=lines.append, **goal)
-            text += f"    scenec render OUT --backend auto --passes rgb {words}\n"
+            text += f"    scenec render OUT --backend auto --passes rgb {words} --replace\n"
             text += "".join(f"    {line}\n" for line in lines if line.startswith("auto:")) + "\n"
         return text
 

@@ -157,6 +157,7 @@ def views(entry: Entry, folder: Path, spp: int) -> Iterator[tuple[str, Frame]]:
             denoise=True,
             passes=("rgb", "label"),
             samples=samples,
+            replace=True,
         )
         if len(report.frames) < len(samples):
             raise ScenecError(f"{entry.name}: {'; '.join(report.failed) or 'a frame is missing'}")
@@ -202,7 +203,7 @@ def first_picture(out: Path, spp: int) -> Image.Image:
         ScenecError: It cannot be compiled, or a frame could not be made.
     """
     compile_cfg(CONFIGS / f"{FIRST}.json", seed=SEED, out=out)
-    report = render(out, "mitsuba", spp=spp, samples=range(ROWS))
+    report = render(out, "mitsuba", spp=spp, samples=range(ROWS), replace=True)
     if report.failed:
         raise ScenecError(f"{FIRST}: {'; '.join(report.failed)}")
     with tempfile.TemporaryDirectory() as folder:

@@ -78,7 +78,9 @@ def test_lost_masks_are_made_again_and_stale_ones_removed(copied):
     report = render(stage, "reference", passes=("depth", "amodal"), **ask)
     assert (report.rendered, report.skipped) == (1, 1)
     assert path.is_file()
-    render(stage, "reference", passes=("depth", "instance"), **ask)
+    assert render(stage, "reference", passes=("depth", "instance"), **ask).skipped == 2
+    passes = ("depth", "instance", "normal")
+    render(stage, "reference", passes=passes, replace=True, **ask)
     assert not path.exists()
     assert read_frame(stem_in(copied, 1)).sidecar["amodal"] is None
     with pytest.raises(FrameError, match="has no amodal"):

@@ -344,7 +344,7 @@ def test_two_renders_with_workers_make_no_frame_twice(out, tmp_path, monkeypatch
     install(tmp_path, monkeypatch)
     plan_fault(tmp_path, monkeypatch, "work", amount=0.2)
     command = [sys.executable, "-m", "scenec.cli.main", "render", str(out), "--backend", "plain",
-               "--spp", "7", "--workers", "2", "--json"]  # fmt: skip
+               "--spp", "7", "--workers", "2", "--replace", "--json"]  # fmt: skip
     both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     told = [json.loads(one.communicate()[0]) for one in both]
     assert [one.returncode for one in both] == [0, 0]
@@ -353,3 +353,16 @@ def test_two_renders_with_workers_make_no_frame_twice(out, tmp_path, monkeypatch
     # As often as there are frames, whatever was claimed by whom.
     assert len((tmp_path / "faults").read_text()) == 9
     assert not list(out.rglob(".scenec-*"))
+
+
+@pytest.mark.parametrize("who", [partial(Processes, 64), partial(make_executor, 64, "local")])
+def test_memory_is_shared_by_the_processes_that_there_are(who, tmp_path, monkeypatch):
+    # A 64th of this is less than any of them holds.
+    monkeypatch.setattr("scenec.backends.run.supervise.default_limit", lambda: 2 * 10**9)
+    monkeypatch.setattr("scenec.backends.run.executors.default_limit", lambda: 2 * 10**9)
+    stage = square_stage(tmp_path / "square.usda", samples=1, width=8)
+    with who() as executor:
+        report = render(stage, "annotation", passes=["depth"], executor=executor)
+    assert (report.rendered, report.deaths, report.replaced) == (2, 0, 0)
+    with Processes(64) as many:
+        assert many.room(2)[0] > 10**9 / 4

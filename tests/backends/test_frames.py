@@ -148,7 +148,7 @@ def test_the_sidecar_says_what_a_user_needs_in_strict_json(tmp_path: Path):
     ("field", "value"),
     [
         ("stage_digest", "e" * 64),
-        ("passes", ("rgb",)),
+        ("passes", (*KEY.passes, "position")),
         ("spp", 65),
         ("noise_seed", 1),
         ("backend", "reference"),

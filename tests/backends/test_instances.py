@@ -187,7 +187,8 @@ def test_a_lost_table_is_made_again_and_nothing_else(rendered, tmp_path):
     assert frame_table_path(stem).is_file()
     assert (tmp_path / "frames" / BATCH_TABLE).is_file()
     # Without the pass there is no table, and none of an earlier frame.
-    render(scene.source, "reference", passes=("depth",), samples=[1], folder=tmp_path)
+    one = {"samples": [1], "folder": tmp_path, "replace": True}
+    render(scene.source, "reference", passes=("depth",), **one)
     assert not frame_table_path(stem).exists()
 
 

@@ -20,7 +20,7 @@ from scenec.backends.run.render import render
 from scenec.backends.stage.scene import Camera, Focus, OpenShutter
 from scenec.cli.main import main
 from scenec.schemas import stage as names
-from scenec.schemas.errors import BackendError
+from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.shutter import Shutter
 
@@ -37,6 +37,18 @@ def stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+@pytest.fixture
+def partnerless(stage: Path) -> Path:
+    """Of the left camera disparity is asked for, too, and it has no partner."""
+    made = Usd.Stage.Open(str(stage))
+    variable = UsdRender.Var.Define(made, "/Render/Vars/disparity")
+    variable.CreateSourceNameAttr("disparity")
+    left = UsdRender.Product.Get(made, "/Render/left")
+    left.GetOrderedVarsRel().AddTarget(variable.GetPath())
+    made.Save()
+    return stage
+
+
 def focused(path: Path, camera: str) -> Path:
     made = Usd.Stage.Open(str(path))
     lens = UsdGeom.Camera.Get(made, f"/World/{camera}")
@@ -47,7 +59,8 @@ def focused(path: Path, camera: str) -> Path:
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_the_frames_of_other_cameras_are_rendered_and_the_command_ends_with_1(stage, capsys):
+def test_the_frames_of_other_cameras_are_rendered_and_the_command_ends_with_1(partnerless, capsys):
+    stage = partnerless
     assert main(["render", str(stage), "--backend", "reference", "--json"]) == 1
     said = capsys.readouterr()
     report = json.loads(said.out)
@@ -58,12 +71,12 @@ def test_the_frames_of_other_cameras_are_rendered_and_the_command_ends_with_1(st
     assert np.all(read_frame(frames[1].with_suffix("")).passes["depth"] == 6.0)
     assert not list(stage.parent.glob("frames/annotation/left/*.*"))
     tried, *others = report["failed"]
-    assert tried.startswith("square/left/000000: annotation has no rgb")
+    assert tried.startswith("square/left/000000: /World/left: disparity needs a partner")
     assert others == [
         f"square/left/00000{i}: not tried, as square/left/000000 was refused" for i in (1, 2)
     ]
-    (line,) = (line for line in said.err.splitlines() if line.startswith("warning"))
-    assert line.startswith("warning: square/left/000000: annotation has no rgb")
+    (line,) = (line for line in said.err.splitlines() if line.startswith("warning: square"))
+    assert line.startswith("warning: square/left/000000: /World/left: disparity")
     assert line.endswith("other frames of this camera are not tried")
     assert "3 frames were refused by annotation" in said.err
     assert "given up" not in said.err
@@ -81,7 +94,8 @@ def test_where_every_camera_is_refused_the_run_ends_at_once(stage, capsys):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("worker_here")
-def test_frames_that_are_there_already_are_no_reason_to_end_it(stage):
+def test_frames_that_are_there_already_are_no_reason_to_end_it(partnerless):
+    stage = partnerless
     assert render(stage, "reference", passes=["depth"]).rendered == 6
     report = render(stage, "reference")
     # Those of the right camera were made with the same key.
@@ -159,3 +173,38 @@ def test_an_open_shutter_counts_where_the_camera_moves():
     assert blurred_by(held(Shutter(0.0), 0.01)) is None
     assert blurred_by(dataclasses.replace(camera, focus=Focus(2.0, 0.0))) is None
     assert blurred_by(dataclasses.replace(camera, focus=Focus(2.0, 0.01))) == "aperture"
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_annotation_without_passes_makes_all_but_rgb(stage, capsys):
+    assert main(["render", str(stage), "--backend", "annotation", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["rendered"], report["refused"], report["warnings"]) == (6, 0, [])
+    held = {stem.parent.name: set(read_frame(stem).passes) for stem in
+            (Path(frame).with_suffix("") for frame in report["frames"])}  # fmt: skip
+    assert held == {"left": {"depth", "instance"}, "right": {"depth"}}
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_of_a_camera_that_asks_for_rgb_alone_annotation_makes_nothing_and_says_so(stage):
+    made = Usd.Stage.Open(str(stage))
+    right = UsdRender.Product.Get(made, "/Render/right")
+    right.GetOrderedVarsRel().SetTargets(["/Render/Vars/rgb"])
+    made.Save()
+    report = render(stage, "annotation")
+    assert {stem.parent.name for stem in report.frames} == {"left"}
+    assert any("camera right asks for rgb alone: no frame" in line for line in report.warnings)
+    left = UsdRender.Product.Get(made, "/Render/left")
+    left.GetOrderedVarsRel().SetTargets(["/Render/Vars/rgb"])
+    made.Save()
+    with pytest.raises(StageError, match=r"no frame to render: .*rgb alone is asked for"):
+        render(stage, "annotation")
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_run_makes_all_but_rgb_of_annotation(tmp_path):
+    cfg = write_cfg(tmp_path, small_cfg(samples=1, outputs=["rgb", "label", "depth"]))
+    words = ["run", str(cfg), "-o", str(tmp_path / "out"), "--backend", "annotation", "--no-cache"]
+    assert main(words) == 0
+    (path,) = (tmp_path / "out").rglob("frames/annotation/*/000000.json")
+    assert set(read_frame(path).passes) == {"label.class", "label.surface", "depth"}

@@ -17,8 +17,9 @@ from third_party import square_stage
 
 from scenec.backends.registry import open_backend
 from scenec.backends.run.frames import frame_seed
+from scenec.backends.run.limits import RETRIES
 from scenec.backends.run.render import render
-from scenec.backends.run.supervise import RETRIES, Supervisor
+from scenec.backends.run.supervise import Supervisor
 from scenec.backends.run.units import OfBackend, RenderFrame
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
@@ -86,8 +87,8 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
 def test_frames_that_are_there_are_not_made_again_unless_something_changed(stage):
     assert run(stage).rendered == 6
     assert (run(stage).rendered, run(stage).skipped) == (0, 6)
-    assert run(stage, samples=range(1, 2), noise_seed=1).rendered == 2
-    assert run(stage, spp=4, samples=range(1)).rendered == 2
+    assert run(stage, samples=range(1, 2), noise_seed=1, replace=True).rendered == 2
+    assert run(stage, spp=4, samples=range(1), replace=True).rendered == 2
     stage.write_text(stage.read_text() + "\n# touched\n")
     assert run(stage).rendered == 6
 

@@ -22,9 +22,9 @@ from third_party import faults_so_far, install, plan_fault, square_stage
 
 from scenec.backends.run import memory
 from scenec.backends.run.executors import Processes
-from scenec.backends.run.limits import Growth, Limits, Watch
+from scenec.backends.run.limits import RETRIES, Growth, Limits, Watch
 from scenec.backends.run.render import render
-from scenec.backends.run.supervise import RETRIES, Supervisor
+from scenec.backends.run.supervise import Supervisor
 from scenec.backends.run.units import Opening, open_stage
 from scenec.schemas import memory as machine
 from scenec.schemas.errors import BackendError
