@@ -51,14 +51,24 @@ def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
     """
     sources = Sources(Path(path), allow_missing)
     with sources.reading() as stage:
-        scene = _read(stage, Path(path), sources)
+        scene = scene_of(stage, Path(path), sources)
     return replace(scene, losses=(*scene.losses, *sources.losses))
 
 
-def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
+def scene_of(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
+    """What ``read_stage`` makes of a composed stage, without the losses of its sources.
+
+    Args:
+        stage: From ``Sources.reading``.
+        path: Its root layer.
+        sources: Of the stage.
+
+    Raises:
+        StageError: As ``read_stage``.
+    """
     _require_schema(stage, path)
     frame = StageFrame.of(stage)
-    times = _time_codes(stage)
+    times = time_codes(stage)
     table = read_table(stage)
     meshes = MeshTable(table, times[0], Unread(len(times) > 1, sources), sources)
     expander = Expander(meshes, times, labeled_instances(stage, table))
@@ -86,6 +96,7 @@ def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         instance_paths=expander.bases,
         times=_times(stage, times),
         parts=expander.parts,
+        origins=tuple(expander.origins),
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
         lidars=lidars,
@@ -106,7 +117,12 @@ def _require_schema(stage: Usd.Stage, path: Path) -> None:
         )
 
 
-def _time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
+def time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
+    """The time code of each sample.
+
+    Raises:
+        StageError: The stage's first code is after its last, or there are too many.
+    """
     if not stage.HasAuthoredTimeCodeRange():
         # The first sample of whatever is animated, the default of all else.
         return [Usd.TimeCode.EarliestTime()]
