@@ -194,8 +194,9 @@ def _lamp(
             return None
         stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))
         size = radius * stretch * unit
-        # Normalized, it is divided by the surface in stage units: the radius drops out.
-        intensity = gain * (0.25 * unit**2 if normalized else np.pi * size**2)
+        # Normalized, it is divided by the surface in stage units: the radius drops out. Products,
+        # as Python's own power raises where it overflows.
+        intensity = gain * (0.25 * unit * unit if normalized else np.pi * size * size)
         position = pose[:3, 3].copy()
         if not np.isfinite([*position, *intensity, size, softness]).all():
             raise StageError(f"{light.GetPath()}: a light whose place or size is not finite")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_stage import make_stage, mesh
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
@@ -304,3 +304,21 @@ def test_what_is_scaled_to_nothing_is_said(tmp_path: Path) -> None:
     assert "crate" not in made.cfg["objects"]
     assert made.cfg["objects"]["posts"]["models"][0]["part"] == "/posts_model"
     write(made)
+
+
+@pytest.mark.parametrize(("ior", "specular"), [(1.5, 0.04), (-1.0, 1.0), (0.0, 1.0)])
+def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(
+    tmp_path: Path, ior: float, specular: float
+) -> None:
+    file = make_stage(tmp_path)
+    stage = Usd.Stage.Open(str(file))
+    material = UsdShade.Material.Define(stage, "/World/glass")
+    shader = UsdShade.Shader.Define(stage, "/World/glass/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(ior)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/World/crate")).Bind(material)
+    stage.GetRootLayer().Save()
+    made = imported(file)
+    assert made.cfg["objects"]["crate"]["material"] == "glass"
+    assert made.cfg["materials"]["glass"]["specular"] == pytest.approx(specular)
