@@ -80,6 +80,38 @@ def require_all_bits(path: Path) -> None:
             )
 
 
+def meant(
+    pixels: NDArray,
+    kind: str,
+    srgb: bool | None,
+    scale: tuple[float, ...],
+    bias: tuple[float, ...],
+    channel: str,
+) -> NDArray[np.float32]:
+    """What a UsdUVTexture makes of stored pixels, float32 [h, w, channels of the kind].
+
+    Floating values that ``decode`` takes as they are.
+
+    Args:
+        pixels: From ``read_pixels``.
+        kind: One of ``MAP_CHANNELS``.
+        srgb: Whether they are in sRGB's transfer function; None: where colors are not floating.
+        scale, bias: value * scale + bias, of each channel, [3].
+        channel: "r", "g" or "b": where a single number stands.
+    """
+    floating = pixels.dtype.kind == "f"
+    values = pixels.astype(np.float64) / (1.0 if floating else float(np.iinfo(pixels.dtype).max))
+    if values.shape[2] == 1:
+        values = np.repeat(values, 3, axis=2)
+    if srgb or (srgb is None and kind in COLORS and not floating):
+        above = ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4
+        values = np.where(values <= 0.04045, values / 12.92, above)
+    values = values * np.array(scale) + np.array(bias)
+    if MAP_CHANNELS[kind] == 1:
+        values = values[..., "rgb".index(channel)][..., None]
+    return values.astype(np.float32)
+
+
 def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.float32]:
     """What stored pixels mean, float32 [h, w, channels of the kind].
 

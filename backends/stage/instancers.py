@@ -152,6 +152,8 @@ class Expander:
         self._times = list(times)
         self._labeled = labeled
         self._next_id = 0
+        #: Paths of shapes and instancers outside of prototypes, and the rows of each, in order.
+        self.origins: list[tuple[str, int]] = []
         #: Instancers being expanded, the outermost first.
         self._open: list[str] = []
         #: Base and largest frame id of each class, by path.
@@ -224,6 +226,7 @@ class Expander:
                 place = replace(place, instance_id=None)
             parts.append(self._expand_instancer(UsdGeom.PointInstancer(prim), place))
             self._open.pop()
+            self._note(prim, parts[-1])
             return
         if prim.IsA(UsdGeom.Mesh) or kind_of(prim):
             found = self._meshes.add(prim, place.labels)
@@ -238,8 +241,13 @@ class Expander:
                     np.full(len(found), part, np.int32),
                 )
             )
+            self._note(prim, parts[-1])
         for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
             self._walk(child, place, parts)
+
+    def _note(self, prim: Usd.Prim, rows: Expanded) -> None:
+        if not self._open:
+            self.origins.append((str(prim.GetPath()), len(rows.mesh)))
 
     def _shown(self, prim: Usd.Prim) -> NDArray[np.bool_]:
         """Whether a prim (and what is below it) is rendered: visible, purpose default or render.

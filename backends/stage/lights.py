@@ -44,6 +44,15 @@ def read_lighting(
     Raises:
         StageError: A value is not what it can be, or not finite.
     """
+    columns = [light_over_time(prim, frame, times, sources) for prim in light_prims(stage)]
+    return tuple(
+        Lighting(_all(Sun, shining), _all(Dome, shining), _all(Lamp, shining))
+        for shining in ([column[i] for column in columns] for i in range(len(times)))
+    )
+
+
+def light_prims(stage: Usd.Stage) -> list[Usd.Prim]:
+    """Lights of ``unread.LIGHTS``, hidden or not, but for those of prototypes."""
     lights = []
     prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
     for prim in prims:
@@ -52,21 +61,21 @@ def read_lighting(
             prims.PruneChildren()
         if prim.GetTypeName() in LIGHTS:
             lights.append(prim)
-    columns = [_over_time(prim, frame, times, sources) for prim in lights]
-    return tuple(
-        Lighting(_all(Sun, shining), _all(Dome, shining), _all(Lamp, shining))
-        for shining in ([column[i] for column in columns] for i in range(len(times)))
-    )
+    return lights
 
 
 def _all[T](kind: type[T], lights: list[Sun | Dome | Lamp | None]) -> tuple[T, ...]:
     return tuple(light for light in lights if isinstance(light, kind))
 
 
-def _over_time(
+def light_over_time(
     prim: Usd.Prim, frame: StageFrame, times: list[Usd.TimeCode], sources: Sources
 ) -> list[Sun | Dome | Lamp | None]:
-    """A light at each time; None where it gives none."""
+    """A light at each time; None where it is hidden, or gives none.
+
+    Raises:
+        StageError: A value is not what it can be, or not finite.
+    """
     found: list[Sun | Dome | Lamp | None] = [None] * len(times)
     shown = np.ones(len(times), bool)
     above = prim
@@ -189,8 +198,9 @@ def _lamp(
             return None
         stretch = float(np.cbrt(np.abs(np.linalg.det(matrix[:, :3]))))
         size = radius * stretch * unit
-        # Normalized, it is divided by the surface in stage units: the radius drops out.
-        intensity = gain * (0.25 * unit**2 if normalized else np.pi * size**2)
+        # Normalized, it is divided by the surface in stage units: the radius drops out. Products,
+        # as Python's own power raises where it overflows.
+        intensity = gain * (0.25 * unit * unit if normalized else np.pi * size * size)
         position = pose[:3, 3].copy()
         if not np.isfinite([*position, *intensity, size, softness]).all():
             raise StageError(f"{light.GetPath()}: a light whose place or size is not finite")

@@ -50,11 +50,21 @@ def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
     """
     sources = Sources(Path(path), allow_missing)
     with sources.reading() as stage:
-        scene = _read(stage, Path(path), sources)
+        scene = scene_of(stage, Path(path), sources)
     return replace(scene, losses=(*scene.losses, *sources.losses))
 
 
-def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
+def scene_of(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
+    """What ``read_stage`` makes of a composed stage, without the losses of its sources.
+
+    Args:
+        stage: From ``Sources.reading``.
+        path: Its root layer.
+        sources: Of the stage.
+
+    Raises:
+        StageError: As ``read_stage``.
+    """
     _require_schema(stage, path)
     frame = StageFrame.of(stage)
     times = time_codes(stage)
@@ -87,6 +97,7 @@ def _read(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         instance_paths=expander.bases,
         times=sample_times(stage, times),
         parts=expander.parts,
+        origins=tuple(expander.origins),
         haze=read_haze(stage, frame, times),
         sky_label_maps=label_maps,
         sky_labels_below=_sky_labels_below(stage, table),

@@ -526,6 +526,8 @@ class RenderScene:
         instance_paths: Prim path of the class (or object) and what is added to a local id to get
             the frame id; ascending.
         parts: Places of meshes within their instances, float64 [p, 3, 4]; see ``Rows.part``.
+        origins: Paths of the shapes and instancers that the rows come from, and how many each has,
+            in the order of the rows; prototypes count as their outermost instancer.
     """
 
     source: Path
@@ -544,6 +546,7 @@ class RenderScene:
     #: Real time of each sample in seconds, float64 [samples].
     times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
     parts: NDArray[np.float64] = field(default_factory=lambda: np.eye(4)[None, :3])
+    origins: tuple[tuple[str, int], ...] = ()
     #: Per sample; None without haze. Empty: none at all.
     haze: tuple[Haze | None, ...] = ()
     #: Per sample, by level: labels of directions that hit nothing, in place of ``sky_labels``.

@@ -199,7 +199,8 @@ def _normal_reflectance(shader: UsdShade.Shader) -> float:
         color = _color_input(shader, "specularColor")
         return float(np.mean(color)) if color is not None else 0.0
     ior = _input(shader, "ior", 1.5)
-    return ((ior - 1.0) / (ior + 1.0)) ** 2
+    # None is 0 or less: as models from files are read.
+    return ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0.0 else 1.0
 
 
 def _input(shader: UsdShade.Shader, name: str, default: float) -> float:

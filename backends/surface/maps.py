@@ -82,29 +82,14 @@ def load_map(
         if reading == _PLAIN:
             values = maps.decode(pixels, kind, flip_green)
         else:
-            values = _read(pixels, kind, flip_green, reading)
+            values = maps.meant(
+                pixels, kind, reading.srgb, reading.scale, reading.bias, reading.channel
+            )
+            values = maps.decode(values, kind, flip_green)
     except ValueError as error:
         raise StageError(f"{path}: {error}") from error
     values.setflags(write=False)
     return values
-
-
-def _read(pixels: NDArray, kind: str, flip_green: bool, reading: Reading) -> NDArray[np.float32]:
-    """As UsdUVTexture says, in floating point, which ``schemas.maps`` takes as it is."""
-    floating = pixels.dtype.kind == "f"
-    values = pixels.astype(np.float64) / (1.0 if floating else float(np.iinfo(pixels.dtype).max))
-    if values.shape[2] == 1:
-        values = np.repeat(values, 3, axis=2)
-    srgb = reading.srgb
-    if srgb is None:
-        srgb = kind in maps.COLORS and not floating
-    if srgb:
-        above = ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4
-        values = np.where(values <= 0.04045, values / 12.92, above)
-    values = values * np.array(reading.scale) + np.array(reading.bias)
-    if maps.MAP_CHANNELS[kind] == 1:
-        values = values[..., "rgb".index(reading.channel)][..., None]
-    return maps.decode(values.astype(np.float32), kind, flip_green)
 
 
 def sample(picture: NDArray[np.floating], u: NDArray, v: NDArray) -> NDArray[np.float64]:

@@ -2,134 +2,136 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pxr import Sdf, Usd, UsdGeom, UsdRender
+from pxr import Usd, UsdGeom, UsdRender
 
+from scenec.backends.stage import values
+from scenec.backends.stage.scene import Camera
 from scenec.importers.made import track_writer
 from scenec.importers.numbers import tidy
-from scenec.importers.poses import FLIP, without_scale
 from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED
-from scenec.importers.scene import orbit, unused, varied_pose
-from scenec.importers.usd.scene import Scene
-from scenec.schemas.errors import ScenecError
+from scenec.importers.scene import intrinsics, orbit, unused, varied_pose
+from scenec.importers.usd.scene import Scene, name_of
+from scenec.schemas.lens import COEFFICIENTS
 
-#: Width of pictures of a camera that no product names.
-_WIDTH = 640
+#: f-numbers that a cfg can have.
+_STOPS = (0.5, 1000.0)
 
 
-def add_cameras(scene: Scene) -> None:
-    """A rig for each camera; an orbit where there is none."""
+#: A camera at each sample.
+type Seen = Sequence[Camera]
+
+
+def moves(seen: Seen) -> bool:
+    """Whether the pose of a camera changes."""
+    first = seen[0].camera_to_world
+    return any(not np.array_equal(first, camera.camera_to_world) for camera in seen)
+
+
+def add_cameras(scene: Scene, found: Sequence[Seen]) -> None:
+    """A rig for each camera that ``render`` draws; an orbit where there is none."""
     rigs, report = scene.imported.cfg["rigs"], scene.imported.report
-    products = _products(scene.stage)
+    for seen in found:
+        name = unused(name_of(seen[0].path), rigs)
+        to = f"rigs/{name}/sensors/camera"
+        rigs[name] = {"pose": _pose(scene, seen, name), "sensors": {"camera": {}}}
+        rigs[name]["sensors"]["camera"].update(_sensor(scene, seen, to))
+    drawn = {seen[0].path for seen in found}
     for prim in scene.stage.Traverse(Usd.TraverseInstanceProxies()):
-        if not prim.IsA(UsdGeom.Camera):
-            continue
-        camera, at = UsdGeom.Camera(prim), str(prim.GetPath())
-        if camera.GetProjectionAttr().Get() == UsdGeom.Tokens.orthographic:
-            report.add(DROPPED, at, None, "", "an orthographic camera has no counterpart")
-            continue
-        name = unused(prim.GetName(), rigs)
-        rigs[name] = {
-            "pose": _pose(scene, prim, name),
-            "sensors": {"camera": _sensor(scene, camera, products, f"rigs/{name}/sensors/camera")},
-        }
+        if prim.IsA(UsdGeom.Camera) and str(prim.GetPath()) not in drawn:
+            why = "render draws others: those of its products, none that is orthographic"
+            report.add(DROPPED, str(prim.GetPath()), None, "", why)
     if not rigs:
         rigs["orbit"] = orbit(min(scene.extent_m))
         report.added("rigs/orbit", "the stage has no camera: an orbit")
 
 
-def _products(stage: Usd.Stage) -> dict[Sdf.Path, tuple[int, int]]:
-    """Resolution of each camera that a render product names."""
-    found = {}
-    for prim in stage.Traverse():
-        if prim.IsA(UsdRender.Product):
-            product = UsdRender.Product(prim)
-            size = product.GetResolutionAttr().Get()
-            for target in product.GetCameraRel().GetTargets():
-                found[target] = (int(size[0]), int(size[1]))
-    return found
+def _pose(scene: Scene, seen: Seen, name: str) -> dict[str, Any]:
+    report, at, moving = scene.imported.report, seen[0].path, moves(seen)
+    poses = [camera.camera_to_world.copy() for camera in seen]
+    for pose in poses:
+        pose[:3, 3] += scene.shift
+    if not moving and "cameras" not in scene.keep:
+        note = "about where it is and looks; --keep cameras leaves it there"
+        report.add(APPROXIMATED, at, None, f"rigs/{name}/pose", note)
+        return varied_pose(poses[0], min(scene.extent_m))
+    times = scene.times_s.tolist()
+    if len(times) == 1:
+        times, poses = [0.0, 1.0], poses * 2
+    made = scene.imported.make(f"{name}.csv", track_writer(times, poses))
+    count, note = (len(poses), "its motion, as a track") if moving else (None, "")
+    report.add(TRANSLATED, at, count, f"rigs/{name}/pose", note)
+    return {"type": "track", "file": made, "sampling": {}}
 
 
-def _pose(scene: Scene, prim: Usd.Prim, name: str) -> dict[str, Any]:
-    report, at = scene.imported.report, str(prim.GetPath())
-    times = _times(prim)
-    if len(times) > 1:
-        rate = scene.stage.GetTimeCodesPerSecond() or 24.0
-        poses = [_camera_pose(scene, prim, Usd.TimeCode(t)) for t in times]
-        seconds = [(t - times[0]) / rate for t in times]
-        made = scene.imported.make(f"{name}.csv", track_writer(seconds, poses))
-        report.add(TRANSLATED, at, len(times), f"rigs/{name}/pose", "its motion, as a track")
-        return {"type": "track", "file": made, "sampling": {}}
-    pose = _camera_pose(scene, prim, Usd.TimeCode.EarliestTime())
-    if "cameras" in scene.keep:
-        made = scene.imported.make(f"{name}.csv", track_writer([0.0, 1.0], [pose, pose]))
-        report.add(TRANSLATED, at, None, f"rigs/{name}/pose")
-        return {"type": "track", "file": made, "sampling": {}}
-    note = "about where it is and looks; --keep cameras leaves it there"
-    report.add(APPROXIMATED, at, None, f"rigs/{name}/pose", note)
-    return varied_pose(pose, min(scene.extent_m))
-
-
-def _times(prim: Usd.Prim) -> list[float]:
-    """Time codes at which a prim, or what it stands below, has another transform."""
-    found: set[float] = set()
-    while prim and not prim.IsPseudoRoot():
-        if prim.IsA(UsdGeom.Xformable):
-            found.update(UsdGeom.Xformable(prim).GetTimeSamples())
-        prim = prim.GetParent()
-    return sorted(found)
-
-
-def _camera_pose(scene: Scene, prim: Usd.Prim, time: Usd.TimeCode) -> NDArray[np.float64]:
-    pose = scene.placed(prim, time)
-    pose[:3, :3] = without_scale(pose[:3, :3])[0] @ FLIP
-    return pose
-
-
-def _sensor(
-    scene: Scene, camera: UsdGeom.Camera, products: dict[Sdf.Path, tuple[int, int]], to: str
-) -> dict[str, Any]:
-    time = Usd.TimeCode.EarliestTime()
-    report, at = scene.imported.report, str(camera.GetPath())
-    wide, high, focal, right, up, stop, focus = (
-        float(attribute.Get(time))
-        for attribute in (
-            camera.GetHorizontalApertureAttr(), camera.GetVerticalApertureAttr(),
-            camera.GetFocalLengthAttr(), camera.GetHorizontalApertureOffsetAttr(),
-            camera.GetVerticalApertureOffsetAttr(), camera.GetFStopAttr(),
-            camera.GetFocusDistanceAttr(),
-        )
-    )  # fmt: skip
-    if min(wide, high, focal) <= 0.0:
-        found = f"{wide:g}, {high:g} and {focal:g}"
-        raise ScenecError(f"{at}: apertures and focal length are {found}: expected them above 0")
-    size = products.get(camera.GetPath())
-    if size is None:
-        size = (_WIDTH, max(round(_WIDTH * high / wide), 1))
-        report.add(ADDED, at, list(size), f"{to}/resolution", "no render product names it")
+def _sensor(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
+    report, camera = scene.imported.report, seen[0]
+    at, size = camera.path, [camera.width, camera.height]
+    if at in _named(scene.stage):
+        report.add(TRANSLATED, at, size, f"{to}/resolution")
     else:
-        report.add(TRANSLATED, at, list(size), f"{to}/resolution")
-    width, height = size
-    report.add(TRANSLATED, f"{at}.focalLength", focal, f"{to}/intrinsics")
+        report.add(ADDED, at, size, f"{to}/resolution", "no render product names it")
     sensor: dict[str, Any] = {
-        "resolution": [width, height],
-        "intrinsics": {
-            "fx": tidy(width * focal / wide),
-            "fy": tidy(height * focal / high),
-            "cx": tidy(0.5 * width - right * width / wide),
-            "cy": tidy(0.5 * height + up * height / high),
-        },
+        "resolution": size,
+        **intrinsics(camera.intrinsics.ravel().tolist(), corner=0.0),
     }
-    if stop > 0.0 and focus > 0.0:
-        unit = float(scene.model["unit_m"])
-        sensor["focus"] = {
-            "distance_m": tidy(focus * unit),
-            "f_number": tidy(max(stop, 0.5)),
-            # Of a camera, lengths are tenths of the stage's unit.
-            "focal_length_mm": tidy(100.0 * focal * unit),
-        }
-        report.add(TRANSLATED, f"{at}.fStop", stop, f"{to}/focus")
+    constant = all(np.array_equal(c.intrinsics, camera.intrinsics) for c in seen)
+    note = "" if constant else "as it is at the first sample"
+    fate = TRANSLATED if constant else APPROXIMATED
+    report.add(fate, f"{at}.focalLength", None, f"{to}/intrinsics", note)
+    if camera.lens is not None:
+        numbers = zip(COEFFICIENTS[camera.lens.model], camera.lens.coefficients, strict=True)
+        sensor["lens"] = {"type": camera.lens.model, **{k: v for k, v in numbers if v}}
+        report.add(TRANSLATED, at, camera.lens.model, f"{to}/lens")
+    if camera.exposure_per is None:
+        sensor["exposure"] = {"type": "fixed", "ev": tidy(camera.exposure_ev)}
+        constant = all(c.exposure_ev == camera.exposure_ev for c in seen)
+        note = "" if constant else "as it is at the first sample"
+        fate = TRANSLATED if constant else APPROXIMATED
+        report.add(fate, f"{at}.exposure", camera.exposure_ev, f"{to}/exposure", note)
+    elif camera.exposure_per == "sample":
+        sensor["exposure"] = {"type": "auto", "per": "sample"}
+    if camera.focus is not None:
+        sensor |= _focus(scene, seen, to)
+    for name, there in (
+        ("shutter", camera.shutter), ("imaging", camera.imaging), ("effects", camera.effects),
+        ("depth camera", camera.depth_camera), ("partner", camera.partner),
+    ):  # fmt: skip
+        if there:
+            report.add(DROPPED, at, None, "", f"its {name}, of scenec's own schema")
     return sensor
+
+
+def _focus(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
+    """Distance and aperture of a camera; its radius is the stage's, whatever its f-number."""
+    focus, at = seen[0].focus, seen[0].path
+    assert focus is not None, "a camera without depth of field"
+    prim = UsdGeom.Camera(scene.stage.GetPrimAtPath(at))
+    stop = values.number(prim.GetFStopAttr(), 1.0, Usd.TimeCode.EarliestTime())
+    stop = min(max(stop, _STOPS[0]), _STOPS[1])
+    focal_m = 2.0 * stop * focus.aperture_radius_m
+    report = scene.imported.report
+    if not focal_m < focus.distance_m:
+        why = f"sharp at {focus.distance_m:g} m, within its focal length of {focal_m:g} m"
+        report.add(DROPPED, f"{at}.fStop", stop, "", why)
+        return {}
+    constant = all(camera.focus == focus for camera in seen)
+    note = "" if constant else "as it is at the first sample"
+    fate = TRANSLATED if constant else APPROXIMATED
+    report.add(fate, f"{at}.fStop", stop, f"{to}/focus", note)
+    return {
+        "focus": {
+            "distance_m": tidy(focus.distance_m),
+            "f_number": tidy(stop),
+            "focal_length_mm": tidy(1000.0 * focal_m),
+        }
+    }
+
+
+def _named(stage: Usd.Stage) -> set[str]:
+    """Paths of cameras that a render product names."""
+    products = [prim for prim in stage.Traverse() if prim.IsA(UsdRender.Product)]
+    return {str(target) for p in products for target in values.targets(p, "camera")}

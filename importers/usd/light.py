@@ -1,109 +1,237 @@
-"""Suns and domes of a stage."""
+"""Suns, domes and lamps of a stage."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdLux
+from numpy.typing import NDArray
 
+from scenec.backends.stage.lights import light_over_time, light_prims
+from scenec.backends.stage.times import time_codes
+from scenec.backends.stage.scene import UPRIGHT, Dome, Lamp, Sun
+from scenec.backends.stage.sources import Sources
+from scenec.compiler.light.latlong import directions, luminance
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.report import APPROXIMATED, DROPPED, TRANSLATED
-from scenec.importers.scene import varied_sun
-from scenec.importers.usd.scene import Scene
+from scenec.importers.scene import unused, varied_sun
+from scenec.importers.usd.scene import Scene, name_of
+from scenec.schemas import maps
+from scenec.schemas.errors import ScenecError
+from scenec.schemas.exr import read_rgb, write_rgb
 
-#: Irradiances that a sun can have, W/m²: what is outside was meant otherwise.
-_LEAST_SUN, _MOST_SUN = 1.0, 1e5
+#: Irradiance of a clear sky that is added, as a share of the sun's: as of the cfg's defaults.
+_SKY_SHARE = 0.2
+#: Rows of a picture of one even color.
+_ROWS = 8
 
 
-def add_light(scene: Scene, labels: dict[str, str]) -> None:
-    """The first distant light as the sun, the first dome as the sky, which gets its labels."""
-    light: dict[str, Any] = {"sun": None}
-    report = scene.imported.report
-    for prim in scene.stage.Traverse():
-        at = str(prim.GetPath())
-        if prim.IsA(UsdLux.DistantLight) and light["sun"] is None:
-            light["sun"] = _sun(scene, prim)
-        elif prim.IsA(UsdLux.DomeLight) and "sky" not in light:
-            sky = _dome(scene, prim)
-            if sky is not None:
-                light["sky"] = sky
-        elif prim.HasAPI(UsdLux.LightAPI):
-            report.add(DROPPED, at, None, "", f"no light of the kind {prim.GetTypeName()} is made")
-    if "sky" not in light:
-        light["sky"] = {"type": "clear"}
-        report.added("light/sky", "a clear sky")
-        if light["sun"] is None:
-            light["sun"] = varied_sun()
-            report.added("light/sun", "a sun that stands anywhere by day")
-    light["sky"]["labels"] = labels
+@dataclass(frozen=True)
+class _Shining[T: (Sun, Dome, Lamp)]:
+    """A light of the stage, as it is at the first sample at which it gives light."""
+
+    path: str
+    light: T
+    notes: tuple[str, ...]
+
+
+def add_light(scene: Scene, sources: Sources) -> None:
+    """Suns, the domes as one sky, and lamps; daylight where the stage has no light at all."""
+    prims = light_prims(scene.stage)
+    times = time_codes(scene.stage)
+    found: list[_Shining[Any]] = []
+    for prim in prims:
+        column = light_over_time(prim, scene.frame, times, sources)
+        shining = [i for i, one in enumerate(column) if one is not None and _strength(one) > 0.0]
+        if not shining:
+            why = "gives no light: it is hidden, of no intensity, or scaled to nothing"
+            scene.imported.report.add(DROPPED, str(prim.GetPath()), None, "", why)
+            continue
+        first = column[shining[0]]
+        assert first is not None, "a light without strength"
+        same = len(shining) == len(column) and all(_same(first, one) for one in column)
+        notes = () if same else ("as it is at the first sample that it shines at",)
+        found.append(_Shining(str(prim.GetPath()), first, notes))
+    light: dict[str, Any] = {"sun": None, "sky": {"type": "none"}}
     scene.imported.cfg["light"] = light
-
-
-def _sun(scene: Scene, prim: Usd.Prim) -> dict[str, Any]:
-    light = UsdLux.DistantLight(prim)
-    toward = scene.placed(prim, Usd.TimeCode.EarliestTime())[:3, 2]
-    toward = toward / np.linalg.norm(toward)
-    elevation = math.degrees(math.asin(float(np.clip(toward[2], -1.0, 1.0))))
-    azimuth = math.degrees(math.atan2(float(toward[0]), float(toward[1]))) % 360.0
-    angle = float(light.GetAngleAttr().Get())
-    strength = light.GetIntensityAttr().Get() * 2.0 ** light.GetExposureAttr().Get()
-    if not light.GetNormalizeAttr().Get():
-        # Then the intensity is a radiance: times the disc's projected solid angle.
-        strength *= math.pi * math.sin(math.radians(0.5 * angle)) ** 2
-    report, at = scene.imported.report, str(prim.GetPath())
-    sun = varied_sun()
-    if "light" in scene.keep:
-        sun = {"elevation_deg": tidy(round(elevation, 6)), "azimuth_deg": tidy(round(azimuth, 6))}
-        report.add(TRANSLATED, at, None, "light/sun")
+    suns = [one for one in found if isinstance(one.light, Sun)]
+    domes = [one for one in found if isinstance(one.light, Dome)]
+    for one in suns:
+        _add_sun(scene, light, one)
+    for one in found:
+        if isinstance(one.light, Lamp):
+            _add_lamp(scene, light, one)
+    if domes:
+        light["sky"] = _sky(scene, domes)
+    elif not prims:
+        light["sky"], light["sun"] = {"type": "clear"}, varied_sun()
+        scene.imported.report.added("light/sky", "the stage has no light: a clear sky")
+        scene.imported.report.added("light/sun", "a sun that stands anywhere by day")
+    elif light["sun"] and "light" not in scene.keep:
+        share = tidy(_SKY_SHARE * light["sun"]["irradiance"])
+        light["sky"] = {"type": "clear", "irradiance": share}
+        scene.imported.report.added("light/sky", "a clear sky; --keep light adds none")
     else:
+        scene.imported.report.added("light/sky", "black, as the stage's")
+    if labels := scene.labels.sky():
+        light["sky"]["labels"] = labels
+
+
+def _strength(light: Sun | Dome | Lamp) -> float:
+    if isinstance(light, Sun):
+        return float(luminance(light.irradiance))
+    return float(luminance(light.scale if isinstance(light, Dome) else light.intensity))
+
+
+def _same(a: Sun | Dome | Lamp, b: Sun | Dome | Lamp | None) -> bool:
+    return b is not None and all(
+        np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a)
+    )
+
+
+def _colored(rgb: NDArray[np.float64]) -> list[float | int]:
+    """A color of a cfg: in [0, 1], of any luminance."""
+    positive = np.maximum(rgb, 0.0)
+    return [tidy(value) for value in (positive / positive.max()).tolist()]
+
+
+def _add_sun(scene: Scene, light: dict[str, Any], one: _Shining[Sun]) -> None:
+    sun, report = one.light, scene.imported.report
+    elevation = math.degrees(math.asin(min(max(float(sun.to_light[2]), -1.0), 1.0)))
+    azimuth = math.degrees(math.atan2(float(sun.to_light[0]), float(sun.to_light[1]))) % 360.0
+    diameter = min(math.degrees(sun.diameter_rad), 90.0)
+    made: dict[str, Any] = {
+        "elevation_deg": tidy(round(elevation, 6)),
+        "azimuth_deg": tidy(round(azimuth, 6)),
+        "irradiance": tidy(float(luminance(sun.irradiance))),
+        "diameter_deg": tidy(diameter),
+        "color": _colored(sun.irradiance),
+    }
+    notes = list(one.notes)
+    if sun.gobo is not None:
+        notes.append("shadows of clouds are left out")
+    first = light["sun"] is None
+    to = "light/sun" if first else f"light/more/{unused(name_of(one.path), light.get('more', {}))}"
+    if first and "light" not in scene.keep:
+        made |= varied_sun()
         where = f"elevation {elevation:.1f}, azimuth {azimuth:.1f} there"
-        report.add(APPROXIMATED, at, None, "light/sun", f"anywhere by day: {where}")
-    if _LEAST_SUN <= strength <= _MOST_SUN:
-        sun["irradiance"] = tidy(strength)
-        report.add(TRANSLATED, f"{at}.inputs:intensity", strength, "light/sun/irradiance")
+        notes.append(f"anywhere by day: {where}")
+    elif elevation + 0.5 * diameter <= 0.0:
+        why = f"it shines from below the horizon ({elevation:.1f}°), where no sun of a cfg does"
+        report.add(DROPPED, one.path, None, "", why)
+        return
+    if first:
+        light["sun"] = made
     else:
-        note = "no irradiance of a sun in W/m²: 1000 in its place"
-        report.add(DROPPED, f"{at}.inputs:intensity", strength, "", note)
-    sun["diameter_deg"] = tidy(min(angle, 90.0))
-    color = [min(max(float(v), 0.0), 1.0) for v in light.GetColorAttr().Get()]
-    if any(color):
-        sun["color"] = [tidy(v) for v in color]
-    return sun
+        light.setdefault("more", {})[to.rpartition("/")[2]] = {"type": "sun", **made}
+    report.add(APPROXIMATED if notes else TRANSLATED, one.path, None, to, "; ".join(notes))
+    report.add(TRANSLATED, f"{one.path}.inputs:intensity", made["irradiance"], f"{to}/irradiance")
 
 
-def _dome(scene: Scene, prim: Usd.Prim) -> dict[str, Any] | None:
-    light = UsdLux.DomeLight(prim)
-    report, at = scene.imported.report, str(prim.GetPath())
-    asset = light.GetTextureFileAttr().Get()
-    if not asset or not asset.path:
-        report.add(APPROXIMATED, at, None, "light/sky", "a clear sky in place of one even color")
-        return None
-    file = Path(asset.resolvedPath or asset.path)
-    if not file.is_file() or file.suffix.lower() not in (".exr", ".png", ".jpg", ".jpeg", ".tif"):
-        why = "no such file" if not file.is_file() else "not an OpenEXR file"
-        report.add(DROPPED, at, asset.path, "", f"{why}: a clear sky in its place")
-        return None
-    strength = light.GetIntensityAttr().Get() * 2.0 ** light.GetExposureAttr().Get()
-    sky: dict[str, Any] = {"type": "image", "files": [scene.imported.refer(file)]}
-    if strength > 0.0 and strength != 1.0:
-        sky["strength"] = tidy(strength)
+def _add_lamp(scene: Scene, light: dict[str, Any], one: _Shining[Lamp]) -> None:
+    lamp, lamps = one.light, light.setdefault("lamps", {})
+    name = unused(name_of(one.path), lamps)
+    x, y, z = (lamp.position + scene.shift).tolist()
+    elevation = math.degrees(math.asin(min(max(float(lamp.axis[2]), -1.0), 1.0)))
+    bearing = math.degrees(math.atan2(float(lamp.axis[0]), float(lamp.axis[1]))) % 360.0
+    lamps[name] = {
+        "mount": {
+            "type": "world",
+            "heights": "world",
+            **{k: float(f"{v:.12g}") for k, v in (("x_m", x), ("y_m", y), ("z_m", z))},
+            "bearing_deg": tidy(round(bearing, 6)),
+            "elevation_deg": tidy(round(elevation, 6)),
+        },
+        "intensity": tidy(float(luminance(lamp.intensity))),
+        "color": _colored(lamp.intensity),
+        "radius_m": tidy(lamp.radius_m),
+        "cone_deg": tidy(min(math.degrees(lamp.cone), 180.0)),
+        "softness": tidy(lamp.softness),
+    }
+    fate = APPROXIMATED if one.notes else TRANSLATED
+    scene.imported.report.add(fate, one.path, None, f"light/lamps/{name}", "; ".join(one.notes))
+
+
+def _sky(scene: Scene, domes: Sequence[_Shining[Dome]]) -> dict[str, Any]:
+    """The domes as one picture: the stage's own, where it is one that a cfg can turn and dim."""
+    notes = {note for one in domes for note in one.notes}
+    sky: dict[str, Any] = {"type": "image"}
+    dome, turn = domes[0].light, 0.0
+    # What is left of its turn once it stands.
+    stood = dome.to_world @ UPRIGHT.T
+    upright = np.allclose(stood[2], (0.0, 0.0, 1.0), atol=1e-9) and np.linalg.det(stood) > 0.0
+    even = len(domes) == 1 and float(np.ptp(dome.scale)) == 0.0
+    if even and upright and isinstance(dome.texture, Path) and dome.texture.suffix == ".exr":
+        sky["files"] = [scene.imported.refer(dome.texture)]
+        if dome.scale[0] != 1.0:
+            sky["strength"] = tidy(float(dome.scale[0]))
+        # Counterclockwise from above in the stage, clockwise in a cfg.
+        turn = -math.degrees(math.atan2(float(stood[1, 0]), float(stood[0, 0]))) % 360.0
+    else:
+        picture, blurred = _picture([one.light for one in domes])
+        if blurred:
+            notes.add("laid anew in one upright picture")
+        sky["files"] = [scene.imported.make("sky.exr", lambda path: write_rgb(path, picture))]
     if "light" in scene.keep:
-        sky["rotation_deg"] = _dome_turn(scene, prim)
-        report.add(TRANSLATED, at, asset.path, "light/sky")
+        if turn:
+            sky["rotation_deg"] = tidy(round(turn, 6))
     else:
         sky["rotation_deg"] = uniform(0, 360)
-        report.add(APPROXIMATED, at, asset.path, "light/sky", "turned by chance in each sample")
+        notes.add("turned by chance in each sample")
+    for one in domes:
+        fate = APPROXIMATED if notes else TRANSLATED
+        scene.imported.report.add(fate, one.path, None, "light/sky", "; ".join(sorted(notes)))
     return sky
 
 
-def _dome_turn(scene: Scene, prim: Usd.Prim) -> float | int:
-    """How far a dome is turned from where a panorama's middle looks south, clockwise."""
-    # The middle of a lat-long picture is the dome's +Z, of an unturned y-up stage our -y.
-    middle = scene.placed(prim, Usd.TimeCode.EarliestTime())[:3, 2]
-    if float(np.hypot(middle[0], middle[1])) < 1e-6 * float(np.linalg.norm(middle)):
-        return 0
-    bearing = math.degrees(math.atan2(float(middle[0]), float(middle[1])))
-    return tidy(round((bearing - 180.0) % 360.0, 6))
+def _picture(domes: Sequence[Dome]) -> tuple[NDArray[np.float32], bool]:
+    """All domes as one picture in a cfg's frame, and whether one was sampled anew."""
+    pictures = [
+        None if dome.texture is None else _radiance(Path(str(dome.texture))) for dome in domes
+    ]
+    rows = max([_ROWS, *(len(picture) for picture in pictures if picture is not None)])
+    total = np.zeros((rows, 2 * rows, 3))
+    blurred = False
+    for dome, picture in zip(domes, pictures, strict=True):
+        if picture is None:
+            total += dome.scale
+            continue
+        same = picture.shape[:2] == total.shape[:2]
+        if same and np.allclose(dome.to_world, UPRIGHT, atol=1e-9):
+            total += picture * dome.scale
+            continue
+        blurred = True
+        total += _looked_up(picture, directions(rows) @ dome.to_world) * dome.scale
+    return np.maximum(total, 0.0).astype(np.float32), blurred
+
+
+def _radiance(file: Path) -> NDArray[np.float32]:
+    try:
+        if file.suffix.lower() == ".exr":
+            return np.maximum(read_rgb(file), np.float32(0.0))
+        return maps.decode(maps.read_pixels(file), "emission")
+    except ValueError as error:
+        raise ScenecError(f"{file}: {error}") from error
+
+
+def _looked_up(picture: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radiance from directions in a dome's frame, [..., 3], bilinear between texel centers."""
+    height, width = picture.shape[:2]
+    u = (0.5 - np.arctan2(at[..., 0], at[..., 2]) / (2.0 * np.pi)) * width - 0.5
+    v = np.arctan2(np.hypot(at[..., 0], at[..., 2]), at[..., 1]) / np.pi * height - 0.5
+    v = np.clip(v, 0.0, height - 1.0)
+    column, row = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    right, below = (u - column)[..., None], (v - row)[..., None]
+    under = np.minimum(row + 1, height - 1)
+
+    def texel(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
+        found: NDArray[np.float64] = picture[i, j % width].astype(np.float64)
+        return found
+
+    top = (1.0 - right) * texel(row, column) + right * texel(row, column + 1)
+    bottom = (1.0 - right) * texel(under, column) + right * texel(under, column + 1)
+    return (1.0 - below) * top + below * bottom

@@ -1,26 +1,26 @@
-"""From a stage to a cfg."""
+"""From a stage to a cfg: by the reader that ``render`` reads it with."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from pxr import Tf, Usd, UsdGeom
+from pxr import Usd, UsdGeom
 
-from scenec.compiler.geometry.affine import TO_Z_UP
+from scenec.backends.stage.frame import StageFrame
+from scenec.backends.stage.read import scene_of
+from scenec.backends.stage.sources import Sources
 from scenec.importers.output import Imported
-from scenec.importers.report import TRANSLATED
+from scenec.importers.report import DROPPED, TRANSLATED
 from scenec.importers.scene import LEVEL, identifier
-from scenec.importers.usd.cameras import add_cameras
+from scenec.importers.usd.cameras import add_cameras, moves
 from scenec.importers.usd.light import add_light
-from scenec.importers.usd.meshes import add_ground, add_instances, add_rocks, model_of
-from scenec.importers.usd.scene import Scene, is_prototype, shown_prims
-from scenec.schemas.crate import crate_fault
-from scenec.schemas.errors import ScenecError
-from scenec.schemas.native import native_reading
+from scenec.importers.usd.models import ModelFile
+from scenec.importers.usd.scene import Labels, Scene
+from scenec.importers.usd.shapes import add_rocks, add_shapes
+from scenec.schemas.errors import StageError
 
-#: Samples of a batch.
+#: Samples of a batch of a stage in which nothing moves.
 _SAMPLES = 8
 
 
@@ -36,32 +36,41 @@ def import_usd(file: Path, out: Path, *, ground: str = "", keep: Sequence[str] =
     Raises:
         ScenecError: It cannot be read, or has no such mesh.
     """
-    try:
-        with native_reading(file):
-            return _imported(file, out, ground, keep)
-    except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip() or "USD gives no reason"
-        raise ScenecError(f"{file}: not a sound USD file: {reason[:300]}") from error
+    sources = Sources(file, allow_missing=True)
+    with sources.reading() as stage:
+        imported = _imported(stage, file, sources, Imported(out), ground, keep)
+    for line in sources.losses:
+        imported.report.add(DROPPED, file.name, None, "", line)
+    return imported
 
 
-def _imported(file: Path, out: Path, ground: str, keep: Sequence[str]) -> Imported:
-    if not file.is_file():
-        raise ScenecError(f"{file}: {'not a file' if file.exists() else 'there is no such file'}")
-    if damage := crate_fault(file):
-        raise ScenecError(f"{file}: not a sound USD file: {damage}")
-    imported = Imported(out)
-    stage = Usd.Stage.Open(str(file))
-    unit, axis = UsdGeom.GetStageMetersPerUnit(stage), str(UsdGeom.GetStageUpAxis(stage)).lower()
-    to_world = np.eye(4)
-    to_world[:3, :3] = np.array(TO_Z_UP[axis], float) * unit
-    scene = Scene(stage, imported, to_world, keep)
-    imported.report.add(TRANSLATED, "metersPerUnit", unit, "unit_m")
-    imported.report.add(TRANSLATED, "upAxis", axis, "up")
+def _imported(
+    stage: Usd.Stage,
+    file: Path,
+    sources: Sources,
+    imported: Imported,
+    ground: str,
+    keep: Sequence[str],
+) -> Imported:
+    read = scene_of(stage, file, sources)
+    if not (read.bounds < 1e300).all() or not (read.bounds > -1e300).all():
+        raise StageError("its transforms and metersPerUnit leave the range of numbers")
+    scene = Scene(
+        stage, read, StageFrame.of(stage), imported, keep, Labels(read), ModelFile(read.meshes)
+    )
+    report = imported.report
+    unit, axis = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)
+    report.add(TRANSLATED, "metersPerUnit", unit, "", "lengths are meters")
+    report.add(TRANSLATED, "upAxis", str(axis), "", "z is up")
+    cameras = list(zip(*read.cameras, strict=True))
+    moving = any(map(moves, cameras))
+    scene.moves = moving or read.rows.motion is not None
+    scene.tracked = moving or (bool(cameras) and "cameras" in keep)
     imported.cfg.update(
         version=1,
         name=identifier(file.stem),
         description=f"Imported from {file.name}",
-        samples=_SAMPLES,
+        samples=read.samples if scene.moves else _SAMPLES,
         outputs=["rgb", "label", "instance", "depth"],
         labels={},
         terrain={},
@@ -70,14 +79,21 @@ def _imported(file: Path, out: Path, ground: str, keep: Sequence[str]) -> Import
         light={},
         rigs={},
     )
-    instancers = [p for p in shown_prims(stage, UsdGeom.PointInstancer) if not is_prototype(p)]
-    scene.model = model_of(scene, file, instancers, {"unit_m": unit, "up": axis})
-    sky = scene.taxonomy.choice("sky")
-    add_ground(scene, ground)
-    for instancer in instancers:
-        add_instances(scene, instancer)
+    if not scene.labels.authored:
+        why = "a label and an instance id for each object: the stage has no labels"
+        report.added(f"labels/{LEVEL}", why)
+    add_shapes(scene, ground)
     add_rocks(scene)
-    add_light(scene, sky)
-    add_cameras(scene)
-    imported.cfg["labels"] = {LEVEL: scene.taxonomy.ids}
+    add_light(scene, sources)
+    add_cameras(scene, cameras)
+    imported.cfg["labels"] = scene.labels.as_cfg(imported)
+    for what, there in (
+        ("haze", read.haze), ("label maps of the sky", read.sky_label_maps),
+        ("lidars", read.lidars and any(read.lidars)),
+        ("layers of ground", any(len(mesh.layers) > 1 for mesh in read.meshes)),
+    ):  # fmt: skip
+        if there:
+            report.add(DROPPED, file.name, None, "", f"{what}, of scenec's own schema")
+    for line in read.losses:
+        report.add(DROPPED, file.name, None, "", line)
     return imported

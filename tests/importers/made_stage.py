@@ -35,6 +35,8 @@ def make_stage(folder: Path, *, instancer: bool = True) -> Path:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     stage.SetTimeCodesPerSecond(10)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(2)
     UsdGeom.Xform.Define(stage, "/World")
     mesh(stage, "/World/floor", (0, 0, -800), (2000, 0, 800))
     crate = UsdGeom.Xform.Define(stage, "/World/crate")
@@ -51,6 +53,9 @@ def make_stage(folder: Path, *, instancer: bool = True) -> Path:
     product.CreateResolutionAttr(Gf.Vec2i(64, 48))
     product.CreateCameraRel().SetTargets([still.GetPath()])
     moving = UsdGeom.Camera.Define(stage, "/World/moving")
+    second = UsdRender.Product.Define(stage, "/Render/second")
+    second.CreateCameraRel().SetTargets([moving.GetPath()])
+    UsdGeom.Camera.Define(stage, "/World/spare")
     move = moving.AddTranslateOp()
     for code in range(3):
         move.Set(Gf.Vec3d(900 + 100 * code, 150, 600), code)

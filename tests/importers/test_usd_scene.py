@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_stage import make_stage, mesh
-from pxr import Gf, Usd, UsdGeom, UsdLux
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
@@ -19,7 +19,7 @@ from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.importers.output import Imported, write
-from scenec.importers.report import ADDED, APPROXIMATED, DROPPED
+from scenec.importers.report import APPROXIMATED, DROPPED
 from scenec.importers.scene import varied_pose
 from scenec.importers.usd.read import import_usd
 from scenec.importers.usd.scene import KEEP
@@ -51,7 +51,7 @@ def test_what_the_stage_has_is_where_it_was(tmp_path: Path) -> None:
     assert write(made) == []
     out = tmp_path / "out"
     settings = ["objects.rocks=null", "labels.class.rock=null", "materials.stone=null"]
-    spec = load(tmp_path / "ours.json", ["samples=3", *settings])
+    spec = load(tmp_path / "ours.json", settings)
     compile_cfg(spec, seed=0, out=out)
     scene = read_stage(out / "batch_0000" / "stage.usda")
     # Centimeters and y up; the ground's middle was at x = 10 m: (x - 10, -z) in meters.
@@ -89,9 +89,8 @@ def test_light_is_taken_over_or_varied(tmp_path: Path) -> None:
 
 def test_what_has_no_counterpart_is_said(tmp_path: Path) -> None:
     made = imported(make_stage(tmp_path))
-    assert "SphereLight" in notes(made, DROPPED)["/World/bulb"]
+    assert "render draws others" in notes(made, DROPPED)["/World/spare"]
     assert not any("hidden" in entry.pointer for entry in made.report.entries)
-    assert notes(made, ADDED)["/World/moving"] == "no render product names it"
 
 
 def test_varied_cameras_look_about_where_they_looked(tmp_path: Path) -> None:
@@ -115,7 +114,7 @@ def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll: float) -> None:
     assert varied_pose(pose, 10.0).get("roll_deg", 0.0) == pytest.approx(roll)
 
 
-def test_a_stage_of_one_layer_is_named_itself(tmp_path: Path) -> None:
+def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path: Path) -> None:
     file = tmp_path / "one.usda"
     stage = Usd.Stage.CreateNew(str(file))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -123,11 +122,11 @@ def test_a_stage_of_one_layer_is_named_itself(tmp_path: Path) -> None:
     mesh(stage, "/floor", (-5, -5, 0), (5, 5, 0.1))
     stage.GetRootLayer().Save()
     made = imported(file)
-    assert made.cfg["terrain"]["relief"][0] == {
-        "type": "mesh", "part": "/floor", "file": "one.usda", "unit_m": 1.0, "up": "z",
-    }  # fmt: skip
-    assert made.made == {}
+    assert made.cfg["terrain"]["relief"][0]["part"] == "/floor_model"
+    assert made.made.keys() == {"models.usdc"}
     assert made.cfg["rigs"]["orbit"]["pose"]["type"] == "orbit"
+    assert made.cfg["light"]["sky"]["type"] == "clear"
+    assert {"light/sky", "light/sun", "rigs/orbit"} <= {e.to for e in made.report.entries}
     write(made)
 
 
@@ -144,13 +143,14 @@ def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path: Path) -> None:
     made = imported(file)
     # Turned about x, what was y from 1 to 9 is z.
     assert made.cfg["terrain"]["relief"] == [{"type": "plane", "height_m": 1}]
-    assert "no such file" in notes(made, DROPPED)["/dome"]
+    assert "none.exr does not exist" in notes(made, DROPPED)["post.usda"]
     write(made)
 
 
 def test_ground_is_chosen_by_name(tmp_path: Path) -> None:
     file = make_stage(tmp_path)
-    assert imported(file, ground="body").cfg["terrain"]["relief"][0]["part"] == "/World/crate/body"
+    assert imported(file, ground="body").cfg["terrain"]["relief"][0]["part"] == "/body_model"
+    assert "floor" in imported(file, ground="body").cfg["objects"]
     with pytest.raises(ScenecError, match=r'"flor": no mesh is called so; did you mean'):
         imported(file, ground="flor")
 
@@ -161,24 +161,29 @@ def test_a_damaged_stage_is_a_fault_in_words(
     file, out = tmp_path / "bad.usda", tmp_path / "ours.json"
     file.write_text("#usda 1.0\ndef Xform {")
     assert main(["import", "usd", str(file), "-o", str(out)]) == 2
-    assert "bad.usda: not a sound USD file" in capsys.readouterr().err
+    assert "bad.usda:2:1: not a USD stage" in capsys.readouterr().err
     assert main(["import", "usd", str(tmp_path / "none.usd"), "-o", str(out)]) == 2
-    assert "there is no such file" in capsys.readouterr().err
+    assert "none.usd: no such file" in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_an_uneven_scale_of_copies_is_said(tmp_path: Path) -> None:
+def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(
+    tmp_path: Path,
+) -> None:
     file = make_stage(tmp_path)
     stage = Usd.Stage.Open(str(file))
     posts = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/posts"))
-    posts.GetScalesAttr().Set([(1, 1, 1), (1, 8, 1)])
-    posts.CreateOrientationsAttr([Gf.Quath(1), Gf.Quath(0, 0, 1, 0)])
+    posts.GetProtoIndicesAttr().Set([0] * 120)
+    posts.GetPositionsAttr().Set([(10.0 * i, 0, 0) for i in range(120)])
+    posts.GetScalesAttr().Set([(1, 1 + i, 1) for i in range(120)])
+    posts.CreateOrientationsAttr([Gf.Quath(0, 0, 1, 0)] * 120)
     stage.GetRootLayer().Save()
     made = imported(file)
     assert "evened out" in notes(made, APPROXIMATED)["/World/posts"]
+    assert len(made.cfg["objects"]["posts"]["models"]) == 1
     write(made)
     lines = (tmp_path / "ours_files" / "posts.csv").read_text().splitlines()
-    assert float(lines[2].split(",")[7]) == pytest.approx(2.0)
+    assert float(lines[8].split(",")[7]) == pytest.approx(2.0)
 
 
 def test_the_report_of_a_stage_can_be_read_by_scripts(
@@ -188,3 +193,132 @@ def test_the_report_of_a_stage_can_be_read_by_scripts(
     assert main([*words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert {"fate", "pointer", "to", "note"} <= set(told["values"][0])
+
+
+def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path: Path) -> None:
+    file = make_stage(tmp_path)
+    stage = Usd.Stage.Open(str(file))
+    UsdGeom.BasisCurves.Define(stage, "/World/hair")
+    UsdLux.RectLight.Define(stage, "/World/panel")
+    UsdLux.SphereLight(stage.GetPrimAtPath("/World/bulb")).GetPrim().CreateAttribute(
+        "inputs:diffuse", Sdf.ValueTypeNames.Float
+    ).Set(0.5)
+    floor = UsdGeom.Mesh(stage.GetPrimAtPath("/World/floor"))
+    floor.GetSubdivisionSchemeAttr().Set("catmullClark")
+    floor.CreateDisplayOpacityAttr([0.5])
+    camera = stage.GetPrimAtPath("/World/still")
+    UsdGeom.Camera(camera).CreateShutterOpenAttr(-0.25)
+    stage.DefinePrim("/World/gone").GetReferences().AddReference("gone.usda")
+    stage.GetRootLayer().Save()
+    losses = read_stage(file, allow_missing=True).losses
+    assert len(losses) >= 6
+    told = {e.note for e in imported(file).report.entries if e.fate == DROPPED}
+    assert set(losses) <= told
+
+
+def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path: Path) -> None:
+    file = make_stage(tmp_path)
+    stage = Usd.Stage.Open(str(file))
+    UsdGeom.Imageable(stage.GetPrimAtPath("/World/sun")).MakeInvisible()
+    stage.GetPrimAtPath("/World/bulb").GetAttribute("inputs:intensity").Set(0.0)
+    UsdLux.DomeLight.Define(stage, "/World/dome").CreateIntensityAttr(0.0)
+    stage.GetRootLayer().Save()
+    made = imported(file)
+    labels = {"labels": {"class": "sky"}}
+    assert made.cfg["light"] == {"sun": None, "sky": {"type": "none", **labels}}
+    dark = notes(made, DROPPED)
+    assert all(
+        "gives no light" in dark[path] for path in ("/World/sun", "/World/bulb", "/World/dome")
+    )
+
+
+def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_path: Path) -> None:
+    file = tmp_path / "labeled.usda"
+    stage = Usd.Stage.CreateNew(str(file))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    texts = ("traffic light", "traffic_light", "unseen", "2x4")
+    for number, text in enumerate(texts):
+        box = mesh(stage, f"/box{number}", (2 * number, 0, 0), (2 * number + 1, 1, 1))
+        UsdSemantics.LabelsAPI.Apply(box, "class").CreateLabelsAttr([text])
+    UsdGeom.Imageable(stage.GetPrimAtPath("/box2")).MakeInvisible()
+    stage.GetRootLayer().Save()
+    made = imported(file)
+    # By name: "2x4", "traffic light", "traffic_light", "unseen" are 1 to 4.
+    named = {"_2x4": 1, "traffic_light": 2, "traffic_light_2": 3, "rock": 5}
+    assert made.cfg["labels"] == {"class": named}
+    assert made.cfg["objects"]["box0"]["labels"] == {"class": "traffic_light"}
+    assert notes(made, DROPPED)["class:unseen"] == "nothing that is shown has this label"
+    write(made)
+
+
+@pytest.mark.parametrize(
+    ("path", "name", "value", "told"),
+    [
+        ("/World/still", "focalLength", float("nan"), "/World/still.focalLength: is nan"),
+        ("/World/still", "horizontalAperture", float("inf"), "horizontalAperture: is inf"),
+        ("/World/floor", "points", [(float("nan"),) * 3] * 4, "/World/floor.points: holds NaN"),
+        ("/World/floor", "faceVertexIndices", [0, 1, 2, 9], "reach beyond the 8 points"),
+        ("/World/sun", "inputs:intensity", float("nan"), "inputs:intensity: is nan"),
+        ("/World/posts", "positions", [(float("nan"),) * 3] * 2, "positions: holds NaN"),
+        ("/World/posts", "protoIndices", [0, -1], "protoIndices name a prototype beyond"),
+        ("/World/crate", "xformOp:translate", (float("inf"), 0, 0), "its transform holds NaN"),
+        ("/Render/product", "resolution", Gf.Vec2i(0, 0), "a camera needs a resolution"),
+        ("", "metersPerUnit", float("nan"), "metersPerUnit is nan"),
+        ("", "metersPerUnit", 1e307, ""),
+    ],
+)
+def test_a_value_that_cannot_be_is_a_fault_of_one_line(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    path: str,
+    name: str,
+    value: object,
+    told: str,
+) -> None:
+    file, out = make_stage(tmp_path), tmp_path / "ours.json"
+    stage = Usd.Stage.Open(str(file))
+    if path:
+        assert stage.GetPrimAtPath(path).GetAttribute(name).Set(value)
+    else:
+        UsdGeom.SetStageMetersPerUnit(stage, value)
+    stage.GetRootLayer().Save()
+    before = sorted(tmp_path.iterdir())
+    assert main(["import", "usd", str(file), "-o", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"scenec: {file}: ")
+    assert told in line
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_what_is_scaled_to_nothing_is_said(tmp_path: Path) -> None:
+    file = make_stage(tmp_path)
+    stage = Usd.Stage.Open(str(file))
+    UsdGeom.Xformable(stage.GetPrimAtPath("/World/crate")).AddScaleOp().Set((0, 0, 0))
+    posts = UsdGeom.Xformable(stage.GetPrimAtPath("/World/posts/post"))
+    # A sheet: its matrix has no inverse.
+    posts.AddScaleOp().Set((0, 1, 1))
+    stage.GetRootLayer().Save()
+    made = imported(file)
+    assert "scaled to nothing" in notes(made, DROPPED)["/World/crate"]
+    assert "crate" not in made.cfg["objects"]
+    assert made.cfg["objects"]["posts"]["models"][0]["part"] == "/posts_model"
+    write(made)
+
+
+@pytest.mark.parametrize(("ior", "specular"), [(1.5, 0.04), (-1.0, 1.0), (0.0, 1.0)])
+def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(
+    tmp_path: Path, ior: float, specular: float
+) -> None:
+    file = make_stage(tmp_path)
+    stage = Usd.Stage.Open(str(file))
+    material = UsdShade.Material.Define(stage, "/World/glass")
+    shader = UsdShade.Shader.Define(stage, "/World/glass/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(ior)
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/World/crate")).Bind(material)
+    stage.GetRootLayer().Save()
+    made = imported(file)
+    assert made.cfg["objects"]["crate"]["material"] == "glass"
+    assert made.cfg["materials"]["glass"]["specular"] == pytest.approx(specular)

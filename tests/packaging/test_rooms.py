@@ -123,6 +123,16 @@ def test_imports_go_down(layer: str) -> None:
     assert up == []
 
 
+def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_them() -> None:
+    names = set(modules("backends"))
+    found = {
+        room(other)
+        for file in modules("importers").values()
+        for other in imported(file.read_text(encoding="utf-8"), "backends", names)
+    }
+    assert found == {"stage"}
+
+
 @pytest.mark.parametrize("layer", FLOORS)
 def test_no_files_import_in_a_ring(layer: str) -> None:
     found = modules(layer)

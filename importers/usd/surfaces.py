@@ -1,0 +1,156 @@
+"""Surfaces of a stage as materials of a cfg."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.backends.stage.scene import DEFAULT_SURFACE, Maps, Reading, Surface
+from scenec.importers.numbers import tidy
+from scenec.importers.output import Imported
+from scenec.importers.report import APPROXIMATED, TRANSLATED
+from scenec.importers.scene import soil, unused
+from scenec.importers.usd.scene import name_of
+from scenec.schemas import maps
+from scenec.schemas.errors import ScenecError
+from scenec.schemas.exr import write_rgb
+
+#: Of ``Surface``, what has a range in a cfg, and its key there.
+_SHARES = ("roughness", "specular", "metallic", "diffuse_transmission")
+_PLAIN = Reading()
+
+
+class Materials:
+    """Materials, each made when something first has its surface.
+
+    Args:
+        surfaces: Of the stage.
+        imported: The cfg and its report.
+    """
+
+    def __init__(self, surfaces: tuple[Surface, ...], imported: Imported) -> None:
+        self._surfaces = surfaces
+        self._imported = imported
+        self._names: dict[int, str] = {}
+
+    def name(self, surface: int) -> str:
+        """The material of a surface; -1: of the default one."""
+        if surface not in self._names:
+            found = self._surface(surface)
+            known = self._imported.cfg["materials"]
+            name = unused(name_of(found.path) if found.path else "displayed", known)
+            known[name], notes = self._numbers(found)
+            if found.maps is not None:
+                known[name]["maps"] = self._maps(name, found.maps, known[name])
+            self._names[surface] = name
+            self._report(found, name, notes)
+        return self._names[surface]
+
+    def of_ground(self, surface: int) -> None:
+        """The material of the ground, which has no texture coordinates."""
+        found = self._surface(surface)
+        to = "materials/ground"
+        if found == Surface("", DEFAULT_SURFACE.base_color, 0.0, 1.0, 0.0):
+            self._imported.cfg["materials"]["ground"] = soil()
+            self._imported.report.added(to, "soil: the ground has neither material nor color")
+            return
+        made, notes = self._numbers(found)
+        if found.maps is not None:
+            made |= self._means(found.maps, made)
+            notes.append("the means of its pictures: ground has no texture coordinates")
+        self._imported.cfg["materials"]["ground"] = made
+        self._report(found, "ground", notes)
+
+    def _surface(self, surface: int) -> Surface:
+        return self._surfaces[surface] if surface >= 0 else DEFAULT_SURFACE
+
+    def _report(self, surface: Surface, name: str, notes: list[str]) -> None:
+        fate = APPROXIMATED if notes else TRANSLATED
+        at = surface.path or "displayColor"
+        self._imported.report.add(fate, at, None, f"materials/{name}", "; ".join(notes))
+
+    def _numbers(self, surface: Surface) -> tuple[dict[str, Any], list[str]]:
+        """What a cfg says of a surface but for its pictures, and what differs."""
+        notes = []
+        colors = [tidy(min(max(value, 0.0), 1.0)) for value in surface.base_color]
+        made: dict[str, Any] = {"base_color": colors}
+        if colors != [tidy(value) for value in surface.base_color]:
+            notes.append("its color is clipped to [0, 1]")
+        for key in _SHARES:
+            value = getattr(surface, key)
+            share = min(max(value, 0.0), 1.0)
+            if share != value:
+                notes.append(f"its {key} {value:g} is clipped to [0, 1]")
+            if share or key in ("roughness", "specular"):
+                made[key] = tidy(share)
+        if surface.emits:
+            made["emission"] = [tidy(value) for value in surface.emission]
+        if surface.reflectance is not None:
+            notes.append(f"Lambert's law in place of {surface.reflectance.model}")
+        if surface.varies:
+            notes.append("its variation is left out")
+        return made, notes
+
+    def _maps(self, name: str, described: Maps, made: dict[str, Any]) -> dict[str, Any]:
+        """The pictures of a material, on the mesh's texture coordinates.
+
+        A factor of a picture becomes a factor of ``made``; what a cfg cannot say becomes a picture.
+        """
+        found: dict[str, Any] = {"projection": described.projection}
+        if described.projection != "uv":
+            found["size_m"] = described.size_m
+        if described.flip_green:
+            found["normal_convention"] = "directx"
+        readings = dict(described.readings)
+        for kind in maps.MAP_CHANNELS:
+            file, reading = getattr(described, kind), readings.get(kind, _PLAIN)
+            if file is None or kind == "height":
+                continue
+            of_color = kind in maps.COLORS and reading == Reading(scale=reading.scale)
+            most = 1.0 if kind == "base_color" else np.inf
+            if of_color and all(0.0 <= factor <= most for factor in reading.scale):
+                made[kind] = [tidy(a * b) for a, b in zip(made[kind], reading.scale, strict=True)]
+                reading = _PLAIN
+            if reading == _PLAIN:
+                found[kind] = self._imported.refer(file)
+            else:
+                write = _writer(file, kind, reading)
+                found[kind] = self._imported.make(f"{name}_{kind}.exr", write)
+        return found
+
+    def _means(self, described: Maps, made: dict[str, Any]) -> dict[str, Any]:
+        """Numbers in place of pictures."""
+        found: dict[str, Any] = {}
+        readings = dict(described.readings)
+        for kind in ("base_color", "roughness", "metallic", "emission"):
+            file: Path | None = getattr(described, kind)
+            if file is None:
+                continue
+            mean = _values(file, kind, readings.get(kind, _PLAIN)).mean(axis=(0, 1)).tolist()
+            if kind in maps.COLORS:
+                found[kind] = [tidy(a * b) for a, b in zip(made[kind], mean, strict=True)]
+            else:
+                found[kind] = tidy(min(max(mean[0], 0.0), 1.0))
+        return found
+
+
+def _writer(file: Path, kind: str, reading: Reading) -> Callable[[Path], object]:
+    return lambda path: write_rgb(path, _values(file, kind, reading))
+
+
+def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
+    """What a picture means, float32 [h, w, 3], as an OpenEXR map of a cfg holds it.
+
+    Raises:
+        ScenecError: It cannot be read.
+    """
+    try:
+        pixels = maps.read_pixels(file)
+    except ValueError as error:
+        raise ScenecError(f"{file}: {error}") from error
+    values = maps.meant(pixels, kind, reading.srgb, reading.scale, reading.bias, reading.channel)
+    return np.repeat(values, 3, axis=2) if values.shape[2] == 1 else values
