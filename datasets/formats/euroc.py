@@ -73,7 +73,7 @@ class Euroc(Format):
         "velocity": Option(
             "differences", "of the ground truth: central differences, or 0", ("differences", "zero")
         ),
-        **trajectory.time_options("1000000000"),
+        **trajectory.time_options(),
     }
 
     def __init__(self, info: Info) -> None:

@@ -62,7 +62,7 @@ class Tum(Format):
     unused = ("rgb",)
     options: ClassVar = {
         "depth_scale": Option("5000", "steps of depth a meter"),
-        **trajectory.time_options("0"),
+        **trajectory.time_options(),
     }
 
     def __init__(self, info: Info) -> None:
@@ -87,7 +87,7 @@ class Tum(Format):
         (frame,) = frames
         trajectory.check_after(self, frame, int(task.place[0]), _MICRO)
         micros = trajectory.stamp(self, frame, _MICRO)
-        text = f"{micros // _MICRO}.{micros % _MICRO:06d}"
+        text = trajectory.as_seconds(micros, _MICRO)
         place = _place(task.split, frame.ref)
         color, depth = f"rgb/{text}.png", f"depth/{text}.png"
         require_pinhole(frame)

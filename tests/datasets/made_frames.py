@@ -306,6 +306,15 @@ def _frame(
     return passes
 
 
+def rewrite(stem: Path, passes: Mapping[str, NDArray], **told: Any) -> None:
+    """Other passes in a frame's EXR, which its sidecar vouches for, and other values in that."""
+    exr, path = stem.with_suffix(".exr"), stem.with_suffix(".json")
+    write_exr(exr, dict(passes))
+    sidecar = json.loads(path.read_bytes()) | {"passes": list(passes)} | told
+    sidecar["exr"] = {"bytes": exr.stat().st_size, "sha256": sha256(exr)}
+    path.write_text(json.dumps(sidecar), encoding="utf-8")
+
+
 def _columns(
     seen: Sequence[Ellipsoid],
     sensor: Sensor,
