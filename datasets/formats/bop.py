@@ -84,6 +84,10 @@ class Bop(Format):
         self._step_mm = number_option(self, "depth_scale")
         self._patterns = self.option("objects").split("|")
 
+    def holds(self, name: str) -> bool:
+        """Pictures, depth, and masks of instances."""
+        return name in ("rgb", "depth", "instance", "amodal")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, with the number of its scene."""
         number_of_task, scene = 0, 0

@@ -80,6 +80,10 @@ class Euroc(Format):
         super().__init__(info)
         trajectory.start_ticks(self, _NANO)
 
+    def holds(self, name: str) -> bool:
+        """Pictures."""
+        return name == "rgb"
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame; of a rig, the cameras of a sample follow each other."""
         number_of_task = 0

@@ -137,6 +137,10 @@ class Hdf5(Format):
         super().__init__(info)
         self._shard = whole_option(self, "shard")
 
+    def holds(self, name: str) -> bool:
+        """All but amodal masks."""
+        return name != "amodal"
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """A file each, of frames of one split and size."""
         number = 0

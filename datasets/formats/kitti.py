@@ -135,6 +135,10 @@ class Kitti(Format):
                     )
         trajectory.start_ticks(self, _MICRO)
 
+    def holds(self, name: str) -> bool:
+        """Pictures, and what options ask for."""
+        return name == "rgb" or (name in ("depth", *_SHOWN) and self.option(name) != "no")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a sample: a frame, or the two of a pair, left first; with the sample after it."""
         number_of_task, sequence = 0, 0

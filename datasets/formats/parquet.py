@@ -90,6 +90,10 @@ class Parquet(Format):
                     "lower one with --remap"
                 )
 
+    def holds(self, name: str) -> bool:
+        """Pictures, depth and ids."""
+        return name.partition(".")[0] in ("rgb", "depth", "label", "instance")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """A file each."""
         number = 0

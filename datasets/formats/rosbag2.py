@@ -97,6 +97,10 @@ class Rosbag2(Format):
             raise OutputError("format rosbag2 needs rosbags: pip install 'scenec[ros]'")
         trajectory.start_ticks(self, _NANO)
 
+    def holds(self, name: str) -> bool:
+        """What there are messages for."""
+        return name.partition(".")[0] in ("rgb", "depth", "label", "instance", "disparity")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a batch, its frames in order of samples."""
         number = 0

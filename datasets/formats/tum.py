@@ -70,6 +70,10 @@ class Tum(Format):
         self._scale = number_option(self, "depth_scale")
         trajectory.start_ticks(self, _MICRO)
 
+    def holds(self, name: str) -> bool:
+        """Pictures and depth."""
+        return name in ("rgb", "depth")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, with the number of the sample before."""
         number_of_task = 0

@@ -75,6 +75,10 @@ class WebDataset(Format):
                     "case only, which its reader does not tell apart"
                 )
 
+    def holds(self, name: str) -> bool:
+        """All but amodal masks."""
+        return name != "amodal"
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """A shard each."""
         number = 0
