@@ -29,6 +29,7 @@ OPTIONS: dict[str, Option] = {
         "link",
         "pictures: hard links where the file system allows, else copies; always copies; or none",
         ("link", "copy", "none"),
+        neutral=True,
     ),
     "categories": Option(
         "seen", "only labels that occur, or all labels of the level", ("seen", "all")

@@ -24,11 +24,13 @@ class Option:
         default: As text.
         help: One line.
         choices: What it may be; empty for any text.
+        neutral: Whether the dataset holds the same annotation whatever it is.
     """
 
     default: str
     help: str
     choices: tuple[str, ...] = ()
+    neutral: bool = False
 
 
 @dataclass(frozen=True)

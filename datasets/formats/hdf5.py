@@ -122,13 +122,20 @@ class Hdf5(Format):
             "radiance as float32, the frame's 8-bit picture in its place, or both",
             ("linear", "srgb8", "both"),
         ),
-        "compression": Option("none", "of the passes", ("none", "lzf", "gzip")),
-        "shuffle": Option("yes", "bytes by place before they are compressed", ("yes", "no")),
+        "compression": Option("none", "of the passes", ("none", "lzf", "gzip"), neutral=True),
+        "shuffle": Option(
+            "yes", "bytes by place before they are compressed", ("yes", "no"), neutral=True
+        ),
         "by": Option(
-            "resolution", "a file each resolution or each camera", ("resolution", "camera")
+            "resolution",
+            "a file each resolution or each camera",
+            ("resolution", "camera"),
+            neutral=True,
         ),
         "shard": Option(
-            "500", "frames a file at most; files are written side by side; 0: all in one"
+            "500",
+            "frames a file at most; files are written side by side; 0: all in one",
+            neutral=True,
         ),
     }
 

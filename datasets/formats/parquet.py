@@ -71,7 +71,7 @@ class Parquet(Format):
     summary = "Parquet: tables of frames and objects for Hugging Face datasets, pandas, DuckDB"
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
-        "shard": Option("500", "frames a file at most"),
+        "shard": Option("500", "frames a file at most", neutral=True),
         "depth": Option("tiff", "exact float32 meters, or 16 bits", ("tiff", "png")),
         "depth_scale": Option("256", "16-bit depth is meters times this; 0 is no depth"),
     }

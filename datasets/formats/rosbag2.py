@@ -87,7 +87,7 @@ class Rosbag2(Format):
     unused = ("rgb",)
     beside = BESIDE
     options: ClassVar = {
-        "compression": Option("zstd", "of the MCAP's chunks", ("zstd", "none")),
+        "compression": Option("zstd", "of the MCAP's chunks", ("zstd", "none"), neutral=True),
         **trajectory.time_options(),
     }
 

@@ -55,10 +55,12 @@ class WebDataset(Format):
     row_poses = True
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
-        "shard": Option("256", "frames a shard at most"),
-        "shard_mb": Option("0", "megabytes a shard at most, by the frames' sizes; 0: any"),
+        "shard": Option("256", "frames a shard at most", neutral=True),
+        "shard_mb": Option(
+            "0", "megabytes a shard at most, by the frames' sizes; 0: any", neutral=True
+        ),
         "picture": Option("png", "of rgb: exact, or quality 95", ("png", "jpg")),
-        "arrays": Option("npy", "plain, or compressed", ("npy", "npz")),
+        "arrays": Option("npy", "plain, or compressed", ("npy", "npz"), neutral=True),
         "radiance": Option("no", "also rgb as float32 radiance (.radiance.npy)", ("no", "yes")),
     }
 
