@@ -306,8 +306,16 @@ def _frame(
     return passes
 
 
-def rewrite(stem: Path, passes: Mapping[str, NDArray], **told: Any) -> None:
-    """Other passes in a frame's EXR, which its sidecar vouches for, and other values in that."""
+def rewrite(
+    stem: Path,
+    passes: Mapping[str, NDArray],
+    table: dict[str, NDArray] | None = None,
+    **told: Any,
+) -> None:
+    """Other passes, another table and other values in the sidecar, which vouches for both."""
+    if table is not None:
+        write_frame_table(listed := frame_table_path(stem), table)
+        told["instance_table"] = {"bytes": listed.stat().st_size, "sha256": sha256(listed)}
     exr, path = stem.with_suffix(".exr"), stem.with_suffix(".json")
     write_exr(exr, dict(passes))
     sidecar = json.loads(path.read_bytes()) | {"passes": list(passes)} | told
