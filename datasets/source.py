@@ -295,7 +295,7 @@ class Source:
             more = AMODAL_COLUMNS if set(AMODAL_COLUMNS) & table.keys() else ()
             if lacking := [name for name in (*FRAME_COLUMNS, *more) if name not in table]:
                 raise FrameError(f"{path}: a table of instances without {', '.join(lacking)}")
-            for told in table_faults(frame.passes["instance"], table):
+            for told in table_faults(frame.passes["instance"], table, _label_names(frame)):
                 raise FrameError(f"{path}: {told}; render it again")
             _vouched(frame, AMODAL, amodal_path(ref.stem))
         labels = _label_names(frame)

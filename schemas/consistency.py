@@ -46,15 +46,23 @@ def frame_faults(
             unknown = sorted(set(_values(array).tolist()) - known)
             if unknown:
                 yield f"{name} holds ids {unknown[:5]} that the table lacks"
+    k = np.array(sidecar["intrinsics"], np.float64)
+    if k[2].tolist() != [0.0, 0.0, 1.0] or k[1, 0] != 0.0 or k[0, 0] <= 0.0 or k[1, 1] <= 0.0:
+        yield "intrinsics are no K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], both f above 0"
     yield from _pose_faults(sidecar)
 
 
-def table_faults(ids: NDArray[np.unsignedinteger], table: Mapping[str, NDArray]) -> Iterator[str]:
-    """Yields the first thing that a table of instances says against the pass ``instance``.
+def table_faults(
+    ids: NDArray[np.unsignedinteger],
+    table: Mapping[str, NDArray],
+    labels: Mapping[str, Mapping[Any, str]],
+) -> Iterator[str]:
+    """Yields the first thing that a table of instances says against its frame, or no table can say.
 
     Args:
-        ids: The pass, [h, w].
+        ids: The pass ``instance``, [h, w].
         table: Columns, as of ``schemas.instances``.
+        labels: Level -> id -> name, as the frame has them.
     """
     shown = _values(ids)
     shown = shown[shown > 0]
@@ -68,6 +76,22 @@ def table_faults(ids: NDArray[np.unsignedinteger], table: Mapping[str, NDArray])
         if not np.array_equal(table[name], own):
             yield f"its table of instances has other values of {name} than its pass instance"
             return
+    for level, names in labels.items():
+        unknown = sorted(
+            {*table.get(f"label.{level}", np.zeros(0, "U1")).tolist()} - {"", *names.values()}
+        )
+        if unknown:
+            yield f"its table of instances has the label {unknown[0]!r}, which level {level} lacks"
+            return
+    for begin in ("q", "cam_q"):
+        turns = np.stack([table[f"{begin}{axis}"] for axis in "xyzw"])
+        with np.errstate(over="ignore"):
+            off = np.abs((turns * turns).sum(axis=0) - 1.0) > _RIGID
+        if off.any():
+            yield f"its table of instances has quaternions ({begin}x ...) that are no rotations"
+            return
+    if min(table[f"size_{axis}"].min(initial=0.0) for axis in "xyz") < 0.0:
+        yield "its table of instances has sizes below 0"
 
 
 def _values(ids: NDArray[np.unsignedinteger]) -> NDArray[np.uint32]:

@@ -143,7 +143,7 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
 
 def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     ids = frame.passes["instance"]
-    told = list(consistency.table_faults(ids, table))
+    told = list(consistency.table_faults(ids, table, frame.sidecar["labels"]))
     yield from told
     if told or "depth" not in frame.passes:
         return
