@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scenec.schemas import rle
 
 _NO_FACE = 0xFFFFFFFF
+#: Numbers of K in pixels, and meters of a pose, that single precision and squares hold.
+_MOST_PX, _MOST_M = 1e9, 1e15
 #: How far a pose's rotation may be from one: poses of foreign stages are made of float32.
 _RIGID = 1e-4
 
@@ -47,7 +49,8 @@ def frame_faults(
             if unknown:
                 yield f"{name} holds ids {unknown[:5]} that the table lacks"
     k = np.array(sidecar["intrinsics"], np.float64)
-    if k[2].tolist() != [0.0, 0.0, 1.0] or k[1, 0] != 0.0 or k[0, 0] <= 0.0 or k[1, 1] <= 0.0:
+    shaped = k[2].tolist() == [0.0, 0.0, 1.0] and k[1, 0] == 0.0
+    if not shaped or k[0, 0] <= 0.0 or k[1, 1] <= 0.0 or np.abs(k).max() > _MOST_PX:
         yield "intrinsics are no K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], both f above 0"
     yield from _pose_faults(sidecar)
 
@@ -119,8 +122,9 @@ def _pose_faults(sidecar: Mapping[str, Any]) -> Iterator[str]:
         turn = matrix[:3, :3]
         with np.errstate(over="ignore", invalid="ignore"):
             off = np.abs((turn[:, :, None] * turn[:, None, :]).sum(axis=0) - np.eye(3)).max()
-        if not off <= _RIGID or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-            yield "camera_to_world is no pose: it stretches, shears or projects"
+        far = np.abs(matrix[:3, 3]).max() > _MOST_M
+        if far or not off <= _RIGID or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+            yield "camera_to_world is no pose: it stretches, shears, projects or is too far away"
             return
         if (np.cross(turn[0], turn[1]) * turn[2]).sum() < 0.0:
             yield "camera_to_world is mirrored (determinant -1), which no pose is"

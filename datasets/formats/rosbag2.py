@@ -354,7 +354,8 @@ class _Bag:
         model, coefficients = ("plumb_bob", [0.0] * 5) if lens is None else lens
         p = np.zeros((3, 4))
         p[:, :3] = k
-        p[0, 3] = -k[0, 0] * self._right.get(frame.ref.camera, 0.0)
+        if frame.ref.camera in self._right:
+            p[0, 3] = -k[0, 0] * self._right[frame.ref.camera]
         region = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
         return self._types["sensor_msgs/msg/CameraInfo"](
             header=self._header(frame_id, stamp),
