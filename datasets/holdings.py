@@ -91,7 +91,9 @@ def _images(folder: Path) -> dict[str, tuple[dict[str, Any], list[dict[str, Any]
         document = read_json(path, FrameError, "a COCO file")
         try:
             names = {one["id"]: one["name"] for one in document["categories"]}
-            of_id = {one["id"]: (one, []) for one in document["images"]}
+            of_id: dict[Any, tuple[dict[str, Any], list[dict[str, Any]]]] = {
+                one["id"]: (one, []) for one in document["images"]
+            }
             for one in document[ANNOTATIONS]:
                 plain = {key: value for key, value in one.items() if key not in _NUMBERS}
                 of_id[one["image_id"]][1].append({"category": names[one["category_id"]], **plain})

@@ -160,7 +160,10 @@ class LoadedFrame:
 
     @property
     def time_s(self) -> float:
-        """Seconds since the batch's start; the sample's number where the stage has no times."""
+        """Seconds as the stage has them; the sample's number where it has no times.
+
+        They count from the batch's start, or by a track's clock: from an epoch of its own.
+        """
         time = self.sidecar.get("time_s")
         return float(self.ref.sample if time is None else time)
 

@@ -71,6 +71,7 @@ class Bop(Format):
 
     name = "bop"
     summary = "BOP: poses of objects, visible and amodal masks, 16-bit depth"
+    version = 2
     needs = ("depth", "instance")
     # Pictures are taken from the PNG.
     unused = ("rgb",)

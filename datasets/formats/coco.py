@@ -60,6 +60,7 @@ class Coco(Format):
 
     name = "coco"
     summary = "COCO instances: masks, boxes, categories, tracks (pycocotools, detectron2 ...)"
+    version = 2
     row_poses = True
     needs: ClassVar[tuple[str, ...]] = ("instance",)
     unused: ClassVar[tuple[str, ...]] = ("rgb",)
@@ -160,8 +161,8 @@ def instance_annotations(
         # COCO has run lengths for crowds, whatever the rest has.
         alone = np.flatnonzero(~frame.ignored[lines])
         traced = outlines(units.picture, units.numbers[alone])
-        for at, found in zip(alone, traced, strict=True):
-            masks[at] = found
+        for at, polygons_of in zip(alone, traced, strict=True):
+            masks[at] = polygons_of
     columns: dict[str, list[Any]] = {
         "id": [0] * len(ids),
         "image_id": [frame.ref.index + 1] * len(ids),
@@ -187,10 +188,10 @@ def instance_annotations(
     names = list(columns)
     rows = zip(*columns.values(), strict=True)
     found = [dict(zip(names, values, strict=True)) for values in rows]
-    for at in np.flatnonzero(units.part).tolist():
+    for part in np.flatnonzero(units.part).tolist():
         # These are known of the whole instance alone.
         for key in _OF_THE_WHOLE:
-            found[at].pop(key, None)
+            found[part].pop(key, None)
     return found, lines
 
 

@@ -63,6 +63,7 @@ class Euroc(Format):
 
     name = "euroc"
     summary = "EuRoC MAV (ASL): pictures of all cameras of a rig, calibration, ground truth"
+    version = 2
     needs = ("rgb",)
     # Pictures are taken from the PNG.
     unused = ("rgb",)

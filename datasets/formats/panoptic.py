@@ -51,6 +51,7 @@ class Panoptic(Format):
 
     name = "panoptic"
     summary = "COCO panoptic: instances of things and stuff in one picture of ids (panopticapi)"
+    version = 2
     row_poses = True
     needs: ClassVar[tuple[str, ...]] = ("instance", "label")
     unused: ClassVar[tuple[str, ...]] = ("rgb",)

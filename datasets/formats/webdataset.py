@@ -53,6 +53,7 @@ class WebDataset(Format):
     name = "webdataset"
     summary = "WebDataset: tar shards of frames to be streamed in training"
     row_poses = True
+    version = 2
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
         "shard": Option("256", "frames a shard at most", neutral=True),
@@ -214,6 +215,7 @@ class WebDataset(Format):
         for line, ignored in zip(lines, frame.ignored.tolist(), strict=True):
             line["ignored"] = ignored
         imaging = pictures.imaging(frame.sidecar)
+        partner = frame.sidecar.get("partner")
         return {
             "name": frame.ref.name,
             "batch": frame.ref.batch,
@@ -224,6 +226,7 @@ class WebDataset(Format):
             "intrinsics": frame.intrinsics.tolist(),
             **frame.optics,
             "camera_to_world": frame.camera_to_world.tolist(),
+            **({"partner": partner} if partner else {}),
             "exposure_ev": float(frame.sidecar["exposure_ev"]),
             **({"imaging": imaging} if imaging else {}),
             "instances": lines,

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,15 @@ def write(folder: Path) -> None:
         other = RIGHT.name if camera == LEFT.name else LEFT.name
         stem = made.out / f"batch_0000/frames/mitsuba/{camera}/{sample:06d}"
         rewrite(stem, passes, partner=other)
+
+
+@cache
+def warm() -> None:
+    """Loads what most exports need, once, so that the processes forked for each mutant need not."""
+    with tempfile.TemporaryDirectory() as scratch:
+        write(Path(scratch))
+        for name in ("bop", "coco", "kitti", "panoptic"):
+            export(Path(scratch) / "out", name, choice=Choice(options=OPTIONS.get(name, {})))
 
 
 def readers() -> dict[str, Callable[[Path], object]]:

@@ -78,7 +78,12 @@ def _kinds() -> dict[str, Kind]:
     found = {**_cfgs(), **_stages(), **_models(), **_pictures(), **_tables(), **_outputs()}
     found |= {
         f"export {name}": Kind(
-            exports.write, exports.FILE, read, said_of="000000", damage=exports.damage
+            exports.write,
+            exports.FILE,
+            read,
+            load=exports.warm,
+            said_of="000000",
+            damage=exports.damage,
         )
         for name, read in exports.readers().items()
     }
