@@ -232,6 +232,11 @@ def names(text: str) -> list[str]:
     return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
 
+def positions(text: str) -> list[str]:
+    """A list such as ``sky,ground,,rock``, in which places count: repeated and empty names stay."""
+    return [name.strip() for name in text.split(",")]
+
+
 def add_settle_options(parser: argparse.ArgumentParser) -> None:
     """What falls in ``settle``, and how."""
     parser.add_argument(

@@ -59,6 +59,7 @@ def _tell(found: Comparison) -> None:
         ("only in the first", found.only_first),
         ("only in the second", found.only_second),
         ("cannot be read", found.unreadable),
+        ("holds other things", found.held),
     ):
         for name in names[:_LISTED]:
             print(f"error: {name} [{what}]")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_frames, add_json, amount, names, positive
+from scenec.cli.arguments import add_frames, add_json, amount, positions, positive
 
 TASKS = ("instances", "labels", "depth", "track")
 #: Option -> the tasks that it says something about.
@@ -66,9 +66,10 @@ def add_evaluate_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--classes",
-        type=names,
+        type=positions,
         metavar="A,B,…",
-        help="labels: what the values 0, 1, 2 … are (default: values are label ids)",
+        help="labels: what the values 0, 1, 2 … are, by position; names may repeat, (none) or "
+        "nothing between two commas is no class (default: values are label ids)",
     )
     parser.add_argument(
         "--missing",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 from scenec.cli.evaluate_arguments import BELONGS
 from scenec.cli.output import Progress, print_json, say, table
 from scenec.datasets.evaluate import breakdown, report
+from scenec.datasets.evaluate.predictions import unrendered
 from scenec.datasets.evaluate.report import Cell, Evaluation
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
@@ -66,7 +68,8 @@ def _text(value: Cell) -> str:
         return "-"
     if isinstance(value, str):
         return value
-    return f"{value:,}" if value == int(value) and abs(value) >= 2 else f"{value:.4g}"
+    whole = math.isfinite(value) and value == int(value)
+    return f"{value:,}" if whole and abs(value) >= 2 else f"{value:.4g}"
 
 
 def _task_of(path: Path, scaled: bool) -> str:
@@ -126,14 +129,16 @@ def _instances(
 ) -> Evaluation:
     from scenec.datasets.evaluate import coco_files, instances
 
-    if _is_output(against):
-        truth = coco_files.truth_of(_source(against, options), options.level)
+    source = _source(against, options) if _is_output(against) else None
+    if source is not None:
+        truth = coco_files.truth_of(source, options.level)
     else:
         _refuse_choice(against, options, "level", "backend", "batches", "cameras", "samples")
         against, truth = coco_files.read_truth(against, options.split)
     detections = coco_files.read_detections(path, truth)
     most = options.max_detections or instances.MAX_DETECTIONS
-    return instances.evaluate_instances(path, detections, against, truth, attributes, most)
+    found = instances.evaluate_instances(path, detections, against, truth, attributes, most)
+    return _without_unrendered(found, source)
 
 
 def _labels(
@@ -176,12 +181,13 @@ def _track(
     from scenec.datasets.evaluate import tracks
 
     estimate = tracks.read_tum(path)
-    if _is_output(against):
-        truth = tracks.track_of(_source(against, options))
+    source = _source(against, options) if _is_output(against) else None
+    if source is not None:
+        truth = tracks.track_of(source)
     else:
         _refuse_choice(against, options, "backend", "batches", "cameras", "samples")
         truth = tracks.read_tum(_only_truth(against))
-    return tracks.evaluate_track(
+    found = tracks.evaluate_track(
         estimate,
         truth,
         attributes,
@@ -190,6 +196,15 @@ def _track(
         delta_unit=options.delta_unit or "frames",
         max_difference_s=options.max_time_difference or 0.01,
     )
+    return _without_unrendered(found, source)
+
+
+def _without_unrendered(found: Evaluation, source: Source | None) -> Evaluation:
+    """Says which frames of the truth there are none of."""
+    if source is not None:
+        found.settings["frames_not_rendered"] = len(source.missing)
+        found.notes += unrendered(source)
+    return found
 
 
 def _only_truth(against: Path) -> Path:

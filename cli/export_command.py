@@ -92,7 +92,18 @@ def _tell(report: ExportReport) -> None:
         rejected = [f"{name}: {count:,}" for name, count in tally.rejected.items()]
         if rejected:
             text += f" of {tally.seen:,} (rejected by {', '.join(rejected)})"
+    for what, number in report.held.items():
+        text += f", {number:,} {what}"
     say(text)
+    if report.there:
+        # A new export says so where it happens.
+        for what, number in report.left_out.items():
+            say(f"left out: {number:,} {what}")
+    if report.passes_left_out:
+        say(
+            f"format {report.format} has no place for the passes "
+            f"{', '.join(report.passes_left_out)} of these frames"
+        )
     if report.faults:
         say(f"{len(report.faults)} frames were left out, see {report.folder}/export.json")
     say(f"dataset: {report.folder}/ (what it is: {report.folder}/README.md)")
@@ -115,6 +126,9 @@ def as_json(report: ExportReport) -> dict[str, object]:
             {"frame": fault.name, "kind": fault.kind, "message": fault.message}
             for fault in report.faults
         ],
+        "held": report.held,
+        "left_out": report.left_out,
+        "passes_left_out": report.passes_left_out,
         "narrowed": {what: asdict(one) for what, one in report.narrowed.items()},
         "steps_resumed": report.resumed,
         "there_already": report.there,

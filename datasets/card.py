@@ -210,6 +210,9 @@ def _making(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
         rows.append(("kept", f"{instances['kept']:,} of {instances['seen']:,} instances"))
     for what, count in summary.get("left_out", {}).items():
         rows.append(("left out by the format", f"{count:,} {what}"))
+    if unheld := summary.get("passes_left_out"):
+        names = ", ".join(map(tables.code, unheld))
+        rows.append(("passes without a place in the format", names))
     for what, one in summary["narrowed"].items():
         counts = Narrowed(one["lost"], one["of"], one["most"])
         rows.append(("lost by the format", counts.text(what, one["mend"])))

@@ -83,6 +83,8 @@ class ExportReport:
         tally: Of instances.
         faults: Frames left out, with the reason.
         left_out: What the format could not hold: what it was -> how many.
+        passes_left_out: Passes that it has no place for -> of how many frames.
+        held: Its own entries where they are others than instances: ``annotations`` -> how many.
         narrowed: Values that it has no room for, of those that it writes as whole numbers.
         digest: Over all annotation, the same on every machine: see ``export.json``.
     """
@@ -96,6 +98,8 @@ class ExportReport:
     tally: Tally = field(default_factory=Tally)
     faults: list[FrameFault] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
+    passes_left_out: dict[str, int] = field(default_factory=dict)
+    held: dict[str, int] = field(default_factory=dict)
     narrowed: dict[str, Narrowed] = field(default_factory=dict)
     digest: str = ""
 
@@ -229,6 +233,8 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
         report.digest = written["digest"]["annotation"]
         report.tally.add(*(written["instances"][key] for key in TALLY))
         report.left_out = written["left_out"]
+        report.passes_left_out = written.get("passes_left_out", {})
+        report.held = written.get("held", {})
         report.faults = [FrameFault(*(fault[key] for key in FAULT)) for fault in written["faults"]]
         return report
     if not replace:
@@ -321,7 +327,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
         raise FrameError.none_readable(plan.out, len(report.faults), report.faults[0].message)
     report.narrowed = {what: one for what, one in report.narrowed.items() if one.lost}
     settled = plan.format().settle(records)
-    _note_left_out(report, settled.left_out)
+    _note(report.left_out, settled.left_out)
     settle(plan.format_name, data, sums, settled.moved)
     finished = plan.format().finish(records, data, scratch)
     note(plan.format_name, sums, {name: sha256(data / name) for name in finished})
@@ -356,15 +362,17 @@ def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
     report.frames += len(entry["index"])
     report.splits[task.split] += len(entry["index"])
     report.tally.add(*(entry["tally"][key] for key in TALLY))
-    _note_left_out(report, entry["left_out"])
+    _note(report.left_out, entry["left_out"])
+    _note(report.passes_left_out, entry["unheld"])
+    _note(report.held, entry["held"])
     for what, one in entry["narrowed"].items():
         report.narrowed[what] = report.narrowed.get(what, Narrowed()) + Narrowed(**one)
     report.faults.extend(FrameFault(*(one[key] for key in FAULT)) for one in entry["faults"])
 
 
-def _note_left_out(report: ExportReport, left_out: dict[str, int]) -> None:
-    for what, number in left_out.items():
-        report.left_out[what] = report.left_out.get(what, 0) + number
+def _note(counts: dict[str, int], more: dict[str, int]) -> None:
+    for what, number in more.items():
+        counts[what] = counts.get(what, 0) + number
 
 
 def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[str, Any]:
@@ -391,7 +399,9 @@ def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[
         "splits": report.splits,
         "batches": {str(batch): split for batch, split in plan.split_of.items()},
         "instances": asdict(report.tally),
+        "held": report.held,
         "left_out": report.left_out,
+        "passes_left_out": report.passes_left_out,
         "narrowed": {
             what: {**asdict(one), "mend": plan.format().mend(one.most)}
             for what, one in report.narrowed.items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -71,15 +72,18 @@ class ExportPart:
         files: list[list[Any]] = []
         record = None
         left_out: dict[str, int] = {}
+        held: dict[str, int] = {}
+        unheld: Counter[str] = Counter()
         narrowed: dict[str, Any] = {}
         if first is not None:
             form = self.plan.format()
-            told = counted(itertools.chain((first,), frames), form, left_out)
+            told = counted(itertools.chain((first,), frames), form, left_out, unheld)
             written = form.write(task, told, data, scratch)
             # What a format does not look at is in the dataset all the same.
             for _ in told:
                 pass
             record, left_out = written.record, {**left_out, **written.left_out}
+            held = written.held
             narrowed = {what: asdict(one) for what, one in written.narrowed.items()}
             files = [
                 [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
@@ -90,6 +94,8 @@ class ExportPart:
             "files": files,
             "record": record,
             "left_out": left_out,
+            "held": held,
+            "unheld": unheld,
             "narrowed": narrowed,
             "index": lines,
             "faults": [asdict(fault) for fault in faults],

@@ -36,6 +36,8 @@ _EXPORT_SHAPE = {
     "digest": {"annotation": str, "pictures": str},
     "instances": TALLY,
     "left_out": Each(natural),
+    "held?": Each(natural),
+    "passes_left_out?": Each(natural),
     "faults": [FAULT],
     "backend?": (None, str),
 }
@@ -44,6 +46,8 @@ _RECORD_SHAPE = {
     "key": str,
     "files": [[str, natural, str]],
     "left_out": Each(natural),
+    "held": Each(natural),
+    "unheld": Each(natural),
     "narrowed": Each({"lost": natural, "of": natural, "most": float}),
     "index": [[str] * len(INDEX_COLUMNS)],
     "faults": [FAULT],

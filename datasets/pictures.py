@@ -8,6 +8,7 @@ picture without noise, pattern, defects, mosaic and JPEG, and ``raw``, the conve
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ from scenec.datasets.source import LoadedFrame
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE, Frame, beside_path
+from scenec.schemas.passes import AMODAL
 from scenec.schemas.picture import develop
 
 if TYPE_CHECKING:
@@ -125,16 +127,19 @@ def vouch(frame: LoadedFrame, held: Collection[str]) -> None:
 
 
 def counted(
-    frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int]
+    frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int], unheld: Counter[str]
 ) -> Iterator[LoadedFrame]:
-    """The frames; counts what a format has no place for: pictures beside theirs, poses of rows.
+    """The frames; counts what a format has no place for: passes, pictures beside, poses of rows.
 
     Args:
         frames: As they come.
         form: The format.
         left_out: What it was -> how many; added to.
+        unheld: Name of a pass -> of how many frames; added to.
     """
     for frame in frames:
+        amodal = (AMODAL,) if frame.sidecar.get(AMODAL) else ()
+        unheld.update(name for name in (*frame.sidecar["passes"], *amodal) if not form.holds(name))
         for kind in kinds(frame.sidecar):
             if kind not in form.beside:
                 what = f"{kind} pictures beside a sensor's, which format {form.name} does not hold"

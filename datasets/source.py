@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas import rle
 from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
+from scenec.schemas.consistency import frame_faults, table_faults
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
@@ -49,7 +50,8 @@ class FrameRef:
     """Where a frame is.
 
     Attributes:
-        index: Its number in the source, from 0.
+        index: Its number among all frames that the output has a place for, from 0: batch by batch,
+            camera by camera, sample by sample. What is missing or not asked for leaves a gap.
         batch: Number of its batch.
         batch_name: Folder name of its batch.
         backend: Who rendered it.
@@ -158,7 +160,10 @@ class LoadedFrame:
 
     @property
     def time_s(self) -> float:
-        """Seconds since the batch's start; the sample's number where the stage has no times."""
+        """Seconds as the stage has them; the sample's number where it has no times.
+
+        They count from the batch's start, or by a track's clock: from an epoch of its own.
+        """
         time = self.sidecar.get("time_s")
         return float(self.ref.sample if time is None else time)
 
@@ -245,14 +250,14 @@ class Source:
         self._batches = find_batches(self.out, batches)
         self.backends = self._rendered()
         self.backend = self._choose(backend)
-        folders = {b.index: b.folder / FRAMES / self.backend for b in self._batches}
-        seen = sorted({p.name for f in folders.values() if f.is_dir() for p in f.iterdir()})
+        seen = self._folders(self._batches)
         for camera in cameras or ():
             if camera not in seen:
                 raise FrameError(
                     f"{self.out}: no frames of camera {camera!r}{nearest(camera, seen)}"
                 )
         self._cameras = list(cameras) if cameras else seen
+        self._every = find_batches(self.out) if batches is not None else self._batches
         self._samples = None if samples is None else set(samples)
         self.missing: tuple[FrameFault, ...] = ()
         self.strays: tuple[FrameFault, ...] = ()
@@ -283,6 +288,8 @@ class Source:
         """
         frame = read_frame(ref.stem, passes, unused)
         self._refuse_foreign(ref, frame)
+        for told in frame_faults(frame.passes, frame.sidecar, unused):
+            raise FrameError(f"{ref.stem}.exr: {told}; render it again")
         table = {}
         if "instance" in frame.passes:
             path = _vouched(frame, "instance_table", frame_table_path(ref.stem))
@@ -291,6 +298,8 @@ class Source:
             more = AMODAL_COLUMNS if set(AMODAL_COLUMNS) & table.keys() else ()
             if lacking := [name for name in (*FRAME_COLUMNS, *more) if name not in table]:
                 raise FrameError(f"{path}: a table of instances without {', '.join(lacking)}")
+            for told in table_faults(frame.passes["instance"], table, _label_names(frame)):
+                raise FrameError(f"{path}: {told}; render it again")
             _vouched(frame, AMODAL, amodal_path(ref.stem))
         labels = _label_names(frame)
         loaded = LoadedFrame(ref, frame.passes, frame.sidecar, table, labels)
@@ -357,12 +366,10 @@ class Source:
 
     def _list(self) -> tuple[FrameRef, ...]:
         refs: list[FrameRef] = []
+        places = self._places()
         missing: list[FrameFault] = []
         strays: list[FrameFault] = []
-        lengths = {
-            int(entry["index"]): int(entry.get("samples", 0))
-            for entry in (self.manifest or {"batches": []})["batches"]
-        }
+        lengths = self._lengths()
         for batch in self._batches:
             for camera in self._cameras:
                 there = self._numbers(batch, camera)
@@ -379,8 +386,9 @@ class Source:
                     if self._samples is not None and sample not in self._samples:
                         continue
                     stem = frame_stem(batch.folder, self.backend, camera, sample)
+                    number = places.get((batch.index, camera), 0) + sample
                     ref = FrameRef(
-                        len(refs), batch.index, batch.name, self.backend, camera, sample, stem
+                        number, batch.index, batch.name, self.backend, camera, sample, stem
                     )
                     if sample in there and sample not in fires:
                         told = f"{stem}.json: {_astray(sample, known, every, first)}"
@@ -394,6 +402,28 @@ class Source:
         self.missing = tuple(missing)
         self.strays = tuple(strays)
         return tuple(refs)
+
+    def _places(self) -> dict[tuple[int, str], int]:
+        """Number of the first frame of each batch and camera, whatever is asked for."""
+        lengths, names = self._lengths(), self._folders(self._every)
+        found: dict[tuple[int, str], int] = {}
+        total = 0
+        for batch in self._every:
+            length = lengths.get(batch.index)
+            for camera in names:
+                found[batch.index, camera] = total
+                total += length or 1 + max(self._numbers(batch, camera), default=-1)
+        return found
+
+    def _lengths(self) -> dict[int, int]:
+        """Samples of each batch, as the manifest has them."""
+        batches = (self.manifest or {"batches": []})["batches"]
+        return {int(entry["index"]): int(entry.get("samples", 0)) for entry in batches}
+
+    def _folders(self, batches: Iterable[Batch]) -> list[str]:
+        """Cameras of which any of some batches has frames."""
+        folders = [batch.folder / FRAMES / self.backend for batch in batches]
+        return sorted({p.name for f in folders if f.is_dir() for p in f.iterdir()})
 
     def _trigger(self, batch: Batch, camera: str, there: set[int]) -> tuple[int, int]:
         """When the camera is triggered, as a sidecar of the stage says; (1, 0) if none can."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.export import CARD, INDEX, STATISTICS
 from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, read_export
+from scenec.datasets.holdings import coco_apart, settings_apart
 from scenec.datasets.source import Source
 from scenec.datasets.sums import SUMS, read_sums
 from scenec.schemas.csv_cells import unguarded
@@ -60,11 +61,15 @@ class Seen:
         annotation: sha256 of its annotation.
         picture: sha256 of its picture's file; "" without one.
         file: The picture's file, where it is at hand.
+        instances: How many are told of.
+        split: That it is in; "" in an output folder.
     """
 
     annotation: str
     picture: str
     file: Path | None
+    instances: int
+    split: str
 
 
 @dataclass
@@ -77,6 +82,8 @@ class Comparison:
         only_first: Frames of the first that the second lacks.
         only_second: Likewise.
         unreadable: Frames that cannot be read, with the reason.
+        held: In what the two differ though the frames' annotation is the same: a line for each
+            setting, frame or image (``scenec.datasets.holdings``).
         pictures_same: Pictures with the same bytes.
         pictures_differing: Pictures with other bytes.
         mean_difference: Of each of those that were both at hand, mean |difference| of 8-bit values,
@@ -89,6 +96,7 @@ class Comparison:
     only_first: list[str] = field(default_factory=list)
     only_second: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
+    held: list[str] = field(default_factory=list)
     pictures_same: int = 0
     pictures_differing: int = 0
     mean_difference: list[float] = field(default_factory=list)
@@ -96,8 +104,8 @@ class Comparison:
 
     @property
     def same(self) -> bool:
-        """Whether both hold the same frames with the same annotation."""
-        parts = (self.differing, self.only_first, self.only_second, self.unreadable)
+        """Whether both hold the same frames with the same annotation, and the same of each."""
+        parts = (self.differing, self.only_first, self.only_second, self.unreadable, self.held)
         return self.frames > 0 and not any(parts)
 
 
@@ -181,8 +189,23 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
             found.frames += 1
             if one[name].annotation != two[name].annotation:
                 found.differing.append(name)
+            found.held += _apart(name, one[name], two[name])
             _compare_pictures(one[name], two[name], found)
+    if all(map(is_dataset, (first, second))):
+        summaries = [_summary(folder) for folder in (first, second)]
+        found.held += settings_apart(*summaries)
+        if [one["format"] for one in summaries] == ["coco", "coco"]:
+            kinds = {one["options"].get("segmentation", "rle") for one in summaries}
+            found.held += coco_apart(first, second, len(kinds) == 1)
     return found
+
+
+def _apart(name: str, one: Seen, two: Seen) -> Iterator[str]:
+    """What two sides hold of a frame, where it differs."""
+    if one.instances != two.instances:
+        yield f"{name}: {one.instances:,} against {two.instances:,} instances"
+    if one.split and two.split and one.split != two.split:
+        yield f"{name}: in the split {one.split} against {two.split}"
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -278,6 +301,8 @@ def _frames(folder: Path, backend: str | None, found: Comparison, say: Say) -> d
                 line["annotation_sha256"],
                 line["picture_sha256"],
                 files.get(line["picture_sha256"]),
+                int(line["instances"]) if line["instances"].isdecimal() else 0,
+                line["split"],
             )
             for line in _index(folder)
         }
@@ -304,6 +329,8 @@ def _frames(folder: Path, backend: str | None, found: Comparison, say: Say) -> d
             frame.annotation_digest(),
             frame.picture_digest if at_hand else "",
             png if at_hand else None,
+            len(frame.table.get("id", ())),
+            "",
         )
     return frames
 

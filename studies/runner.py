@@ -39,7 +39,7 @@ SCENEC = (sys.executable, "-c", "from scenec.cli.main import main; raise SystemE
 # No plot needs a screen.
 os.environ.setdefault("MPLBACKEND", "Agg")
 # What tests have to look at, studies measure.
-sys.path[:0] = [str(ROOT / "tests" / folder) for folder in ("", "backends", "compiler")]
+sys.path[:0] = [str(ROOT / "tests" / folder) for folder in ("", "backends", "compiler", "datasets")]
 
 Cell = str | float | None
 

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
 from scenec.backends.picture.brightness import brief, told, told_of_sky
+from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
-from scenec.schemas.frames import Frame, read_frame
+from scenec.schemas.frames import read_frame
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.scans import SCANS, read_scan
 from scenec.schemas.strays import Firing, stray_scans, strays
 
-_NO_FACE = 0xFFFFFFFF
+#: Missing frames of a sensor that are named.
+_LISTED = 5
 
 
 def check_frames(
@@ -36,6 +36,8 @@ def check_frames(
     astray = {} if firing is None else dict(strays(folder, firing))
     yield from check_batch_table(frames, digest, check.name(frames))
     yield from check.cut_short(frames.glob("*/*/*.exr"))
+    for backend in sorted(path for path in frames.glob("*") if path.is_dir()):
+        yield from check.missing(backend, firing or ())
     pictures: dict[Path, list[dict[str, Any]]] = {}
     for path in sorted(frames.glob("*/*/*.json")):
         if path in astray:
@@ -49,7 +51,7 @@ def check_frames(
             continue
         pictures.setdefault(path.parent, []).append(brief(frame.sidecar))
         yield from check.stale(path, frame.sidecar, "was rendered from another stage; render again")
-        for message in (*inconsistencies(frame), *table_faults(frame)):
+        for message in (*frame_faults(frame.passes, frame.sidecar), *table_faults(frame)):
             yield check.finding(path, message)
     for camera, sidecars in pictures.items():
         for name, line in (("brightness", told(sidecars)), ("sky", told_of_sky(sidecars))):
@@ -65,6 +67,8 @@ def check_scans(
     check = _Check("scans", folder, digest)
     astray = {} if firing is None else dict(stray_scans(folder, firing))
     yield from check.cut_short(_numbered(scans, "npz"))
+    if scans.is_dir():
+        yield from check.missing(scans, firing or ())
     for path in _numbered(scans, "json"):
         if path in astray:
             yield check.astray(path, f"{astray[path]}; no scan replaces it")
@@ -104,45 +108,30 @@ class _Check:
             if not path.with_suffix(".json").is_file():
                 yield self.finding(path, "has no sidecar: cut short?")
 
+    def missing(self, folder: Path, firing: Firing) -> Iterator[Finding]:
+        """Of sensors below a folder: what the stage has a place for and is not there."""
+        expected: dict[str, list[int]] = {}
+        for sample, sensors in enumerate(firing):
+            for name, fires in sensors:
+                expected.setdefault(name, []).extend([sample] if fires else [])
+        for name, samples in expected.items():
+            gone = [i for i in samples if not (folder / name / f"{i:06d}.json").is_file()]
+            if gone and not any((folder / name).glob("*.json")):
+                message = f"none of its {len(samples)} {self.kind}"
+                yield Finding("missing", "warning", self.name(folder / name), message)
+            elif gone:
+                listed = ", ".join(f"{i:06d}" for i in gone[:_LISTED])
+                more = f" and {len(gone) - _LISTED} more" if gone[_LISTED:] else ""
+                again = "render" if self.kind == "frames" else "scan"
+                message = (
+                    f"{len(gone)} of {len(samples)} {self.kind} are missing: {listed}{more}; "
+                    f"{again} again"
+                )
+                yield Finding("missing", "error", self.name(folder / name), message)
+
     def astray(self, path: Path, why: str) -> Finding:
         return self.finding(path, f"not of this stage: {why}: delete {path.stem}.*", "warning")
 
     def stale(self, path: Path, sidecar: Mapping[str, Any], message: str) -> Iterator[Finding]:
         if self.digest is not None and sidecar.get("stage_digest") != self.digest:
             yield self.finding(path, message, "warning")
-
-
-def inconsistencies(frame: Frame) -> Iterator[str]:
-    """What a frame's passes say against its sidecar and each other."""
-    width, height = frame.sidecar["resolution"]
-    passes = frame.passes
-    for name, array in passes.items():
-        if array.shape[:2] != (height, width):
-            yield f"{name} is {array.shape[1]} x {array.shape[0]}, expected {width} x {height}"
-            return
-    missing = [name for name in frame.sidecar["passes"] if name not in passes]
-    if missing:
-        yield f"lacks {', '.join(missing)}"
-    if "rgb" in passes and not (np.isfinite(passes["rgb"]).all() and passes["rgb"].min() >= 0.0):
-        yield "rgb holds values that are negative or not finite"
-    if "depth" in passes:
-        depth = passes["depth"]
-        if np.isnan(depth).any() or depth.min(initial=1.0) <= 0.0:
-            yield "depth holds NaN, or values that are not above 0"
-        for name in ("instance", "face"):
-            if name in passes:
-                nothing = 0 if name == "instance" else _NO_FACE
-                count = int((np.isinf(depth) & (passes[name] != nothing)).sum())
-                if count:
-                    yield f"{count} pixels have a {name} but no depth"
-    yield from _unknown_labels(passes, frame.sidecar)
-
-
-def _unknown_labels(passes: dict[str, Any], sidecar: dict[str, Any]) -> Iterator[str]:
-    for name, array in passes.items():
-        if not name.startswith("label."):
-            continue
-        known = {0, *map(int, sidecar["labels"].get(name.removeprefix("label."), {}))}
-        unknown = sorted(set(np.unique(array).tolist()) - known)
-        if unknown:
-            yield f"{name} holds ids {unknown[:5]} that the table lacks"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.check.finding import Finding
-from scenec.schemas import rle
+from scenec.schemas import consistency, rle
 from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
@@ -143,20 +143,11 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
 
 def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     ids = frame.passes["instance"]
-    shown = np.unique(ids)
-    shown = shown[shown > 0]
-    pixels, boxes = rle.boxes(ids, shown)
-    x, y, width, height = boxes.T
-    wanted = {
-        "id": shown, "pixels": pixels, "x_min": x, "y_min": y,
-        "x_max": x + width - 1, "y_max": y + height - 1,
-    }  # fmt: skip
-    for name, own in wanted.items():
-        if not np.array_equal(table[name], own):
-            yield f"its table of instances has other values of {name} than its pass instance"
-            return
-    if "depth" not in frame.passes:
+    told = list(consistency.table_faults(ids, table, frame.sidecar["labels"]))
+    yield from told
+    if told or "depth" not in frame.passes:
         return
+    shown, pixels = table["id"].astype(np.uint32), table["pixels"]
     slots = rle.slots(ids, shown)
     slot, depth = slots[slots >= 0], frame.passes["depth"][slots >= 0].astype(np.float64)
     least, most = np.full(len(shown), np.inf), np.zeros(len(shown))

@@ -115,7 +115,12 @@ def _choice(choices: Sequence[Any], field: Field) -> str:
 
 
 def _bound(words: str) -> Callable[[Any, Field], str]:
-    return lambda bound, field: f"{words} {bound} {field.keywords.get('x-unit', '')}".rstrip()
+    return lambda bound, field: " ".join(
+        (
+            f"{words} {bound}",
+            *(field.keywords[k] for k in ("x-unit", "x-from") if k in field.keywords),
+        )
+    )
 
 
 def _count(words: str, one: str, many: str) -> Callable[[Any, Field], str]:

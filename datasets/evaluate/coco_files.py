@@ -30,6 +30,8 @@ _DOCUMENT = {
 }
 #: A corner of a polygon may lie this many times a picture's side outside of it.
 _FAR = 16.0
+#: Pixels: sides of boxes whose areas add up.
+_MOST = 1e9
 
 
 def read_truth(path: Path, split: str | None = None) -> tuple[Path, Coco]:
@@ -132,7 +134,13 @@ def read_detections(path: Path, truth: Coco) -> list[dict[str, Any]]:
         if "segmentation" in one:
             entry |= _masked(one["segmentation"], images[one["image_id"]], where)
         if "bbox" in one:
-            _require(_is_box(one["bbox"]), where, "bbox", one, "[x, y, width, height], numbers")
+            _require(
+                _is_box(one["bbox"]),
+                where,
+                "bbox",
+                one,
+                f"[x, y, width, height], at most {_MOST:g}",
+            )
             entry["bbox"] = one["bbox"]
         entry["box_area"] = float(entry["bbox"][2] * entry["bbox"][3])
         found.append(entry)
@@ -145,7 +153,7 @@ def _among(value: Any, known: Mapping[int, Any]) -> bool:
 
 def _is_box(value: Any) -> bool:
     whole = isinstance(value, list) and len(value) == 4 and all(map(is_number, value))
-    return whole and value[2] >= 0 and value[3] >= 0
+    return whole and max(map(abs, value)) <= _MOST and value[2] >= 0 and value[3] >= 0
 
 
 def _require(holds: bool, where: str, key: str, one: Mapping[str, Any], expected: str) -> None:

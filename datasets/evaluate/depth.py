@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import Attribute, Attributes, filled, pixel_bins
-from scenec.datasets.evaluate.predictions import predicted, read_depth
+from scenec.datasets.evaluate.predictions import predicted, read_depth, unrendered
 from scenec.datasets.evaluate.report import Cell, Evaluation, Table
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
@@ -100,12 +100,14 @@ def evaluate_depth(
         raise OutputError(f"{folder}: no pixel has both a true depth and a predicted one above 0")
     settings = {
         "frames": len(pairs),
+        "frames_not_rendered": len(source.missing),
         "median_scaling": median_scaling,
         "depth_scale": scale,
         "least_m": least_m,
         "most_m": most_m if np.isfinite(most_m) else None,
     }
     result = Evaluation("depth", folder, source.out, settings, units=dict(UNITS), notes=notes)
+    result.notes += unrendered(source)
     result.measures = dict(zip(MEASURES, means(whole), strict=True))
     result.measures |= {"pixels": int(whole[-1]), "coverage": float(whole[-1] / wanted)}
     if ratios:

@@ -148,7 +148,7 @@ def _by_bin(
     kind: str,
     max_detections: int,
 ) -> Table | None:
-    """None where the truth does not state the attribute of every object."""
+    """None where the truth states the attribute of no object, or as no number."""
     light = one.name == SUN.name
     try:
         of_image = {
@@ -156,9 +156,11 @@ def _by_bin(
             for image in truth["images"]
         }
         values = [
-            of_image[a["image_id"]] if light else float(a[one.key]) for a in truth["annotations"]
+            # Parts have none of what is known of whole objects alone.
+            of_image[a["image_id"]] if light else float(a.get(one.key, np.nan))
+            for a in truth["annotations"]
         ]
-    except (KeyError, TypeError, ValueError):
+    except (TypeError, ValueError):
         return None
     bins = one.numbers(np.array(values, np.float64))
     counts = np.bincount(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import Attribute, Attributes, filled, pixel_bins
-from scenec.datasets.evaluate.predictions import predicted, read_labels
+from scenec.datasets.evaluate.predictions import predicted, read_labels, unrendered
 from scenec.datasets.evaluate.report import Cell, Evaluation, Table, finite
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
@@ -41,8 +41,9 @@ def evaluate_labels(
         source: The frames.
         attributes: Bins.
         level: Of labels; None takes the first.
-        classes: Names of the classes that the values 0, 1, 2 … stand for; None: values are label
-            ids as frames have them, 0 for none.
+        classes: Names of the classes that the values 0, 1, 2 … stand for, by position: a name may
+            be there twice, "" and "(none)" are no class. None: values are label ids as frames have
+            them, 0 for none.
         skip_missing: Whether frames without a prediction are left out.
         progress: Called after each frame.
 
@@ -79,8 +80,13 @@ def evaluate_labels(
             progress(done, len(pairs), ref.name)
     if not confusion.any():
         raise OutputError(f"{source.out}: no pixel of these frames has a label of level {level}")
-    result = Evaluation("labels", folder, source.out, {"level": level, "frames": len(pairs)})
-    result.notes = notes
+    result = Evaluation(
+        "labels",
+        folder,
+        source.out,
+        {"level": level, "frames": len(pairs), "frames_not_rendered": len(source.missing)},
+    )
+    result.notes = [*notes, *unrendered(source)]
     result.measures = _measures(confusion)
     result.arrays["confusion"] = confusion
     result.tables = [
@@ -159,10 +165,10 @@ def _values(
     if classes is None:
         return {0: len(ids)} | {number: i for i, number in enumerate(ids)}
     for name in classes:
-        if name not in (*names, _NONE):
+        if name not in (*names, _NONE, ""):
             raise OutputError(f"--classes: the level has no label {name!r}{nearest(name, names)}")
     return {
-        value: len(ids) if name == _NONE else names.index(name)
+        value: names.index(name) if name in names else len(ids)
         for value, name in enumerate(classes)
     }
 

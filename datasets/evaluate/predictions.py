@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.datasets.source import FrameRef
+from scenec.datasets.source import FrameRef, Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import NUMPY_FAULTS
 from scenec.schemas.manifest import FRAMES
@@ -18,6 +18,8 @@ from scenec.schemas.native import native_reading
 
 #: Of a PNG with 16 bits a pixel, as Pillow calls its mode.
 DEEP = ("I;16", "I;16B", "I")
+#: Depths whose errors have a square and a ratio in double precision, meters.
+DEPTHS_M = 1e-30, 1e30
 
 
 def predicted(
@@ -80,6 +82,18 @@ def predicted(
     return [(ref, files[ref.key]) for ref in frames if ref.key in files], notes
 
 
+def unrendered(source: Source) -> list[str]:
+    """A note on frames of the truth that were not rendered, and so are not judged."""
+    missing = source.missing
+    if not missing:
+        return []
+    more = f" and {len(missing) - 1} more" if missing[1:] else ""
+    return [
+        f"{len(missing)} of {len(missing) + len(source)} frames of {source.out} were not rendered "
+        f"and do not count: {missing[0].name}{more}"
+    ]
+
+
 def _rank(path: Path, suffixes: Sequence[str]) -> int:
     return suffixes.index(path.suffix.lower())
 
@@ -118,9 +132,23 @@ def read_depth(path: Path, shape: tuple[int, int], scale: float | None) -> NDArr
         scale: Steps of a PNG a meter.
 
     Raises:
-        FrameError: It cannot be read, or is of another size.
+        FrameError: It cannot be read, is of another size, or holds a depth that no measure of error
+            can be made of.
         OutputError: A PNG without a scale.
     """
+    values = _depth_of(path, shape, scale)
+    said = np.isfinite(values) & (values > 0.0)
+    odd = said & ((values < DEPTHS_M[0]) | (values > DEPTHS_M[1]))
+    if odd.any():
+        row, column = map(int, np.argwhere(odd)[0])
+        raise FrameError(
+            f"{path}: has the depth {values[row, column]:g} m at column {column}, row {row}; "
+            f"expected {DEPTHS_M[0]:g} to {DEPTHS_M[1]:g} m, and 0, negative or not finite for none"
+        )
+    return values
+
+
+def _depth_of(path: Path, shape: tuple[int, int], scale: float | None) -> NDArray[np.float64]:
     suffix = path.suffix.lower()
     if suffix == ".png":
         if scale is None:

@@ -24,6 +24,8 @@ from scenec.schemas.sidecars import read_sidecar
 
 TRUTH = "groundtruth.txt"
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
+#: Meters whose squares add up in double precision, and far beyond any track's.
+_MOST = 1e15
 #: Least poses that positions can be aligned by.
 _LEAST = 3
 
@@ -68,7 +70,9 @@ def read_tum(path: Path) -> Track:
             row = []
         if len(row) != 8 or not all(map(math.isfinite, row)):
             raise FrameError(f"{path}:{number}: expected eight finite numbers, {_COLUMNS}")
-        if not any(row[4:]):
+        if max(map(abs, row[1:])) > _MOST:
+            raise FrameError(f"{path}:{number}: expected positions within {_MOST:g} m")
+        if max(map(abs, row[4:])) < 1.0 / _MOST:
             raise FrameError(f"{path}:{number}: its quaternion is 0, which is no rotation")
         if rows and row[0] <= rows[-1][0]:
             raise FrameError(f"{path}:{number}: its time is not after that of the pose before")

@@ -20,8 +20,8 @@ millimeters, pixel (0, 0) has its center at (0, 0).
 
 An ``obj_id`` is a class, numbered from 1 in order of names. BOP's poses are rigid; rocks and plants
 are scattered in many sizes and from several shapes. Each entry of ``scene_gt`` therefore carries
-``scale`` (along the object's axes): x_c = cam_R_m2c (scale * x_m) + cam_t_m2c. Where it is 1 the
-pose is BOP's own.
+``scale`` (along the object's axes, at this sample; below 0 where it is mirrored along one):
+x_c = cam_R_m2c (scale * x_m) + cam_t_m2c. Where it is 1 the pose is BOP's own.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import fnmatch
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, ClassVar
@@ -70,6 +70,7 @@ class Bop(Format):
 
     name = "bop"
     summary = "BOP: poses of objects, visible and amodal masks, 16-bit depth"
+    version = 2
     needs = ("depth", "instance")
     # Pictures are taken from the PNG.
     unused = ("rgb",)
@@ -82,6 +83,10 @@ class Bop(Format):
         super().__init__(info)
         self._step_mm = number_option(self, "depth_scale")
         self._patterns = self.option("objects").split("|")
+
+    def holds(self, name: str) -> bool:
+        """Pictures, depth, and masks of instances."""
+        return name in ("rgb", "depth", "instance", "amodal")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, with the number of its scene."""
@@ -119,16 +124,16 @@ class Bop(Format):
                     write_png(folder / path, mask.astype(np.uint8) * np.uint8(255))
                     written.files.append(path)
             infos.append(_info(frame, line, visible, whole, depth.steps))
-        entry = {
-            "camera": self._camera(frame),
-            "gt": _poses(frame, lines),
-            "info": infos,
-        }
+        poses = _poses(frame, lines)
+        entry = {"camera": self._camera(frame), "gt": poses, "info": infos}
+        # A class may begin at its own size, and leave it later.
+        scaled = {p["class"] for p in poses if np.abs(np.array(p["scale"]) - 1.0).max() > _SAME}
         (scratch / f"{task.number:08d}.json").write_text(json.dumps(entry), encoding="utf-8")
         classes = sorted({str(frame.table["class"][line]) for line in lines.tolist()})
         others = sorted({*frame.table["class"].tolist()} - {*classes})
         written.record = {
-            "classes": classes, "others": others, "instances": len(lines), **depth.counts()
+            "classes": classes, "others": others, "scaled": sorted(scaled),
+            "instances": len(lines), **depth.counts()
         }  # fmt: skip
         return written
 
@@ -136,9 +141,11 @@ class Bop(Format):
         """Write the annotation of each scene, and what the objects are."""
         classes: set[str] = set()
         others: set[str] = set()
+        scaled: set[str] = set()
         for one in done:
             classes.update((one.record or {}).get("classes", ()))
             others.update((one.record or {}).get("others", ()))
+            scaled.update((one.record or {}).get("scaled", ()))
         if self.option("objects") != "*" and others and not classes:
             raise OutputError(
                 f"format bop, option objects: no frame shows anything of {self.option('objects')}"
@@ -175,7 +182,7 @@ class Bop(Format):
                 table.append([place, task.split, ref.batch_name, ref.camera, *counts.tolist()])
                 written += [f"{place}/{name}" for name in _FILES.values()]
         trajectory.write_table(folder / trajectory.SEQUENCES, _COLUMNS, table)
-        objects, models = _objects(ids, [path for path in batches if path.is_file()])
+        objects, models = _objects(ids, [path for path in batches if path.is_file()], scaled)
         write_json(folder / "objects.json", objects)
         write_json(folder / "models" / "models_info.json", models)
         return written
@@ -298,16 +305,38 @@ def _poses(frame: LoadedFrame, lines: NDArray[np.int64]) -> list[dict[str, Any]]
             )
         turn = rotation_matrix(np.array([column[f"cam_q{axis}"] for axis in "xyzw"]))
         place = np.array([column[f"cam_{axis}"] for axis in "xyz"]) * 1000.0
+        scale = _scale(table, at, np.array([column[f"size_{axis}"] for axis in "xyz"]))
         found.append(
             {
                 "cam_R_m2c": turn.ravel().tolist(),
                 "cam_t_m2c": place.tolist(),
                 "class": str(column["class"]),
-                "scale": table.scale[at].astype(np.float64).tolist(),
+                "scale": scale.tolist(),
                 "inst_id": int(column["id"]),
             }
         )
     return found
+
+
+def _scale(table: InstanceTable, at: int, size: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An instance's scale at a frame's sample.
+
+    The table has that of the first sample, with the box that it makes; the frame's table has the
+    box of the sample.
+
+    Args:
+        table: The batch's.
+        at: Line of the instance in it.
+        size: Extent of its box in the frame, meters, [3].
+    """
+    scale = table.scale[at].astype(np.float64)
+    first = (table.box[at, 1] - table.box[at, 0]).astype(np.float64)
+    solid = first > _SAME * first.max()
+    grown = np.ones(3)
+    grown[solid] = size[solid] / first[solid]
+    # What is flat along an axis says nothing of its scale there.
+    grown[~solid] = grown[solid].mean() if solid.any() else 1.0
+    return scale if np.abs(grown - 1.0).max() <= _SAME else scale * grown
 
 
 def _info(
@@ -339,11 +368,11 @@ def _box(mask: NDArray[np.bool_]) -> list[int]:
 
 
 def _objects(
-    ids: Mapping[str, int], tables: Sequence[Path]
+    ids: Mapping[str, int], tables: Sequence[Path], scaled: Set[str]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """``objects.json`` and ``models_info.json``."""
     boxes: dict[str, list[NDArray[np.float64]]] = {name: [] for name in ids}
-    rigid = dict.fromkeys(ids, True)
+    rigid = {name: name not in scaled for name in ids}
     for path in tables:
         table = read_table(path)
         unit = table.box.astype(np.float64) / table.scale.astype(np.float64)[:, None, :]

@@ -139,6 +139,12 @@ class Cityscapes(Format):
                     "--remap"
                 )
 
+    def holds(self, name: str) -> bool:
+        """Pictures, ids, and depth where it is asked for."""
+        if name.startswith("label."):
+            return name.removeprefix("label.") in self._levels
+        return name in ("rgb", "instance") or (name == "depth" and self.option(name) != "none")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, with the number of its camera."""
         cameras = sorted({ref.camera for frames in splits.values() for ref in frames})

@@ -6,6 +6,9 @@
 The format: https://cocodataset.org/#format-data. Beside COCO's own keys, images have batch, camera,
 sample, time and calibration; annotations have ``instance_id`` (as in the frames), ``track_id`` (the
 same with the batch: batch * 2^32 + instance id) and what the frame's table says.
+
+Where the faces of an instance differ in their label (a level of parts), each of its labels is an
+annotation with a mask of its own, of the same ``instance_id`` and ``track_id``.
 """
 
 from __future__ import annotations
@@ -22,13 +25,14 @@ from scenec.datasets.filters import QUANTITIES, quantity
 from scenec.datasets.formats.coco_parts import (
     OPTIONS,
     Seen,
+    Units,
     dumps,
     fragment,
     gathered,
     image_entry,
-    instance_categories,
     other_levels,
     place_picture,
+    units_of,
     write_document,
     write_fragment,
 )
@@ -45,6 +49,8 @@ _EXTRAS = {
     "depth": "depth_mean",
     "size": "size",
 }
+#: Of an annotation, what parts do not have.
+_OF_THE_WHOLE = ("amodal_area", "occlusion", "truncation", "size", "amodal_segmentation")
 #: How the JSON of an annotation begins that has no number yet.
 _BEGIN = '{"id":0,'
 
@@ -54,6 +60,7 @@ class Coco(Format):
 
     name = "coco"
     summary = "COCO instances: masks, boxes, categories, tracks (pycocotools, detectron2 ...)"
+    version = 2
     row_poses = True
     needs: ClassVar[tuple[str, ...]] = ("instance",)
     unused: ClassVar[tuple[str, ...]] = ("rgb",)
@@ -65,6 +72,12 @@ class Coco(Format):
         ),
         **OPTIONS,
     }
+
+    def holds(self, name: str) -> bool:
+        """Pictures and masks; labels of pixels that no instance has are in none."""
+        if name == "rgb":
+            return self.option("images") != "none"
+        return name in ("instance", "amodal")
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
@@ -82,6 +95,7 @@ class Coco(Format):
             {"seen": seen.record()},
             {"instances without a label": without} if without else {},
             {path: frame.picture_digest} if there else {},
+            {"annotations": len(lines)},
         )
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
@@ -120,13 +134,13 @@ class Coco(Format):
             if texts is not None:
                 for number, name in set(zip(shown, texts[lines].tolist(), strict=True)):
                     seen.name(other, number, name)
-        return found, len(frame.table["id"]) - len(lines)
+        return found, len(frame.table["id"]) - len(np.unique(lines))
 
 
 def instance_annotations(
     frame: LoadedFrame, level: str, polygons: bool = False
 ) -> tuple[list[dict[str, Any]], NDArray[np.int64]]:
-    """A frame's instances as COCO has them.
+    """A frame's instances as COCO has them; parts that have labels of their own apart.
 
     Args:
         frame: With a pass ``instance``.
@@ -137,21 +151,22 @@ def instance_annotations(
         Annotations, whose ``id`` is 0; their lines of the frame's table (the others have no
         category).
     """
-    instance = frame.passes["instance"]
-    category = instance_categories(frame, level)
-    lines = np.flatnonzero(category)
+    units = units_of(frame, level)
+    lines = units.line
     ids = frame.table["id"][lines].astype(np.uint32)
-    areas, boxes = rle.boxes(instance, ids)
-    masks: list[Any] = _run_lengths(rle.compressed(*rle.encode_ids(instance, ids)), frame)
+    areas, boxes = rle.boxes(units.picture, units.numbers)
+    runs = rle.encode_ids(units.picture, units.numbers)
+    masks: list[Any] = _run_lengths(rle.compressed(*runs), frame)
     if polygons:
         # COCO has run lengths for crowds, whatever the rest has.
         alone = np.flatnonzero(~frame.ignored[lines])
-        for at, found in zip(alone, outlines(instance, ids[alone]), strict=True):
-            masks[at] = found
+        traced = outlines(units.picture, units.numbers[alone])
+        for at, polygons_of in zip(alone, traced, strict=True):
+            masks[at] = polygons_of
     columns: dict[str, list[Any]] = {
         "id": [0] * len(ids),
         "image_id": [frame.ref.index + 1] * len(ids),
-        "category_id": category[lines].tolist(),
+        "category_id": units.category.tolist(),
         "segmentation": masks,
         "area": areas.tolist(),
         "bbox": boxes.tolist(),
@@ -162,6 +177,8 @@ def instance_annotations(
     for key, name in _EXTRAS.items():
         if all(column in frame.table for column in QUANTITIES[name][1]):
             values = quantity(frame, name)[lines]
+            if name == "depth_mean" and units.part.any():
+                values = _mean_depth(frame, units)
             if np.isfinite(values).all():
                 columns[key] = np.round(values, 6).tolist()
     if (amodal := frame.amodal) is not None:
@@ -170,7 +187,24 @@ def instance_annotations(
         columns["amodal_segmentation"] = [by_id.get(number) for number in ids.tolist()]
     names = list(columns)
     rows = zip(*columns.values(), strict=True)
-    return [dict(zip(names, values, strict=True)) for values in rows], lines
+    found = [dict(zip(names, values, strict=True)) for values in rows]
+    for part in np.flatnonzero(units.part).tolist():
+        # These are known of the whole instance alone.
+        for key in _OF_THE_WHOLE:
+            found[part].pop(key, None)
+    return found, lines
+
+
+def _mean_depth(frame: LoadedFrame, units: Units) -> NDArray[np.float64]:
+    """Of the pixels of each unit; NaN without the pass."""
+    depth = frame.passes.get("depth")
+    if depth is None:
+        return np.full(len(units.numbers), np.nan)
+    shown = units.picture > 0
+    at, most = units.picture[shown], len(units.numbers) + 1
+    sums = np.bincount(at, depth[shown].astype(np.float64), minlength=most)
+    means: NDArray[np.float64] = (sums / np.maximum(np.bincount(at, minlength=most), 1))[1:]
+    return means
 
 
 def _picture(split: str, frame: LoadedFrame) -> str:
@@ -212,5 +246,6 @@ masks = [coco.annToMask(annotation) for annotation in annotations]
 ```
 
 Masks, areas and boxes are of the pixels whose center shows the instance. `track_id` is the same in
-all frames of a batch, and no two batches share one. `iscrowd` is 1 for instances that a filter
+all frames of a batch, and no two batches share one; parts of one object that have labels of their
+own share it, each with its mask. `iscrowd` is 1 for instances that a filter
 marks as not to be judged. Images have `intrinsics` (K) and `camera_to_world` (OpenCV axes)."""

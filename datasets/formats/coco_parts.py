@@ -29,6 +29,7 @@ OPTIONS: dict[str, Option] = {
         "link",
         "pictures: hard links where the file system allows, else copies; always copies; or none",
         ("link", "copy", "none"),
+        neutral=True,
     ),
     "categories": Option(
         "seen", "only labels that occur, or all labels of the level", ("seen", "all")
@@ -91,50 +92,67 @@ def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, An
     }
 
 
-def instance_categories(frame: LoadedFrame, level: str) -> NDArray[np.int64]:
-    """Label id of each line of a frame's table, 0 where it has none, int64 [n].
+@dataclass(frozen=True)
+class Units:
+    """What has a mask of its own in a frame: an instance, or the part of one that has one label.
 
-    It is the label that all faces of the instance share; where they differ, the one that most of
-    its labeled pixels have, and of several such the one with the lowest id. Without any label
-    level all are of category 1.
+    Attributes:
+        picture: Number of the unit that each pixel shows, 0 for none, uint32 [h, w].
+        numbers: Of the units, ascending, uint32 [n].
+        line: Line of the frame's table of the instance that each is of, ascending, int64 [n].
+        category: Label id of each, int64 [n].
+        part: Whether it is a part: the instance's faces differ in this level's label, bool [n].
     """
-    ids = frame.table["id"]
+
+    picture: NDArray[np.unsignedinteger]
+    numbers: NDArray[np.uint32]
+    line: NDArray[np.int64]
+    category: NDArray[np.int64]
+    part: NDArray[np.bool_]
+
+
+def units_of(frame: LoadedFrame, level: str) -> Units:
+    """The units of a frame at a label level.
+
+    An instance whose faces share a label is one. Where they differ, its pixels of each label are
+    one, and those without a label are in none. Without any label level all are of category 1.
+    """
+    instance, ids = frame.passes["instance"], frame.table["id"].astype(np.uint32)
     if not level:
-        return np.ones(len(ids), np.int64)
+        lines = np.arange(len(ids))
+        return Units(instance, ids, lines, np.ones(len(ids), np.int64), np.zeros(len(ids), bool))
     numbers = {name: number for number, name in frame.labels[level].items()}
     texts = frame.table.get(f"label.{level}", np.full(len(ids), ""))
-    found = np.array([numbers.get(text, 0) for text in texts.tolist()], np.int64)
-    pixels = frame.passes.get(f"label.{level}")
-    open_ = np.flatnonzero(found == 0)
-    if len(open_) and pixels is not None:
-        found[open_] = _majority(
-            frame.passes["instance"],
-            pixels,
-            ids[open_].astype(np.uint32),
-            np.array(sorted(frame.labels[level]), np.uint32),
-        )
-    return found
-
-
-def _majority(
-    instance: NDArray[np.unsignedinteger],
-    labels: NDArray[np.unsignedinteger],
-    ids: NDArray[np.uint32],
-    known: NDArray[np.uint32],
-) -> NDArray[np.int64]:
-    """The label that most labeled pixels of each id have; 0 where none is labeled."""
-    if not len(known):
-        return np.zeros(len(ids), np.int64)
-    slots = rle.slots(instance, ids)
-    own = slots >= 0
-    slot, label = slots[own].astype(np.int64), labels[own]
-    at = np.minimum(np.searchsorted(known, label), len(known) - 1)
-    labeled = known[at] == label
-    size = len(ids) * len(known)
-    pairs = np.bincount(slot[labeled] * len(known) + at[labeled], minlength=size)
-    counts = pairs.reshape(len(ids), len(known))
-    best = counts.argmax(axis=1)
-    return np.where(counts[np.arange(len(ids)), best] > 0, known[best], 0).astype(np.int64)
+    shared = np.array([numbers.get(text, 0) for text in texts.tolist()], np.int64)
+    lines = np.flatnonzero(shared)
+    labels = frame.passes.get(f"label.{level}")
+    differ, known = np.flatnonzero(shared == 0), np.array(sorted(frame.labels[level]), np.uint32)
+    shows = np.zeros((0, len(known)), np.bool_)
+    if len(differ) and len(known) and labels is not None:
+        slot = rle.slots(instance, ids[differ])
+        at = np.minimum(np.searchsorted(known, labels), len(known) - 1)
+        labeled = (slot >= 0) & (known[at] == labels)
+        pair = slot[labeled].astype(np.int64) * len(known) + at[labeled]
+        size = len(differ) * len(known)
+        shows = np.bincount(pair, minlength=size).reshape(-1, len(known)) > 0
+    if not shows.any():
+        return Units(instance, ids[lines], lines, shared[lines], np.zeros(len(lines), np.bool_))
+    which, label = np.nonzero(shows)
+    every = np.concatenate([lines, differ[which]])
+    category = np.concatenate([shared[lines], known[label].astype(np.int64)])
+    order = np.lexsort((category, every))
+    fresh = np.empty(len(every), np.uint32)
+    fresh[order] = np.arange(1, len(every) + 1)
+    # Behind the last line, for pixels of no instance: numpy's index -1.
+    number = np.zeros(len(lines) + 1, np.uint32)
+    number[:-1] = fresh[: len(lines)]
+    picture = number[rle.slots(instance, ids[lines])]
+    of_pair = np.zeros(shows.size, np.uint32)
+    of_pair[np.flatnonzero(shows)] = fresh[len(lines) :]
+    picture[labeled] = of_pair[pair]
+    part = np.arange(len(every)) >= len(lines)
+    numbered = np.arange(1, len(every) + 1, dtype=np.uint32)
+    return Units(picture, numbered, every[order], category[order], part[order])
 
 
 @dataclass

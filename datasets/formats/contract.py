@@ -24,11 +24,13 @@ class Option:
         default: As text.
         help: One line.
         choices: What it may be; empty for any text.
+        neutral: Whether the dataset holds the same annotation whatever it is.
     """
 
     default: str
     help: str
     choices: tuple[str, ...] = ()
+    neutral: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ class Written:
             said, and written into ``export.json``.
         digests: sha256 of those of ``files`` where it is known already, as that of a picture that
             is copied is (``LoadedFrame.picture_digest``).
+        held: What the dataset's own entries are called -> how many this task wrote, where they are
+            others than instances: ``{"annotations": 12}``. Summed, said, and in ``export.json``.
         narrowed: Values that were written as whole numbers of few bits: what those are that do not
             fit -> how many. Summed over all tasks; where any is lost, that is said, with
             ``Format.mend``, and stands in ``export.json`` and in the card.
@@ -123,6 +127,7 @@ class Written:
     record: dict[str, Any] = field(default_factory=dict)
     left_out: dict[str, int] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
+    held: dict[str, int] = field(default_factory=dict)
     narrowed: dict[str, Narrowed] = field(default_factory=dict)
 
 
@@ -183,6 +188,14 @@ class Format(ABC):
 
     def __init__(self, info: Info) -> None:
         self.info = info
+
+    def holds(self, name: str) -> bool:
+        """Whether the dataset has a place for a pass; the others are counted and said.
+
+        Args:
+            name: Of the pass; ``amodal`` for the amodal masks, ``rgb`` for the pictures.
+        """
+        return True
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """The tasks, numbered in order: one a frame, where a format does not say otherwise.

@@ -57,7 +57,10 @@ def to_16_bits(depth: NDArray[np.floating], steps_per_m: float) -> Depth16:
 
 
 def fitting_scale(farthest: float) -> float:
-    """Most steps a meter, of two digits, at which 16 bits hold a depth in meters."""
+    """Most steps a meter, of two digits, at which 16 bits hold a depth in meters, 1 of none."""
+    if not 0.0 < farthest < math.inf:
+        # Nothing before the camera: any scale holds that.
+        return 1.0
     most = LARGEST / farthest
     unit = 10.0 ** (math.floor(math.log10(most)) - 1)
     return math.floor(most / unit * (1.0 + 1e-12)) * unit

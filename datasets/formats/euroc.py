@@ -63,6 +63,7 @@ class Euroc(Format):
 
     name = "euroc"
     summary = "EuRoC MAV (ASL): pictures of all cameras of a rig, calibration, ground truth"
+    version = 2
     needs = ("rgb",)
     # Pictures are taken from the PNG.
     unused = ("rgb",)
@@ -73,12 +74,16 @@ class Euroc(Format):
         "velocity": Option(
             "differences", "of the ground truth: central differences, or 0", ("differences", "zero")
         ),
-        **trajectory.time_options("1000000000"),
+        **trajectory.time_options(),
     }
 
     def __init__(self, info: Info) -> None:
         super().__init__(info)
         trajectory.start_ticks(self, _NANO)
+
+    def holds(self, name: str) -> bool:
+        """Pictures."""
+        return name == "rgb"
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame; of a rig, the cameras of a sample follow each other."""

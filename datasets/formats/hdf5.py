@@ -6,7 +6,7 @@ In a file of n frames, all of h x w pixels::
     depth  range  label.<level>  instance  face  normal  position  flow  ...    [n, h, w(, c)]
     camera_to_world [n, 4, 4]  intrinsics [n, 3, 3]  time_s  batch  sample  exposure_ev  [n]
     camera  frame [n]  text
-    shutter  imaging [n]  JSON as in sidecars, "" without; where a camera has one
+    shutter  imaging  stereo [n]  JSON as in sidecars, "" without; where a camera has one
     instances/offsets [n + 1]   lines of frame i: offsets[i] to offsets[i + 1]
     instances/<column> [lines]  as in the frames' tables (scenec.schemas.instances)
     instances/classes           prim paths that instances/class_index counts in
@@ -61,7 +61,7 @@ _TOLD = {
 _FRAME_COLUMNS: dict[str, tuple[Any, tuple[int, ...], str, str]] = {
     "camera_to_world": (np.float64, (4, 4), "m", CONVENTIONS["camera_to_world"]),
     "intrinsics": (np.float64, (3, 3), "px", CONVENTIONS["intrinsics"]),
-    "time_s": (np.float64, (), "s", "since the batch's start"),
+    "time_s": (np.float64, (), "s", "since the batch's start, or by its track's clock"),
     "exposure_ev": (np.float64, (), "stops", "of the 8-bit picture"),
     "batch": (np.uint32, (), "", "number of the batch: frames of one show one terrain"),
     "sample": (np.uint32, (), "", "time code in the batch"),
@@ -71,6 +71,7 @@ _FRAME_COLUMNS: dict[str, tuple[Any, tuple[int, ...], str, str]] = {
 #: Columns of JSON, there if a camera has such -> what they say.
 _BLOCKS = {
     "shutter": f"JSON, empty where the camera has none: {SHUTTER_CONVENTION}",
+    "stereo": "JSON, empty where the camera has none: partner, the camera that disparity goes to",
     "imaging": "JSON, empty where the camera has none: how its sensor took picture, clean and raw "
     "(colors of the mosaic from the top-left pixel on, black_level, bits, gain, exposure ...)",
 }
@@ -114,7 +115,7 @@ class Hdf5(Format):
     name = "hdf5"
     summary = "HDF5: a file of arrays a split and resolution, chunked by frame, for h5py"
     row_poses = True
-    version = 2
+    version = 3
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
         "rgb": Option(
@@ -122,13 +123,20 @@ class Hdf5(Format):
             "radiance as float32, the frame's 8-bit picture in its place, or both",
             ("linear", "srgb8", "both"),
         ),
-        "compression": Option("none", "of the passes", ("none", "lzf", "gzip")),
-        "shuffle": Option("yes", "bytes by place before they are compressed", ("yes", "no")),
+        "compression": Option("none", "of the passes", ("none", "lzf", "gzip"), neutral=True),
+        "shuffle": Option(
+            "yes", "bytes by place before they are compressed", ("yes", "no"), neutral=True
+        ),
         "by": Option(
-            "resolution", "a file each resolution or each camera", ("resolution", "camera")
+            "resolution",
+            "a file each resolution or each camera",
+            ("resolution", "camera"),
+            neutral=True,
         ),
         "shard": Option(
-            "500", "frames a file at most; files are written side by side; 0: all in one"
+            "500",
+            "frames a file at most; files are written side by side; 0: all in one",
+            neutral=True,
         ),
     }
 
@@ -136,6 +144,10 @@ class Hdf5(Format):
         _import_h5py()
         super().__init__(info)
         self._shard = whole_option(self, "shard")
+
+    def holds(self, name: str) -> bool:
+        """All but amodal masks."""
+        return name != "amodal"
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """A file each, of frames of one split and size."""
@@ -276,6 +288,8 @@ class _File:
         # Said once, as the column's convention.
         shutter.pop("convention", None)
         self._add_block("shutter", shutter)
+        partner = frame.sidecar.get("partner")
+        self._add_block("stereo", {"partner": partner} if partner else {})
         self._add_block("imaging", pictures.imaging(frame.sidecar))
         if self._table:
             self._add_table(frame)

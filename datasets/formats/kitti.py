@@ -55,7 +55,8 @@ from scenec.datasets.formats.poses import (
     relative,
     require_pinhole,
 )
-from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
+from scenec.datasets.formats.stereo import before_partners, pair_up, partner_of
+from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
@@ -112,7 +113,7 @@ class Kitti(Format):
             "disp_2 and disp_3 of stereo pairs as 16-bit PNG, likewise",
             ("no", "all", "visible"),
         ),
-        **trajectory.time_options("0"),
+        **trajectory.time_options(),
     }
 
     def __init__(self, info: Info) -> None:
@@ -133,6 +134,10 @@ class Kitti(Format):
                         f"{one}; render with --passes {','.join([*info.passes, one])}"
                     )
         trajectory.start_ticks(self, _MICRO)
+
+    def holds(self, name: str) -> bool:
+        """Pictures, and what options ask for."""
+        return name == "rgb" or (name in ("depth", *_SHOWN) and self.option(name) != "no")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a sample: a frame, or the two of a pair, left first; with the sample after it."""
@@ -157,9 +162,9 @@ class Kitti(Format):
             for _batch, _rig, cameras in trajectory.rigs(frames):
                 for names in pair_up(cameras):
                     of_both = [cameras[name] for name in names]
-                    if len(names) < 2 or any(_partner(refs) for refs in of_both):
+                    if len(names) < 2 or any(partner_of(refs) for refs in of_both):
                         continue
-                    if any(_before_partners(refs) for refs in of_both):
+                    if any(before_partners(refs) for refs in of_both):
                         assumed.append((names[0], names[1]))
         if assumed:
             left, right = assumed[0]
@@ -214,7 +219,7 @@ class Kitti(Format):
                 micros = trajectory.stamp(self, frame, _MICRO)
                 written.record = {
                     "stamp": micros,
-                    "time": f"{micros // _MICRO}.{micros % _MICRO:06d}",
+                    "time": trajectory.as_seconds(micros, _MICRO),
                     "size": [frame.width, frame.height],
                     "intrinsics": opencv_intrinsics(frame).tolist(),
                 }
@@ -406,71 +411,6 @@ def _pass(frame: LoadedFrame, name: str) -> NDArray[Any]:
 def _count(left_out: dict[str, int], what: str, number: int) -> None:
     if number:
         left_out[what] = left_out.get(what, 0) + number
-
-
-def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
-    """Cameras of a rig as rectified pairs (left, right), and those that are in none.
-
-    Pairs first of which both are the other's partner, then those of which one is, then any others;
-    none of a camera whose partner is here but another.
-
-    Args:
-        cameras: Name -> frames.
-    """
-    partners = {name: _partner(refs) for name, refs in cameras.items()}
-
-    def links(pair: tuple[str, str]) -> int:
-        """How many of the two name the other."""
-        return sum(partners[a] == b for a, b in (pair, pair[::-1]))
-
-    found: dict[str, tuple[str, ...]] = {}
-    every = list(itertools.combinations(cameras, 2))
-    for a, b in sorted(every, key=links, reverse=True):
-        elsewhere = not links((a, b)) and any(partners[name] in cameras for name in (a, b))
-        if a in found or b in found or elsewhere:
-            continue
-        baseline = _baseline(cameras[a], cameras[b])
-        if baseline:
-            found[a] = found[b] = (a, b) if baseline > 0.0 else (b, a)
-    # In the order of their first cameras, each once.
-    return list(dict.fromkeys(found.get(name, (name,)) for name in cameras))
-
-
-def _partner(frames: Sequence[FrameRef]) -> str | None:
-    """The camera that disparity goes to, as the first sidecar that can be read has it."""
-    partner = _first_sidecar(frames).get("partner")
-    return partner if isinstance(partner, str) else None
-
-
-def _before_partners(frames: Sequence[FrameRef]) -> bool:
-    """Whether a camera's frames have disparity and do not say to which camera."""
-    sidecar = _first_sidecar(frames)
-    return "disparity" in sidecar.get("passes", ()) and "partner" not in sidecar
-
-
-def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
-    """The first that can be read."""
-    return next((s for s in map(sidecar_values, frames) if s is not None), {})
-
-
-def _baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
-    """How far b lies to the right of a, meters; 0 where they are no rectified pair."""
-    others = {ref.sample: ref for ref in b}
-    for ref in a:
-        if ref.sample not in others:
-            continue
-        one, two = sidecar_values(ref), sidecar_values(others[ref.sample])
-        if one is None or two is None:
-            continue
-        if one["resolution"] != two["resolution"] or one["intrinsics"] != two["intrinsics"]:
-            return 0.0
-        offset = relative(np.array(one["camera_to_world"]), np.array(two["camera_to_world"]))
-        aligned = np.eye(4)
-        aligned[0, 3] = offset[0, 3]
-        if np.abs(offset - aligned).max() > RIGID or abs(offset[0, 3]) <= RIGID:
-            return 0.0
-        return float(offset[0, 3])
-    return 0.0
 
 
 def _calibration(k: NDArray[np.float64], baseline: float) -> str:

@@ -115,6 +115,10 @@ class Oaisys(Format):
                     "with --remap"
                 )
 
+    def holds(self, name: str) -> bool:
+        """Pictures, depth and ids."""
+        return name.partition(".")[0] in ("rgb", "depth", "label", "instance")
+
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
     ) -> Written:

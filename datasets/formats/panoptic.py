@@ -5,7 +5,8 @@
     images/<split>/batch_0000_<camera>_000000.png
 
 The format: https://cocodataset.org/#format-data (4. Panoptic Segmentation). A category is a thing
-if an instance in the dataset has it. Pixels of a thing's label that belong to no instance (those
+if an instance in the dataset has it; an instance whose faces differ in their label is a segment a
+label. Pixels of a thing's label that belong to no instance (those
 of classes without ids, those filtered out), and instances marked as not to be judged, are one
 crowd segment a category (``iscrowd`` 1): evaluation passes over it. Pixels without a label are 0.
 """
@@ -27,10 +28,10 @@ from scenec.datasets.formats.coco_parts import (
     fragment,
     gathered,
     image_entry,
-    instance_categories,
     label_pairs,
     other_levels,
     place_picture,
+    units_of,
     write_document,
     write_fragment,
 )
@@ -50,6 +51,7 @@ class Panoptic(Format):
 
     name = "panoptic"
     summary = "COCO panoptic: instances of things and stuff in one picture of ids (panopticapi)"
+    version = 2
     row_poses = True
     needs: ClassVar[tuple[str, ...]] = ("instance", "label")
     unused: ClassVar[tuple[str, ...]] = ("rgb",)
@@ -59,6 +61,12 @@ class Panoptic(Format):
         super().__init__(info)
         if not info.level:
             raise OutputError("format panoptic: the frames have no labels to tell segments by")
+
+    def holds(self, name: str) -> bool:
+        """Pictures and segments of one level."""
+        if name == "rgb":
+            return self.option("images") != "none"
+        return name in ("instance", f"label.{self.info.level}")
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
@@ -79,7 +87,8 @@ class Panoptic(Format):
         about = dumps({"image_id": number, "file_name": name})[:-1]
         write_fragment(scratch, task.number, [image, about, *lines])
         left_out = {"instances without a label": without} if without else {}
-        return Written([*pictures, path], {"seen": seen.record()}, left_out, pictures)
+        held = {"segments": len(lines)}
+        return Written([*pictures, path], {"seen": seen.record()}, left_out, pictures, held)
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Join the fragments, now that it is known which categories are things."""
@@ -121,20 +130,18 @@ class Panoptic(Format):
         """
         level = self.info.level
         labels = frame.passes[f"label.{level}"]
-        category = instance_categories(frame, level)
-        lines = np.flatnonzero(category)
-        ids = frame.table["id"][lines].astype(np.uint32)
-        kinds, ignored = category[lines], frame.ignored[lines]
+        units = units_of(frame, level)
+        lines, kinds, ignored = units.line, units.category, frame.ignored[units.line]
         known = np.array(sorted(frame.labels[level]), np.int64)
-        whole = ids[~ignored]
+        whole = frame.table["id"][lines].astype(np.uint32)[~ignored]
         if len(whole) + len(known) > _MOST_SEGMENTS:
             raise OutputError(f"{frame.ref.name}: more than {_MOST_SEGMENTS} segments")
         # Things are numbered first, then labels; an ignored instance goes to its label's segment.
         of_label = len(whole) + 1 + np.arange(len(known))
-        number = np.zeros(len(ids) + 1, np.uint32)
+        number = np.zeros(len(lines) + 1, np.uint32)
         number[:-1][~ignored] = 1 + np.arange(len(whole))
         number[:-1][ignored] = of_label[np.searchsorted(known, kinds[ignored])]
-        picture = number[rle.slots(frame.passes["instance"], ids)]
+        picture = number[rle.slots(units.picture, units.numbers)]
         rest = {0: 0, **dict(zip(known.tolist(), of_label.tolist(), strict=True))}
         picture = np.where(picture == 0, replaced(labels, rest), picture)
         every = np.concatenate([number[:-1][~ignored], of_label]).astype(np.uint32)
@@ -161,7 +168,7 @@ class Panoptic(Format):
             else:
                 crowd = "1" if kind_of[at] in crowds else "?"
             found.append(f'{crowd}\t{kind_of[at]}\t{dumps(segment)[:-1]},"iscrowd":')
-        return picture, found, len(category) - len(lines)
+        return picture, found, len(frame.table["id"]) - len(np.unique(lines))
 
     def _name(self, frame: LoadedFrame, other: str, seen: Seen) -> None:
         """What the pixels of each label are called on another level."""

@@ -71,7 +71,7 @@ class Parquet(Format):
     summary = "Parquet: tables of frames and objects for Hugging Face datasets, pandas, DuckDB"
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
-        "shard": Option("500", "frames a file at most"),
+        "shard": Option("500", "frames a file at most", neutral=True),
         "depth": Option("tiff", "exact float32 meters, or 16 bits", ("tiff", "png")),
         "depth_scale": Option("256", "16-bit depth is meters times this; 0 is no depth"),
     }
@@ -89,6 +89,10 @@ class Parquet(Format):
                     f"{highest}, and its 16-bit pictures end at {_HIGHEST_PICTURE}: give it a "
                     "lower one with --remap"
                 )
+
+    def holds(self, name: str) -> bool:
+        """Pictures, depth and ids."""
+        return name.partition(".")[0] in ("rgb", "depth", "label", "instance")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """A file each."""

@@ -9,20 +9,30 @@
 topic                                   type                         what
 ======================================  ===========================  ===============================
 ``/<camera>/image_raw``                 ``sensor_msgs/Image``        ``rgb8``
-``/<camera>/camera_info``               ``sensor_msgs/CameraInfo``   K, P, no distortion, R = 1
+``/<camera>/camera_info``               ``sensor_msgs/CameraInfo``   K, D, R = 1, P
 ``/<camera>/clean/image_raw``           ``sensor_msgs/Image``        ``rgb8``, without noise
 ``/<camera>/mosaic/image_raw``          ``sensor_msgs/Image``        ``bayer_rggb16`` and its like
 ``/<camera>/depth/image_raw``           ``sensor_msgs/Image``        ``32FC1``, meters, +inf: no hit
 ``/<camera>/label/<level>/image_raw``   ``sensor_msgs/Image``        ``16UC1``; ``32SC1`` if too few
 ``/<camera>/instance/image_raw``        ``sensor_msgs/Image``        ``32SC1``, 0: none
+``/<camera>/disparity``                 ``stereo_msgs/DisparityImage``  of a pair's left camera
 ``/<camera>/pose``                      ``geometry_msgs/PoseStamped``  of the camera in the world
-``/tf``                                 ``tf2_msgs/TFMessage``       world to ``<camera>_optical``
+``/tf``                                 ``tf2_msgs/TFMessage``       world to ``<camera>_optical``,
+                                                                     and to ``<rig>``
 ``/tf_static``                          ``tf2_msgs/TFMessage``       to ``<camera>_link``
 ======================================  ===========================  ===============================
 
 ``<camera>_optical`` has x right, y down, z forward; ``<camera>_link`` x forward, y left, z up
-(REP 103). Depth without a hit is +inf (REP 118). Label names stand in the bag's custom data, as
-JSON under ``labels``. Time 0 means "the latest" to tf, hence the option ``start_s``.
+(REP 103). Frames know the poses of cameras alone, so ``<rig>`` is where the ``<camera>_link`` of
+its first camera by name is. Depth without a hit is +inf (REP 118). Label names stand in the bag's
+custom data, as JSON under ``labels``.
+
+Two cameras of a rig that are a rectified pair (``formats.stereo``) have one K; the right one's P
+has -fx B in its fourth column. Disparity is d = x_left - x_right, so depth is f T / d; -1 where the
+right camera has the point behind it.
+
+Time stamps are the stage's, to the nanosecond. Time 0 means "the latest" to tf: a bag that begins
+there is warned of; the option ``start_s`` moves all stamps.
 """
 
 from __future__ import annotations
@@ -33,6 +43,7 @@ import json
 import os
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -43,7 +54,8 @@ from numpy.typing import NDArray
 from scenec.datasets import pictures
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
-from scenec.datasets.formats.poses import distortion, opencv_intrinsics
+from scenec.datasets.formats.poses import distortion, opencv_intrinsics, product
+from scenec.datasets.formats.stereo import baseline, pair_up, partner_of
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import temporary_folder
@@ -62,7 +74,7 @@ _LAST = 2**31 * _NANO
 #: The oldest one whose messages these are; later ones read them alike.
 _METADATA_VERSION: Literal[8] = 8
 #: x forward, y left, z up in the axes of a camera (x right, y down, z forward).
-_LINK = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+_LINK_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 _COLUMNS = ("bag", "split", "batch", "cameras", "frames", "messages")
 
 
@@ -71,12 +83,13 @@ class Rosbag2(Format):
 
     name = "rosbag2"
     summary = "ROS 2 bags (MCAP): images, depth, labels, camera info, tf, poses; one a batch"
+    version = 2
     # Pictures are taken from the PNG.
     unused = ("rgb",)
     beside = BESIDE
     options: ClassVar = {
-        "compression": Option("zstd", "of the MCAP's chunks", ("zstd", "none")),
-        **trajectory.time_options("1000000000"),
+        "compression": Option("zstd", "of the MCAP's chunks", ("zstd", "none"), neutral=True),
+        **trajectory.time_options(),
     }
 
     def __init__(self, info: Info) -> None:
@@ -84,6 +97,10 @@ class Rosbag2(Format):
         if importlib.util.find_spec("rosbags") is None:
             raise OutputError("format rosbag2 needs rosbags: pip install 'scenec[ros]'")
         trajectory.start_ticks(self, _NANO)
+
+    def holds(self, name: str) -> bool:
+        """What there are messages for."""
+        return name.partition(".")[0] in ("rgb", "depth", "label", "instance", "disparity")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a batch, its frames in order of samples."""
@@ -93,6 +110,20 @@ class Rosbag2(Format):
                 in_time = sorted(members, key=lambda ref: (ref.sample, ref.camera))
                 yield Task(number, split, tuple(in_time))
                 number += 1
+
+    def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
+        """A line about bags that begin at the time 0."""
+        found = [
+            task.frames[0].batch_name
+            for task in self.tasks(splits)
+            if trajectory.stamp_on_disk(self, task.frames[0], _NANO) == 0
+        ]
+        if found:
+            more = f" (and {len(found) - 1} more bags)" if found[1:] else ""
+            yield (
+                f"{found[0]}{more}: begins at 0 s, which tf takes for the latest time there is; "
+                "--set start_s=1 adds a second to all time stamps"
+            )
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
@@ -104,7 +135,7 @@ class Rosbag2(Format):
         # In scratch: a bag that was cut short must not stay in the dataset.
         with temporary_folder(scratch) as temporary:
             # Of the same name: the writer puts it into the bag.
-            bag = _Bag(self, temporary / name, cameras)
+            bag = _Bag(self, temporary / name, cameras, task.frames)
             count = bag.write(frames)
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
             # What an export that was cut short left: nothing vouches for it.
@@ -113,6 +144,7 @@ class Rosbag2(Format):
         return Written(
             [f"{place}/metadata.yaml", f"{place}/{name}.mcap"],
             {"cameras": " ".join(cameras.values()), "frames": count, "messages": bag.messages},
+            bag.left_out,
         )
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
@@ -137,18 +169,25 @@ class Rosbag2(Format):
             "`/<camera>/image_raw` (rgb8), `/<camera>/camera_info`, `/<camera>/depth/image_raw` "
             "(32FC1, meters along the optical axis, +inf without a hit), "
             "`/<camera>/label/<level>/image_raw` (16UC1, or 32SC1 where ids need it), "
-            "`/<camera>/instance/image_raw` (32SC1), `/<camera>/pose`; `/tf` has world to "
+            "`/<camera>/instance/image_raw` (32SC1), `/<camera>/pose`, `/<camera>/disparity` "
+            "(`stereo_msgs/DisparityImage`, of the left camera of a pair); `/tf` has world to "
             "`<camera>_optical` (x right, y down, z forward), `/tf_static` from there to "
-            "`<camera>_link` (x forward, y left, z up). The world is in meters, Z up. Time stamps "
-            f"begin at {self.option('start_s')} s, as tf takes 0 for no time at all. Names of "
-            "labels: `custom_data` in `metadata.yaml`."
+            "`<camera>_link` (x forward, y left, z up); `<rig>` in `/tf` is where the link of its "
+            "first camera by name is. The world is in meters, Z up. Time stamps are the stage's, "
+            f"{self.option('start_s')} s added. Names of labels: `custom_data` in `metadata.yaml`."
         )
 
 
 class _Bag:
     """A bag while it is written."""
 
-    def __init__(self, form: Rosbag2, path: Path, cameras: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        form: Rosbag2,
+        path: Path,
+        cameras: Mapping[str, str],
+        frames: Sequence[FrameRef],
+    ) -> None:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
 
@@ -163,6 +202,27 @@ class _Bag:
         if form.option("compression") == "zstd":
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._topics: dict[str, Any] = {}
+        self.left_out: Counter[str] = Counter()
+        #: Left camera of each pair -> right one and meters between; right one -> these meters.
+        self._pairs: dict[str, tuple[str, float]] = {}
+        self._right: dict[str, float] = {}
+        #: First camera of each rig -> its name as a frame.
+        self._rigs: dict[str, str] = {}
+        self._look_at_rigs(frames)
+
+    def _look_at_rigs(self, frames: Sequence[FrameRef]) -> None:
+        rigs = trajectory.rigs(sorted(frames, key=lambda ref: (ref.camera, ref.sample)))
+        names = _ros_names([rig for _, rig, members in rigs if rig not in members], "rig")
+        for _, rig, members in rigs:
+            if rig in names:
+                self._rigs[next(iter(members))] = names[rig]
+            for pair in pair_up(members):
+                if len(pair) == 2:
+                    apart = baseline(*(members[name] for name in pair))
+                    self._pairs[pair[0]], self._right[pair[1]] = (pair[1], apart), apart
+                elif partner_of(members[pair[0]]) in members:
+                    self.left_out["cameras that make no rectified pair with their partner: P "
+                                  "does not say where that is"] += 1  # fmt: skip
 
     def write(self, frames: Iterable[LoadedFrame]) -> int:
         """Write all frames; returns their number.
@@ -190,10 +250,10 @@ class _Bag:
 
     def _stamp(self, frame: LoadedFrame) -> int:
         stamp = trajectory.stamp(self.form, frame, _NANO)
-        if not 0 < stamp < _LAST:
+        if stamp >= _LAST:
             raise OutputError(
-                f"{frame.ref.name}: its time stamp is {stamp / _NANO:g} s, and ROS knows those "
-                "above 0 and below 2147483648 s; set the option start_s"
+                f"{frame.ref.name}: its time stamp is {trajectory.as_seconds(stamp, _NANO)} s, and "
+                "ROS knows those below 2147483648 s; give the option start_s, or times=samples"
             )
         return stamp
 
@@ -201,7 +261,10 @@ class _Bag:
         camera = self._cameras[frame.ref.camera]
         optical = f"{camera}_optical"
         pose = frame.camera_to_world
-        self._put("/tf", self._tf([("world", optical, pose)], stamp), stamp)
+        links = [("world", optical, pose)]
+        if frame.ref.camera in self._rigs:
+            links.append(("world", self._rigs[frame.ref.camera], product(pose, _LINK_POSE)))
+        self._put("/tf", self._tf(links, stamp), stamp)
         self._put(f"/{camera}/camera_info", self._info(frame, optical, stamp), stamp)
         images: list[tuple[str, str, NDArray[Any]]] = []
         if frame.png is not None:
@@ -227,12 +290,37 @@ class _Bag:
             images.append(("instance/image_raw", "32SC1", ids))
         for topic, encoding, pixels in images:
             self._put(f"/{camera}/{topic}", self._image(pixels, encoding, optical, stamp), stamp)
+        if "disparity" in frame.passes:
+            self._disparity(frame, optical, stamp)
         self._put(f"/{camera}/pose", self._pose(pose, stamp), stamp)
 
+    def _disparity(self, frame: LoadedFrame, optical: str, stamp: int) -> None:
+        """Disparity of a pair's left camera, the only one that there is a message for."""
+        name = frame.ref.camera
+        other, apart = self._pairs.get(name, ("", 0.0))
+        if not apart or frame.lens is not None or frame.sidecar.get("partner", other) != other:
+            what = "of right cameras" if name in self._right else "to no camera of a rectified pair"
+            self.left_out[f"pictures of disparity {what}, for which ROS has no message"] += 1
+            return
+        values = frame.passes["disparity"].astype("<f4")
+        known = np.isfinite(values)
+        values = np.where(known, np.maximum(values, np.float32(0.0)), np.float32(-1.0))
+        kind = self._types["stereo_msgs/msg/DisparityImage"]
+        region = self._types["sensor_msgs/msg/RegionOfInterest"]
+        message = kind(
+            header=self._header(optical, stamp),
+            image=self._image(values, "32FC1", optical, stamp),
+            f=float(frame.intrinsics[0, 0]),
+            t=apart,
+            valid_window=region(0, 0, frame.height, frame.width, False),
+            min_disparity=0.0,
+            max_disparity=max(float(values.max()), 0.0),
+            delta_d=0.0,
+        )
+        self._put(f"/{self._cameras[name]}/disparity", message, stamp)
+
     def _static(self, stamp: int) -> None:
-        turn = np.eye(4)
-        turn[:3, :3] = _LINK
-        links = [(f"{c}_optical", f"{c}_link", turn) for c in self._cameras.values()]
+        links = [(f"{c}_optical", f"{c}_link", _LINK_POSE) for c in self._cameras.values()]
         self._put("/tf_static", self._tf(links, stamp), stamp, latched=True)
 
     def _put(self, topic: str, message: Any, stamp: int, latched: bool = False) -> None:
@@ -267,6 +355,8 @@ class _Bag:
         model, coefficients = ("plumb_bob", [0.0] * 5) if lens is None else lens
         p = np.zeros((3, 4))
         p[:, :3] = k
+        if frame.ref.camera in self._right:
+            p[0, 3] = -k[0, 0] * self._right[frame.ref.camera]
         region = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
         return self._types["sensor_msgs/msg/CameraInfo"](
             header=self._header(frame_id, stamp),

@@ -62,6 +62,10 @@ class Sintel(Format):
     unused = ("rgb",)
     beside = ("clean",)
 
+    def holds(self, name: str) -> bool:
+        """Pictures, and flow to the next."""
+        return name in ("rgb", "flow", "occlusion")
+
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame: its sequence, its number there, and 1 where its flow leads to the next."""
         number = 0

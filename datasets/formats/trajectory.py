@@ -24,15 +24,23 @@ from scenec.schemas.picture import write_png
 SEQUENCES = "sequences.csv"
 
 
-def time_options(start_s: str) -> dict[str, Option]:
-    """The options ``times`` and ``start_s``, the latter with a default."""
+#: Time stamps are whole numbers of ticks in 64 bits with sign.
+_MOST_TICKS = 2**63
+
+
+def time_options() -> dict[str, Option]:
+    """The options ``times`` and ``start_s``."""
     return {
         "times": Option(
             "stage",
             "time stamps: the stage's times, or the numbers of the samples as seconds",
             ("stage", "samples"),
         ),
-        "start_s": Option(start_s, "seconds added to every time stamp"),
+        "start_s": Option(
+            "0",
+            "relative: seconds added to every time stamp, not the first stamp itself; may be "
+            "negative",
+        ),
     }
 
 
@@ -40,14 +48,14 @@ def start_ticks(form: Format, ticks: int) -> int:
     """The option ``start_s`` in ticks.
 
     Raises:
-        OutputError: It is no number, or below 0.
+        OutputError: It is no number.
     """
     text = form.option("start_s")
     try:
         value = Decimal(text)
     except InvalidOperation:
         value = Decimal("nan")
-    if not value.is_finite() or value < 0:
+    if not value.is_finite() or abs(value) >= _MOST_TICKS:
         raise OutputError(f"format {form.name}, option start_s: expected seconds, not {text!r}")
     return int((value * ticks).to_integral_value())
 
@@ -61,16 +69,28 @@ def stamp(form: Format, frame: LoadedFrame, ticks: int) -> int:
         ticks: Per second.
 
     Raises:
-        OutputError: It is negative.
+        OutputError: It is negative, or more than a format holds.
     """
     seconds = float(frame.ref.sample) if form.option("times") == "samples" else frame.time_s
     value = _to_ticks(form, seconds, ticks)
     if value < 0:
         raise OutputError(
-            f"{frame.ref.name}: its time is {seconds:g} s, and format {form.name} knows no "
-            "negative ones; give the option start_s, or times=samples"
+            f"{frame.ref.name}: its time is {as_seconds(value, ticks)} s, and format {form.name} "
+            "knows no negative ones; give the option start_s, or times=samples"
+        )
+    if value >= _MOST_TICKS:
+        raise OutputError(
+            f"{frame.ref.name}: its time is {seconds!r} s, and format {form.name} holds those "
+            f"below {_MOST_TICKS // ticks} s; give the option start_s, or times=samples"
         )
     return value
+
+
+def as_seconds(value: int, ticks: int) -> str:
+    """A time stamp in seconds, all of its digits: ``1700000000.123456717``."""
+    whole, rest = divmod(abs(value), ticks)
+    digits = len(str(ticks)) - 1
+    return f"{'-' if value < 0 else ''}{whole}.{rest:0{digits}d}"
 
 
 def check_after(form: Format, frame: LoadedFrame, before: int, ticks: int) -> None:
@@ -90,10 +110,18 @@ def check_after(form: Format, frame: LoadedFrame, before: int, ticks: int) -> No
     if before < 0 or form.option("times") == "samples":
         return
     other = replace(frame.ref, sample=before, stem=frame.ref.stem.with_name(f"{before:06d}"))
-    seconds = (sidecar_values(other) or {}).get("time_s")
-    if isinstance(seconds, int | float):
-        now = _to_ticks(form, frame.time_s, ticks), frame.ref.name
-        check_rising(form, (_to_ticks(form, seconds, ticks), other.name), now)
+    earlier = stamp_on_disk(form, other, ticks)
+    if earlier is not None:
+        now = stamp(form, frame, ticks), frame.ref.name
+        check_rising(form, (earlier, other.name), now)
+
+
+def stamp_on_disk(form: Format, ref: FrameRef, ticks: int) -> int | None:
+    """The time stamp of a frame that is not read yet; None where its sidecar has none."""
+    if form.option("times") == "samples":
+        return _to_ticks(form, float(ref.sample), ticks)
+    seconds = (sidecar_values(ref) or {}).get("time_s")
+    return _to_ticks(form, seconds, ticks) if isinstance(seconds, int | float) else None
 
 
 def _to_ticks(form: Format, seconds: float, ticks: int) -> int:

@@ -62,13 +62,17 @@ class Tum(Format):
     unused = ("rgb",)
     options: ClassVar = {
         "depth_scale": Option("5000", "steps of depth a meter"),
-        **trajectory.time_options("0"),
+        **trajectory.time_options(),
     }
 
     def __init__(self, info: Info) -> None:
         super().__init__(info)
         self._scale = number_option(self, "depth_scale")
         trajectory.start_ticks(self, _MICRO)
+
+    def holds(self, name: str) -> bool:
+        """Pictures and depth."""
+        return name in ("rgb", "depth")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, with the number of the sample before."""
@@ -87,7 +91,7 @@ class Tum(Format):
         (frame,) = frames
         trajectory.check_after(self, frame, int(task.place[0]), _MICRO)
         micros = trajectory.stamp(self, frame, _MICRO)
-        text = f"{micros // _MICRO}.{micros % _MICRO:06d}"
+        text = trajectory.as_seconds(micros, _MICRO)
         place = _place(task.split, frame.ref)
         color, depth = f"rgb/{text}.png", f"depth/{text}.png"
         require_pinhole(frame)

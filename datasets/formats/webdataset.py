@@ -53,12 +53,15 @@ class WebDataset(Format):
     name = "webdataset"
     summary = "WebDataset: tar shards of frames to be streamed in training"
     row_poses = True
+    version = 2
     beside = BESIDE
     options: ClassVar[Mapping[str, Option]] = {
-        "shard": Option("256", "frames a shard at most"),
-        "shard_mb": Option("0", "megabytes a shard at most, by the frames' sizes; 0: any"),
+        "shard": Option("256", "frames a shard at most", neutral=True),
+        "shard_mb": Option(
+            "0", "megabytes a shard at most, by the frames' sizes; 0: any", neutral=True
+        ),
         "picture": Option("png", "of rgb: exact, or quality 95", ("png", "jpg")),
-        "arrays": Option("npy", "plain, or compressed", ("npy", "npz")),
+        "arrays": Option("npy", "plain, or compressed", ("npy", "npz"), neutral=True),
         "radiance": Option("no", "also rgb as float32 radiance (.radiance.npy)", ("no", "yes")),
     }
 
@@ -74,6 +77,10 @@ class WebDataset(Format):
                     f"format webdataset: levels {other!r} and {level!r} differ in upper and lower "
                     "case only, which its reader does not tell apart"
                 )
+
+    def holds(self, name: str) -> bool:
+        """All but amodal masks."""
+        return name != "amodal"
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """A shard each."""
@@ -208,6 +215,7 @@ class WebDataset(Format):
         for line, ignored in zip(lines, frame.ignored.tolist(), strict=True):
             line["ignored"] = ignored
         imaging = pictures.imaging(frame.sidecar)
+        partner = frame.sidecar.get("partner")
         return {
             "name": frame.ref.name,
             "batch": frame.ref.batch,
@@ -218,6 +226,7 @@ class WebDataset(Format):
             "intrinsics": frame.intrinsics.tolist(),
             **frame.optics,
             "camera_to_world": frame.camera_to_world.tolist(),
+            **({"partner": partner} if partner else {}),
             "exposure_ev": float(frame.sidecar["exposure_ev"]),
             **({"imaging": imaging} if imaging else {}),
             "instances": lines,

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.lights import light_over_time, light_prims
-from scenec.backends.stage.times import time_codes
 from scenec.backends.stage.scene import UPRIGHT, Dome, Lamp, Sun
 from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.times import time_codes
 from scenec.compiler.light.latlong import directions, luminance
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.report import APPROXIMATED, DROPPED, TRANSLATED

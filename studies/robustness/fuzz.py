@@ -24,7 +24,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -33,6 +33,7 @@ import numpy as np
 
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import sha256, tree
+from scenec.studies.robustness import exports
 from scenec.studies.robustness.mutants import Outcome, mutant, tried
 from scenec.studies.runner import Study, names, run
 
@@ -58,6 +59,8 @@ class Kind:
         together: Whether all files of the pattern are damaged at once.
         load: Called in the process that forks those that read.
         said_of: What an error names, where that is not the file.
+        damage: Makes a fault of its own kind beside the file; returns what it is, and whether it
+            has to be refused.
     """
 
     write: Callable[[Path], object]
@@ -68,10 +71,22 @@ class Kind:
     together: bool = False
     load: Callable[[], object] = dict
     said_of: str | None = None
+    damage: Callable[[Path, np.random.Generator], tuple[str, bool]] | None = None
 
 
 def _kinds() -> dict[str, Kind]:
     found = {**_cfgs(), **_stages(), **_models(), **_pictures(), **_tables(), **_outputs()}
+    found |= {
+        f"export {name}": Kind(
+            exports.write,
+            exports.FILE,
+            read,
+            load=exports.warm,
+            said_of="000000",
+            damage=exports.damage,
+        )
+        for name, read in exports.readers().items()
+    }
     # Behind all others, which fork no process that has loaded Blender.
     return found | _blends()
 
@@ -444,13 +459,16 @@ def outcomes(
     said_of = kind.said_of or file.name
     yield tried(lambda: kind.read(file), said_of, jail)
     for number in range(count):
-        for each, whole in sound.items():
+        fault, must = kind.damage(file, rng) if kind.damage else ("", kind.vouched)
+        for each, whole in sound.items() if not kind.damage else ():
             while (data := mutant(whole, kind.text, rng)) == whole:
                 pass
             each.write_bytes(data)
         found = tried(lambda: kind.read(file), said_of, jail)
-        if kind.vouched and found.kind == "taken":
+        if must and found.kind == "taken":
             found = Outcome("unnoticed", "", found.seconds, found.peak)
+        if fault:
+            found = replace(found, text=f"{fault}: {found.text}")
         if found.fault and kept is not None:
             kept.mkdir(parents=True, exist_ok=True)
             for each in files:

@@ -306,6 +306,23 @@ def _frame(
     return passes
 
 
+def rewrite(
+    stem: Path,
+    passes: Mapping[str, NDArray],
+    table: dict[str, NDArray] | None = None,
+    **told: Any,
+) -> None:
+    """Other passes, another table and other values in the sidecar, which vouches for both."""
+    if table is not None:
+        write_frame_table(listed := frame_table_path(stem), table)
+        told["instance_table"] = {"bytes": listed.stat().st_size, "sha256": sha256(listed)}
+    exr, path = stem.with_suffix(".exr"), stem.with_suffix(".json")
+    write_exr(exr, dict(passes))
+    sidecar = json.loads(path.read_bytes()) | {"passes": list(passes)} | told
+    sidecar["exr"] = {"bytes": exr.stat().st_size, "sha256": sha256(exr)}
+    path.write_text(json.dumps(sidecar), encoding="utf-8")
+
+
 def _columns(
     seen: Sequence[Ellipsoid],
     sensor: Sensor,

@@ -17,6 +17,7 @@ from made_frames import (
     misprediction,
     off_surface,
     outline,
+    rewrite,
 )
 from PIL import Image
 from scipy import ndimage
@@ -28,6 +29,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.instances import read_frame_table
 
 SCENES = {"000000": LEFT, "000001": SIDE}
 BY_NUMBER = {thing.number: thing for thing in THINGS}
@@ -301,3 +303,23 @@ def test_a_compiled_and_rendered_scene_agrees_with_itself_from_frame_to_frame(tm
             assert (whole | ~visible).all()
             assert info["px_count_visib"] <= whole.sum() <= info["px_count_all"]
             assert 0.0 < info["visib_fract"] <= 1.0
+
+
+def test_an_object_that_grows_has_the_scale_of_each_sample_and_is_not_rigid(tmp_path):
+    made = make_out(tmp_path / "out", (LEFT,), 3)
+    grown = {1: np.array([1.4, 1.4, 1.4]), 2: np.array([0.5, 2.0, 1.0])}
+    for sample, factors in grown.items():
+        stem = made.out / f"batch_0000/frames/mitsuba/rover_left/{sample:06d}"
+        table = read_frame_table(stem)
+        lander = table["id"] == 2
+        for axis, factor in zip("xyz", factors, strict=True):
+            table[f"size_{axis}"][lander] *= factor
+        rewrite(stem, made.passes[LEFT.name, sample], table)
+    export(made.out, "bop", tmp_path / "d")
+    poses = json.loads((tmp_path / "d/all/000000/scene_gt.json").read_bytes())
+    for sample in range(3):
+        scales = {one["inst_id"]: one["scale"] for one in poses[str(sample)]}
+        assert scales[2] == pytest.approx(grown.get(sample, np.ones(3)), rel=1e-5)
+        assert scales[6] == pytest.approx([0.9] * 3)
+    objects = json.loads((tmp_path / "d/objects.json").read_bytes())
+    assert objects["1"] == {"class": "/World/Objects/lander", "rigid": False}

@@ -206,17 +206,18 @@ def test_what_filters_drop_is_not_there(tmp_path):
     assert list(masks(coco)) == [(1, 6)]
 
 
-def test_an_instance_of_several_labels_has_the_one_that_most_of_its_pixels_have(tmp_path):
+def test_an_instance_of_several_labels_has_an_annotation_of_each(tmp_path):
     passes = blank(6, 6)
     passes["instance"][1:5, 1:5] = 9
     passes["label.class"][1:5, 1:4], passes["label.class"][1:5, 4] = 3, 1
-    # As many of two labels: the lower id; and labels on few pixels count before none on many.
+    # Pixels without a label are in none.
     passes["instance"][0, :4] = 10
     passes["label.class"][0, :4] = [2, 3, 3, 2]
     passes["instance"][5, :4] = 11
     passes["label.class"][5, :4] = [0, 0, 0, 1]
     coco = one_frame(tmp_path, passes)
-    assert [a["category_id"] for a in coco.dataset["annotations"]] == [3, 2, 1]
+    found = [(a["instance_id"], a["category_id"], a["area"]) for a in coco.dataset["annotations"]]
+    assert found == [(9, 1, 4), (9, 3, 12), (10, 2, 2), (10, 3, 2), (11, 1, 1)]
 
 
 def test_instances_without_a_label_are_left_out_and_counted(tmp_path):

@@ -54,7 +54,7 @@ def truth(mav0):
 def test_evo_reads_the_trajectory_of_the_first_camera(mav0):
     found = truth(mav0)
     assert found.num_poses == 4
-    assert np.abs(found.timestamps - (1e9 + 0.1 * np.arange(4))).max() < 2e-7
+    assert np.abs(found.timestamps - 0.1 * np.arange(4)).max() < 2e-7
     for sample, pose in enumerate(found.poses_se3):
         assert np.abs(pose - camera_pose(LEFT, sample)).max() < 1e-14
 
@@ -103,7 +103,7 @@ def test_lists_name_the_pictures_and_these_are_gray(made, mav0):
         assert len(lines) == 5
         for sample, line in enumerate(lines[1:]):
             stamp, name = line.split(",")
-            assert int(stamp) == 10**18 + sample * 10**8
+            assert int(stamp) == sample * 10**8
             with Image.open(mav0 / f"cam{camera}/data/{name}") as picture:
                 assert (picture.mode, picture.size) == ("L", sensor.size)
                 pixels = np.asarray(picture).astype(int)
@@ -124,7 +124,7 @@ def test_velocities_are_differences_of_the_positions(mav0, made, tmp_path):
     other = tmp_path / "d/all/batch_0000_rover/mav0"
     still = np.loadtxt(other / "state_groundtruth_estimate0/data.csv", delimiter=",", comments="#")
     assert (still[:, 8:] == 0.0).all()
-    picture = (other / "cam0/data/1000000000000000000.png").read_bytes()
+    picture = (other / "cam0/data/0.png").read_bytes()
     assert picture == (made.out / "batch_0000/frames/mitsuba/rover_left/000000.png").read_bytes()
 
 

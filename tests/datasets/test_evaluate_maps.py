@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -285,3 +286,56 @@ def test_sixteen_bits_may_be_labels_or_depth(output, tmp_path, capsys):
     assert found["task"] == "depth"
     assert found["units"]["rmse"] == "m"
     assert (tmp_path / "s/parts.png").is_file()
+
+
+def test_classes_are_read_by_position_and_may_repeat_or_be_empty(output, tmp_path, capsys):
+    """Value 1 and 2 are sky, 3 ground, 4 nothing, 5 rock: true everywhere but for rock's half."""
+
+    def guess(passes: dict[str, Any]) -> Any:
+        label = passes["label.class"]
+        column = np.arange(label.shape[1])
+        sky = np.where(column % 2, 1, 2)
+        return np.choose(label, [0, sky, 3, np.where(column % 2, 5, 4)]).astype(np.uint8)
+
+    folder = predict(tmp_path / "p", output, guess)
+    for text in ("(none),sky,sky,ground,,rock", ",sky, sky,ground,(none),rock"):
+        command = ["evaluate", str(folder), "--against", str(output), "--task", "labels", "--json"]
+        assert main([*command, "--classes", text]) == 0
+        found = json.loads(capsys.readouterr().out)
+        of = {row["class"]: row["iou"] for row in found["tables"]["class"]}
+        assert of["sky"] == of["ground"] == 1.0
+        assert 0.2 < of["rock"] < 0.8
+
+
+@pytest.mark.parametrize("value", [1e308, 1e31, 5e-324])
+def test_a_depth_that_no_measure_can_be_made_of_is_refused_by_its_place(
+    output, tmp_path, capsys, value
+):
+    def guess(passes: dict[str, Any]) -> Any:
+        depth = passes["depth"].astype(np.float64)
+        depth[5, 7] = value
+        return depth
+
+    folder = predict(tmp_path / "p", output, guess, ".npy")
+    assert main(["evaluate", str(folder), "--against", str(output), "--task", "depth"]) == 2
+    error = capsys.readouterr().err
+    assert f"000000.npy: has the depth {value:g} m at column 7, row 5; expected 1e-30" in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("task", ["labels", "depth"])
+def test_frames_of_the_truth_that_were_not_rendered_are_counted(output, tmp_path, capsys, task):
+    out = tmp_path / "out"
+    shutil.copytree(output, out)
+    folder = predict(tmp_path / "p", out, lambda p: p["label.class"].astype(np.uint8))
+    if task == "depth":
+        folder = predict(tmp_path / "q", out, lambda p: p["depth"], ".npy")
+    gone = Source(out).frames[1]
+    for path in gone.stem.parent.glob(f"{gone.stem.name}.*"):
+        path.unlink()
+    assert main(["evaluate", str(folder), "--against", str(out), "--task", task]) == 0
+    told = f"note: 1 of 4 frames of {out} were not rendered and do not count: {gone.name}"
+    assert told in capsys.readouterr().err
+    assert main(["evaluate", str(folder), "--against", str(out), "--task", task, "--json"]) == 0
+    settings = json.loads(capsys.readouterr().out)["settings"]
+    assert (settings["frames"], settings["frames_not_rendered"]) == (3, 1)

@@ -192,3 +192,22 @@ def test_of_several_cameras_one_has_to_be_chosen(tmp_path, capsys):
     assert main(words) == 2
     assert "choose one by --cameras" in capsys.readouterr().err
     assert main([*words, "--cameras", "rover_left"]) == 0
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e200"])
+def test_positions_whose_squares_no_number_holds_are_refused(out, truth, tmp_path, capsys, value):
+    lines = truth.read_text(encoding="utf-8").splitlines()
+    words = lines[-1].split()
+    words[2] = value
+    (tmp_path / "t.txt").write_text("\n".join([*lines[:-1], " ".join(words)]), encoding="utf-8")
+    assert main(["evaluate", str(tmp_path / "t.txt"), "--against", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert f"t.txt:{len(lines)}: expected positions within 1e+15 m" in error
+
+
+def test_samples_of_the_truth_that_were_not_rendered_are_counted(truth, tmp_path, capsys):
+    out = make_out(tmp_path / "out", (LEFT,), SAMPLES).out
+    for path in (out / "batch_0000/frames/mitsuba/rover_left").glob("000004.*"):
+        path.unlink()
+    assert main(["evaluate", str(truth), "--against", str(out)]) == 0
+    assert "note: 1 of 9 frames of" in capsys.readouterr().err

@@ -202,13 +202,13 @@ def test_more_segments_than_a_byte_has_values_keep_their_numbers_apart(tmp_path)
     assert found[1][0].max() == 260
 
 
-def test_an_instance_of_several_labels_is_one_segment(tmp_path):
+def test_an_instance_of_several_labels_is_a_segment_of_each(tmp_path):
     passes = ground(6, 8)
     passes["instance"][1:5, 1:5] = 77
     passes["label.class"][1:5, 1:4], passes["label.class"][1:5, 4] = 3, 1
     _, found = made(tmp_path, passes)
     things = [s for s in found[1][1] if "instance_id" in s]
-    assert [(s["category_id"], s["area"]) for s in things] == [(3, 16)]
+    assert [(s["category_id"], s["area"]) for s in things] == [(1, 4), (3, 12)]
 
 
 def test_supercategories_are_names_on_the_next_coarser_level(tmp_path):

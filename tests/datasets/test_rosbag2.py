@@ -13,6 +13,7 @@ import yaml
 from evo.tools.file_interface import read_bag_trajectory
 from made_frames import (
     LEFT,
+    RIGHT,
     SIDE,
     Sensor,
     camera_matrix,
@@ -21,6 +22,7 @@ from made_frames import (
     make_out,
     misprediction,
     off_surface,
+    rewrite,
 )
 from mcap.reader import make_reader
 from PIL import Image
@@ -32,7 +34,6 @@ from scenec.datasets.export import Choice, export
 from scenec.schemas.errors import FrameError, OutputError
 
 SENSORS = (LEFT, SIDE)
-START = 10**18
 TYPES = {"rgb8": np.uint8, "32FC1": np.float32, "16UC1": np.uint16, "32SC1": np.int32}
 
 
@@ -77,6 +78,21 @@ def matrix(transform):
     return pose
 
 
+def motion_frames(tmp_path):
+    """Frames of a pair with disparity: from depth, by its definition."""
+    made = make_out(tmp_path / "out", (LEFT, RIGHT), 2)
+    for (camera, sample), passes in made.passes.items():
+        sign = 1.0 if camera == LEFT.name else -1.0
+        with np.errstate(divide="ignore"):
+            disparity = (sign * 50.0 * 0.25 / passes["depth"]).astype(np.float32)
+        disparity[:, 0] = np.nan
+        passes["disparity"] = disparity
+        other = RIGHT.name if camera == LEFT.name else LEFT.name
+        stem = made.out / f"batch_0000/frames/mitsuba/{camera}/{sample:06d}"
+        rewrite(stem, passes, partner=other)
+    return made
+
+
 def stamp(message):
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
@@ -88,7 +104,7 @@ def test_every_topic_holds_every_frame_of_its_camera_in_time(bag):
     expected = {f"/{s.name}/{topic}" for s in SENSORS for topic in topics}
     assert set(found) == expected | {"/tf", "/tf_static"}
     for topic in expected:
-        assert [time for time, _ in found[topic]] == [START + i * 10**8 for i in range(3)]
+        assert [time for time, _ in found[topic]] == [i * 10**8 for i in range(3)]
         assert [stamp(message) for _, message in found[topic]] == [t for t, _ in found[topic]]
 
 
@@ -127,11 +143,13 @@ def test_camera_info_is_that_of_a_camera_without_distortion(bag):
 def test_tf_puts_depth_of_every_camera_on_the_scene(bag):
     found = read(bag)
     transforms = [t for _, message in found["/tf"] for t in message.transforms]
-    assert len(transforms) == 6
+    assert len(transforms) == 9
     for t in transforms:
         assert t.header.frame_id == "world"
+        if t.child_frame_id == "rover":
+            continue
         name = t.child_frame_id.removesuffix("_optical")
-        sample = (stamp(t) - START) // 10**8
+        sample = stamp(t) // 10**8
         depth = pixels(found[f"/{name}/depth/image_raw"][sample][1]).astype(float)
         k = found[f"/{name}/camera_info"][sample][1].k.reshape(3, 3)
         near = np.where(depth < 50.0, depth, 0.0)
@@ -142,7 +160,7 @@ def test_tf_puts_depth_of_every_camera_on_the_scene(bag):
 def test_depth_and_pose_of_one_camera_predict_depth_in_another(bag):
     found = read(bag)
     poses = {
-        (t.child_frame_id, (stamp(t) - START) // 10**8): matrix(t.transform)
+        (t.child_frame_id, stamp(t) // 10**8): matrix(t.transform)
         for _, message in found["/tf"]
         for t in message.transforms
     }
@@ -191,7 +209,7 @@ def test_the_mcap_packages_own_reader_agrees_and_finds_an_index(bag):
         ):
             assert (schema.name, schema.encoding) == ("sensor_msgs/msg/Image", "ros2msg")
             assert (channel.message_encoding, message.data[:4]) == ("cdr", b"\x00\x01\x00\x00")
-            assert struct.unpack_from("<iI", message.data, 4) == divmod(START + seen * 10**8, 10**9)
+            assert struct.unpack_from("<iI", message.data, 4) == divmod(seen * 10**8, 10**9)
             seen += 1
         assert seen == 3
 
@@ -227,7 +245,7 @@ def test_a_damaged_frame_leaves_a_gap_and_nothing_else(made, tmp_path):
     broken.write_bytes(broken.read_bytes()[:-50])
     export(out, "rosbag2", choice=Choice(faults="skip", batches=[0]))
     found = read(out / "datasets/rosbag2/all/batch_0000")
-    assert [t - START for t, _ in found["/rover_left/pose"]] == [10**8, 2 * 10**8]
+    assert [t for t, _ in found["/rover_left/pose"]] == [10**8, 2 * 10**8]
     assert len(found["/rover_side/pose"]) == 3
     assert len(found["/tf_static"][0][1].transforms) == 2
 
@@ -251,9 +269,77 @@ def test_an_id_of_31_bits_is_kept_and_a_larger_one_refused(tmp_path):
     assert not list((out / "datasets").glob("rosbag2"))
 
 
-def test_time_zero_is_refused_since_tf_takes_it_for_none(made, tmp_path):
-    with pytest.raises(OutputError, match=r"000000: its time stamp is 0 s.*start_s"):
-        export(made.out, "rosbag2", tmp_path / "d", Choice(options={"start_s": "0"}))
+def test_a_bag_that_begins_at_time_zero_is_warned_of_since_tf_takes_it_for_the_latest(
+    made, tmp_path
+):
+    said = []
+    export(made.out, "rosbag2", tmp_path / "a", say=said.append)
+    assert any("batch_0000 (and 1 more bags): begins at 0 s, which tf" in line for line in said)
+    said.clear()
+    choice = Choice(options={"start_s": "1"}, batches=[0])
+    export(made.out, "rosbag2", tmp_path / "b", choice, say=said.append)
+    assert not any("begins at 0 s" in line for line in said)
+    times = [time for time, _ in read(tmp_path / "b/all/batch_0000")["/rover_left/pose"]]
+    assert times == [10**9 + i * 10**8 for i in range(3)]
+
+
+def test_the_right_camera_of_a_pair_says_how_far_it_lies_to_the_right(tmp_path):
+    sensors = (SIDE, RIGHT, LEFT)
+    export(make_out(tmp_path / "out", sensors, 2).out, "rosbag2")
+    found = read(tmp_path / "out/datasets/rosbag2/all/batch_0000")
+    for sensor, tx in ((LEFT, 0.0), (RIGHT, -50.0 * 0.25), (SIDE, 0.0)):
+        for _, info in found[f"/{sensor.name}/camera_info"]:
+            p = info.p.reshape(3, 4)
+            assert p[0, 3] == pytest.approx(tx, abs=1e-9)
+            assert (p[1:, 3] == 0.0).all()
+            assert (p[:, :3] == info.k.reshape(3, 3)).all()
+
+
+def test_disparity_of_the_left_camera_gives_its_depth_by_the_messages_own_formula(tmp_path):
+    made = motion_frames(tmp_path)
+    report = export(made.out, "rosbag2")
+    found = read(made.out / "datasets/rosbag2/all/batch_0000")
+    messages = found["/rover_left/disparity"]
+    assert len(messages) == made.samples
+    for sample, (time, message) in enumerate(messages):
+        assert (time, message.header.frame_id) == (stamp(message), "rover_left_optical")
+        values = pixels(message.image).astype(float)
+        known = np.isfinite(made.passes["rover_left", sample]["disparity"])
+        assert (values[~known] == -1.0).all()
+        assert message.min_disparity == 0.0
+        assert message.max_disparity == pytest.approx(values.max())
+        depth = made.passes["rover_left", sample]["depth"]
+        near = known & (depth < 100.0)
+        assert near.any()
+        apart = np.abs(message.f * message.t / values[near] - depth[near])
+        assert (apart < 1e-4 * depth[near]).all()
+    assert "/rover_right/disparity" not in found
+    assert sum(n for what, n in report.left_out.items() if "disparity of right" in what) == 2
+
+
+def test_a_rig_has_a_frame_of_its_own_where_the_link_of_its_first_camera_is(bag):
+    found = read(bag)
+    links = [t for _, m in found["/tf"] for t in m.transforms]
+    (static,) = found["/tf_static"]
+    link = next(t for t in static[1].transforms if t.child_frame_id == "rover_left_link")
+    rig = {stamp(t): matrix(t.transform) for t in links if t.child_frame_id == "rover"}
+    left = {
+        stamp(t): matrix(t.transform) for t in links if t.child_frame_id == "rover_left_optical"
+    }
+    assert sorted(rig) == sorted(left)
+    for time, pose in rig.items():
+        assert np.abs(left[time] @ matrix(link.transform) - pose).max() < 1e-12
+
+
+@pytest.mark.parametrize("begin", [2.0**31, 4e9])
+def test_times_beyond_the_32_bits_of_ros_are_refused_and_a_negative_start_mends_it(tmp_path, begin):
+    out = make_out(tmp_path / "out", (LEFT,), 2, times=[begin, begin + 1.0]).out
+    with pytest.raises(OutputError, match=r"000000: its time stamp is \d+\.0{9} s, .*2147483648"):
+        export(out, "rosbag2")
+    assert not (out / "datasets/rosbag2").exists()
+    export(out, "rosbag2", choice=Choice(options={"start_s": str(-int(begin) + 5)}))
+    found = read(out / "datasets/rosbag2/all/batch_0000")
+    assert [time for time, _ in found["/rover_left/pose"]] == [5 * 10**9, 6 * 10**9]
 
 
 def test_time_stamps_that_do_not_rise_are_refused(tmp_path):

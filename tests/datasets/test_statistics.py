@@ -275,7 +275,9 @@ def test_frames_without_passes_tables_or_names_are_measured_all_the_same(tmp_pat
     assert found["depth"]["range_m"] is None
     assert found["instances"]["seen"] == found["instances"]["distinct"] == 0
     strange = {"label.class": np.full((1, 1), LARGEST, np.uint32)}
-    found = summed([measure(one_frame(tmp_path / "b", strange))]).as_json()
+    frame = one_frame(tmp_path / "b", {"label.class": np.zeros((1, 1), np.uint32)})
+    frame.passes |= strange
+    found = summed([measure(frame)]).as_json()
     assert found["levels"]["class"]["unknown"] == 1
     assert "instances" not in found
     assert "depth" not in found

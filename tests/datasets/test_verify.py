@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -144,15 +145,94 @@ def test_what_is_no_dataset_or_of_another_version_is_refused(
         verify(copy)
 
 
-def test_datasets_of_the_same_frames_are_the_same_whatever_was_filtered(
+def test_a_dataset_holds_what_the_frames_that_it_was_made_of_do(
     output: Path, dataset: Path, tmp_path: Path, plugin: Path
 ) -> None:
-    choice = Choice(filters=make_filters(["id<100"]), options={"ending": "txt"})
-    export(output, "tiny", tmp_path / "other", choice)
+    export(output, "tiny", tmp_path / "other", Choice(filters=make_filters(["id>0"])))
     for other in (tmp_path / "other", output):
         found = compare(dataset, other)
-        assert found.same
+        assert found.same, found.held
         assert (found.frames, found.pictures_same, found.pictures_differing) == (8, 8, 0)
+
+
+def test_datasets_of_the_same_frames_with_other_instances_are_not_the_same(
+    output: Path, dataset: Path, tmp_path: Path, plugin: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(output, "tiny", tmp_path / "few", Choice(filters=make_filters(["id<100"])))
+    for other in (dataset, output):
+        found = compare(other, tmp_path / "few")
+        assert not found.same
+        assert not found.differing
+        assert found.held[0] == "batch_0000/rover_left/000000: 3 against 1 instances"
+        assert sum("instances" in line for line in found.held) == found.frames == 8
+    assert main(["check", str(dataset), "--against", str(tmp_path / "few")]) == 1
+    out = capsys.readouterr().out
+    assert "error: batch_0000/rover_left/000000: 3 against 1 instances [holds other things]" in out
+    assert 'error: keep: [] against ["id<100"] [holds other things]' in out
+    assert out.endswith("not the same dataset\n")
+
+
+def test_an_option_that_changes_files_makes_a_dataset_another(
+    output: Path, dataset: Path, tmp_path: Path, plugin: Path
+) -> None:
+    export(output, "tiny", tmp_path / "other", Choice(options={"ending": "txt"}))
+    assert compare(dataset, tmp_path / "other").held == ["option ending: its default against txt"]
+    for how in ("link", "copy"):
+        export(output, "coco", tmp_path / how, Choice(options={"images": how}))
+    assert compare(tmp_path / "link", tmp_path / "copy").same
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda a: a.pop(), r"000001\.png: 3 against 2 annotations"),
+        (lambda a: a[-1].update(area=7), r"annotation of instance \d+: area \d+ against 7"),
+        (lambda a: a[-1].update(iscrowd=1), r"annotation of instance \d+: iscrowd 0 against 1"),
+        (
+            lambda a: a[-1]["segmentation"].update(counts="0"),
+            r"annotation of instance \d+: another segmentation",
+        ),
+    ],
+)
+def test_one_other_annotation_of_a_coco_file_is_named(
+    output: Path, tmp_path: Path, change: Callable[[list], None], told: str
+) -> None:
+    export(output, "coco", tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    path = tmp_path / "b/annotations/instances_all.json"
+    document = json.loads(path.read_bytes())
+    change(document["annotations"])
+    path.write_text(json.dumps(document), encoding="utf-8")
+    found = compare(tmp_path / "a", tmp_path / "b")
+    assert not found.same
+    assert len(found.held) == 1
+    assert re.search(told, found.held[0])
+
+
+def test_images_keep_their_ids_whatever_is_missing_or_asked_for(
+    output: Path, tmp_path: Path
+) -> None:
+    def ids(folder: Path, out: Path, **choice: object) -> dict[str, int]:
+        export(out, "coco", folder, Choice(**choice))  # type: ignore[arg-type]
+        document = json.loads((folder / "annotations/instances_all.json").read_bytes())
+        found = {one["file_name"]: one["id"] for one in document["images"]}
+        assert len(set(found.values())) == len(found)
+        assert {one["image_id"] for one in document["annotations"]} == set(found.values())
+        return found
+
+    whole = ids(tmp_path / "whole", output)
+    assert sorted(whole.values()) == list(range(1, 9))
+    shutil.copytree(output, tmp_path / "out")
+    (tmp_path / "out/batch_0000/frames/annotation/rover_left/000000.json").unlink()
+    parts = [
+        ids(tmp_path / "gap", tmp_path / "out", faults="skip"),
+        ids(tmp_path / "batch", output, batches=[1]),
+        ids(tmp_path / "camera", output, cameras=["rover_right"]),
+        ids(tmp_path / "sample", output, samples=[1]),
+    ]
+    assert [len(part) for part in parts] == [7, 4, 4, 4]
+    for part in parts:
+        assert part.items() <= whole.items()
 
 
 def test_a_frame_with_one_other_pixel_is_named(

@@ -1,0 +1,77 @@
+"""Stereo pairs among the cameras of a rig."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from scenec.datasets.formats.poses import RIGID, relative
+from scenec.datasets.source import FrameRef, sidecar_values
+
+
+def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
+    """Cameras of a rig as rectified pairs (left, right), and those that are in none.
+
+    Pairs first of which both are the other's partner, then those of which one is, then any others;
+    none of a camera whose partner is here but another.
+
+    Args:
+        cameras: Name -> frames.
+    """
+    partners = {name: partner_of(refs) for name, refs in cameras.items()}
+
+    def links(pair: tuple[str, str]) -> int:
+        """How many of the two name the other."""
+        return sum(partners[a] == b for a, b in (pair, pair[::-1]))
+
+    found: dict[str, tuple[str, ...]] = {}
+    every = list(itertools.combinations(cameras, 2))
+    for a, b in sorted(every, key=links, reverse=True):
+        elsewhere = not links((a, b)) and any(partners[name] in cameras for name in (a, b))
+        if a in found or b in found or elsewhere:
+            continue
+        apart = baseline(cameras[a], cameras[b])
+        if apart:
+            found[a] = found[b] = (a, b) if apart > 0.0 else (b, a)
+    # In the order of their first cameras, each once.
+    return list(dict.fromkeys(found.get(name, (name,)) for name in cameras))
+
+
+def partner_of(frames: Sequence[FrameRef]) -> str | None:
+    """The camera that disparity goes to, as the first sidecar that can be read has it."""
+    partner = _first_sidecar(frames).get("partner")
+    return partner if isinstance(partner, str) else None
+
+
+def before_partners(frames: Sequence[FrameRef]) -> bool:
+    """Whether a camera's frames have disparity and do not say to which camera."""
+    sidecar = _first_sidecar(frames)
+    return "disparity" in sidecar.get("passes", ()) and "partner" not in sidecar
+
+
+def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
+    """The first that can be read."""
+    return next((s for s in map(sidecar_values, frames) if s is not None), {})
+
+
+def baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
+    """How far b lies to the right of a, meters; 0 where they are no rectified pair."""
+    others = {ref.sample: ref for ref in b}
+    for ref in a:
+        if ref.sample not in others:
+            continue
+        one, two = sidecar_values(ref), sidecar_values(others[ref.sample])
+        if one is None or two is None:
+            continue
+        if one["resolution"] != two["resolution"] or one["intrinsics"] != two["intrinsics"]:
+            return 0.0
+        offset = relative(np.array(one["camera_to_world"]), np.array(two["camera_to_world"]))
+        aligned = np.eye(4)
+        aligned[0, 3] = offset[0, 3]
+        if np.abs(offset - aligned).max() > RIGID or abs(offset[0, 3]) <= RIGID:
+            return 0.0
+        return float(offset[0, 3])
+    return 0.0
