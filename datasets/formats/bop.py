@@ -52,7 +52,7 @@ from scenec.datasets.source import FrameRef, LoadedFrame, sequences
 from scenec.schemas.amodal import amodal_path
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic, once_per_file, write_json
-from scenec.schemas.instances import BATCH_TABLE, read_table
+from scenec.schemas.instances import BATCH_TABLE, InstanceTable, read_table
 from scenec.schemas.picture import write_png
 from scenec.schemas.spelling import nearest
 
