@@ -191,11 +191,7 @@ class Expander:
         return replace(rows, instance_id=ids)
 
     def _require_distinct(self) -> None:
-        """Ends where a class whose ids were chosen has some of a class that states its own.
-
-        Raises:
-            StageError: So it is.
-        """
+        """Ends where a class whose ids were chosen has some of a class that states its own."""
         for path in self._chosen:
             base, last = self._ranges[path]
             for other, (first, end) in self._ranges.items():

@@ -164,7 +164,8 @@ def _mesh(stage: Usd.Stage) -> UsdGeom.Mesh:
     mesh = UsdGeom.Mesh.Define(stage, "/Root/it")
     mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
     mesh.CreateFaceVertexCountsAttr([3, 3, 4])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 0, 2, 3, 0, 1, 2, 3])
+    # Sound polygons by 3, 3 and 4 corners, and by 4, 3 and 3.
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3, 0, 1, 2, 3, 0, 1])
     mesh.CreateNormalsAttr([(0, 0, 1)] * 4)
     mesh.SetNormalsInterpolation("vertex")
     mesh.CreateSubdivisionSchemeAttr("none")
