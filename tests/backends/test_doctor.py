@@ -44,17 +44,15 @@ def wait(name, seconds):
 
 
 @pytest.fixture
-def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, str]]:
-    """The plug-in, installed; lines that are said, each with the seconds until then."""
+def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The plug-in, installed; lines that are said."""
     install(tmp_path, monkeypatch)
     (tmp_path / "site" / "late.py").write_text(MODULE)
     points = tmp_path / "site" / "third_party-1.0.dist-info" / "entry_points.txt"
     points.write_text("[scenec.backends]\nlate = late:Late\n")
-    said: list[tuple[float, str]] = []
-    start = time.monotonic()
+    said: list[str] = []
     monkeypatch.setattr(notice, "_said", set())
-    listener = [lambda text: said.append((time.monotonic() - start, text))]
-    monkeypatch.setattr(notice, "_listener", listener)
+    monkeypatch.setattr(notice, "_listener", [said.append])
     return said
 
 
@@ -66,7 +64,7 @@ def test_of_a_gpu_that_keeps_one_waiting_doctor_says_so_and_tries_the_cpu(late, 
     assert "given up after one try" in found.message
     assert "took longer than 2 s" in found.message
     assert "--device cuda" in found.message
-    assert [text for _, text in late] == ["late: compiles for hours"]
+    assert late == ["late: compiles for hours"]
 
 
 def test_where_there_is_no_gpu_nobody_is_hurried(late, monkeypatch):
@@ -83,7 +81,7 @@ def test_a_worker_that_holds_its_lock_is_spoken_for_and_a_quick_one_is_not(late)
     assert late == []
     assert ask(OfBackend("late", partial(plug_in.wait, seconds=1.5))) == "late"
     assert ask(OfBackend("late", partial(plug_in.wait, seconds=1.5))) == "late"
-    assert [text for _, text in late] == ["late waits"]
+    assert late == ["late waits"]
 
 
 def test_without_a_supervisor_a_line_is_said_by_the_process_itself(monkeypatch):
