@@ -24,6 +24,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.emit.batch import write_batch
+from scenec.schemas.files import digest_of_folder
 
 _LANDER = Path(__file__).parents[2] / "assets" / "models" / "lander.glb"
 
@@ -278,14 +279,14 @@ def test_every_file_of_the_code_counts(tmp_path):
     (tmp_path / "a").mkdir()
     for name in ("x.py", "a/y.py", "a/z.json"):
         (tmp_path / name).write_text("1")
-    seen = {fingerprint._of_folder(tmp_path)}
+    seen = {digest_of_folder(tmp_path, fingerprint._SUFFIXES)}
     (tmp_path / "notes.md").write_text("no code")
-    assert {fingerprint._of_folder(tmp_path)} == seen
+    assert {digest_of_folder(tmp_path, fingerprint._SUFFIXES)} == seen
     for name in ("x.py", "a/y.py", "a/z.json"):
         (tmp_path / name).write_text("2")
-        seen.add(fingerprint._of_folder(tmp_path))
+        seen.add(digest_of_folder(tmp_path, fingerprint._SUFFIXES))
     (tmp_path / "a" / "y.py").rename(tmp_path / "a" / "w.py")
-    seen.add(fingerprint._of_folder(tmp_path))
+    seen.add(digest_of_folder(tmp_path, fingerprint._SUFFIXES))
     assert len(seen) == 5
     assert len(fingerprint.fingerprint()) == 64
 
