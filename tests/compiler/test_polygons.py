@@ -40,12 +40,12 @@ def covered(triangles, x, y):
     """How many triangles each point is in, and whether it is clear of all their edges."""
     count, clear = np.zeros(len(x), int), np.ones(len(x), bool)
     for corners in triangles:
-        sides = [
-            ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / np.hypot(bx - ax, by - ay)
-            for (ax, ay), (bx, by) in zip(corners, [*corners[1:], corners[0]], strict=True)
-        ]
-        count += np.min(sides, axis=0) > 0.0
-        clear &= np.min(np.abs(sides), axis=0) > 1e-6
+        within = np.ones(len(x), bool)
+        for (ax, ay), (bx, by) in edges(corners):
+            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+            within &= side > 0.0
+            clear &= np.abs(side) > 1e-6 * np.hypot(bx - ax, by - ay)
+        count += within
     return count, clear
 
 
