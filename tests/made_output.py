@@ -59,7 +59,9 @@ def some_passes(seed: int, width: int = 12, height: int = 8, rgb: bool = True) -
     }
 
 
-def frame_table(passes: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def frame_table(
+    passes: Mapping[str, NDArray[Any]], labels: Mapping[str, Mapping[int, str]] = LABELS
+) -> dict[str, NDArray[Any]]:
     """A table that is true of the pixels; poses and sizes are made up from the ids."""
     ids = passes["instance"]
     depth = passes.get("depth", np.ones(ids.shape, np.float32))
@@ -73,7 +75,7 @@ def frame_table(passes: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         found = []
         for level in levels:
             kinds = np.unique(passes[level][y, x]).tolist()
-            known = LABELS[level.removeprefix("label.")]
+            known = labels[level.removeprefix("label.")]
             found.append(known.get(kinds[0], "") if len(kinds) == 1 else "")
         edge = x.min() == 0 or y.min() == 0
         edge = edge or x.max() == ids.shape[1] - 1 or y.max() == ids.shape[0] - 1
@@ -166,7 +168,7 @@ def _write(
     if "rgb" in passes:
         write_png(stem.with_suffix(".png"), develop(passes["rgb"], EXPOSURE_EV))
     if "instance" in passes:
-        write_frame_table(frame_table_path(stem), frame_table(passes))
+        write_frame_table(frame_table_path(stem), frame_table(passes, labels))
     height, width = next(iter(passes.values())).shape[:2]
     sidecar = {
         "version": FRAME_VERSION,

@@ -425,7 +425,7 @@ def calm(width: int, height: int):
         y, x = np.mgrid[0:height, 0:width].astype(np.float32)
         found["rgb"] = np.stack([x / width, y / height, np.full_like(x, 0.5)], axis=2)
         hit = np.isfinite(found["depth"])
-        found["depth"] = np.where(hit, 100 - y - 0.1 * x, found["depth"]).astype(np.float32)
+        found["depth"] = np.where(hit, 300 - y - 0.1 * x, found["depth"]).astype(np.float32)
         return found
 
     return passes
