@@ -37,7 +37,12 @@ def add_cameras(scene: Scene, found: Sequence[Seen]) -> None:
     for seen in found:
         name = unused(name_of(seen[0].path), rigs)
         to = f"rigs/{name}/sensors/camera"
-        rigs[name] = {"pose": _pose(scene, seen, name), "sensors": {"camera": {}}}
+        rigs[name] = {
+            "pose": _pose(scene, seen, name),
+            # Where the stage has it: beyond its ground, or inside of something, as well.
+            "allow_below": True,
+            "sensors": {"camera": {}},
+        }
         rigs[name]["sensors"]["camera"].update(_sensor(scene, seen, to))
     drawn = {seen[0].path for seen in found}
     for prim in scene.stage.Traverse(Usd.TraverseInstanceProxies()):
