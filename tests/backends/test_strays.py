@@ -129,7 +129,8 @@ def test_check_says_which_scans_are_cut_short_damaged_or_of_another_stage(tmp_pa
     stem.with_name("000002.json").unlink()
     firing = [[("rover_top", True)]] * 4
     told = {Path(f.where).name: str(f) for f in check_scans(tmp_path / "b", "this", firing)}
-    assert sorted(told) == ["000000.json", "000001.json", "000002.npz"]
+    assert sorted(told) == ["000000.json", "000001.json", "000002.npz", "rover_top"]
+    assert "1 of 4 scans" in told["rover_top"]
     assert "warning" in told["000000.json"]
     assert "was made of another stage" in told["000000.json"]
     assert "damaged or changed" in told["000001.json"]

@@ -33,7 +33,7 @@ def _model(points: list, faces: list, materials: list[int], through: float = 0.5
     return Model(
         np.array(points, np.float64), np.array(faces, np.int32), None,
         np.zeros(len(faces), np.int32), ("all",), np.array(materials, np.int32), tuple(looks),
-        None, (), 0, 0,
+        None, (), (), 0, 0,
     )  # fmt: skip
 
 

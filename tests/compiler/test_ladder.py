@@ -248,6 +248,11 @@ def test_a_cfg_whose_files_lie_elsewhere_is_asked_for(tmp_path, output):
     # With a setting, which the manifest knows.
     spec = load(path, ["terrain.spacing_m=0.3"])
     out = compile_cfg(spec, seed=1, out=tmp_path / "deep" / "out").out
+    # The output knows where its cfg was, and not where that went since.
+    moved = (tmp_path / "elsewhere").mkdir() or tmp_path / "elsewhere"
+    for file in (path, tmp_path / "hill.npy"):
+        file.rename(moved / file.name)
+    path = moved / path.name
     with pytest.raises(OutputError, match="--cfg") as error:
         climb(out, only=["lod"])
     assert "hill.npy" in str(error.value)

@@ -241,7 +241,8 @@ def test_an_export_s_summary_is_taken_or_refused_in_one_line(output, dataset, da
 def test_a_record_of_a_task_that_was_changed_counts_as_not_written(tmp_path, data):
     task = Task(3, "all", (), ())
     entry = {"key": "k", "files": [["a.png", 3, "5a"]], "record": {"n": [0.1, None]}, "index": [],
-             "left_out": {}, "narrowed": {}, "faults": [], "statistics": {"x": 1e-300},
+             "left_out": {}, "held": {}, "unheld": {}, "narrowed": {}, "faults": [],
+             "statistics": {"x": 1e-300},
              "tally": {"seen": 1, "kept": 1, "rejected": {}}}  # fmt: skip
     write_record(tmp_path, task, entry)
     assert read_record(tmp_path, task) == entry

@@ -85,6 +85,8 @@ def test_every_pass_has_a_convention_in_hdf5(tmp_path):
     codes = ("occlusion", "occlusion_backward", "disparity_occlusion")
     extra |= {name: np.full((8, 12), 3, np.uint32) for name in codes}
     extra |= {"range": np.ones((8, 12), np.float32), "face": np.zeros((8, 12), np.uint32)}
+    # The sky has none.
+    extra["face"][:2] = 0xFFFFFFFF
     out = make_output(tmp_path / "out", lambda n: some_passes(n) | extra, batches=1)
     with h5py.File(exported(out, tmp_path / "d", "hdf5") / "all_12x8.h5") as file:
         for name, array in extra.items():
