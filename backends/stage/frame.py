@@ -14,6 +14,9 @@ from scenec.schemas.spelling import shown
 #: Y-up to Z-up: x stays, y becomes z, z becomes -y.
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
+#: Units that a stage may have: from less than a nanometer to more than a light year.
+_LEAST_M, _MOST_M = 1e-12, 1e17
+
 
 @dataclass(frozen=True)
 class StageFrame:
@@ -35,9 +38,12 @@ class StageFrame:
             StageError: A unit or an axis that cannot be.
         """
         unit = UsdGeom.GetStageMetersPerUnit(stage)
-        if not 0.0 < unit < np.inf:
+        if not _LEAST_M <= unit <= _MOST_M:
             name = stage.GetRootLayer().GetDisplayName()
-            raise StageError(f"{name}: metersPerUnit is {unit:g}, expected a number above 0")
+            raise StageError(
+                f"{name}: metersPerUnit is {unit:g}, expected a number above 0, from {_LEAST_M:g} "
+                f"to {_MOST_M:g}"
+            )
         up = UsdGeom.GetStageUpAxis(stage)
         if up not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
             name = stage.GetRootLayer().GetDisplayName()
