@@ -215,6 +215,21 @@ def test_a_sweep_compiles_what_it_read(tmp_path: Path) -> None:
         assert not replace(unit, batches=range(1, 2)).is_done()
 
 
+def test_a_point_of_a_sweep_compiles_in_a_process_in_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfg, elsewhere = written(tmp_path / "cfg"), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(cfg.parent)
+    (point,) = points([], range(1))
+    (spec,) = read_all(cfg.name, [point])
+    out = tmp_path / "out"
+    unit = CompilePoint(spec, point, out, Keep.SEEN, None, None, False, "stop")
+    monkeypatch.chdir(elsewhere)
+    unit.run(Keeper())
+    assert unit.is_done()
+
+
 def test_run_reads_its_cfg_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from scenec.compiler.cfg import load as module
 
