@@ -94,14 +94,17 @@ def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
         CfgError: Some were changed, or have gone.
     """
     faults = []
+    now: dict[Path, str] = {}
     for pointer, file in files.items():
         for path, digest in file.members:
-            try:
-                now = sha256(path)
-            except OSError:
-                now = ""
-            if now != digest:
-                what = "has changed" if now else "has gone"
+            if path not in now:
+                # Once: many models may be of one file.
+                try:
+                    now[path] = sha256(path)
+                except OSError:
+                    now[path] = ""
+            if now[path] != digest:
+                what = "has changed" if now[path] else "has gone"
                 text = f"{shown(file.reference)}: {path.name} {what} since it was read; run again"
                 faults.append(Fault(str(cfg), 0, 0, f"/{pointer}", text))
     if faults:
