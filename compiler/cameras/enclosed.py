@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.joining import weld
 from scenec.compiler.geometry.pieces import pieces_of
-from scenec.compiler.geometry.poses import composed
+from scenec.compiler.geometry.poses import composed, cross
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.scene.plan import RigPlan
 from scenec.compiler.scene.rig import Rig
@@ -201,16 +201,11 @@ def _near(
 
 def _solved(turn: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points that matrices [k, 3, 3] bring to offsets [k, 3]; NaN where a matrix is singular."""
-    a, b, c = turn[:, :, 0], turn[:, :, 1], turn[:, :, 2]
-    rows = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+    a, b, c = (turn[:, :, axis].T for axis in range(3))
+    rows = np.stack([cross(b, c), cross(c, a), cross(a, b)])
     with np.errstate(divide="ignore", invalid="ignore"):
-        whole = (a * rows[:, 0]).sum(axis=1)
-        return np.asarray((rows * offset[:, None, :]).sum(axis=2) / whole[:, None])
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+        whole = (a * rows[0]).sum(axis=0)
+        return np.asarray(((rows * offset.T).sum(axis=1) / whole).T)
 
 
 def _held(prototype: Prototype, local: NDArray[np.float64]) -> NDArray[np.bool_]:
