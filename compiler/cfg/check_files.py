@@ -146,7 +146,7 @@ def _texture_set(folder: Path, owner: Node) -> dict[str, str]:
 
 
 def _members_of_texture_set(folder: Path, owner: Node) -> list[tuple[str, Path]]:
-    """The pictures that are taken, by kind."""
+    """Lists the pictures that are used, by kind."""
     return [(kind, folder / name) for kind, name in _texture_set(folder, owner).items()]
 
 
@@ -229,7 +229,7 @@ def _warnings(file: Path, owner: Node, lines: Iterable[str]) -> Iterator[Finding
 
 
 def _members_of_mesh(file: Path, owner: Node) -> list[tuple[str, Path]]:
-    """With the buffers beside a glTF file."""
+    """Lists a mesh's file, and the buffers beside it."""
     from scenec.compiler.assets.parse import GLTF, parse_model
 
     if file.suffix.lower() not in GLTF:
@@ -238,7 +238,7 @@ def _members_of_mesh(file: Path, owner: Node) -> list[tuple[str, Path]]:
 
 
 def _members_of_model(file: Path, owner: Node) -> list[tuple[str, Path]]:
-    """With the files that belong to it, in its order."""
+    """Lists a model's file, and the files that belong to it in its order."""
     from scenec.compiler.assets.model import parsed_model
 
     return [("", path) for path in (file, *parsed_model(file).companions)]

@@ -85,7 +85,7 @@ class Bop(Format):
         self._patterns = self.option("objects").split("|")
 
     def holds(self, name: str) -> bool:
-        """Pictures, depth, and masks of instances."""
+        """Holds pictures, depth, and masks of instances."""
         return name in ("rgb", "depth", "instance", "amodal")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

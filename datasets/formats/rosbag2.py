@@ -99,7 +99,7 @@ class Rosbag2(Format):
         trajectory.start_ticks(self, _NANO)
 
     def holds(self, name: str) -> bool:
-        """What there are messages for."""
+        """Holds what there are messages for."""
         return name.partition(".")[0] in ("rgb", "depth", "label", "instance", "disparity")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
