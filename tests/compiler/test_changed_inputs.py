@@ -293,6 +293,16 @@ def test_a_table_that_is_not_a_sweeps_stays(
     assert (out / "sweep.csv").read_text().endswith("a note\n")
 
 
+def test_a_table_with_cells_beyond_what_csv_reads_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cfg, out = written(tmp_path), tmp_path / "out"
+    out.mkdir()
+    (out / "sweep.csv").write_text("x" * 200_000)
+    assert main(["sweep", str(cfg), "--seeds", "0:2", "-o", str(out), "--compile-only"]) == 2
+    assert "sweep.csv: is not what a sweep wrote" in capsys.readouterr().err
+
+
 def test_a_sweep_of_too_many_points_makes_no_list(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         main(["sweep", "c.json", "--seeds", "0:1000000000", "-o", "out"])
