@@ -53,6 +53,7 @@ def check_files(
         Those that are sound, by their path in the cfg; findings on the others, and warnings.
     """
     files: dict[str, InputFile] = {}
+    known: dict[Path, str] = {}
     findings: list[Finding] = []
     for field in fields:
         kind = field.keywords.get("x-file")
@@ -67,7 +68,7 @@ def check_files(
             found = list(_CHECKS[kind](path, owner, cfg) or ())
             if all(finding.is_warning for finding in found):
                 named = _MEMBERS[kind](path, owner) if kind in _MEMBERS else [("", path)]
-                digests = [sha256(file) for _, file in named]
+                digests = [_digest(file, known) for _, file in named]
                 members = tuple(zip((file for _, file in named), digests, strict=True))
                 alone = len(named) == 1 and not named[0][0]
                 lines = [
@@ -94,21 +95,26 @@ def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
         CfgError: Some were changed, or have gone.
     """
     faults = []
-    now: dict[Path, str] = {}
+    known: dict[Path, str] = {}
     for pointer, file in files.items():
         for path, digest in file.members:
-            if path not in now:
-                # Once: many models may be of one file.
-                try:
-                    now[path] = sha256(path)
-                except OSError:
-                    now[path] = ""
-            if now[path] != digest:
-                what = "has changed" if now[path] else "has gone"
+            try:
+                now = _digest(path, known)
+            except OSError:
+                now = ""
+            if now != digest:
+                what = "has changed" if now else "has gone"
                 text = f"{shown(file.reference)}: {path.name} {what} since it was read; run again"
                 faults.append(Fault(str(cfg), 0, 0, f"/{pointer}", text))
     if faults:
         raise CfgError(faults)
+
+
+def _digest(file: Path, known: dict[Path, str]) -> str:
+    """Reads a file's digest once: many models may be of one file."""
+    if file not in known:
+        known[file] = sha256(file)
+    return known[file]
 
 
 def _joined(lines: list[str]) -> str:
