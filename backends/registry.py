@@ -16,7 +16,7 @@ from typing import Any
 from scenec.backends.contract import Backend
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
-from scenec.schemas.plugins import entry_points_of, load, names_of, origin, told
+from scenec.schemas.plugins import entry_points_of, load, names_of, offered, origin, told
 
 GROUP = "scenec.backends"
 
@@ -124,7 +124,7 @@ def _target(name: str) -> tuple[Callable[[], Any], str]:
         module, _, attribute = target.partition(":")
         mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
         return lambda: getattr(importlib.import_module(module), attribute), mend
-    point = entry_points_of(GROUP, name)[0]
+    point = offered(GROUP, name, f"backend {name}", BackendError)
     package = point.dist.name if point.dist else name
     return partial(load, point), f"pip install --force-reinstall {package}"
 

@@ -38,6 +38,7 @@ def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> Compil
 
     spec = warn(spec or load(options.cfg, options.settings))
     from scenec.compiler.compile import compile_cfg
+    from scenec.compiler.terrain.operator import OPERATORS
     from scenec.compiler.views.needed import Keep
 
     cache = cache_of(options)
@@ -94,6 +95,9 @@ def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> Compil
                 "keep cameras farther from it"
             )
         for place, entry in enumerate(facts["relief"]):
+            if entry["type"] not in OPERATORS:
+                # Of another package: it reports what it likes.
+                continue
             read = tuple(entry.get(key, rest) for key, rest in _HEIGHTS.items())
             if read != tuple(_HEIGHTS.values()):
                 say(

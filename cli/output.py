@@ -30,7 +30,7 @@ def say(text: str) -> None:
 
 
 def tell(text: str) -> None:
-    """As ``say``, from any thread."""
+    """Prints a line on standard error, from any thread."""
     clear_bar()
     print(text, file=sys.stderr, flush=True)
 

@@ -286,7 +286,7 @@ def _served(state: State, port: int) -> Iterator[str]:
             path, _, query = self.path.partition("?")
             given, slash, rest = path.removeprefix("/").partition("/")
             host = self.headers.get("Host", "")
-            if host.rpartition(":")[0] not in _OWN_HOSTS:
+            if host.partition(":")[0] not in _OWN_HOSTS:
                 self.send_error(403, "the page answers to 127.0.0.1 and localhost")
             elif not secrets.compare_digest(given.encode(), token.encode()):
                 self.send_error(403, "the address that the command printed has a token")

@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +161,7 @@ def read_all(cfg: Path | str, swept: Sequence[Point]) -> list[Spec]:
     for point in swept:
         if point.settings not in specs:
             try:
-                specs[point.settings] = load(cfg, point.settings)
+                specs[point.settings] = _absolute(load(cfg, point.settings))
             except CfgError as error:
                 faults |= dict.fromkeys(error.faults)
     if faults:
@@ -169,12 +169,25 @@ def read_all(cfg: Path | str, swept: Sequence[Point]) -> list[Spec]:
     return [specs[point.settings] for point in swept]
 
 
+def _absolute(spec: Spec) -> Spec:
+    """Makes all paths of a cfg absolute: its worker may be in another folder."""
+    files = {
+        key: replace(
+            file,
+            path=file.path.absolute(),
+            members=tuple((path.absolute(), digest) for path, digest in file.members),
+        )
+        for key, file in spec.files.items()
+    }
+    return replace(spec, path=spec.path.absolute(), files=files, folder=spec.folder.absolute())
+
+
 @dataclass(frozen=True)
 class CompilePoint:
     """Compiles all batches of a point into its folder; returns nothing.
 
     Attributes:
-        spec: The cfg, as it was read for the point.
+        spec: The cfg, as it was read for the point (``read_all``).
         point: What is set over it, and the seed.
         out: The folder, absolute.
         keep, batches, cache, replace, faults: As of ``compile_cfg``.

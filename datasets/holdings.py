@@ -1,4 +1,4 @@
-"""What two datasets hold, compared: settings that decide it, and each annotation of COCO files."""
+"""Compares what two datasets hold: settings that decide it, each annotation of COCO files."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def coco_apart(first: Path, second: Path, masks: bool) -> Iterator[str]:
 
 
 def _apart(a: Mapping[str, Any], b: Mapping[str, Any], masks: bool) -> str:
-    """In what two annotations differ first."""
+    """Names what two annotations differ in first; "" where they are the same."""
     keys = dict.fromkeys([*a, *b])
     for key in keys if masks else [key for key in keys if "segmentation" not in key]:
         if a.get(key) != b.get(key):

@@ -201,7 +201,7 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
 
 
 def _apart(name: str, one: Seen, two: Seen) -> Iterator[str]:
-    """What two sides hold of a frame, where it differs."""
+    """Yields in what two sides differ of a frame."""
     if one.instances != two.instances:
         yield f"{name}: {one.instances:,} against {two.instances:,} instances"
     if one.split and two.split and one.split != two.split:

@@ -44,9 +44,15 @@ class Imported:
         return Path(os.path.relpath(file.resolve(), self.out.parent.resolve())).as_posix()
 
     def make(self, name: str, write: Writer) -> str:
-        """Has a file made, and says how the cfg names it."""
-        self.made[name] = write
-        return f"{self.folder.name}/{name}"
+        """Has a file made, and says how the cfg names it: otherwise where another has that name."""
+        stem, dot, suffix = name.rpartition(".")
+        # Some file systems do not tell cases apart.
+        taken = {other.casefold(): writer for other, writer in self.made.items()}
+        free, number = name, 2
+        while taken.get(free.casefold(), write) != write:
+            free, number = f"{stem}_{number}{dot}{suffix}", number + 1
+        self.made[free] = write
+        return f"{self.folder.name}/{free}"
 
 
 def check_free(out: Path) -> None:

@@ -53,7 +53,8 @@ from scenec.schemas.files import NUMPY_FAULTS, atomic, frame_stem_of
 BATCH_TABLE = "instances.npz"
 #: Ending of a frame's table.
 FRAME_SUFFIX = ".instances.csv"
-TABLE_VERSION = 1
+#: Of version 1 are tables without sizes that change; they are read, and made anew by a render.
+TABLE_VERSION = 2
 
 PIXEL_COLUMNS = ("pixels", "x_min", "y_min", "x_max", "y_max", "truncated")
 DEPTH_COLUMNS = ("depth_min", "depth_mean", "depth_max")
@@ -181,7 +182,7 @@ def read_table(path: Path) -> InstanceTable:
     path = path / BATCH_TABLE if path.is_dir() else path
     try:
         with np.load(path) as arrays:
-            if int(arrays["version"]) != TABLE_VERSION:
+            if int(arrays["version"]) not in (1, TABLE_VERSION):
                 raise FrameError(f"{path}: a table of another version; render again")
             return InstanceTable(
                 str(arrays["stage_digest"]),

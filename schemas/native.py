@@ -20,7 +20,7 @@ from typing import Any
 CRASHES = frozenset((signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL))
 _PR_SET_PDEATHSIG = 1
 #: Bytes of a note.
-SIZE = 1 << 13
+SIZE = max(1 << 13, mmap.ALLOCATIONGRANULARITY)
 
 
 class Note:

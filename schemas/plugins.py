@@ -83,6 +83,41 @@ def load(point: EntryPoint) -> Any:
     return point.load()
 
 
+def offered(group: str, name: str, title: str, kind: type[ScenecError]) -> EntryPoint:
+    """Finds the entry point of a name that packages offer.
+
+    Args:
+        group, name: Of the entry point; there is one.
+        title: What it is called in messages.
+        kind: Of the error.
+
+    Raises:
+        ScenecError: Of that kind: several packages offer it.
+    """
+    points = entry_points_of(group, name)
+    if len(points) > 1:
+        listed = ", ".join(map(place, points))
+        raise kind(f"several packages offer the {title}: {listed}; remove one")
+    return points[0]
+
+
+def load_offered(group: str, name: str, title: str, kind: type[ScenecError]) -> tuple[Any, str]:
+    """Loads what a package offers under a name; gives it, and whose it is, for messages.
+
+    Args:
+        group, name, title, kind: As of ``offered``.
+
+    Raises:
+        ScenecError: Of that kind: several packages offer it, or it cannot be imported.
+    """
+    point = offered(group, name, title, kind)
+    who = f"{title} ({place(point)})"
+    try:
+        return load(point), who
+    except Exception as error:
+        raise kind(f"{who}: cannot be imported: {told(error)}") from error
+
+
 def told(error: BaseException) -> str:
     """An error of another package's code, and where in that code it was raised, in a line."""
     frames = traceback.extract_tb(error.__traceback__)
@@ -172,18 +207,10 @@ def load_kind(group: str, name: str) -> type[Any]:
     Raises:
         ScenecError: There is none, or several; or it is not what it should be.
     """
-    points = entry_points_of(group, name)
-    what = KINDS[group]
-    if not points:
-        raise ScenecError(f"no {what} {shown(name)}{nearest(name, names_of(group))}")
-    if len(points) > 1:
-        listed = ", ".join(map(place, points))
-        raise ScenecError(f"several packages offer the {what} {shown(name)}: {listed}; remove one")
-    who = f"{what} {shown(name)} ({place(points[0])})"
-    try:
-        made = load(points[0])
-    except Exception as error:
-        raise ScenecError(f"{who}: cannot be imported: {told(error)}") from error
+    title = f"{KINDS[group]} {shown(name)}"
+    if not entry_points_of(group, name):
+        raise ScenecError(f"no {title}{nearest(name, names_of(group))}")
+    made, who = load_offered(group, name, title, ScenecError)
     schema = getattr(made, "SCHEMA", None)
     if not dataclasses.is_dataclass(made) or not isinstance(schema, Mapping):
         raise ScenecError(f"{who}: expected a dataclass with a SCHEMA, a JSON Schema of its keys")

@@ -21,8 +21,8 @@ from scenec.schemas.threads import over_threads
 
 #: What a polygon can be besides sound.
 _FLAT, _CROSSING, _EMPTY = 1, 2, 3
-#: What is said of each, and of what has less than three corners.
-_SAID = (
+#: The texts of these faults, that of less than three corners first.
+_FAULTS = (
     "a polygon of fewer than three corners is left out",
     "a polygon with corners that repeat or stand in line has triangles without area",
     "a polygon that crosses itself is cut into triangles that overlap",
@@ -129,7 +129,7 @@ def triangulate(
     if holes is not None:
         small[holes] = False
     found = [int(small.sum()), *np.bincount(kinds, minlength=4)[1:].tolist()]
-    return Triangles(out, polygon, {_SAID[k]: n for k, n in enumerate(found) if n})
+    return Triangles(out, polygon, {_FAULTS[k]: n for k, n in enumerate(found) if n})
 
 
 @kernel

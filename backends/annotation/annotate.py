@@ -126,7 +126,7 @@ def _cast(
 
 
 def _sky(view: View) -> tuple[int, int]:
-    """See ``Annotation.sky``."""
+    """Counts pixels of sky, and those of them below the horizon (``Annotation.sky``)."""
     scene, rays = view.scene, view.rays
     missed = view.hits.row < 0
     if rays.known is not None:

@@ -17,7 +17,7 @@ from scenec.schemas.correspondence import BEFORE, NEXT, PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, ScenecError
 from scenec.schemas.passes import BUILT_IN, GROUP, LABEL, pass_names
-from scenec.schemas.plugins import entry_points_of, load, place, told
+from scenec.schemas.plugins import entry_points_of, load_offered, place, told
 from scenec.schemas.spelling import nearest, shown
 
 #: Modules of ours but ``passes``, where the others are; a pass is its name in capitals.
@@ -76,11 +76,7 @@ def find_pass(name: str) -> Pass:
         return found
     if not points:
         raise BackendError(f"no pass {shown(name)}{nearest(name, pass_names())}")
-    who = f"pass {shown(name)} ({place(points[0])})"
-    try:
-        made = load(points[0])
-    except Exception as error:
-        raise BackendError(f"{who}: cannot be imported: {told(error)}") from error
+    made, who = load_offered(GROUP, name, f"pass {shown(name)}", BackendError)
     fault = _fault(made, name)
     if fault is not None:
         raise BackendError(f"{who}: {fault}")

@@ -109,7 +109,7 @@ class _Check:
                 yield self.finding(path, "has no sidecar: cut short?")
 
     def missing(self, folder: Path, firing: Firing) -> Iterator[Finding]:
-        """Of sensors below a folder: what the stage has a place for and is not there."""
+        """Finds what the stage has a place for and sensors' folders lack."""
         expected: dict[str, list[int]] = {}
         for sample, sensors in enumerate(firing):
             for name, fires in sensors:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scenec.backends.check.finding import Finding
 from scenec.backends.contract import Rays
 from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.stage.scene import RenderScene
+from scenec.backends.stage.scene import RenderScene, Rows
 from scenec.backends.stage.sky_labels import load_label_map
 from scenec.schemas.errors import StageError
 
@@ -72,19 +72,19 @@ def _enclosed(scene: RenderScene) -> dict[str, list[int]]:
         origins = np.repeat(np.stack([at for _, at in places]), len(ways), axis=0)
         rays = Rays(origins, np.tile(ways, (len(places), 1)), (len(origins), 1))
         row, face, _ = caster.cast(rays)
+        posed = scene.rows_at(sample)
         hit = (row >= 0).reshape(len(places), -1)
         back = np.zeros(len(row), np.bool_)
         for k in np.flatnonzero(row >= 0):
-            back[k] = (_outward(scene, sample, row[k], face[k]) * rays.directions[k]).sum() > 0.0
+            back[k] = (_outward(scene, posed, row[k], face[k]) * rays.directions[k]).sum() > 0.0
         backs = back.reshape(hit.shape)
         for k in np.flatnonzero((backs == hit).all(axis=1) & (hit.sum(axis=1) >= _FEWEST)):
             found.setdefault(places[k][0], []).append(sample)
     return found
 
 
-def _outward(scene: RenderScene, sample: int, row: int, face: int) -> NDArray[np.float64]:
-    """Normal of a face on the side from which it is wound counter-clockwise, [3], of any length."""
-    rows = scene.rows_at(sample)
+def _outward(scene: RenderScene, rows: Rows, row: int, face: int) -> NDArray[np.float64]:
+    """Returns a face's normal, [3], of any length, on the side where it is counter-clockwise."""
     mesh, matrix = scene.meshes[rows.mesh[row]], rows.to_world[row][:, :3]
     corners = mesh.points[mesh.faces[face]].astype(np.float64) @ matrix.T
     # A mirrored row winds its faces the other way.

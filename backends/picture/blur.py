@@ -340,7 +340,7 @@ def _farthest(way: NDArray[np.float64], times: NDArray[np.float64], duration: fl
 def _widened(
     shutter: Shutter, height: int, way: NDArray[np.float64], times: NDArray[np.float64]
 ) -> Shutter:
-    """With exposures long enough for rows to share sub-frames."""
+    """Gives a shutter exposures that are long enough for rows to share sub-frames."""
     if shutter.readout_s <= 0.0:
         return shutter
     speed = float((np.diff(way, axis=1) / np.diff(times)).max())

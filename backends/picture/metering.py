@@ -98,7 +98,7 @@ def look(
 
 
 def _spread(camera: Camera, rays: int, sample: int) -> Rays:
-    """About so many rays, one anywhere in each cell of a grid; another place each sample."""
+    """Draws about so many rays, one anywhere in each cell of a grid, others at each sample."""
     cells = coarse(camera, rays)
     random = np.random.Generator(np.random.Philox(key=(_KEY << 64) + sample))
     jitter = random.random((2, cells.height, cells.width))

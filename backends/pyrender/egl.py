@@ -192,7 +192,7 @@ def _extension(egl: Any, name: str, result: Any, *arguments: Any) -> Any:
 
 @contextmanager
 def _no_window() -> Iterator[None]:
-    """Without a variable that would make the default display a window's."""
+    """Takes away the variable that would make the default display a window's."""
     kept = os.environ.pop("DISPLAY", None)
     try:
         yield

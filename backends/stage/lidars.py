@@ -44,7 +44,7 @@ def read_lidars(
 
 
 def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:
-    """All of a lidar but its pose."""
+    """Reads all of a lidar but its pose."""
     elevations = values.array(prim.GetAttribute(names.ATTR_LIDAR_ELEVATIONS), np.float64)
     count = values.whole(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTHS), 0)
     if not 0 < count * len(elevations) <= _MOST:

@@ -38,7 +38,7 @@ def moving(scene: RenderScene) -> NDArray[np.bool_]:
 
 
 def sliding(scene: RenderScene) -> tuple[str, ...]:
-    """A line for each mesh whose pictures stay in the world while it moves."""
+    """Names each mesh whose pictures stay in the world while it moves, a line each."""
     numbers = np.unique(scene.rows.mesh[moving(scene)])
     found = {}
     for mesh in (scene.meshes[n] for n in numbers.tolist()):

@@ -166,7 +166,7 @@ class Unread:
         elif kind == "RenderSettings":
             self._attributes(prim, kind)
             chosen = settings_of_products(prim.GetStage())
-            if any(chosen[path] != prim for path in values.targets(prim, "products")):
+            if any(chosen.get(path) != prim for path in values.targets(prim, "products")):
                 self.add("RenderSettings are not followed of products that others list", prim)
         elif kind == "RenderPass":
             if any(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.joining import weld
 from scenec.compiler.geometry.pieces import pieces_of
-from scenec.compiler.geometry.poses import composed
+from scenec.compiler.geometry.poses import composed, cross
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.scene.plan import RigPlan
 from scenec.compiler.scene.rig import Rig
@@ -31,8 +31,8 @@ from scenec.schemas.depth_camera import StereoDepth
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import inlined, kernel
 
-#: So many are told; of the others their number.
-_TOLD: Final = 3
+#: So many are listed; of the others their number.
+_LISTED: Final = 3
 #: Share of the terrain within which its rounded border is.
 _WITHIN: Final = 1.0 - 1e-6
 
@@ -73,7 +73,7 @@ class _Column(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> _Column:
-        """Of lines that have met nothing yet."""
+        """Makes the column of lines that have met nothing yet."""
         return cls(
             np.full(count, np.inf),
             np.zeros(count, np.bool_),
@@ -130,7 +130,7 @@ def require_open(
             known = ground_m if np.isfinite(column.below[k]) else ""
             wrong.setdefault(k, f"is inside of object {number} of objects/{one.name}{known}")
     if wrong:
-        raise SceneError(_told(eyes, wrong))
+        raise SceneError(_message(eyes, wrong))
 
 
 def _eyes_of(rigs: Sequence[Rig]) -> _Eyes:
@@ -167,7 +167,7 @@ def _eyes_of(rigs: Sequence[Rig]) -> _Eyes:
 
 
 def _inside(objects: Scatter | Placed, eyes: _Eyes) -> Iterator[tuple[int, int]]:
-    """Points, and the ids of the objects that hold them."""
+    """Yields points, and the ids of the objects that hold them."""
     middles, radii = objects.balls()
     steps = len(middles) // max(objects.count, 1)
     pairs = _near(middles, radii, steps, eyes)
@@ -200,17 +200,12 @@ def _near(
 
 
 def _solved(turn: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points that matrices [k, 3, 3] bring to offsets [k, 3]; NaN where a matrix is singular."""
-    a, b, c = turn[:, :, 0], turn[:, :, 1], turn[:, :, 2]
-    rows = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+    """Solves for points that matrices [k, 3, 3] bring to offsets [k, 3]; NaN where singular."""
+    a, b, c = (turn[:, :, axis].T for axis in range(3))
+    rows = np.stack([cross(b, c), cross(c, a), cross(a, b)])
     with np.errstate(divide="ignore", invalid="ignore"):
-        whole = (a * rows[:, 0]).sum(axis=1)
-        return np.asarray((rows * offset[:, None, :]).sum(axis=2) / whole[:, None])
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+        whole = (a * rows[0]).sum(axis=0)
+        return np.asarray(((rows * offset.T).sum(axis=1) / whole).T)
 
 
 def _held(prototype: Prototype, local: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -241,20 +236,20 @@ def _closed(
     return faces[~open_ & ~twisted], faces[~open_ & twisted]
 
 
-def _told(eyes: _Eyes, wrong: dict[int, str]) -> str:
-    """One line: the first of each sensor and sample that is wrong, in the cfg's order."""
+def _message(eyes: _Eyes, wrong: dict[int, str]) -> str:
+    """Lists the first of each sensor and sample that is wrong, in a line, in the cfg's order."""
     first: dict[tuple[int, int], int] = {}
     for k in sorted(wrong):
         first.setdefault((int(eyes.sensor[k]), int(eyes.sample[k])), k)
-    # A fault of the rig is one of each of its sensors: what differs is told first.
-    told = []
-    for sensor, sample in sorted(first, key=lambda one: (one[1], one[0]))[:_TOLD]:
+    # A fault of the rig is one of each of its sensors: what differs is said first.
+    parts = []
+    for sensor, sample in sorted(first, key=lambda one: (one[1], one[0]))[:_LISTED]:
         k = first[sensor, sample]
         x, y, z = eyes.at[k]
         place = f"sample {sample} at ({x:.6g}, {y:.6g}, {z:.6g}) m"
-        told.append(f"{eyes.names[sensor]}: {place} {wrong[k]}")
-    more = len(first) - len(told)
-    text = "; ".join(told) + (f"; and {more} more like these" if more else "")
+        parts.append(f"{eyes.names[sensor]}: {place} {wrong[k]}")
+    more = len(first) - len(parts)
+    text = "; ".join(parts) + (f"; and {more} more like these" if more else "")
     return (
         f"{text}: expected sensors above the ground and outside of objects (allow_below: true on a "
         "rig is for those that are meant to be there)"

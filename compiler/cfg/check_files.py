@@ -53,6 +53,7 @@ def check_files(
         Those that are sound, by their path in the cfg; findings on the others, and warnings.
     """
     files: dict[str, InputFile] = {}
+    known: dict[Path, str] = {}
     findings: list[Finding] = []
     for field in fields:
         kind = field.keywords.get("x-file")
@@ -67,7 +68,7 @@ def check_files(
             found = list(_CHECKS[kind](path, owner, cfg) or ())
             if all(finding.is_warning for finding in found):
                 named = _MEMBERS[kind](path, owner) if kind in _MEMBERS else [("", path)]
-                digests = [sha256(file) for _, file in named]
+                digests = [_digest(file, known) for _, file in named]
                 members = tuple(zip((file for _, file in named), digests, strict=True))
                 alone = len(named) == 1 and not named[0][0]
                 lines = [
@@ -94,10 +95,11 @@ def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
         CfgError: Some were changed, or have gone.
     """
     faults = []
+    known: dict[Path, str] = {}
     for pointer, file in files.items():
         for path, digest in file.members:
             try:
-                now = sha256(path)
+                now = _digest(path, known)
             except OSError:
                 now = ""
             if now != digest:
@@ -106,6 +108,13 @@ def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
                 faults.append(Fault(str(cfg), 0, 0, f"/{pointer}", text))
     if faults:
         raise CfgError(faults)
+
+
+def _digest(file: Path, known: dict[Path, str]) -> str:
+    """Reads a file's digest once: many models may be of one file."""
+    if file not in known:
+        known[file] = sha256(file)
+    return known[file]
 
 
 def _joined(lines: list[str]) -> str:
@@ -143,7 +152,7 @@ def _texture_set(folder: Path, owner: Node) -> dict[str, str]:
 
 
 def _members_of_texture_set(folder: Path, owner: Node) -> list[tuple[str, Path]]:
-    """The pictures that are taken, by kind."""
+    """Lists the pictures that are used, by kind."""
     return [(kind, folder / name) for kind, name in _texture_set(folder, owner).items()]
 
 
@@ -226,7 +235,7 @@ def _warnings(file: Path, owner: Node, lines: Iterable[str]) -> Iterator[Finding
 
 
 def _members_of_mesh(file: Path, owner: Node) -> list[tuple[str, Path]]:
-    """With the buffers beside a glTF file."""
+    """Lists a mesh's file, and the buffers beside it."""
     from scenec.compiler.assets.parse import GLTF, parse_model
 
     if file.suffix.lower() not in GLTF:
@@ -235,7 +244,7 @@ def _members_of_mesh(file: Path, owner: Node) -> list[tuple[str, Path]]:
 
 
 def _members_of_model(file: Path, owner: Node) -> list[tuple[str, Path]]:
-    """With the files that belong to it, in its order."""
+    """Lists a model's file, and the files that belong to it in its order."""
     from scenec.compiler.assets.model import parsed_model
 
     return [("", path) for path in (file, *parsed_model(file).companions)]

@@ -39,7 +39,7 @@ def gray(path: Path) -> Plane:
 
 
 def stamp(path: Path) -> Stamp:
-    """As ``schemas.files.stamp``: for caches within a process.
+    """Stamps a file (``schemas.files.stamp``) for caches within a process.
 
     Raises:
         SceneError: It is not there any more.

@@ -148,7 +148,7 @@ def _by_bin(
     kind: str,
     max_detections: int,
 ) -> Table | None:
-    """None where the truth states the attribute of no object, or as no number."""
+    """Measures by bins; None where the truth has the attribute of no object, or as no number."""
     light = one.name == SUN.name
     try:
         of_image = {

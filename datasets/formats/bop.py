@@ -30,7 +30,7 @@ import fnmatch
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, ClassVar
@@ -85,7 +85,7 @@ class Bop(Format):
         self._patterns = self.option("objects").split("|")
 
     def holds(self, name: str) -> bool:
-        """Pictures, depth, and masks of instances."""
+        """Holds pictures, depth, and masks of instances."""
         return name in ("rgb", "depth", "instance", "amodal")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
@@ -124,16 +124,12 @@ class Bop(Format):
                     write_png(folder / path, mask.astype(np.uint8) * np.uint8(255))
                     written.files.append(path)
             infos.append(_info(frame, line, visible, whole, depth.steps))
-        poses = _poses(frame, lines)
-        entry = {"camera": self._camera(frame), "gt": poses, "info": infos}
-        # A class may begin at its own size, and leave it later.
-        scaled = {p["class"] for p in poses if np.abs(np.array(p["scale"]) - 1.0).max() > _SAME}
+        entry = {"camera": self._camera(frame), "gt": _poses(frame, lines), "info": infos}
         (scratch / f"{task.number:08d}.json").write_text(json.dumps(entry), encoding="utf-8")
         classes = sorted({str(frame.table["class"][line]) for line in lines.tolist()})
         others = sorted({*frame.table["class"].tolist()} - {*classes})
         written.record = {
-            "classes": classes, "others": others, "scaled": sorted(scaled),
-            "instances": len(lines), **depth.counts()
+            "classes": classes, "others": others, "instances": len(lines), **depth.counts()
         }  # fmt: skip
         return written
 
@@ -141,11 +137,9 @@ class Bop(Format):
         """Write the annotation of each scene, and what the objects are."""
         classes: set[str] = set()
         others: set[str] = set()
-        scaled: set[str] = set()
         for one in done:
             classes.update((one.record or {}).get("classes", ()))
             others.update((one.record or {}).get("others", ()))
-            scaled.update((one.record or {}).get("scaled", ()))
         if self.option("objects") != "*" and others and not classes:
             raise OutputError(
                 f"format bop, option objects: no frame shows anything of {self.option('objects')}"
@@ -182,7 +176,7 @@ class Bop(Format):
                 table.append([place, task.split, ref.batch_name, ref.camera, *counts.tolist()])
                 written += [f"{place}/{name}" for name in _FILES.values()]
         trajectory.write_table(folder / trajectory.SEQUENCES, _COLUMNS, table)
-        objects, models = _objects(ids, [path for path in batches if path.is_file()], scaled)
+        objects, models = _objects(ids, [path for path in batches if path.is_file()])
         write_json(folder / "objects.json", objects)
         write_json(folder / "models" / "models_info.json", models)
         return written
@@ -294,6 +288,7 @@ def _poses(frame: LoadedFrame, lines: NDArray[np.int64]) -> list[dict[str, Any]]
     if not len(lines):
         return []
     table = _batch_table(_table_path(frame.ref))
+    scales, _ = table.size(frame.ref.sample)
     found = []
     for line in lines.tolist():
         column = {name: values[line] for name, values in frame.table.items()}
@@ -305,38 +300,16 @@ def _poses(frame: LoadedFrame, lines: NDArray[np.int64]) -> list[dict[str, Any]]
             )
         turn = rotation_matrix(np.array([column[f"cam_q{axis}"] for axis in "xyzw"]))
         place = np.array([column[f"cam_{axis}"] for axis in "xyz"]) * 1000.0
-        scale = _scale(table, at, np.array([column[f"size_{axis}"] for axis in "xyz"]))
         found.append(
             {
                 "cam_R_m2c": turn.ravel().tolist(),
                 "cam_t_m2c": place.tolist(),
                 "class": str(column["class"]),
-                "scale": scale.tolist(),
+                "scale": scales[at].astype(np.float64).tolist(),
                 "inst_id": int(column["id"]),
             }
         )
     return found
-
-
-def _scale(table: InstanceTable, at: int, size: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An instance's scale at a frame's sample.
-
-    The table has that of the first sample, with the box that it makes; the frame's table has the
-    box of the sample.
-
-    Args:
-        table: The batch's.
-        at: Line of the instance in it.
-        size: Extent of its box in the frame, meters, [3].
-    """
-    scale = table.scale[at].astype(np.float64)
-    first = (table.box[at, 1] - table.box[at, 0]).astype(np.float64)
-    solid = first > _SAME * first.max()
-    grown = np.ones(3)
-    grown[solid] = size[solid] / first[solid]
-    # What is flat along an axis says nothing of its scale there.
-    grown[~solid] = grown[solid].mean() if solid.any() else 1.0
-    return scale if np.abs(grown - 1.0).max() <= _SAME else scale * grown
 
 
 def _info(
@@ -367,17 +340,30 @@ def _box(mask: NDArray[np.bool_]) -> list[int]:
     return [int(columns[0]), int(rows[0]), int(columns[-1] - columns[0]), int(rows[-1] - rows[0])]
 
 
+def _resized(table: InstanceTable) -> NDArray[np.bool_]:
+    """Tells which instances change their scales or boxes from sample to sample, bool [n]."""
+    found = np.zeros(len(table.id), np.bool_)
+    if table.moving_scale is not None and table.moving_box is not None:
+        scale, box = table.scale[table.moving], table.box[table.moving]
+        grown = np.abs(table.moving_scale - scale).max(axis=(0, 2))
+        found[table.moving] = grown > _SAME * np.abs(scale).max(axis=1)
+        grown = np.abs(table.moving_box - box).max(axis=(0, 2, 3))
+        found[table.moving] |= grown > _SAME * np.abs(box).max(axis=(1, 2))
+    return found
+
+
 def _objects(
-    ids: Mapping[str, int], tables: Sequence[Path], scaled: Set[str]
+    ids: Mapping[str, int], tables: Sequence[Path]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """``objects.json`` and ``models_info.json``."""
     boxes: dict[str, list[NDArray[np.float64]]] = {name: [] for name in ids}
-    rigid = {name: name not in scaled for name in ids}
+    rigid = dict.fromkeys(ids, True)
     for path in tables:
         table = read_table(path)
         unit = table.box.astype(np.float64) / table.scale.astype(np.float64)[:, None, :]
         # A mirrored axis has its ends the other way round.
         unit = np.sort(unit, axis=1)
+        resized = _resized(table)
         for index, name in enumerate(table.classes):
             mine = table.class_index == index
             if name not in ids or not mine.any():
@@ -387,6 +373,8 @@ def _objects(
             spread = np.abs(unit[mine] - np.stack([low, high])).max()
             one_size = np.abs(table.scale[mine] - 1.0).max() <= _SAME
             rigid[name] &= bool(one_size and spread <= _SAME * max(1.0, np.abs(unit[mine]).max()))
+            # It may begin at its own size and shape, and leave them later.
+            rigid[name] &= not (mine & resized).any()
     objects, models = {}, {}
     for name, number in ids.items():
         all_boxes = boxes[name]

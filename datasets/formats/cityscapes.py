@@ -140,7 +140,7 @@ class Cityscapes(Format):
                 )
 
     def holds(self, name: str) -> bool:
-        """Pictures, ids, and depth where it is asked for."""
+        """Holds pictures, ids, and depth where an option asks for it."""
         if name.startswith("label."):
             return name.removeprefix("label.") in self._levels
         return name in ("rgb", "instance") or (name == "depth" and self.option(name) != "none")

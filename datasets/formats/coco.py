@@ -74,7 +74,7 @@ class Coco(Format):
     }
 
     def holds(self, name: str) -> bool:
-        """Pictures and masks; labels of pixels that no instance has are in none."""
+        """Holds pictures and masks; labels of pixels without an instance are in none."""
         if name == "rgb":
             return self.option("images") != "none"
         return name in ("instance", "amodal")
@@ -196,7 +196,7 @@ def instance_annotations(
 
 
 def _mean_depth(frame: LoadedFrame, units: Units) -> NDArray[np.float64]:
-    """Of the pixels of each unit; NaN without the pass."""
+    """Averages the depth of each unit's pixels; NaN without the pass."""
     depth = frame.passes.get("depth")
     if depth is None:
         return np.full(len(units.numbers), np.nan)

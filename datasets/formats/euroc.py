@@ -82,7 +82,7 @@ class Euroc(Format):
         trajectory.start_ticks(self, _NANO)
 
     def holds(self, name: str) -> bool:
-        """Pictures."""
+        """Holds pictures."""
         return name == "rgb"
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

@@ -146,7 +146,7 @@ class Hdf5(Format):
         self._shard = whole_option(self, "shard")
 
     def holds(self, name: str) -> bool:
-        """All but amodal masks."""
+        """Holds all but amodal masks."""
         return name != "amodal"
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

@@ -136,7 +136,7 @@ class Kitti(Format):
         trajectory.start_ticks(self, _MICRO)
 
     def holds(self, name: str) -> bool:
-        """Pictures, and what options ask for."""
+        """Holds pictures, and what options ask for."""
         return name == "rgb" or (name in ("depth", *_SHOWN) and self.option(name) != "no")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

@@ -116,7 +116,7 @@ class Oaisys(Format):
                 )
 
     def holds(self, name: str) -> bool:
-        """Pictures, depth and ids."""
+        """Holds pictures, depth and ids."""
         return name.partition(".")[0] in ("rgb", "depth", "label", "instance")
 
     def write(

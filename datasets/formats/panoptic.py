@@ -63,7 +63,7 @@ class Panoptic(Format):
             raise OutputError("format panoptic: the frames have no labels to tell segments by")
 
     def holds(self, name: str) -> bool:
-        """Pictures and segments of one level."""
+        """Holds pictures, and segments of one level."""
         if name == "rgb":
             return self.option("images") != "none"
         return name in ("instance", f"label.{self.info.level}")

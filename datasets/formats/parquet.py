@@ -91,7 +91,7 @@ class Parquet(Format):
                 )
 
     def holds(self, name: str) -> bool:
-        """Pictures, depth and ids."""
+        """Holds pictures, depth and ids."""
         return name.partition(".")[0] in ("rgb", "depth", "label", "instance")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

@@ -6,7 +6,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from scenec.schemas.errors import OutputError
-from scenec.schemas.plugins import entry_points_of, load, names_of, origin, place, told
+from scenec.schemas.plugins import entry_points_of, load_offered, names_of, origin
 from scenec.schemas.spelling import nearest
 
 if TYPE_CHECKING:
@@ -50,17 +50,9 @@ def find_format(name: str) -> type[Format]:
         return found
     from scenec.datasets.formats import contract
 
-    points = entry_points_of(GROUP, name)
-    if not points:
+    if not entry_points_of(GROUP, name):
         raise OutputError(f"no format {name!r}{nearest(name, format_names())}")
-    if len(points) > 1:
-        listed = ", ".join(map(place, points))
-        raise OutputError(f"several packages offer the format {name!r}: {listed}; remove one")
-    who = f"format {name!r} ({place(points[0])})"
-    try:
-        loaded = load(points[0])
-    except Exception as error:
-        raise OutputError(f"{who}: cannot be imported: {told(error)}") from error
+    loaded, who = load_offered(GROUP, name, f"format {name!r}", OutputError)
     if isinstance(loaded, type) and issubclass(loaded, contract.Format):
         return loaded
     raise OutputError(f"{who}: is no scenec.datasets format")

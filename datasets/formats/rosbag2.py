@@ -99,7 +99,7 @@ class Rosbag2(Format):
         trajectory.start_ticks(self, _NANO)
 
     def holds(self, name: str) -> bool:
-        """What there are messages for."""
+        """Holds what there are messages for."""
         return name.partition(".")[0] in ("rgb", "depth", "label", "instance", "disparity")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
@@ -212,7 +212,7 @@ class _Bag:
 
     def _look_at_rigs(self, frames: Sequence[FrameRef]) -> None:
         rigs = trajectory.rigs(sorted(frames, key=lambda ref: (ref.camera, ref.sample)))
-        names = _ros_names([rig for _, rig, members in rigs if rig not in members], "rig")
+        names = _rig_frames([r for _, r, members in rigs if r not in members], self._cameras)
         for _, rig, members in rigs:
             if rig in names:
                 self._rigs[next(iter(members))] = names[rig]
@@ -436,6 +436,21 @@ def _ids(frame: LoadedFrame, ids: NDArray[Any], encoding: str) -> NDArray[Any]:
             f"{np.iinfo(kind).max}"
         )
     return ids.astype(kind)
+
+
+def _rig_frames(rigs: Sequence[str], cameras: Mapping[str, str]) -> dict[str, str]:
+    """Names the frames of rigs, none as the world or as a frame of a camera.
+
+    Args:
+        rigs: Names in the stage.
+        cameras: Names in the stage, and in the bag.
+    """
+    taken = {
+        "world",
+        *(f"{name}_{end}" for name in cameras.values() for end in ("optical", "link")),
+    }
+    named = _ros_names(rigs, "rig")
+    return {rig: f"{name}_rig" if name in taken else name for rig, name in named.items()}
 
 
 def _ros_names(names: Sequence[str], what: str) -> dict[str, str]:

@@ -63,7 +63,7 @@ class Sintel(Format):
     beside = ("clean",)
 
     def holds(self, name: str) -> bool:
-        """Pictures, and flow to the next."""
+        """Holds pictures, and flow to the next."""
         return name in ("rgb", "flow", "occlusion")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

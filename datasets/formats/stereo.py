@@ -1,4 +1,4 @@
-"""Stereo pairs among the cameras of a rig."""
+"""Finds stereo pairs among the cameras of a rig."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def before_partners(frames: Sequence[FrameRef]) -> bool:
 
 
 def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
-    """The first that can be read."""
+    """Finds the first sidecar that can be read."""
     return next((s for s in map(sidecar_values, frames) if s is not None), {})
 
 

@@ -71,7 +71,7 @@ class Tum(Format):
         trajectory.start_ticks(self, _MICRO)
 
     def holds(self, name: str) -> bool:
-        """Pictures and depth."""
+        """Holds pictures and depth."""
         return name in ("rgb", "depth")
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

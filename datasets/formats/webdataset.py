@@ -79,7 +79,7 @@ class WebDataset(Format):
                 )
 
     def holds(self, name: str) -> bool:
-        """All but amodal masks."""
+        """Holds all but amodal masks."""
         return name != "amodal"
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:

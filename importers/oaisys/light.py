@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -168,8 +169,11 @@ def _picture_labels(ctx: Context, vector: Item) -> tuple[list[int], dict[str, An
 def _even_map(ctx: Context, level: int, number: int) -> dict[str, Any]:
     """A label map of one texel, for all of a panorama whose label is not the first one's."""
     values = ctx.labels.values(level, {"#000000": number}, "sky")
-    save = Image.new("RGB", (1, 1)).save
-    return {"file": ctx.imported.make("labels_even.png", save), "values": values}
+    return {"file": ctx.imported.make("labels_even.png", _write_black), "values": values}
+
+
+def _write_black(path: Path) -> None:
+    Image.new("RGB", (1, 1)).save(path)
 
 
 def _label_map(ctx: Context, entry: Item, level: int) -> dict[str, Any] | None:

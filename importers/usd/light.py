@@ -1,4 +1,4 @@
-"""Suns, domes and lamps of a stage."""
+"""Makes the light of a cfg, of a stage's suns, domes and lamps."""
 
 from __future__ import annotations
 

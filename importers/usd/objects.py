@@ -154,7 +154,7 @@ def similar(linear: Matrices) -> tuple[Matrices, NDArray[np.float64]]:
 
 
 def key_of(content: Sequence[tuple[int, Matrices]]) -> bytes:
-    """The same for contents that count as equal."""
+    """Makes bytes that are the same of contents that count as equal."""
     parts = []
     for mesh, place in content:
         step = _SAME * max(float(np.abs(place[:, :3]).max()), 1e-300)
@@ -206,6 +206,6 @@ def _without(at: Matrices, place: Matrices) -> Matrices:
 
 
 def _inverted(poses: Matrices, at: Matrices) -> Matrices:
-    """What is where in the frames of poses that are regular, [n, 3, 4]."""
+    """Moves matrices into the frames of poses that are regular, [n, 3, 4]."""
     inverse = np.linalg.inv(poses[..., :3])
     return inverse @ np.concatenate([at[..., :3], at[..., 3:] - poses[..., 3:]], axis=-1)

@@ -1,4 +1,4 @@
-"""From a stage to a cfg: by the reader that ``render`` reads it with."""
+"""Makes a cfg of a stage, by the reader that ``render`` reads it with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ground and objects of a stage, of what its reader draws."""
+"""Makes the ground and the objects of a cfg, of what a stage's reader draws."""
 
 from __future__ import annotations
 

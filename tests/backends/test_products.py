@@ -135,6 +135,21 @@ def test_a_product_inherits_from_the_settings_that_list_it(tmp_path):
     assert line.endswith("/Render/other")
 
 
+def test_settings_in_an_instance_are_told_to_be_of_no_effect(tmp_path):
+    def build(stage):
+        looking(stage)
+        stage.CreateClassPrim("/_asset")
+        settings = UsdRender.Settings.Define(stage, "/_asset/settings")
+        settings.CreateProductsRel().AddTarget("/_asset/product")
+        UsdRender.Product.Define(stage, "/_asset/product").CreateCameraRel().AddTarget("/Root/eye")
+        copy = stage.DefinePrim("/Root/copy", "Xform")
+        copy.GetReferences().AddInternalReference("/_asset")
+        copy.SetInstanceable(True)
+
+    (line,) = opened(tmp_path, build).losses
+    assert line.startswith("RenderSettings are not followed of products")
+
+
 def test_without_products_the_settings_say_what_is_rendered(tmp_path):
     def build(stage):
         looking(stage)

@@ -11,6 +11,7 @@ from small import small_cfg, write_cfg
 from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
 from workers_here import here
 
+from scenec.backends.registry import backend_class
 from scenec.backends.run.auto import check_backend
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
@@ -66,6 +67,17 @@ def test_the_command_refuses_a_device_in_one_line_with_status_2(stage, capsys):
         backend = ["--backends" if command == "converge" else "--backend", "plain"]
         assert main([command, str(stage), *backend, "--device", "tpu"]) == 2
         assert "no device 'tpu'; it has auto, cpu, optix" in capsys.readouterr().err
+
+
+def test_a_backend_that_two_packages_offer_is_refused(tmp_path, monkeypatch):
+    install(tmp_path, monkeypatch)
+    info = tmp_path / "site" / "another-2.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: another\nVersion: 2.0\n")
+    (info / "entry_points.txt").write_text("[scenec.backends]\nplain = third_party:Plain\n")
+    with pytest.raises(BackendError, match=r"several packages offer the backend plain: .*another"):
+        backend_class("plain")
+    assert backend_class("heavy").name == "heavy"
 
 
 def test_a_third_partys_own_device_is_taken(stage, tmp_path, monkeypatch):

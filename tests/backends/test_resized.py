@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from foreign_stages import label, written
@@ -10,6 +12,7 @@ from pxr import Gf, UsdGeom
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
+from scenec.schemas import instances
 from scenec.schemas.instances import read_frame_table, read_table, write_table
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -47,6 +50,17 @@ def test_scales_and_boxes_are_those_of_each_sample(tmp_path):
         frame = read_frame_table(stem)
         sizes = np.stack([frame[f"size_{axis}"] for axis in "xyz"], axis=1)
         np.testing.assert_allclose(sizes, [np.abs(expected), [0.5] * 3], rtol=1e-6)
+
+
+def test_a_table_of_a_version_without_sizes_is_read_and_made_anew(tmp_path, monkeypatch):
+    path = written(tmp_path, growing, samples=SAMPLES)
+    monkeypatch.setattr(instances, "TABLE_VERSION", 1)
+    old = replace(Instances(read_stage(path)).table(), moving_scale=None, moving_box=None)
+    write_table(tmp_path / "frames" / instances.BATCH_TABLE, old)
+    monkeypatch.undo()
+    assert read_table(tmp_path / "frames").moving_scale is None
+    render(path, "reference", passes=("depth", "instance"), folder=tmp_path)
+    assert read_table(tmp_path / "frames").moving_scale is not None
 
 
 def test_a_table_of_what_keeps_its_size_has_no_sizes_by_sample(tmp_path):

@@ -138,6 +138,8 @@ def test_the_page_answers_to_its_own_names_and_to_its_token_alone(
         bare = f"http://127.0.0.1:{port}/"
         assert asked(address)[0] == asked(address, f"localhost:{port}")[0] == 200
         assert asked(f"{address}state?0")[0] == 200
+        # Browsers leave port 80 out.
+        assert asked(address, "localhost")[0] == 200
         strangers = ["evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", ""]
         for host in strangers:
             for place in ("", "state?0"):

@@ -215,6 +215,21 @@ def test_a_sweep_compiles_what_it_read(tmp_path: Path) -> None:
         assert not replace(unit, batches=range(1, 2)).is_done()
 
 
+def test_a_point_of_a_sweep_compiles_in_a_process_in_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfg, elsewhere = written(tmp_path / "cfg"), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(cfg.parent)
+    (point,) = points([], range(1))
+    (spec,) = read_all(cfg.name, [point])
+    out = tmp_path / "out"
+    unit = CompilePoint(spec, point, out, Keep.SEEN, None, None, False, "stop")
+    monkeypatch.chdir(elsewhere)
+    unit.run(Keeper())
+    assert unit.is_done()
+
+
 def test_run_reads_its_cfg_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from scenec.compiler.cfg import load as module
 
@@ -276,6 +291,16 @@ def test_a_table_that_is_not_a_sweeps_stays(
         table.write("a note\n")
     assert main(words) == 2
     assert (out / "sweep.csv").read_text().endswith("a note\n")
+
+
+def test_a_table_with_cells_beyond_what_csv_reads_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cfg, out = written(tmp_path), tmp_path / "out"
+    out.mkdir()
+    (out / "sweep.csv").write_text("x" * 200_000)
+    assert main(["sweep", str(cfg), "--seeds", "0:2", "-o", str(out), "--compile-only"]) == 2
+    assert "sweep.csv: is not what a sweep wrote" in capsys.readouterr().err
 
 
 def test_a_sweep_of_too_many_points_makes_no_list(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from made_frames import (
     misprediction,
     off_surface,
     outline,
-    rewrite,
 )
 from PIL import Image
 from scipy import ndimage
@@ -29,7 +29,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.instances import read_frame_table
+from scenec.schemas.instances import BATCH_TABLE, read_table, write_table
 
 SCENES = {"000000": LEFT, "000001": SIDE}
 BY_NUMBER = {thing.number: thing for thing in THINGS}
@@ -305,16 +305,39 @@ def test_a_compiled_and_rendered_scene_agrees_with_itself_from_frame_to_frame(tm
             assert 0.0 < info["visib_fract"] <= 1.0
 
 
+def change_sizes(out, scales, boxes):
+    """Gives instance 2 of a batch's table other scales and boxes at its samples, as factors."""
+    path = out / "batch_0000/frames" / BATCH_TABLE
+    table = read_table(path)
+    at = np.flatnonzero(table.id == 2)
+    changed = replace(
+        table,
+        moving=at,
+        moving_position=np.repeat(table.position[None, at], len(scales), axis=0),
+        moving_quaternion=np.repeat(table.quaternion[None, at], len(scales), axis=0),
+        moving_shown=np.ones((len(scales), 1), np.bool_),
+        moving_scale=table.scale[at] * np.array(scales, np.float32)[:, None],
+        moving_box=table.box[at] * np.array(boxes, np.float32)[:, None, None],
+    )
+    write_table(path, changed)
+
+
+def test_an_object_whose_parts_move_keeps_its_scale_and_is_not_rigid(tmp_path):
+    made = make_out(tmp_path / "out", (LEFT,), 2)
+    change_sizes(made.out, [[1.0] * 3] * 2, [[1.0] * 3, [1.0, 1.0, 3.0]])
+    export(made.out, "bop", tmp_path / "d")
+    poses = json.loads((tmp_path / "d/all/000000/scene_gt.json").read_bytes())
+    assert all(one["scale"] == [1.0] * 3 for one in poses["1"] if one["inst_id"] == 2)
+    objects = json.loads((tmp_path / "d/objects.json").read_bytes())
+    assert objects["1"] == {"class": "/World/Objects/lander", "rigid": False}
+
+
 def test_an_object_that_grows_has_the_scale_of_each_sample_and_is_not_rigid(tmp_path):
     made = make_out(tmp_path / "out", (LEFT,), 3)
-    grown = {1: np.array([1.4, 1.4, 1.4]), 2: np.array([0.5, 2.0, 1.0])}
-    for sample, factors in grown.items():
-        stem = made.out / f"batch_0000/frames/mitsuba/rover_left/{sample:06d}"
-        table = read_frame_table(stem)
-        lander = table["id"] == 2
-        for axis, factor in zip("xyz", factors, strict=True):
-            table[f"size_{axis}"][lander] *= factor
-        rewrite(stem, made.passes[LEFT.name, sample], table)
+    # The last one is mirrored.
+    grown = {1: np.array([1.4, 1.4, 1.4]), 2: np.array([-0.5, 2.0, 1.0])}
+    factors = [grown.get(sample, np.ones(3)) for sample in range(3)]
+    change_sizes(made.out, factors, np.abs(factors))
     export(made.out, "bop", tmp_path / "d")
     poses = json.loads((tmp_path / "d/all/000000/scene_gt.json").read_bytes())
     for sample in range(3):

@@ -31,6 +31,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from scenec.datasets.export import Choice, export
+from scenec.datasets.formats.rosbag2 import _rig_frames
 from scenec.schemas.errors import FrameError, OutputError
 
 SENSORS = (LEFT, SIDE)
@@ -329,6 +330,11 @@ def test_a_rig_has_a_frame_of_its_own_where_the_link_of_its_first_camera_is(bag)
     assert sorted(rig) == sorted(left)
     for time, pose in rig.items():
         assert np.abs(left[time] @ matrix(link.transform) - pose).max() < 1e-12
+
+
+def test_no_rig_is_named_as_the_world_or_as_a_frame_of_a_camera():
+    names = _rig_frames(["world", "left_link", "rover"], {"left": "left"})
+    assert names == {"world": "world_rig", "left_link": "left_link_rig", "rover": "rover"}
 
 
 @pytest.mark.parametrize("begin", [2.0**31, 4e9])

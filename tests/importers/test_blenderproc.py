@@ -174,6 +174,23 @@ def notes(made: Imported, fate: str) -> dict[str, str]:
     return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
 
 
+def test_an_object_that_is_called_camera_has_a_file_of_its_own(tmp_path: Path) -> None:
+    names = ("camera", "Camera")
+    objects = [{"name": name, "matrix_world": at(float(n), 0.0, 0.0).tolist()}
+               for n, name in enumerate(names)]  # fmt: skip
+    write_hdf5(tmp_path / "frames" / "0.hdf5", {**LOOKS, "cam_K": K}, objects)
+    made = imported(tmp_path / "frames", tmp_path, stand_ins=True)
+    assert write(made) == []
+    files = [made.cfg["rigs"]["camera"]["pose"]["file"]]
+    files += [made.cfg["objects"][name]["file"] for name in names]
+    assert len({file.casefold() for file in files}) == 3
+    (pose,) = poses_of(tmp_path, Path(files[0]).name)
+    assert pose[:3, 3].tolist() == [0.0, -6.0, 1.0]
+    for number, file in enumerate(files[1:]):
+        row = (tmp_path / file).read_text().splitlines()[1]
+        assert float(row.split(",")[0]) == number
+
+
 def test_an_uneven_scale_and_a_mirror_are_said_to_be_approximated(tmp_path: Path) -> None:
     turned = rotation_of([0.8, 0.0, 0.6, 0.0])
     scales = {"long": (1, 1, 3), "mirrored": (-1, 1, 1), "even": (2, 2, 2), "both": (1, -2, 1)}

@@ -281,6 +281,18 @@ def test_what_an_operator_returns_is_held_against_its_contract(
         compile_cfg(cfg(tmp_path), seed=1, out=tmp_path / "out")
 
 
+def test_an_operator_reports_what_it_likes(
+    odd: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = {"scale": [1, 2], "error_rms_m": 2.0, "error_aim_m": 1.0}
+    odd.edit("height + 0.5, {}", f"height + 0.5, {made}")
+    words = ["-o", str(tmp_path / "out"), "--workers", "0", "--no-cache"]
+    assert main(["compile", str(cfg(tmp_path)), *words]) == 0
+    assert "errs by" not in capsys.readouterr().err
+    report = json.loads((tmp_path / "out/batch_0000/report.json").read_text())
+    assert report["relief"][1] == {"type": "lift", **made}
+
+
 def test_a_sound_package_works_beside_broken_ones(
     odd: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
