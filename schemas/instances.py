@@ -184,7 +184,7 @@ def read_table(path: Path) -> InstanceTable:
         with np.load(path) as arrays:
             if int(arrays["version"]) not in (1, TABLE_VERSION):
                 raise FrameError(f"{path}: a table of another version; render again")
-            return InstanceTable(
+            table = InstanceTable(
                 str(arrays["stage_digest"]),
                 tuple(map(str, arrays["classes"])),
                 tuple(map(str, arrays["levels"])),
@@ -195,6 +195,25 @@ def read_table(path: Path) -> InstanceTable:
         raise FrameError(f"{path}: no such table; render with the pass instance") from error
     except NUMPY_FAULTS as error:
         raise FrameError(f"{path}: no table of instances, or a damaged one") from error
+    _require_shapes(path, table)
+    return table
+
+
+def _require_shapes(path: Path, table: InstanceTable) -> None:
+    """Refuses a table whose arrays do not fit each other."""
+    n, k, levels = len(table.id), len(table.moving), len(table.levels)
+    samples = len(table.moving_position)
+    per_instance = {"id": (), "class_index": (), "local_id": (), "labels": (levels,),
+                    "position": (3,), "quaternion": (4,), "scale": (3,), "box": (2, 3)}  # fmt: skip
+    per_moving = {"position": (3,), "quaternion": (4,), "shown": (), "scale": (3,), "box": (2, 3)}
+    expected: dict[str, tuple[int, ...]] = {name: (n, *of) for name, of in per_instance.items()}
+    expected |= {f"moving_{name}": (samples, k, *of) for name, of in per_moving.items()}
+    for name, shape in {**expected, "moving": (k,)}.items():
+        array = getattr(table, name)
+        if array is not None and array.shape != shape:
+            raise FrameError(f"{path}: {name} has shape {array.shape}, expected {shape}")
+    if k and not (int(table.moving.min()) >= 0 and int(table.moving.max()) < n):
+        raise FrameError(f"{path}: moving names an instance that is not there, of {n}")
 
 
 def frame_table_path(stem: Path) -> Path:

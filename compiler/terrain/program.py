@@ -80,7 +80,9 @@ def run(
                 details = []
             if detail is not None:
                 details.append(detail)
-            steps.append({"type": operator_type(operator), **report})
+            # A report of another package's cannot say of what type it is.
+            kind = {"type": operator_type(operator)}
+            steps.append({**kind, **report, **kind})
     if not np.isfinite(height).all():
         raise SceneError(
             "terrain: the relief overflows to infinity; lower amplitude, gain or octaves"

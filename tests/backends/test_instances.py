@@ -275,6 +275,24 @@ def test_what_is_no_table_is_said_to_be_none(tmp_path, content):
         read_table(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("scale", lambda scale: scale[:, :2]),
+        ("position", lambda position: position[1:]),
+        ("id", lambda ids: ids[:, None]),
+        ("moving", lambda moving: np.array([10**6])),
+    ],
+)
+def test_a_table_whose_arrays_do_not_fit_is_refused(rendered, tmp_path, name, change):
+    with np.load(rendered[0] / BATCH_TABLE) as stored:
+        arrays = {key: stored[key] for key in stored.files}
+    arrays[name] = change(arrays[name])
+    np.savez(tmp_path / BATCH_TABLE, **arrays)
+    with pytest.raises(FrameError, match=r"has shape|names an instance"):
+        read_table(tmp_path)
+
+
 def test_a_frame_without_instances_has_an_empty_table(tmp_path):
     scene = scenes.scene([scenes.mesh(np.eye(3), [[0, 1, 2]])], [(0, scenes.affine())], [0])
     made = Instances(scene)
