@@ -17,7 +17,7 @@ from scenec.backends.check.compare import (
 )
 from scenec.backends.check.files import check_files
 from scenec.backends.check.finding import Finding
-from scenec.backends.check.frames import check_frames, check_scans
+from scenec.backends.check.frames import check_frames, check_scans, sensors_found
 from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
@@ -113,7 +113,9 @@ def find(out: Path, allow_missing: bool = False) -> list[Finding]:
     findings: list[Finding] = []
     if out.is_dir():
         findings.extend(check_files(out, read_manifest(out)))
-    for batch in find_batches(out):
+    batches = find_batches(out)
+    found = sensors_found(batches) if out.is_dir() else None
+    for batch in batches:
         findings.extend(check_stage(batch.stage))
         digest = firing = scanning = None
         try:
@@ -127,8 +129,8 @@ def find(out: Path, allow_missing: bool = False) -> list[Finding]:
                 scanning = [[(lidar.name, True) for lidar in some] for some in scene.lidars]
         except StageError as error:
             findings.append(Finding("reader", "error", batch.name, str(error)))
-        findings.extend(check_frames(batch.folder, digest, firing))
-        findings.extend(check_scans(batch.folder, digest, scanning))
+        findings.extend(check_frames(batch.folder, digest, firing, found))
+        findings.extend(check_scans(batch.folder, digest, scanning, found))
     if allow_missing:
         findings = [replace(f, severity="warning") if f.check in _WHOLE else f for f in findings]
     return findings

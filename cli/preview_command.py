@@ -38,7 +38,7 @@ _SAMPLES = 4
 #: Cells of the map along its longer side.
 _CELLS = 360
 #: By these names alone the page is answered, and this is a version of its facts.
-_OWN_HOSTS = ("127.0.0.1", "localhost")
+_OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
 _VERSION = re.compile("[0-9]{1,18}")
 
 
@@ -286,7 +286,7 @@ def _served(state: State, port: int) -> Iterator[str]:
             path, _, query = self.path.partition("?")
             given, slash, rest = path.removeprefix("/").partition("/")
             host = self.headers.get("Host", "")
-            if host.partition(":")[0] not in _OWN_HOSTS:
+            if _OWN_HOST.fullmatch(host) is None:
                 self.send_error(403, "the page answers to 127.0.0.1 and localhost")
             elif not secrets.compare_digest(given.encode(), token.encode()):
                 self.send_error(403, "the address that the command printed has a token")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +13,7 @@ from scenec.backends.picture.brightness import brief, told, told_of_sky
 from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import read_frame
-from scenec.schemas.manifest import FRAMES
+from scenec.schemas.manifest import FRAMES, Batch
 from scenec.schemas.scans import SCANS, read_scan
 from scenec.schemas.strays import Firing, stray_scans, strays
 
@@ -21,8 +21,23 @@ from scenec.schemas.strays import Firing, stray_scans, strays
 _LISTED = 5
 
 
+#: Sensors that have something, by the folder that it is in beside a stage: "frames/mitsuba".
+type Found = Mapping[str, Collection[str]]
+
+
+def sensors_found(batches: Iterable[Batch]) -> dict[str, set[str]]:
+    """Lists sensors that have frames or scans in any of some batches; see ``Found``."""
+    found: dict[str, set[str]] = {}
+    for batch in batches:
+        for pattern in (f"{FRAMES}/*/*/*.json", f"{SCANS}/*/*.json"):
+            for path in batch.folder.glob(pattern):
+                kind = path.parents[1].relative_to(batch.folder).as_posix()
+                found.setdefault(kind, set()).add(path.parent.name)
+    return found
+
+
 def check_frames(
-    folder: Path, digest: str | None, firing: Firing | None = None
+    folder: Path, digest: str | None, firing: Firing | None = None, found: Found | None = None
 ) -> Iterator[Finding]:
     """Findings on all frames of a batch.
 
@@ -30,14 +45,17 @@ def check_frames(
         folder: The batch's folder.
         digest: Digest of its stage; None where that cannot be read.
         firing: When its cameras are triggered; None likewise.
+        found: What any batch of the output has; None: this one alone counts.
     """
     frames = folder / FRAMES
-    check = _Check("frames", folder, digest)
+    check = _Check("frames", folder, digest, found or {})
     astray = {} if firing is None else dict(strays(folder, firing))
     yield from check_batch_table(frames, digest, check.name(frames))
     yield from check.cut_short(frames.glob("*/*/*.exr"))
-    for backend in sorted(path for path in frames.glob("*") if path.is_dir()):
-        yield from check.missing(backend, firing or ())
+    backends = {path.name for path in frames.glob("*") if path.is_dir()}
+    backends |= {name.removeprefix(f"{FRAMES}/") for name in check.found if name != SCANS}
+    for backend in sorted(backends):
+        yield from check.missing(frames / backend, firing or ())
     pictures: dict[Path, list[dict[str, Any]]] = {}
     for path in sorted(frames.glob("*/*/*.json")):
         if path in astray:
@@ -60,14 +78,14 @@ def check_frames(
 
 
 def check_scans(
-    folder: Path, digest: str | None, firing: Firing | None = None
+    folder: Path, digest: str | None, firing: Firing | None = None, found: Found | None = None
 ) -> Iterator[Finding]:
     """Findings on all lidar scans of a batch; arguments as of ``check_frames``."""
     scans = folder / SCANS
-    check = _Check("scans", folder, digest)
+    check = _Check("scans", folder, digest, found or {})
     astray = {} if firing is None else dict(stray_scans(folder, firing))
     yield from check.cut_short(_numbered(scans, "npz"))
-    if scans.is_dir():
+    if scans.is_dir() or SCANS in check.found:
         yield from check.missing(scans, firing or ())
     for path in _numbered(scans, "json"):
         if path in astray:
@@ -94,6 +112,7 @@ class _Check:
     kind: str
     folder: Path
     digest: str | None
+    found: Found
 
     def name(self, path: Path) -> str:
         return path.relative_to(self.folder.parent).as_posix()
@@ -114,9 +133,11 @@ class _Check:
         for sample, sensors in enumerate(firing):
             for name, fires in sensors:
                 expected.setdefault(name, []).extend([sample] if fires else [])
+        elsewhere = self.found.get(folder.relative_to(self.folder).as_posix(), ())
         for name, samples in expected.items():
             gone = [i for i in samples if not (folder / name / f"{i:06d}.json").is_file()]
-            if gone and not any((folder / name).glob("*.json")):
+            # A camera may be left out on purpose, of all batches.
+            if gone and name not in elsewhere and not any((folder / name).glob("*.json")):
                 message = f"none of its {len(samples)} {self.kind}"
                 yield Finding("missing", "warning", self.name(folder / name), message)
             elif gone:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,19 @@ def test_a_camera_without_any_frame_is_warned_of(
     assert "warning: batch_0000/frames/annotation/rover_slow: none of its 2 frames" in (
         capsys.readouterr().out
     )
+
+
+@pytest.mark.usefixtures("workers_here")
+@pytest.mark.parametrize("gone", ["batch_0001/frames", "batch_0001/frames/annotation/rover_front"])
+def test_a_batch_without_frames_that_another_has_is_an_error(
+    gone: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cfg = small_cfg(samples=2, batches=2)
+    cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [16, 12]
+    out = compile_cfg(write_cfg(tmp_path, cfg), seed=1, out=tmp_path / "out").out
+    render(out, "annotation", passes=("depth",))
+    shutil.rmtree(out / gone)
+    assert main(["check", str(out)]) == 1
+    assert (
+        "error: batch_0001/frames/annotation/rover_front: 2 of 2 frames are missing: 000000, 000001"
+    ) in capsys.readouterr().out

@@ -136,11 +136,12 @@ def test_the_page_answers_to_its_own_names_and_to_its_token_alone(
     with _served(state, 0) as address:
         port = urllib.parse.urlsplit(address).port
         bare = f"http://127.0.0.1:{port}/"
-        assert asked(address)[0] == asked(address, f"localhost:{port}")[0] == 200
+        assert asked(address)[0] == asked(address, f"LocalHost:{port}")[0] == 200
         assert asked(f"{address}state?0")[0] == 200
         # Browsers leave port 80 out.
         assert asked(address, "localhost")[0] == 200
         strangers = ["evil.example", f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", ""]
+        strangers += [f"localhost:{port}@evil", f"localhost.evil:{port}"]
         for host in strangers:
             for place in ("", "state?0"):
                 status, text = asked(address + place, host)
