@@ -94,7 +94,9 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
         for finding in check_number(field)
     ]
     cfg = Node(Tree(fields, [*schema_findings, *number_findings]))
-    findings = [*duplicates, *schema_findings, *number_findings, *mixed(fields, source)]
+    mixes = list(mixed(fields, source))
+    findings = [*duplicates, *schema_findings, *number_findings]
+    findings += [finding for finding in mixes if not finding.is_warning]
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
     for check in _CHECKS:
         findings += check(cfg)
@@ -108,7 +110,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     filled = fill(document.value)
     plugins = schema.origins(fields)
     digest = digest_of(filled, files, plugins)
-    told = [finding for finding in file_findings if finding.is_warning]
+    told = [finding for finding in (*mixes, *file_findings) if finding.is_warning]
     warnings = tuple(sorted(locate([*improbable(fields), *told], document)))
     return Spec(
         filled,

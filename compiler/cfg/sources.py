@@ -240,19 +240,34 @@ def mixed(fields: Iterable[schema.Field], source: Source) -> Iterator[Finding]:
 
     Such an object (``x-whole``: a calibration) is whole where a file states it, that is, all of its
     required keys: what the file that it extends says beside them is of another measurement. A file
-    that gives fewer keys, or a setting, changes single values.
+    that gives fewer keys, or a setting, changes single values; of several at once a warning tells
+    what stays, and so it does of intrinsics where a file changes the resolution.
     """
     whole = {field.path: field.keywords["required"] for field in fields
              if field.keywords.get("x-whole")}  # fmt: skip
     places = source.document.values
     for path, over, left in source.merges:
         others = {key: place for key, place in left.items() if places.get((*path, key)) is place}
+        files = [place.file for place in others.values()]
         if path in whole and over.issuperset(whole[path]) and others:
-            file = next(iter(others.values())).file
             yield Finding(
                 path,
-                f"{', '.join(others)} would stay from {file}, another calibration: give here all "
-                "that differs from the defaults, and take the rest away with null",
+                f"{', '.join(others)} would stay from {files[0]}, another calibration: give here "
+                "all that differs from the defaults, and take the rest away with null",
+            )
+        elif path in whole and len(over) > 1 and (stay := [*set(others) - set(whole[path])]):
+            yield Finding(
+                path,
+                f"{', '.join(sorted(stay))} stay from {files[0]}: give the required keys, too "
+                f"({', '.join(whole[path])}), if this is another calibration",
+                is_warning=True,
+            )
+        elif "resolution" in over and "intrinsics" in others:
+            yield Finding(
+                (*path, "resolution"),
+                f"the intrinsics of {others['intrinsics'].file} stay as they are: they are of "
+                "pictures of the size that is given there",
+                is_warning=True,
             )
 
 

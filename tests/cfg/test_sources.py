@@ -81,7 +81,12 @@ def test_a_calibration_is_of_one_file(tmp_path):
         **lens, "k3": 0, "k4": 0, "k5": 0, "k6": 0,
     }  # fmt: skip
     load(extended(lens={**lens, "k3": 0.1, "k6": 0}, intrinsics={**k, "skew": 0}))
-    load(extended(lens={"k1": 0.1}, intrinsics={"cx": k["cx"] + 1}))
+    assert load(extended(lens={"k1": 0.1}, intrinsics={"cx": k["cx"] + 1})).warnings == ()
+    # Of several values, or another size, nobody knows: it is told.
+    (told_of_lens,) = load(extended(lens={"k1": -0.171, "k2": 0.0245})).warnings
+    assert "/rigs/rover/sensors/front/lens: k3, k6 stay from" in str(told_of_lens)
+    (told_of_size,) = load(extended(resolution=[2 * width, 2 * height])).warnings
+    assert "front/resolution: the intrinsics of" in str(told_of_size)
     at = "rigs.rover.sensors.front.lens"
     load(tmp_path / "base.json", [f"{at}.k1=0.1", f"{at}.type=brown_conrady"])
     other = {"type": "kannala_brandt", "k1": 0.01}
