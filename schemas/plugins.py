@@ -125,7 +125,8 @@ def told(error: BaseException) -> str:
     at = found[1] if found else frames[-1]
     file = Path(at.filename)
     name = file.relative_to(found[0].parent).as_posix() if found else file.name
-    return f"{type(error).__name__}: {' '.join(str(error).split())} ({name}, line {at.lineno})"
+    text = _text(error)
+    return f"{type(error).__name__}{text and f': {text}'} ({name}, line {at.lineno})"
 
 
 @contextmanager
@@ -141,14 +142,24 @@ def blaming(what: str = "", kind: type[ScenecError] = PluginError) -> Iterator[N
     """
     try:
         yield
-    except ScenecError:
+    except (ScenecError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         found = _raised_in(error)
         if found is None:
             raise
         before = f"{what}: " if what else ""
         raise kind(f"{before}plug-in {_loaded[found[0]]}: {told(error)}") from error
+
+
+def _text(error: BaseException) -> str:
+    """What an error says, in a line; "" where it cannot be asked: that, too, is another's code."""
+    try:
+        return " ".join(str(error).split())
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 (as in ``blaming``)
+        return ""
 
 
 def _raised_in(error: BaseException) -> tuple[Path, traceback.FrameSummary] | None:

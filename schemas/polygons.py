@@ -212,9 +212,16 @@ def _cuts(first, last, polygons, chosen, out, kinds):  # type: ignore[no-untyped
     for k in range(first, last):
         f = chosen[k]
         s, n = polygons.start[f], polygons.triangles[f] + 2
-        if not _project(polygons.points, polygons.corners, s, n, ring):
+        normal, size = _normal(polygons.points, polygons.corners, s, n)
+        if _longest(normal) <= 2.0**-50 * size:
+            # Areas of opposite signs can cancel out, as of a bow tie.
             kinds[f] = _EMPTY
+            normal, size = _spread(polygons.points, polygons.corners, s, n)
+            if _longest(normal) > 2.0**-50 * size:
+                _project(polygons.points, polygons.corners, s, n, normal, ring)
+                kinds[f] = _CROSSING if _crosses(ring, n) else _EMPTY
             continue
+        _project(polygons.points, polygons.corners, s, n, normal, ring)
         kinds[f] = _fan(ring, n)
         if kinds[f] < 0:
             kinds[f] = _CROSSING if _crosses(ring, n) else 0
@@ -223,18 +230,41 @@ def _cuts(first, last, polygons, chosen, out, kinds):  # type: ignore[no-untyped
                 kinds[f] = max(kinds[f], _clip(ring, n, s, polygons.first[f], out))
 
 
+@inlined
+def _longest(normal):  # type: ignore[no-untyped-def]
+    return max(abs(normal[0]), max(abs(normal[1]), abs(normal[2])))
+
+
 @kernel
-def _project(points, corners, s, n, ring):  # type: ignore[no-untyped-def]
-    """Puts a polygon into the plane, counter-clockwise; False where it has no area."""
-    normal, size = _normal(points, corners, s, n)
+def _spread(points, corners, s, n):  # type: ignore[no-untyped-def]
+    """A normal of the plane that corners spread most in, and the size its rounding goes by."""
+    far, away, reach = s, 0.0, 0.0
+    for k in range(s, s + n):
+        way = _way(points, corners[s], corners[k])
+        p = corners[k]
+        reach = max(reach, _longest((points[p, 0], points[p, 1], points[p, 2])))
+        if _dot(way, way) > away:
+            far, away = k, _dot(way, way)
+    axis = _way(points, corners[s], corners[far])
+    normal, most = _cross(axis, axis)
+    for k in range(s, s + n):
+        cross, sizes = _cross(axis, _way(points, corners[s], corners[k]))
+        most = max(most, sizes)
+        if _longest(cross) > _longest(normal):
+            normal = cross
+    # Corners were rounded where they are.
+    return normal, most + reach * _longest(axis)
+
+
+@kernel
+def _project(points, corners, s, n, normal, ring):  # type: ignore[no-untyped-def]
+    """Puts a polygon into the plane across a normal, counter-clockwise."""
     nx, ny, nz = abs(normal[0]), abs(normal[1]), abs(normal[2])
     axis = 2
     if nx >= ny and nx >= nz:
         axis = 0
     elif ny >= nz:
         axis = 1
-    if abs(normal[axis]) <= 2.0**-50 * size:
-        return False
     u, v = (axis + 1) % 3, (axis + 2) % 3
     off, reach = 0.0, 0.0
     for k in range(s, s + n):
@@ -249,7 +279,6 @@ def _project(points, corners, s, n, ring):  # type: ignore[no-untyped-def]
             height = (points[p, axis] - points[corners[s], axis]) / normal[axis]
             x, y = x - height * normal[u], y - height * normal[v]
         ring.x[k], ring.y[k] = x, y if normal[axis] > 0.0 else -y
-    return True
 
 
 @kernel

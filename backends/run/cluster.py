@@ -28,6 +28,7 @@ from typing import Any, Self
 from scenec.backends.registry import distribution
 from scenec.backends.run import hands
 from scenec.backends.run.limits import Limits
+from scenec.backends.run.memory import at_once
 from scenec.backends.run.supervise import FrameLostError
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import TEMPORARY
@@ -58,7 +59,7 @@ class Cluster:
     Args:
         address: Of its scheduler ("tcp://host:8786"), a scheduler file, or "local": one is started
             in this process, for as long as this is used.
-        workers: Of "local".
+        workers: Of "local", at most (``memory.at_once``).
         limits: What each worker process may take; memory, where it is not said, is shared out among
             those of a machine.
 
@@ -84,7 +85,7 @@ class Cluster:
             if address == "local":
                 # Threads: the processes are the supervised ones.
                 self._local = distributed.LocalCluster(
-                    n_workers=1, threads_per_worker=max(1, workers), processes=False,
+                    n_workers=1, threads_per_worker=at_once(max(1, workers)), processes=False,
                     dashboard_address="127.0.0.1:0",
                     worker_dashboard_address="127.0.0.1:0", memory_limit=0,
                 )  # fmt: skip

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from scenec.backends.run.limits import Limits
-from scenec.backends.run.memory import default_limit
+from scenec.backends.run.memory import at_once, default_limit
 from scenec.backends.run.supervise import Supervisor
 from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError, ScenecError
@@ -61,7 +61,7 @@ class Processes:
     """Runs units in worker processes of this machine, each supervised, each with its cores.
 
     Args:
-        workers: How many.
+        workers: How many, at most (``memory.at_once``).
         limits: What each may take; memory, where it is not said, is shared out evenly among those
             that have been started.
         threads: How many threads each works with; None shares the cores out.
@@ -70,7 +70,7 @@ class Processes:
     def __init__(
         self, workers: int = 1, limits: Limits | None = None, threads: int | None = None
     ) -> None:
-        limits = limits or Limits()
+        limits, workers = limits or Limits(), at_once(workers)
         if threads is None and workers > 1:
             threads = max(1, (thread_budget() or os.process_cpu_count() or 1) // workers)
         self._hands = [Supervisor(limits, threads, self._count) for _ in range(workers)]

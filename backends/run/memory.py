@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import GB, available, limit
+from scenec.schemas.notice import tell
 
 if TYPE_CHECKING:
     from scenec.backends.contract import LoadCost
@@ -19,12 +21,35 @@ if TYPE_CHECKING:
 SHARE = 0.8
 #: Refused is what is estimated at more than this times the memory there is: estimates err.
 MARGIN = 1.25
+#: Bytes of the default limit without which a worker does not get through a frame.
+LEAST = int(0.5 * GB)
+#: Processes a core beyond which more only share it; and how many may work on few cores.
+PER_CORE, ON_FEW_CORES = 4, 16
 _STATUS = Path("/proc/self/status")
 
 
 def default_limit() -> int:
     """Bytes that workers may hold together: SHARE of the machine's, or of the container's."""
     return int(SHARE * limit())
+
+
+def at_once(asked: int) -> int:
+    """How many processes of this machine work where so many are asked for: those that it can hold.
+
+    Says once where they are fewer. What each may hold (``Limits.memory_bytes``) is another matter.
+    """
+    cores = os.process_cpu_count() or 1
+    by_cores, by_memory = max(ON_FEW_CORES, PER_CORE * cores), max(1, default_limit() // LEAST)
+    most = min(by_cores, by_memory)
+    if asked <= most:
+        return asked
+    why = f"it has {cores} core{'' if cores == 1 else 's'}"
+    if by_memory < by_cores:
+        room = f"{default_limit() / GB:.2g} GB"
+        why = f"each needs {LEAST / GB:g} GB of the {room} that they may hold together"
+    works = "1 process works" if most == 1 else f"{most} processes work"
+    tell(f"{works} on this machine, of {asked} asked for: {why}")
+    return most
 
 
 def require_room(name: str, cost: LoadCost | None, scene: RenderScene) -> None:

@@ -28,11 +28,31 @@ _VOIDS = frozenset(
 )  # fmt: skip
 #: Samples that are no heights in any unit, and heights farther from any datum than on any body.
 _NO_SAMPLE, _NO_HEIGHT_M = 1e15, 3e4
+#: Zeros are far from all other samples if farther than so many times the range of these.
+_FAR = 3.0
+#: Share up to which zeros among samples that are all the same are no second level of them.
+_FEW = 0.1
 #: Farther than any surface is from its body's center.
 _NO_BODY_M = 1e7
 _NUMPY = (".npz", ".npy")
 _GEOTIFF = (".tif", ".tiff")
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
+
+
+@dataclass(frozen=True)
+class Zeros:
+    """Samples that are exactly 0 as they are stored, far from all others.
+
+    Attributes:
+        count: How many there are.
+        share: Of all samples.
+        low, high: Between which the others are, as they are stored.
+    """
+
+    count: int
+    share: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -47,6 +67,7 @@ class DemFile:
         facts: Which band was read and what its numbers mean, for report.json.
         void: A value of the file that looks like a hole's mark which it does not declare, and the
             share of its samples that have it; None without one.
+        zeros: Those that may mark holes, and are taken for heights; None without any.
     """
 
     values: NDArray[np.float64]
@@ -54,6 +75,7 @@ class DemFile:
     reference: GeoReference | None
     facts: dict[str, Any]
     void: tuple[float, float] | None
+    zeros: Zeros | None
 
 
 def read_dem(
@@ -130,6 +152,9 @@ def read_dem(
     void = None
     if suffix not in PICTURES:
         void = _void(values, holes, lambda sample: (sample * scale + offset) * unit)
+    zeros = _zeros(values, holes, samples.dtype.kind)
+    if zeros is not None:
+        facts["zeros_far_from_others"] = zeros.count
     if (scale, offset, unit) != (1.0, 0.0, 1.0):
         with np.errstate(over="ignore", invalid="ignore"):
             values = values * scale + offset
@@ -137,7 +162,7 @@ def read_dem(
         # What overflows is no height.
         holes |= ~np.isfinite(values)
     values[holes] = 0.0
-    return DemFile(values, holes, reference, facts, void)
+    return DemFile(values, holes, reference, facts, void, zeros)
 
 
 def _void(
@@ -160,6 +185,34 @@ def _void(
         if not others.size or np.abs(others - end).min() > np.ptp(others):
             return end, share
     return None
+
+
+def _zeros(values: NDArray[np.float64], holes: NDArray[np.bool_], kind: str) -> Zeros | None:
+    """The file's samples of 0, if all others lie on one side of it and far away."""
+    ends = _ends(values, ~holes)
+    if 0.0 not in ends or not np.isfinite(ends).all():
+        return None
+    others = values != 0.0
+    others &= ~holes
+    low, high = _ends(values, others)
+    if not low <= high:
+        return None
+    count = values.size - int(np.count_nonzero(holes)) - int(np.count_nonzero(others))
+    share = count / values.size
+    spread = high - low
+    if spread == 0.0 and share > _FEW:
+        return None
+    # Whole numbers are rounded ones: 0 and 1 are neighbors.
+    step = 1.0 if spread == 0.0 or kind in "iu" else 0.0
+    if not min(abs(low), abs(high)) > _FAR * (spread + step):
+        return None
+    return Zeros(count, share, low, high)
+
+
+def _ends(values: NDArray[np.float64], where: NDArray[np.bool_]) -> tuple[float, float]:
+    """The lowest and the highest of some samples; infinite without any."""
+    low = float(np.min(values, where=where, initial=np.inf))
+    return low, float(np.max(values, where=where, initial=-np.inf))
 
 
 def _read_numpy(file: Path, array: str | None) -> NDArray[Any]:

@@ -221,11 +221,16 @@ def _reference(file: Path, source: Any) -> GeoReference | None:
     rows, columns = source.shape
     if abs(t.b) * rows > _UPRIGHT * abs(t.a) or abs(t.d) * columns > _UPRIGHT * abs(t.e):
         angle = 180.0 / elementary.PI * float(elementary.atan2(t.d, t.a))
+        parts = []
         square = abs(t.a * t.b + t.d * t.e) <= 1e-6 * abs(t.a * t.e - t.b * t.d)
+        if not square:
+            parts.append("shears it")
+        if square or abs(t.d) * columns > _UPRIGHT * abs(t.e):
+            text = f"turns it by {angle:.6g} degrees (counterclockwise, its rows against the east)"
+            parts.append(text)
         raise SceneError(
-            f"{file.name}: its georeference {'turns' if square else 'shears and turns'} it by "
-            f"{angle:.6g} degrees (counterclockwise, its rows against the east): expected rows "
-            "that run east; warp it upright (gdalwarp -r cubic FILE OUT)"
+            f"{file.name}: its georeference {' and '.join(parts)}: expected rows that run east and "
+            "columns that run north or south; warp it upright (gdalwarp -r cubic FILE OUT)"
         )
     axis_m = None
     if source.crs and source.crs.is_projected:

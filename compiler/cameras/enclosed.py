@@ -117,8 +117,8 @@ def require_open(
     nothing = np.isinf(column.above) & np.isinf(column.below) & ~on.all(axis=1)
     for k in np.flatnonzero(nothing).tolist():
         wrong[k] = (
-            f"is off the terrain, which ends at ({half[0]:g}, {half[1]:g}) m: there is no ground "
-            "(a terrain.horizon makes some)"
+            f"is off the terrain, which goes from {_place(-half)} to {_place(half)} m: there is no "
+            "ground (a terrain.horizon makes some)"
         )
     below = np.isfinite(column.above) & (column.upper | np.isinf(column.below))
     for k in np.flatnonzero(below).tolist():
@@ -131,6 +131,10 @@ def require_open(
             wrong.setdefault(k, f"is inside of object {number} of objects/{one.name}{known}")
     if wrong:
         raise SceneError(_message(eyes, wrong))
+
+
+def _place(xy: NDArray[np.float64]) -> str:
+    return f"({xy[0]:g}, {xy[1]:g})"
 
 
 def _eyes_of(rigs: Sequence[Rig]) -> _Eyes:

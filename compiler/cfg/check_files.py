@@ -19,6 +19,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
+    from scenec.compiler.assets.dem_file import Zeros
     from scenec.compiler.assets.shells import ParsedModel
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -182,6 +183,8 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
             f'"nodata": {sample:.17g} (and "holes": "fill" where they are under the terrain), or '
             '"nodata": null if they are heights'
         )
+    if dem.zeros is not None and not ("nodata" in owner and owner["nodata"] is None):
+        yield replace(owner.fault(_zeros(file, owner, dem.zeros), "file"), is_warning=True)
     if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
         where = ""
         if dem.reference is not None and dem.reference.crs:
@@ -190,6 +193,24 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
         yield owner.fault(
             f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters{where}'
         )
+
+
+def _zeros(file: Path, owner: Node, zeros: Zeros) -> str:
+    """What is said of samples of 0 that may mark holes."""
+    others = f"between {zeros.low:.6g} and {zeros.high:.6g}"
+    if zeros.low == zeros.high:
+        others = f"{zeros.low:.6g}"
+    count = f"{zeros.count:,} {'sample' if zeros.count == 1 else 'samples'}"
+    mend = (
+        'say "nodata": 0 (and "holes": "fill" where they are under the terrain), or '
+        '"nodata": null if they are heights'
+    )
+    if owner["nodata"] is not None:
+        mend = f'if so, make them {owner["nodata"]:.17g} in the file, which "nodata" says'
+    return (
+        f"{file.name}: {count} ({100.0 * zeros.share:.2g} %) of 0, as stored, far from all others, "
+        f"which are {others}: taken for heights, and they may mark holes: {mend}"
+    )
 
 
 def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:

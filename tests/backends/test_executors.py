@@ -22,8 +22,10 @@ from processes import until, until_gone
 from small import small_cfg, write_cfg
 from third_party import install, plan_fault, square_stage
 
+from scenec.backends.run import memory
 from scenec.backends.run.doctor import start
 from scenec.backends.run.executors import Processes, make_executor
+from scenec.backends.run.limits import Limits
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.run.units import OfBackend, OfSession, Opening, open_stage
@@ -32,6 +34,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.datasets.export import export
+from scenec.schemas import notice
 from scenec.schemas.budget import THREADS, thread_budget
 from scenec.schemas.errors import OutputError, SceneError
 from scenec.schemas.files import sha256
@@ -366,3 +369,50 @@ def test_memory_is_shared_by_the_processes_that_there_are(who, tmp_path, monkeyp
     assert (report.rendered, report.deaths, report.replaced) == (2, 0, 0)
     with Processes(64) as many:
         assert many.room(2)[0] > 10**9 / 4
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Lines that are said, as if none had been before."""
+    lines: list[str] = []
+    monkeypatch.setattr(notice, "_said", set())
+    monkeypatch.setattr(notice, "_listener", [lines.append])
+    return lines
+
+
+@pytest.mark.parametrize("who", [partial(Processes, 1000), partial(make_executor, 1000, "local")])
+def test_no_more_processes_work_than_the_machine_can_hold(who, tmp_path, monkeypatch, said):
+    monkeypatch.setattr(memory, "default_limit", lambda: int(1.6e9))
+    stage = square_stage(tmp_path / "square.usda", samples=4, width=8)
+    with who() as executor:
+        report = render(stage, "annotation", passes=["depth"], executor=executor)
+        # All that were started are still there.
+        assert 1 <= len(children()) <= 3
+    assert (report.rendered, report.deaths, report.replaced, report.failed) == (8, 0, 0, [])
+    with who():
+        pass
+    assert said == [
+        "3 processes work on this machine, of 1000 asked for: each needs 0.5 GB of the 1.6 GB that "
+        "they may hold together"
+    ]
+
+
+@pytest.mark.parametrize(("cores", "most"), [(2, 16), (8, 32)])
+def test_no_more_processes_work_than_cores_can_be_shared_by(cores, most, monkeypatch, said):
+    monkeypatch.setattr(memory, "default_limit", lambda: int(1e12))
+    monkeypatch.setattr(os, "process_cpu_count", lambda: cores)
+    assert [memory.at_once(asked) for asked in (1, most, most + 1, 1000)] == [1, *[most] * 3]
+    assert said == [
+        f"{most} processes work on this machine, of {asked} asked for: it has {cores} cores"
+        for asked in (most + 1, 1000)
+    ]
+
+
+def test_a_memory_limit_is_each_processs_however_many_are_asked_for(monkeypatch, said):
+    monkeypatch.setattr(memory, "default_limit", lambda: int(0.6e9))
+    monkeypatch.setattr("scenec.backends.run.executors.available", lambda: 10**12)
+    with Processes(1000, Limits(memory_bytes=3 * 10**9)) as executor:
+        assert executor.room(1000) == (3 * 10**9, 1)
+        assert executor._hands[0]._most() == 3 * 10**9
+    assert len(said) == 1
+    assert said[0].startswith("1 process works on this machine, of 1000 asked for: ")

@@ -192,6 +192,111 @@ def test_heights_that_others_are_near_are_no_voids(tmp_path, samples):
     assert read_dem(tmp_path / "a.npy").void is None
 
 
+def with_zeros(samples: np.ndarray, count: int = 1) -> np.ndarray:
+    """These, with 0 in the first ones of a row in the middle."""
+    out = samples.copy()
+    out[5, 7 : 7 + count] = 0
+    return out
+
+
+#: 192 whole heights of 105 to 115 m.
+HILL = (105 + np.arange(192) % 11).reshape(12, 16).astype(np.int16)
+
+
+@pytest.mark.parametrize("form", ["tif", "npy", "png"])
+def test_zeros_far_from_all_heights_are_warned_of_and_taken(tmp_path, form):
+    samples, path = with_zeros(HILL, 3), tmp_path / f"a.{form}"
+    keys: dict[str, Any] = {"file": path.name, "pixel_m": 1}
+    if form == "tif":
+        write(path, samples)
+    elif form == "npy":
+        np.save(path, samples)
+    else:
+        Image.fromarray(samples.astype(np.uint8)).save(path)
+        keys["height_range_m"] = [0, 255]
+
+    def warnings(**more: Any) -> list[str]:
+        cfg = small_cfg()
+        cfg["terrain"]["relief"][0] = {"type": "dem", "edge": "clamp", **keys, **more}
+        return [fault.message for fault in load(write_cfg(tmp_path, cfg)).warnings]
+
+    (text,) = warnings()
+    assert text.startswith(f"a.{form}: 3 samples (1.6 %) of 0")
+    assert "between 105 and 115" in text
+    assert '"nodata": 0' in text
+    assert '"nodata": null' in text
+    assert warnings(nodata=0, holes="fill") == warnings(nodata=None) == []
+    (other,) = warnings(nodata=7)
+    assert "make them 7 in the file" in other
+
+    span = (0.0, 255.0) if form == "png" else None
+    assert read_dem(path, height_range_m=span).facts["zeros_far_from_others"] == 3
+    assert "zeros_far_from_others" not in read_dem(path, nodata=0.0, height_range_m=span).facts
+
+
+def test_zeros_that_may_mark_holes_are_said_on_the_screen_and_counted_in_the_report(
+    tmp_path, capsys
+):
+    np.save(tmp_path / "a.npy", with_zeros(HILL))
+    cfg = small_cfg()
+    cfg["samples"] = 1
+    cfg["terrain"]["relief"] = [{"type": "dem", "edge": "clamp", "file": "a.npy", "pixel_m": 1}]
+    cfg["objects"]["rocks"]["count"] = 1
+    cfg["rigs"]["rover"]["allow_below"] = True
+    out = tmp_path / "out"
+    assert main(["compile", str(write_cfg(tmp_path, cfg)), "-o", str(out), "--no-cache"]) == 0
+    assert "a.npy: 1 sample (0.52 %) of 0" in capsys.readouterr().err
+    (report,) = out.glob("**/report.json")
+    assert '"zeros_far_from_others": 1' in report.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        -HILL,
+        HILL.astype(np.float32) + 0.25,
+        # Most of it, around a turned map; all others alike.
+        np.where(np.arange(192).reshape(12, 16) < 150, 0, HILL),
+        np.full((12, 16), 110, np.int16),
+        np.full((12, 16), 110.5),
+        np.where(HILL == 107, np.nan, HILL),
+    ],
+    ids=["below", "floats", "most", "constant", "constant floats", "holes"],
+)
+def test_which_zeros_are_far_from_all_others(tmp_path, samples):
+    zeros = with_zeros(samples)
+    np.save(tmp_path / "a.npy", zeros)
+    found = read_dem(tmp_path / "a.npy").zeros
+    assert found is not None
+    assert found.count == np.count_nonzero(zeros == 0)
+    assert found.share == found.count / 192
+    others = zeros[(zeros != 0) & ~np.isnan(zeros)]
+    assert (found.low, found.high) == (others.min(), others.max())
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        HILL - 110,
+        HILL - 106,
+        HILL - 104,
+        np.where(HILL > 108, HILL, 0) // 105,
+        HILL * 0.01 - 1.1,
+        np.where(HILL > 108, 0, 110),
+        HILL * 0,
+        np.full((12, 16), np.nan),
+        HILL * 20 - 2000,
+    ],
+    ids=["coast", "bay", "island", "steps", "flats", "two levels", "zeros", "holes", "slope"],
+)
+def test_zeros_of_a_terrain_around_them_are_heights(tmp_path, samples):
+    for zeros in (samples, with_zeros(samples)):
+        np.save(tmp_path / "a.npy", zeros)
+        found = read_dem(tmp_path / "a.npy")
+        assert found.zeros is None
+        assert found.facts == {}
+
+
 def test_a_mark_of_holes_is_compared_as_the_file_can_hold_it(tmp_path):
     samples = METERS.astype(np.float32)
     samples[3, 4] = -9999.9
@@ -280,7 +385,11 @@ def test_a_raster_that_is_turned_is_refused_with_its_angle(tmp_path, crs, keys, 
 
 def test_a_raster_that_is_sheared_is_refused_and_one_off_by_rounding_is_not(tmp_path):
     write(tmp_path / "a.tif", METERS, transform=rasterio.Affine(1, 0.3, 500, 0, -1, 900))
-    assert "shears" in refusal(tmp_path, file="a.tif")
+    text = refusal(tmp_path, file="a.tif")
+    assert "its georeference shears it: expected rows" in text
+    assert "turns" not in text
+    write(tmp_path / "a.tif", METERS, transform=rasterio.Affine(1, 0, 500, 1, -1, 900))
+    assert "shears it and turns it by 45 degrees" in refusal(tmp_path, file="a.tif")
     write(tmp_path / "a.tif", METERS, transform=rasterio.Affine(1, 1e-12, 500, -1e-12, -1, 900))
     reference = read_dem(tmp_path / "a.tif").reference
     assert reference is not None

@@ -131,10 +131,11 @@ def test_poses_while_a_shutter_is_open_count(tmp_path):
 
 
 def test_off_the_terrain_there_has_to_be_land(tmp_path):
-    cfg = on_a_plane(tmp_path, [(10.5, 0, 1.5)])
-    assert "sample 0 at (10.5, 0, 1.5) m is off the terrain, which ends at (10, 8) m" in fault(
-        tmp_path, cfg
-    )
+    border = "m is off the terrain, which goes from (-10, -8) to (10, 8) m: there is no ground"
+    for place in ((-10.5, 0, 1.5), (0, -8.25, 1.5), (10.5, 0, 1.5)):
+        cfg = on_a_plane(tmp_path, [place])
+        x, y, z = place
+        assert f"sample 0 at ({x:g}, {y:g}, {z:g}) {border}" in fault(tmp_path, cfg)
     land = {"reach_m": 50, "blend_m": 1, "relief": [{"type": "plane"}], "material": "sand"}
     cfg["terrain"]["horizon"] = land | {"labels": {"class": "ground"}}
     assert built(tmp_path, cfg).samples == 1

@@ -151,8 +151,31 @@ def test_size_distance_and_aspect_do_not_matter(size, away, aspect):
 def test_a_polygon_without_area_is_said_and_still_has_its_triangles():
     assert len(cut([(0, 0), (1, 1), (2, 2), (3, 3), (1, 1)], [EMPTY])) == 3
     assert len(cut([(1, 1)] * 4, [EMPTY])) == 2
-    # Two halves of opposite signs.
-    assert len(cut([(0, 0), (1, 1), (1, 0), (0, 1)], [EMPTY])) == 2
+    # There and back again, with a turn; a line that rounding bends.
+    assert len(cut([(0, 0), (1, 0), (1, 1), (1, 0)], [EMPTY])) == 2
+    line = [(7.1 + 0.1 * k, 3.3 + 0.3 * k, 0.7 * k) for k in (0, 3, 1, 2, 5, 1, 4)]
+    assert len(cut(line, [EMPTY])) == 5
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [(-1, 0), (1, 2), (1, 0), (-1, 2)],
+        [(0, 0), (1e-9, 1), (1e-9, 0), (0, 1)],
+        [(9e5, 9e5), (9e5 + 1, 9e5 + 1), (9e5 + 1, 9e5), (9e5, 9e5 + 1)],
+        # Both halves meet at a corner that is there twice; a figure of three crossings.
+        [(-1, -1), (-1, 1), (0, 0), (1, -1), (1, 1), (0, 0)],
+        [(0, 0), (2, 2), (4, 0), (6, 2), (6, 0), (4, 2), (2, 0), (0, 2)],
+    ],
+)
+@pytest.mark.parametrize("slope", [(0, 0), (2, -3)])
+@pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1)])
+def test_halves_of_opposite_signs_cross_and_are_no_lack_of_area(outline, slope, axes):
+    points = [(x, y, slope[0] * x + slope[1] * y) for x, y in outline]
+    for step in range(len(points)):
+        turned = np.array(points[step:] + points[:step])[:, axes]
+        # The fan is as good as any.
+        assert cut(turned, [CROSSES]) == [[0, k, k + 1] for k in range(1, len(points) - 1)]
 
 
 def area_of(outline, triangles):

@@ -217,12 +217,27 @@ def test_batches_of_an_edited_kind_are_of_another_cfg(
     assert other.startswith("made with odd 1.0 (code ")
 
 
-@pytest.mark.parametrize("fault", ["1 / 0", "np.zeros(2) + np.zeros(3)", "raise SystemExit(3)"])
+MUTE = "raise type('Mute', (ValueError,), {'__str__': lambda self: 1 / 0})"
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("1 / 0", "ZeroDivisionError: .*"),
+        ("np.zeros(2) + np.zeros(3)", "ValueError: .*"),
+        ("raise SystemExit(3)", "SystemExit: 3"),
+        ("raise GeneratorExit", "GeneratorExit"),
+        ("raise type('Own', (BaseException,), {})('its own')", "Own: its own"),
+        (MUTE, "Mute"),
+        (MUTE.replace("1 / 0", "exec('raise GeneratorExit')"), "Mute"),
+        (MUTE.replace("1 / 0", "None"), "Mute"),
+    ],
+)
 def test_an_exception_of_an_operator_names_its_file_and_line(
-    fault: str, odd: Package, tmp_path: Path
+    fault: str, said: str, odd: Package, tmp_path: Path
 ) -> None:
     odd.edit("return height + 0.5, {}", fault)
-    told = rf"^plug-in odd: \w+: .* \(odd.py, line {odd.line(fault)}\)$"
+    told = rf"^plug-in odd: {said} \(odd.py, line {odd.line(fault)}\)$"
     with pytest.raises(SceneError, match=told):
         compile_cfg(cfg(tmp_path), seed=1, out=tmp_path / "out")
     with make_executor(1) as executor, pytest.raises(SceneError, match=told):
