@@ -65,7 +65,7 @@ def distribution(name: str) -> tuple[str, ...]:
 
 
 def version_of(backend: Backend) -> str:
-    """What a backend says of its version; with package and code where it is another's."""
+    """Returns a backend's version; with package and code if from another package."""
     others = "" if backend.name in BUILT_IN else origin(GROUP, backend.name)
     return f"{backend.version()} of {others}" if others else backend.version()
 

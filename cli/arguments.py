@@ -107,7 +107,7 @@ def span(text: str) -> range:
 
 
 def amount(text: str) -> float:
-    """A number above 0, at most 1e12."""
+    """Parses a number above 0, at most 1e12."""
     try:
         value = float(text)
     except ValueError:
@@ -233,7 +233,7 @@ def names(text: str) -> list[str]:
 
 
 def positions(text: str) -> list[str]:
-    """A list such as ``sky,ground,,rock``, in which places count: repeated and empty names stay."""
+    """Splits a list by position, as ``sky,ground,,rock``: repeated and empty names stay."""
     return [name.strip() for name in text.split(",")]
 
 

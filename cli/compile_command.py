@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> CompileReport:
-    """Compiles, and says what came of it; a cfg that has been read is not read again."""
+    """Compiles and prints the report; a cfg that has been read is not read again."""
     # Here: importing these takes time, in which a line is read already. What is wrong with a cfg is
     # told before the rest is imported.
     from scenec.compiler.cfg.load import load

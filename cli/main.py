@@ -384,7 +384,7 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """As of the base class."""
+        """Parses as the base class does."""
         found, rest = super().parse_known_args(args, namespace)
         vars(found).pop(_GIVEN, None)
         return found, rest

@@ -98,7 +98,7 @@ class _Table:
 
 
 def _as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The table of points, a line each below their keys."""
+    """Returns the table of points as CSV, a line each below their keys."""
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerows(map(guarded_line, [list(rows[0]), *(row.values() for row in rows)]))

@@ -287,7 +287,7 @@ def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
 
 
 def _origin(spec: Spec, out: Path) -> dict[str, str]:
-    """Where an output's cfg finds the files that it names beside it; outside of the promise."""
+    """Tells where an output's cfg finds the files that it names; not part of the promise."""
     beside = [f for f in spec.files.values() if not f.reference.startswith(PREFIX)]
     if not beside:
         return {}

@@ -40,7 +40,7 @@ def settings_apart(first: Mapping[str, Any], second: Mapping[str, Any]) -> Itera
 
 
 def _neutral(name: str) -> set[str]:
-    """Options of a format that decide how it is written, not what it holds."""
+    """Lists options of a format that decide how it is written, not what it holds."""
     try:
         options = find_format(name).options
     except OutputError:
@@ -85,7 +85,7 @@ def _apart(a: Mapping[str, Any], b: Mapping[str, Any], masks: bool) -> str:
 
 
 def _images(folder: Path) -> dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]:
-    """File name of each image -> its entry and its annotations, in order."""
+    """Maps each image's file name to its entry and its annotations, in order."""
     found: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {}
     for path in sorted((folder / ANNOTATIONS).glob("instances_*.json")):
         document = read_json(path, FrameError, "a COCO file")

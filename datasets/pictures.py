@@ -129,7 +129,7 @@ def vouch(frame: LoadedFrame, held: Collection[str]) -> None:
 def counted(
     frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int], unheld: Counter[str]
 ) -> Iterator[LoadedFrame]:
-    """The frames; counts what a format has no place for: passes, pictures beside, poses of rows.
+    """Yields the frames; counts what a format has no place for, such as passes, poses of rows.
 
     Args:
         frames: As they come.

@@ -160,7 +160,7 @@ class LoadedFrame:
 
     @property
     def time_s(self) -> float:
-        """Seconds as the stage has them; the sample's number where it has no times.
+        """Returns seconds by the stage; the sample's number where it has no times.
 
         They count from the batch's start, or by a track's clock: from an epoch of its own.
         """
@@ -404,7 +404,7 @@ class Source:
         return tuple(refs)
 
     def _places(self) -> dict[tuple[int, str], int]:
-        """Number of the first frame of each batch and camera, whatever is asked for."""
+        """Returns the number of the first frame of each batch and camera, for any selection."""
         lengths, names = self._lengths(), self._folders(self._every)
         found: dict[tuple[int, str], int] = {}
         total = 0
@@ -416,12 +416,12 @@ class Source:
         return found
 
     def _lengths(self) -> dict[int, int]:
-        """Samples of each batch, as the manifest has them."""
+        """Returns the samples of each batch, by the manifest."""
         batches = (self.manifest or {"batches": []})["batches"]
         return {int(entry["index"]): int(entry.get("samples", 0)) for entry in batches}
 
     def _folders(self, batches: Iterable[Batch]) -> list[str]:
-        """Cameras of which any of some batches has frames."""
+        """Lists cameras of which any of some batches has frames."""
         folders = [batch.folder / FRAMES / self.backend for batch in batches]
         return sorted({p.name for f in folders if f.is_dir() for p in f.iterdir()})
 

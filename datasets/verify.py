@@ -104,7 +104,7 @@ class Comparison:
 
     @property
     def same(self) -> bool:
-        """Whether both hold the same frames with the same annotation, and the same of each."""
+        """Tells whether both hold the same frames, annotation, settings and images."""
         parts = (self.differing, self.only_first, self.only_second, self.unreadable, self.held)
         return self.frames > 0 and not any(parts)
 

@@ -50,7 +50,7 @@ def lost_of(matrix: NDArray[np.float64]) -> str:
 
 
 def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The rotation nearest to a matrix [3, 3], and its scale: the cube root of the volume's.
+    """Returns the rotation nearest to a matrix [3, 3], and its scale: the volume's cube root.
 
     Of a mirrored one, the rotation of what it is the mirror image of, across the x axis.
     """

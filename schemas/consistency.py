@@ -1,4 +1,4 @@
-"""What a frame's passes, its sidecar and its table of instances say against each other."""
+"""Checks a frame's passes, its sidecar and its table of instances against each other."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def table_faults(
 
 
 def _values(ids: NDArray[np.unsignedinteger]) -> NDArray[np.uint32]:
-    """Ids that occur, ascending; ids lie in runs, which are fewer to sort."""
+    """Lists the ids that occur, ascending; by runs of ids, which are fewer to sort."""
     return np.unique(rle.row_runs(ids)[0])
 
 

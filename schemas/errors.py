@@ -86,7 +86,7 @@ class CameraRefusedError(BackendError):
 
 
 class PluginError(ScenecError):
-    """Code of another package that failed; says whose, and at which line."""
+    """Reports a failure in another package's code: whose, and at which line."""
 
 
 class OutputError(ScenecError):

@@ -51,7 +51,7 @@ type Stamp = tuple[int, int, int, int]
 
 
 def stamp(path: Path) -> Stamp:
-    """The stamp of a file as it is: times of its content and of its entry, number, size.
+    """Returns a file's stamp: times of its content and of its entry, number, size.
 
     Whoever writes a file can set the first time, and keep the size. The second one is the system's.
 
@@ -91,7 +91,7 @@ def once_per_file[**P, R](most: int) -> Callable[[Callable[P, R]], Callable[P, R
 
 
 def digest_of_folder(folder: Path, suffixes: Collection[str] = ()) -> str:
-    """Hex digest of the names and contents of all files below a folder, as of code and its data.
+    """Returns the hex digest of names and contents of all files below a folder, such as code.
 
     Args:
         folder: Hidden files in it, and byte code, do not count.

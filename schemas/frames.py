@@ -151,7 +151,7 @@ def beside_path(stem: Path, kind: str) -> Path:
 
 
 def quality(spp: int, error: float | None, seconds: float | None) -> str:
-    """How well ``rgb`` is rendered, in words; as of ``FrameKey``."""
+    """Describes in words how well ``rgb`` is rendered, by the goals of ``FrameKey``."""
     most = f"{spp} samples per pixel"
     if error is None and seconds is None:
         return most
@@ -161,7 +161,7 @@ def quality(spp: int, error: float | None, seconds: float | None) -> str:
 
 
 def is_done(stem: Path, key: FrameKey) -> bool:
-    """Whether the frame is there, whole as far as its sizes tell, and made with this key.
+    """Tells whether the frame exists, complete by its sizes, and made with this key.
 
     One that holds more passes than are asked for, and is otherwise as asked, counts.
     """
@@ -186,7 +186,7 @@ def is_done(stem: Path, key: FrameKey) -> bool:
 
 
 def would_lose(stem: Path, key: FrameKey) -> str | None:
-    """What a frame of the same stage has that one of this key would not, in words.
+    """Lists in words what a frame of the same stage has that one of this key would not.
 
     Returns:
         None where nothing that was asked for then goes: there is no such frame, it is of another
@@ -213,12 +213,12 @@ def would_lose(stem: Path, key: FrameKey) -> str | None:
 
 
 def _held(sidecar: dict[str, Any]) -> set[str]:
-    """The passes of a frame."""
+    """Returns the passes of a frame."""
     return {*sidecar["passes"], *([AMODAL] if sidecar.get("amodal") else [])}
 
 
 def _rgb_of(sidecar: dict[str, Any]) -> dict[str, Any]:
-    """What a frame's key says of its ``rgb``."""
+    """Returns the part of a frame's key that describes its ``rgb``."""
     rounds = sidecar.get("rounds") or {}
     return {
         "spp": sidecar["spp"],

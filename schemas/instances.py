@@ -125,7 +125,7 @@ class InstanceTable:
         return position, quaternion
 
     def size(self, sample: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Scales [n, 3] and boxes [n, 2, 3] at a sample."""
+        """Returns scales [n, 3] and boxes [n, 2, 3] at a sample."""
         scale, box = self.scale.copy(), self.box.copy()
         if self.moving_scale is not None and self.moving_box is not None:
             scale[self.moving] = self.moving_scale[sample]

@@ -88,7 +88,7 @@ def meant(
     bias: tuple[float, ...],
     channel: str,
 ) -> NDArray[np.float32]:
-    """What a UsdUVTexture makes of stored pixels, float32 [h, w, channels of the kind].
+    """Decodes stored pixels as a UsdUVTexture does, float32 [h, w, channels of the kind].
 
     Floating values that ``decode`` takes as they are.
 

@@ -1,4 +1,4 @@
-"""Lines about what a process waits for: a start that takes minutes should not look like a hang.
+"""Prints what a process waits for: a start that takes minutes should not look like a hang.
 
 A worker process leaves the line in memory that it shares with who supervises it; that one says it
 if it is still there at its second look. So it is said even while native code holds the worker.
@@ -32,7 +32,7 @@ def listen(listener: Callable[[str], None]) -> None:
 
 
 def share(file: int) -> None:
-    """From now on a supervisor says this process's lines; see ``Note``."""
+    """Lets a supervisor print this process's lines from now on; see ``Note``."""
     _shared[:] = [Note(file, 1)]
 
 

@@ -57,7 +57,7 @@ def names_of(group: str) -> tuple[str, ...]:
 
 
 def origin(group: str, name: str) -> str:
-    """Package, version and code that something comes from."""
+    """Returns package, version and code that something comes from."""
     return ", ".join(
         (f"{point.dist.name} {point.dist.version}" if point.dist else point.value) + _code_of(point)
         for point in entry_points_of(group, name)
@@ -75,7 +75,7 @@ def place(point: EntryPoint) -> str:
 
 
 def load(point: EntryPoint) -> Any:
-    """What an entry point leads to; its exceptions are another package's, see ``told``."""
+    """Loads an entry point's object; its exceptions are another package's, see ``told``."""
     # First: what is stated is what runs.
     _code_of(point)
     who = point.dist.name if point.dist else point.module
@@ -119,7 +119,7 @@ def load_offered(group: str, name: str, title: str, kind: type[ScenecError]) -> 
 
 
 def told(error: BaseException) -> str:
-    """An error of another package's code, and where in that code it was raised, in a line."""
+    """Describes an error of another package's code, and where it was raised, in a line."""
     frames = traceback.extract_tb(error.__traceback__)
     found = _raised_in(error)
     at = found[1] if found else frames[-1]
@@ -153,7 +153,7 @@ def blaming(what: str = "", kind: type[ScenecError] = PluginError) -> Iterator[N
 
 
 def _text(error: BaseException) -> str:
-    """What an error says, in a line; "" where it cannot be asked: that, too, is another's code."""
+    """Returns an error's message, in a line; "" if asking fails: it is not our code."""
     try:
         return " ".join(str(error).split())
     except KeyboardInterrupt:
@@ -163,7 +163,7 @@ def _text(error: BaseException) -> str:
 
 
 def _raised_in(error: BaseException) -> tuple[Path, traceback.FrameSummary] | None:
-    """The innermost line of another package's code that an error came through, and its root."""
+    """Returns the innermost line of another package's code that raised an error, and its root."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         for root in _loaded:
             if Path(frame.filename).is_relative_to(root):
@@ -172,7 +172,7 @@ def _raised_in(error: BaseException) -> tuple[Path, traceback.FrameSummary] | No
 
 
 def _code_of(point: EntryPoint) -> str:
-    """A digest of the code behind an entry point, in words; "" where it cannot be found."""
+    """Returns a digest of the code behind an entry point, in words; "" where none is found."""
     key = point.module, tuple(sys.path)
     if key not in _codes:
         # Imported here: few processes meet another package.
@@ -194,7 +194,7 @@ def _code_of(point: EntryPoint) -> str:
 
 
 def _roots(module: str) -> list[Path]:
-    """The file of a module, or the folder of the package that it is in; no code is run."""
+    """Returns a module's file, or its package's folder; runs no code."""
     name, _, rest = module.partition(".")
     try:
         spec = importlib.util.find_spec(name)
@@ -213,7 +213,7 @@ def _roots(module: str) -> list[Path]:
 
 @cache
 def load_kind(group: str, name: str) -> type[Any]:
-    """The class of a kind that a cfg names.
+    """Returns the class of a kind that a cfg names.
 
     Raises:
         ScenecError: There is none, or several; or it is not what it should be.

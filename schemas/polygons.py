@@ -1,4 +1,4 @@
-"""Polygons as triangles, for all that reads meshes: n - 2 of a polygon of n corners.
+"""Triangulates polygons, for all that reads meshes: n - 2 triangles of n corners.
 
 A polygon keeps the fan around its first corner wherever that covers it once, which it does for all
 convex ones. Others are cut ear by ear. A polygon is seen along Newell's normal (the sum of its
@@ -41,7 +41,7 @@ _LEAST = 20_000
 
 
 class _Polygons(NamedTuple):
-    """Polygons as kernels take them: first corner, triangles and first triangle of each."""
+    """Holds polygons for kernels: first corner, triangles and first triangle of each."""
 
     points: NDArray[np.float64]
     corners: NDArray[np.int64]
@@ -51,7 +51,7 @@ class _Polygons(NamedTuple):
 
 
 class _Ring(NamedTuple):
-    """One polygon in the plane, and what is left of it while it is cut.
+    """Holds one polygon in the plane, and what is left of it while it is cut.
 
     Attributes:
         x, y: Of its corners.
@@ -72,7 +72,7 @@ class _Ring(NamedTuple):
 
 @dataclass(frozen=True)
 class Triangles:
-    """Triangles of polygons.
+    """Holds triangles of polygons.
 
     Attributes:
         corners: Which of all polygons' corners each triangle's are, wound as the polygon is, int64
@@ -134,7 +134,7 @@ def triangulate(
 
 @kernel
 def _fans(first, last, polygons, out, polygon, doubtful):  # type: ignore[no-untyped-def]
-    """Fans of polygons; ``doubtful`` becomes 1 where one may not cover its polygon once."""
+    """Cuts polygons into fans; sets ``doubtful`` where one may not cover its polygon once."""
     for f in range(first, last):
         s, t, n = polygons.start[f], polygons.first[f], polygons.triangles[f]
         for k in range(n):
@@ -146,7 +146,7 @@ def _fans(first, last, polygons, out, polygon, doubtful):  # type: ignore[no-unt
 
 @inlined
 def _surely_a_fan(points, corners, s, n):  # type: ignore[no-untyped-def]
-    """Whether the first corner sees all others in less than a half turn, beyond rounding."""
+    """Tells whether all corners lie within a half turn of the first one, beyond rounding."""
     for k in range(s, s + n):
         if corners[k] < 0 or corners[k] >= len(points):
             return True
@@ -180,7 +180,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def _cross(a, b):  # type: ignore[no-untyped-def]
-    """A cross product, and the sum of its terms' sizes, which its rounding errors go by."""
+    """Returns a cross product, and the sum of its terms' sizes, which bounds its rounding."""
     p, q, r = a[1] * b[2], a[2] * b[0], a[0] * b[1]
     t, u, v = a[2] * b[1], a[0] * b[2], a[1] * b[0]
     return (p - t, q - u, r - v), abs(p) + abs(q) + abs(r) + abs(t) + abs(u) + abs(v)
@@ -188,7 +188,7 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def _normal(points, corners, s, n):  # type: ignore[no-untyped-def]
-    """Newell's normal of a polygon, twice its area long; the sum of its terms' sizes."""
+    """Returns Newell's normal of a polygon, twice its area long; the sum of its terms' sizes."""
     x, y, z, size = 0.0, 0.0, 0.0, 0.0
     before = _way(points, corners[s], corners[s + 1])
     for k in range(s + 2, s + n):
@@ -201,7 +201,7 @@ def _normal(points, corners, s, n):  # type: ignore[no-untyped-def]
 
 @kernel
 def _cuts(first, last, polygons, chosen, out, kinds):  # type: ignore[no-untyped-def]
-    """Triangles of polygons whose fans may be none; ``kinds`` says what they are."""
+    """Triangulates polygons whose fans may be wrong; ``kinds`` says what they are."""
     most = 0
     for f in range(first, last):
         most = max(most, polygons.triangles[chosen[f]] + 2)
@@ -237,7 +237,7 @@ def _longest(normal):  # type: ignore[no-untyped-def]
 
 @kernel
 def _spread(points, corners, s, n):  # type: ignore[no-untyped-def]
-    """A normal of the plane that corners spread most in, and the size its rounding goes by."""
+    """Returns a normal of the corners' widest plane, and the size its rounding goes by."""
     far, away, reach = s, 0.0, 0.0
     for k in range(s, s + n):
         way = _way(points, corners[s], corners[k])
@@ -283,7 +283,7 @@ def _project(points, corners, s, n, normal, ring):  # type: ignore[no-untyped-de
 
 @kernel
 def _fan(ring, n):  # type: ignore[no-untyped-def]
-    """Whether a fan is right: 0, or 1 if convex and corners in line give it no area, else -1."""
+    """Tells whether a fan is right: 0, 1 if convex with corners in line of no area, else -1."""
     x, y, kind = ring.x, ring.y, 0
     first, before, beyond = 0, 0, False
     for k in range(1, n):
@@ -386,7 +386,7 @@ def _clip(ring, n, s, t, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _is_clear(ring, p, c, q, rank):  # type: ignore[no-untyped-def]
-    """Whether a counter-clockwise corner can be cut off."""
+    """Tells whether a counter-clockwise corner can be cut off."""
     x, y, ahead, behind = ring.x, ring.y, ring.ahead, ring.behind
     low_x, high_x = min(x[p], x[c], x[q]), max(x[p], x[c], x[q])
     low_y, high_y = min(y[p], y[c], y[q]), max(y[p], y[c], y[q])
@@ -414,7 +414,7 @@ def _is_clear(ring, p, c, q, rank):  # type: ignore[no-untyped-def]
 
 @kernel
 def _crosses(ring, n):  # type: ignore[no-untyped-def]
-    """Whether a polygon's outline goes from one side of itself to the other."""
+    """Tells whether a polygon's outline goes from one side of itself to the other."""
     x, y = ring.x, ring.y
     for i in range(n):
         j = (i + 1) % n
@@ -449,7 +449,7 @@ def _crosses(ring, n):  # type: ignore[no-untyped-def]
 
 @kernel
 def _side(ring, a, b, c, p):  # type: ignore[no-untyped-def]
-    """1 where p lies left of the way from a by b to c, -1 where right, 0 where it is on it."""
+    """Returns 1 if p lies left of the way from a by b to c, -1 if right, 0 if on it."""
     turn = _turn(ring, a, b, c)
     one, two = _turn(ring, a, b, p), _turn(ring, b, c, p)
     if turn == 0 and not _is_between(ring, a, b, c):
@@ -465,14 +465,14 @@ def _side(ring, a, b, c, p):  # type: ignore[no-untyped-def]
 
 @inlined
 def _is_between(ring, a, b, c):  # type: ignore[no-untyped-def]
-    """Whether b lies between a and c, which are in line with it, and at neither."""
+    """Tells whether b lies between a and c, which are in line with it, and at neither."""
     x, y = ring.x, ring.y
     return (x[a] < x[b] < x[c] or x[a] > x[b] > x[c]) or (y[a] < y[b] < y[c] or y[a] > y[b] > y[c])
 
 
 @inlined
 def _turn(ring, a, b, c):  # type: ignore[no-untyped-def]
-    """1 where the way from a by b to c turns left, -1 where right, 0 where it is straight."""
+    """Returns 1 if the way from a by b to c turns left, -1 if right, 0 if straight."""
     x, y = ring.x, ring.y
     left = (x[a] - x[c]) * (y[b] - y[c])
     right = (y[a] - y[c]) * (x[b] - x[c])

@@ -1,4 +1,4 @@
-"""Temporary folders that end with the command, however it ends.
+"""Makes temporary folders that end with the command, however it ends.
 
 The process that supervises a command (``cli/supervise.py``) marks it by a variable that all of its
 workers inherit. Each temporary folder has the mark in its name, so that the supervisor removes what

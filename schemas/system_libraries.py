@@ -1,4 +1,4 @@
-"""Libraries of the system that renderers load, and the packages that bring those that are missing.
+"""Finds system libraries that renderers load, and the packages that bring missing ones.
 
 Wheels bring no X11 and no OpenGL. Slim images of containers have neither, and a loader names only
 the first library that it misses.
@@ -34,7 +34,7 @@ OF_EGL = ("libEGL.so.1", "libOpenGL.so.0")
 
 
 def missing(names: Iterable[str]) -> tuple[str, ...]:
-    """Lists those libraries that cannot be loaded here."""
+    """Lists those libraries that cannot be loaded on this machine."""
     return tuple(name for name in names if not _loads(name))
 
 

@@ -142,7 +142,7 @@ class Executor(Protocol):
 
 
 def run_unit(unit: Unit, keeper: Keeper) -> Any:
-    """Runs a unit here; returns what it returns.
+    """Runs a unit in this process; returns what it returns.
 
     Raises:
         ScenecError: It cannot be done; ``PluginError`` where another package's code fails.

@@ -101,7 +101,7 @@ def _cast(
     wanted: Mapping[str, Pass],
     instances: Instances | None,
 ) -> tuple[Picture, tuple[int, int]]:
-    """The picture with its hits, and its sky; of several bands also what passes make of each."""
+    """Casts a picture and counts its sky; with several tiles, computes passes of each."""
     more = camera, caster, AMODAL in wanted, instances
     parts = bands(camera)
     if len(parts) == 1:

@@ -273,7 +273,7 @@ class Instances:
     def _sizes(
         self, which: NDArray[np.int64], sample: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Scales [n, 3] and boxes [n, 2, 3] at a sample; of the hidden as when first shown."""
+        """Returns scales [n, 3] and boxes [n, 2, 3] at a sample; hidden ones as first visible."""
         scale, box = self._scale[which], self._box[which]
         at = np.flatnonzero(self._resized[which])
         if len(at):
@@ -285,7 +285,7 @@ class Instances:
         return scale, box
 
     def _local_boxes(self, sample: int) -> NDArray[np.float64]:
-        """Boxes around the meshes of each instance in its own frame and units, [n, 2, 3]."""
+        """Returns boxes around each instance's meshes in its own frame and units, [n, 2, 3]."""
         sample = sample if len(self._loose) else 0
         if self._local is None or self._local[0] != sample:
             self._local = (sample, self._find_boxes(sample))
@@ -311,7 +311,7 @@ class Instances:
         return np.stack(corners, axis=1)
 
     def _add_loose(self, sample: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-        """Boxes of rows that do not keep their place, as they stand at a sample; none if hidden."""
+        """Adds boxes of rows that move within their instance at a sample; empty if hidden."""
         scene = self._scene
         to_world, rows = scene.rows_at(sample).to_world, self._rows[self._loose]
         slots = self.slot_of_row[rows]
@@ -344,7 +344,7 @@ class Instances:
 
 
 def _boxes(linear: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Boxes [n, 2, 3] around transformed ones [n, 2, 3], by matrices [n, 3, 3]."""
+    """Returns boxes [n, 2, 3] around transformed ones [n, 2, 3], by matrices [n, 3, 3]."""
     low, high = local[:, 0], local[:, 1]
     center = (linear * (0.5 * (low + high))[:, None, :]).sum(axis=2)
     half = (np.abs(linear) * (0.5 * (high - low))[:, None, :]).sum(axis=2)

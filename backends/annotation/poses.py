@@ -1,4 +1,4 @@
-"""Poses of affine matrices: where an object is, how it is turned, and what is left."""
+"""Decomposes affine matrices into position, rotation, scale and what is left."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _IDENTITY = np.eye(4)[:3]
 
 @dataclass(frozen=True)
 class Poses:
-    """Where instances are.
+    """Holds poses of instances.
 
     Attributes:
         position: float64 [n, 3].
@@ -32,14 +32,14 @@ class Poses:
 
 
 def composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Parent * child of affine matrices [n, 3, 4]."""
+    """Returns parent * child of affine matrices [n, 3, 4]."""
     out = (parent[:, :, :3, None] * child[:, None, :, :]).sum(axis=2)
     out[:, :, 3] += parent[:, :, 3]
     return out
 
 
 def inverses_or_identity(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverses of affine matrices [n, 3, 4]; the identity for those that have none."""
+    """Inverts affine matrices [n, 3, 4]; returns the identity for singular ones."""
     out = np.empty_like(matrices)
     with np.errstate(all="ignore"):
         out[:, :, :3], determinant = inverses(matrices[:, :, :3])
@@ -49,7 +49,7 @@ def inverses_or_identity(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def decomposed(matrix: NDArray[np.float64]) -> Poses:
-    """Rotation (by Gram and Schmidt, x first) and what is left of affine matrices [n, 3, 4].
+    """Splits affine matrices [n, 3, 4] into rotation (Gram-Schmidt, x first) and what is left.
 
     Of a mirrored one x is turned round; one that is flat along an axis gets any axis there.
     """
@@ -66,7 +66,7 @@ def decomposed(matrix: NDArray[np.float64]) -> Poses:
 
 @kernel
 def _normalized(v):  # type: ignore[no-untyped-def]
-    """Make a vector as long as 1; False, and the vector as it was, where there is none."""
+    """Normalizes a vector; returns False and leaves the vector unchanged where it has no length."""
     # Scaled first: squares of small numbers may underflow.
     largest = max(abs(v[0]), max(abs(v[1]), abs(v[2])))
     if not largest > 0.0:
@@ -88,7 +88,7 @@ def _cross(a, b, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _set_across(v, axis, out):  # type: ignore[no-untyped-def]
-    """Some unit vector across another, which is not 0; ``axis`` is scratch."""
+    """Sets a unit vector across another, which is not 0; ``axis`` is scratch."""
     least = 0
     for i in range(1, 3):
         if abs(v[i]) < abs(v[least]):
@@ -101,7 +101,7 @@ def _set_across(v, axis, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _decompose(matrix, rotation, scale, rest, vectors):  # type: ignore[no-untyped-def]
-    """As ``_decomposed``; ``vectors`` is scratch, float64 [4, 3]."""
+    """Does what ``decomposed`` does; ``vectors`` is scratch, float64 [4, 3]."""
     x, y, z, axis = vectors[0], vectors[1], vectors[2], vectors[3]
     for k in range(matrix.shape[0]):
         m = matrix[k]
@@ -152,7 +152,7 @@ def _decompose(matrix, rotation, scale, rest, vectors):  # type: ignore[no-untyp
 
 
 def quaternions(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (x, y, z, w), w >= 0, of rotation matrices [n, 3, 3]: float64 [n, 4].
+    """Returns quaternions (x, y, z, w), w >= 0, of rotation matrices [n, 3, 3]: float64 [n, 4].
 
     Shepperd, "Quaternion from rotation matrix", 1978: the largest component first.
     """

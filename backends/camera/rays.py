@@ -83,7 +83,7 @@ def _lens_rays(camera: Camera, rows: range) -> Rays:
 
 
 def rays_at(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> Rays:
-    """One ray through each of some points of the picture, as ``camera_rays``' through centers.
+    """Makes one ray through each point of the picture, as ``camera_rays`` does through centers.
 
     Args:
         camera: With a rolling shutter as it is while what is at ``v`` is exposed.

@@ -1,4 +1,4 @@
-"""Checks of what became of a stage: what was not read, labels without use, cameras inside of it."""
+"""Checks what became of a stage: losses, labels without use, cameras inside of objects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FEWEST = 5
 
 
 def check_scene(scene: RenderScene) -> Iterator[Finding]:
-    """Warnings: the scene's losses, labels that no pixel can show, cameras below or inside."""
+    """Yields warnings: the scene's losses, labels no pixel can show, cameras below or inside."""
     where = scene.source.name
     for line in scene.losses:
         yield Finding("unread", "warning", where, line)
@@ -57,7 +57,7 @@ def _carried(scene: RenderScene, level: str) -> set[int]:
 
 
 def _enclosed(scene: RenderScene) -> dict[str, list[int]]:
-    """Samples of cameras and lidars that see none but the backs of surfaces, by their prims."""
+    """Finds samples of cameras and lidars that hit only the backs of surfaces, by their prims."""
     # Along the axes and between three of them.
     ways = [way for way in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, way)) in (1, 3)]
     found: dict[str, list[int]] = {}

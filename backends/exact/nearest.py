@@ -1,4 +1,4 @@
-"""The nearest surfaces in pyramids of rays: what lattices of rays may miss, these do not.
+"""Finds the nearest surfaces in pyramids of rays; unlike lattices of rays, it misses none.
 
 A pyramid has its apex in an eye and four sides; depth is along an axis within it. Of all surfaces
 in it, the point of the least depth is one that the eye sees: whatever hid it would be nearer, and
@@ -29,7 +29,7 @@ _CORNERS = 3 + _SIDES
 
 
 class Pyramids(NamedTuple):
-    """Windows that eyes look through.
+    """Describes the pyramids that eyes look through.
 
     Attributes:
         eyes: World, float64 [n, 3].
@@ -44,7 +44,7 @@ class Pyramids(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """What one pyramid is walked with.
+    """Holds the scratch arrays of one pyramid's traversal.
 
     Attributes:
         world, local: Its planes, normal and offset, in the world and in a row's frame, [5, 4].
@@ -62,7 +62,7 @@ class _Scratch(NamedTuple):
 
 @kernel
 def _least_depth(box, base, planes, slack, best):  # type: ignore[no-untyped-def]
-    """A bound of depth from below for what a node's box holds; inf where that is not needed."""
+    """Returns a lower bound of depth in a node's box; inf where it is at least ``best``."""
     depth = math.inf
     if box[base] > box[base + 3]:
         return depth
@@ -81,7 +81,7 @@ def _least_depth(box, base, planes, slack, best):  # type: ignore[no-untyped-def
 
 @kernel
 def _clip(polygon, count, normal, slack, out):  # type: ignore[no-untyped-def]
-    """A convex polygon's part that lies no more than ``slack`` outside of a plane; its corners."""
+    """Clips a convex polygon to within ``slack`` of a plane's inside; returns its corner count."""
     size = 0
     for k in range(count):
         a, b = polygon[k], polygon[k + 1 if k + 1 < count else 0]
@@ -101,7 +101,7 @@ def _clip(polygon, count, normal, slack, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _face_depth(g, row, face, eye, normals, slack, best, s):  # type: ignore[no-untyped-def]
-    """The least depth of a triangle's part within a pyramid; ``best`` where it is no less."""
+    """Returns the least depth of a triangle within a pyramid, or ``best`` if that is less."""
     m = g.to_world[row]
     nearest = math.inf
     for k in range(3):
@@ -132,7 +132,7 @@ def _face_depth(g, row, face, eye, normals, slack, best, s):  # type: ignore[no-
 
 @inlined
 def _in_world(g, row):  # type: ignore[no-untyped-def]
-    """Whether a row's tree stands in the world frame (``bvh``), or it might as well."""
+    """Tells whether a row's tree is in the world frame (``bvh``), or might as well be."""
     m = g.to_local[row]
     for i in range(3):
         for j in range(4):
@@ -143,7 +143,7 @@ def _in_world(g, row):  # type: ignore[no-untyped-def]
 
 @kernel
 def _row_depth(g, row, eye, normals, slack, wide, best, s):  # type: ignore[no-untyped-def]
-    """The least depth of a row within a pyramid; ``best`` where it is no less."""
+    """Returns the least depth of a row within a pyramid, or ``best`` if that is less."""
     m = g.to_world[row]
     in_world = _in_world(g, row)
     for side in range(_SIDES):
@@ -231,7 +231,7 @@ def _nearest(first, last, g, pyramids, out):  # type: ignore[no-untyped-def]
 
 
 def nearest(g: Geometry, pyramids: Pyramids) -> NDArray[np.float64]:
-    """The least depth of any surface in each pyramid, meters, float64 [n]; +inf without one.
+    """Returns the least depth of any surface in each pyramid, meters, float64 [n]; +inf if none.
 
     Depth is from the eye along the axis; with a slack it may be as much below 0.
 

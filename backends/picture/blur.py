@@ -1,4 +1,4 @@
-"""How far a shutter moves and how wide an aperture blurs what a camera shows.
+"""Measures how far a shutter's motion and an aperture blur what a camera shows.
 
 Motion and circles of confusion grow as things come near, so what counts is the nearest surface in
 each part of the picture. Rays would miss what is between them. The picture is therefore cut into
@@ -52,7 +52,7 @@ _BULGE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Blur:
-    """What a camera's shutter and aperture do to its picture.
+    """Describes what a camera's shutter and aperture do to its picture.
 
     Attributes:
         camera: The camera.
@@ -77,39 +77,39 @@ class Blur:
 
     @property
     def wanted(self) -> int:
-        """Sub-frames of a row, in each half, that are as near as they may be wished."""
+        """Returns the sub-frames of a row, in each half buffer, that the spacing calls for."""
         rolling = self.shutter is not None and self.shutter.readout_s > 0.0
         along = math.ceil(self.motion_px / (ROLLING_PX if rolling else SPACING_PX) - 1e-9)
         return max(1, along, math.ceil(self._disks / SPACING_PX**2 - 1e-9))
 
     def spacing_px(self, count: int) -> float:
-        """How far neighbors among so many copies are apart where blur is widest."""
+        """Returns the distance of neighboring copies where blur is widest, for this many copies."""
         if self.disk_px == 0.0:
             return self.motion_px / count
         along = self.motion_px / count
         return max(along, min(math.sqrt(self._disks / count), self.disk_px + self.motion_px))
 
     def timing_px(self, count: int) -> float:
-        """How far rows are moved because all are early or late, standard deviation of the mean."""
+        """Returns the standard deviation of rows' mean shift from early or late sub-frames."""
         if self.shutter is None or self.shutter.readout_s <= 0.0:
             return 0.0
         return self.motion_px / count / math.sqrt(24.0)
 
     @property
     def bands(self) -> float:
-        """Sub-frames of a half for each sub-frame of a row."""
+        """Returns the number of a half buffer's sub-frames per sub-frame of a row."""
         if self.shutter is None or self.shutter.exposure_s <= 0.0:
             return 1.0
         return 1.0 + self.shutter.readout_s / self.shutter.exposure_s
 
     @property
     def _disks(self) -> float:
-        """What copies of a point are spread over, square pixels."""
+        """Returns the area that copies of a point are spread over, square pixels."""
         return 0.25 * math.pi * self.disk_px**2 + self.disk_px * self.motion_px
 
 
 def measure(camera: Camera, caster: ExactCaster) -> Blur | None:
-    """What a camera's shutter and aperture do; None: nothing, it is a pinhole that stands still.
+    """Measures a camera's motion and defocus blur; None of a pinhole that does not move.
 
     Args:
         camera: The camera.
@@ -170,7 +170,7 @@ def measure(camera: Camera, caster: ExactCaster) -> Blur | None:
 
 @dataclass(frozen=True)
 class _Windows:
-    """A picture's tiles, in the camera's frame; those that show nothing at all are left out.
+    """Holds a picture's tiles, in the camera's frame; those that show nothing are left out.
 
     Attributes:
         axes: Along which their depth counts, unit vectors, float64 [n, 3].
@@ -223,7 +223,7 @@ def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def _depths(
     windows: _Windows, poses: NDArray[np.float64], radius: float, caster: ExactCaster
 ) -> NDArray[np.float64]:
-    """The least depth that each tile may show, seen from any of some poses near each other.
+    """Bounds from below the depth that each tile shows, from any of some nearby poses.
 
     Args:
         windows: The tiles.
@@ -261,7 +261,7 @@ def _depths(
 def _farthest_hit(
     camera: Camera, poses: Sequence[NDArray[np.float64]], caster: ExactCaster
 ) -> float:
-    """The largest parameter of all pixels' first hits; +inf where one of them is sky."""
+    """Returns the largest parameter of all pixels' first hits; +inf where one is sky."""
     far = 0.0
     for pose in poses:
         view = replace(camera, camera_to_world=pose)
@@ -284,7 +284,7 @@ def _steps(
     depth: NDArray[np.float64],
     far: float,
 ) -> NDArray[np.float64]:
-    """The farthest that anything moves from each pose to the next, pixels.
+    """Returns the farthest that anything moves from each pose to the next, pixels.
 
     Args:
         camera: The camera.
@@ -329,7 +329,7 @@ def _steps(
 
 
 def _farthest(way: NDArray[np.float64], times: NDArray[np.float64], duration: float) -> float:
-    """The farthest that any point moves in so much time, from any of the times on."""
+    """Returns the farthest that any point moves in a duration, from any of the times on."""
     ends = np.minimum(times + duration, times[-1])
     low = np.clip(np.searchsorted(times, ends, side="right") - 1, 0, len(times) - 2)
     share = (ends - times[low]) / (times[low + 1] - times[low])

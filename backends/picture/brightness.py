@@ -23,7 +23,7 @@ def brief(sidecar: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def told_of_sky(sidecars: Sequence[Mapping[str, Any]]) -> str | None:
-    """A line about sky that is seen below the horizon; None if there is next to none.
+    """Warns in a line of sky visible below the horizon; None if there is next to none.
 
     Args:
         sidecars: As of ``told``; those without a ``sky`` do not count.

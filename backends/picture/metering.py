@@ -56,7 +56,7 @@ _KEY = 0x5CE9EC
 
 @dataclass(frozen=True)
 class Seen:
-    """Luminance that a camera's rays bring, [W/(m^2 sr)], without the suns' discs.
+    """Holds luminance along a camera's rays, [W/(m^2 sr)], without the suns' discs.
 
     Attributes:
         surfaces: Of rays that hit one, float64 [n].
@@ -133,7 +133,7 @@ class _Points:
     )
 
     def shown(self, to_light: NDArray[np.float64]) -> NDArray[np.float64]:
-        """BRDF, or BTDF from behind, times the cosine for unit vectors [k, 3], float64 [k, 3]."""
+        """Returns BRDF, or BTDF from behind, times the cosine, for directions [k, 3], float64."""
         cosine = (self.normal * to_light).sum(axis=1)[:, None]
         out = self.diffuse / np.pi
         for surface, which, share, color in self.laws:
@@ -152,7 +152,7 @@ class _Points:
         return np.asarray(out)
 
     def rays(self, ways: NDArray[np.float64]) -> Rays:
-        """Rays from the points, on the sides of the surfaces that the ways [k, 3] go to."""
+        """Makes rays from the points, on the sides of the surfaces that the ways [k, 3] go to."""
         behind = (self.normal * ways).sum(axis=1, keepdims=True) < 0.0
         at = np.where(behind, self.at - 2.0 * self.lift * self.normal, self.at)
         return Rays(at, np.ascontiguousarray(ways), (len(at), 1))
@@ -249,7 +249,7 @@ class _Paths:
         return out
 
     def _bounces(self, points: _Points) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Directions by the cosine (Malley's method), [k, 3], and the chance of their side, [k, 1].
+        """Samples directions by the cosine (Malley), [k, 3], and their side's probability, [k, 1].
 
         Of sheets, each side about as often as it shows more light.
         """

@@ -1,4 +1,4 @@
-"""OpenGL without a window through EGL, by hand: PyOpenGL cannot change its mind once imported.
+"""Opens OpenGL without a window through EGL, since PyOpenGL cannot switch once imported.
 
 NVIDIA's EGL gives exactly the version of OpenGL that is asked for, Mesa's the highest compatible
 one. pyrender asks for 4.1, in which our shaders do not compile; so contexts are made here.
@@ -31,7 +31,7 @@ VERSIONS = ((4, 5), (4, 2))
 
 @dataclass(frozen=True)
 class EglDevice:
-    """A device that EGL can draw with.
+    """Describes a device that EGL can draw with.
 
     Attributes:
         index: Among all of EGL's devices; -1 is the default display (EGL without a list of them).
@@ -45,7 +45,7 @@ class EglDevice:
 
 
 class EglContext:
-    """A context of OpenGL, current in this thread, without a surface.
+    """Holds a context of OpenGL, current in this thread, without a surface.
 
     Args:
         device: Where it draws.
@@ -74,7 +74,7 @@ class EglContext:
 
 
 def egl_devices() -> list[EglDevice]:
-    """Lists the devices through which EGL makes a context here, found without PyOpenGL.
+    """Lists the devices on which EGL makes a context, found without PyOpenGL.
 
     Raises:
         OSError: There is no EGL, or no OpenGL to go with it, or none of its devices works.
@@ -101,7 +101,7 @@ def egl_devices() -> list[EglDevice]:
 
 
 def _create(egl: Any, display: Any) -> Any:
-    """A context on an initialized display, of the first version that it gives.
+    """Creates a context on an initialized display, of the first version that it offers.
 
     Raises:
         OSError: It gives none.
@@ -126,7 +126,7 @@ def _create(egl: Any, display: Any) -> Any:
 
 
 def _load() -> Any:
-    """EGL's library, with the types of what is called."""
+    """Loads EGL's library, with the types of the functions that are called."""
     egl = library("libEGL.so.1", "libEGL.so")
     library("libOpenGL.so.0", "libOpenGL.so", "libGL.so.1", "libGL.so")
     pointer, yes = ctypes.c_void_p, ctypes.c_uint
@@ -147,7 +147,7 @@ def _load() -> Any:
 
 
 def _handles(egl: Any) -> list[Any] | None:
-    """EGL's devices; None where it has no list of them.
+    """Lists EGL's devices; None where it has no list of them.
 
     Raises:
         OSError: It has a list and does not give it.
@@ -163,7 +163,7 @@ def _handles(egl: Any) -> list[Any] | None:
 
 
 def _displays(egl: Any) -> dict[int, Any]:
-    """Displays by the index of their device; -1 is the default one, where there is no list."""
+    """Returns displays by device index; -1 is the default one, where there is no list."""
     pointer = ctypes.c_void_p
     display = _extension(egl, "eglGetPlatformDisplayEXT", pointer, ctypes.c_uint, pointer, pointer)
     handles = _handles(egl)
@@ -174,7 +174,7 @@ def _displays(egl: Any) -> dict[int, Any]:
 
 
 def _extensions(egl: Any, index: int) -> list[bytes]:
-    """What the device of an index says that it can."""
+    """Lists the extensions of the device of an index."""
     text = _extension(
         egl, "eglQueryDeviceStringEXT", ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int
     )
@@ -185,7 +185,7 @@ def _extensions(egl: Any, index: int) -> list[bytes]:
 
 
 def _extension(egl: Any, name: str, result: Any, *arguments: Any) -> Any:
-    """A function of an extension; None if it is not there."""
+    """Returns a function of an extension; None if it is missing."""
     address = egl.eglGetProcAddress(name.encode())
     return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
 

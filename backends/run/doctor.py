@@ -97,7 +97,7 @@ def _diagnosis(name: str) -> Diagnosis:
 
 
 def _may_wait(name: str) -> bool:
-    """Whether a backend tries a GPU first, which may be busy for minutes before it draws."""
+    """Tells whether a backend tries a GPU first, which may be busy for minutes before it draws."""
     if ctypes.util.find_library("cuda") is None:
         return False
     try:

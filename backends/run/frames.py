@@ -85,7 +85,7 @@ def frames_of(
 
 
 def may_lose(batch: Batch, plan: RenderPlan, manifest: dict[str, Any] | None) -> bool:
-    """Whether a batch has frames of its stage that a plan could replace and may not.
+    """Tells whether a batch has frames of its stage that a plan could replace and may not.
 
     Args:
         batch: The batch.

@@ -34,7 +34,7 @@ def default_limit() -> int:
 
 
 def at_once(asked: int) -> int:
-    """How many processes of this machine work where so many are asked for: those that it can hold.
+    """Returns how many worker processes fit this machine, at most as many as requested.
 
     Says once where they are fewer. What each may hold (``Limits.memory_bytes``) is another matter.
     """

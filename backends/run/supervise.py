@@ -85,7 +85,7 @@ class Supervisor:
 
     @property
     def is_there(self) -> bool:
-        """Whether its worker process runs."""
+        """Tells whether its worker process runs."""
         return self._process is not None
 
     @property
@@ -209,7 +209,7 @@ class Supervisor:
         self._done = 0
 
     def _most(self) -> int:
-        """Bytes that the worker may hold, with as many processes as there are now."""
+        """Returns the bytes that the worker may use, given the present number of processes."""
         return self._limits.memory_bytes or self._room // max(1, self._among())
 
     def _replace_if_grown(self, outcome: Outcome) -> None:

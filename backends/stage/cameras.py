@@ -42,7 +42,7 @@ def read_cameras(
     times: list[Usd.TimeCode],
     unread: Unread | None = None,
 ) -> tuple[tuple[Camera, ...], ...]:
-    """Cameras at every sample, of what the stage asks to be rendered (``products``).
+    """Reads the cameras of the stage's render products at every sample (``products``).
 
     Args:
         stage: The stage.
@@ -251,7 +251,7 @@ def intrinsics_from_apertures(
     policy: str = UsdRender.Tokens.adjustPixelAspectRatio,
     pixel_aspect: float = 1.0,
 ) -> NDArray[np.float64]:
-    """K in pixels from a camera's focal length, apertures and offsets, float64 [3, 3].
+    """Returns K in pixels from a camera's focal length, apertures and offsets, float64 [3, 3].
 
     Args:
         prim: The camera.

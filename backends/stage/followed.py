@@ -1,4 +1,4 @@
-"""Attributes of schemas that the reader follows, by type, and those that are of no effect here.
+"""Lists attributes of schemas that the reader follows, by type, and those without effect.
 
 Whatever else is authored, and is not as it is without that, is named (``unread``). A test changes
 each attribute that is said to be followed and demands another RenderScene.
@@ -97,7 +97,7 @@ SURFACE = frozenset(
 
 
 def is_followed(kind: str, name: str) -> bool:
-    """Whether an attribute of a type of prim is followed, or of no effect.
+    """Tells whether an attribute of a type of prim is followed, or of no effect.
 
     Args:
         kind: Of the prim.

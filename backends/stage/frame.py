@@ -32,7 +32,7 @@ class StageFrame:
 
     @classmethod
     def of(cls, stage: Usd.Stage) -> StageFrame:
-        """The frame that the stage declares.
+        """Reads the frame that the stage declares.
 
         Raises:
             StageError: A unit or an axis that cannot be.

@@ -52,7 +52,7 @@ def read_lighting(
 
 
 def light_prims(stage: Usd.Stage) -> list[Usd.Prim]:
-    """Lights of ``unread.LIGHTS``, hidden or not, but for those of prototypes."""
+    """Lists lights of ``unread.LIGHTS``, hidden or not, but for those of prototypes."""
     lights = []
     prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
     for prim in prims:
@@ -71,7 +71,7 @@ def _all[T](kind: type[T], lights: list[Sun | Dome | Lamp | None]) -> tuple[T, .
 def light_over_time(
     prim: Usd.Prim, frame: StageFrame, times: list[Usd.TimeCode], sources: Sources
 ) -> list[Sun | Dome | Lamp | None]:
-    """A light at each time; None where it is hidden, or gives none.
+    """Returns a light at each time; None where it is hidden, or gives none.
 
     Raises:
         StageError: A value is not what it can be, or not finite.

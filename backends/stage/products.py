@@ -1,4 +1,4 @@
-"""What a stage asks to be rendered: RenderProducts, and the RenderSettings that they inherit from.
+"""Reads a stage's RenderProducts, and the RenderSettings that they inherit from.
 
 A product that does not author a value has that of the settings that list it, as
 ``UsdRenderComputeSpec`` has it (pxr/usd/usdRender/spec.cpp, of which Python has no binding).
@@ -34,7 +34,7 @@ _MOST_PIXELS = 2**31
 
 @dataclass(frozen=True)
 class Request:
-    """A picture of a camera.
+    """Describes a requested picture of a camera.
 
     Attributes:
         name: Of the camera in file paths.
@@ -57,7 +57,7 @@ class Request:
 
 
 def read_requests(stage: Usd.Stage) -> tuple[list[Request], list[Usd.Prim]]:
-    """What is to be rendered.
+    """Lists the pictures to render.
 
     Without a product it is the camera of the stage's settings; without one there, every camera that
     is not orthographic, unless all are; 640 pixels wide.
@@ -92,7 +92,7 @@ def read_requests(stage: Usd.Stage) -> tuple[list[Request], list[Usd.Prim]]:
 
 
 def settings_of_products(stage: Usd.Stage) -> dict[Sdf.Path, Usd.Prim]:
-    """The RenderSettings whose values each product inherits, by the product's path.
+    """Returns the RenderSettings whose values each product inherits, by the product's path.
 
     Where several list a product it is the stage's own settings, else the first.
     """
@@ -107,7 +107,7 @@ def settings_of_products(stage: Usd.Stage) -> dict[Sdf.Path, Usd.Prim]:
 
 
 def _is_orthographic(prim: Usd.Prim) -> bool:
-    """Whether a camera is orthographic, at the first time where that changes."""
+    """Tells whether a camera is orthographic, at the first time where that changes."""
     attribute = UsdGeom.Camera(prim).GetProjectionAttr()
     kind = values.word(attribute, UsdGeom.Tokens.perspective, _FIRST)
     return kind == UsdGeom.Tokens.orthographic
@@ -116,7 +116,7 @@ def _is_orthographic(prim: Usd.Prim) -> bool:
 def conformed(
     across: float, up: float, full: tuple[int, int], policy: str, pixel_aspect: float
 ) -> tuple[float, float]:
-    """Apertures that fit a picture, as ``_ApplyAspectRatioPolicy`` of usdRender/spec.cpp has it.
+    """Fits apertures to a picture, as ``_ApplyAspectRatioPolicy`` of usdRender/spec.cpp does.
 
     Args:
         across, up: Apertures, above 0.
@@ -166,7 +166,7 @@ def _of_product(name: str, prim: Usd.Prim, settings: Usd.Prim | None) -> Request
 
 
 def _of_settings(name: str, camera: Usd.Prim, settings: Usd.Prim | None) -> Request:
-    """A picture that no product asks for."""
+    """Makes a request for a camera without a product."""
     resolution = settings.GetAttribute("resolution") if settings else None
     if resolution and resolution.HasAuthoredValue():
         width, height = values.vector(resolution, 2) or (_WIDTH, _HEIGHT)
@@ -211,7 +211,7 @@ def _request(
 
 
 def _window(full: tuple[int, int], attribute: Usd.Attribute | None) -> tuple[int, int, int, int]:
-    """Pixels whose centers a data window holds, its left and lower borders with it.
+    """Returns the pixels whose centers a data window holds, left and lower borders included.
 
     Raises:
         StageError: It holds none.
@@ -233,7 +233,7 @@ def _window(full: tuple[int, int], attribute: Usd.Attribute | None) -> tuple[int
 
 
 def _authored(name: str, *prims: Usd.Prim | None) -> Usd.Attribute | None:
-    """An attribute of the first prim that authors it; of the first that there is otherwise."""
+    """Returns an attribute of the first prim that authors it, else of the first that has it."""
     found = [prim.GetAttribute(name) for prim in prims if prim]
     return next((each for each in found if each.HasAuthoredValue()), next(iter(found), None))
 

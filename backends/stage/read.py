@@ -55,7 +55,7 @@ def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
 
 
 def scene_of(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
-    """What ``read_stage`` makes of a composed stage, without the losses of its sources.
+    """Makes the scene of a composed stage, without the losses of its sources.
 
     Args:
         stage: From ``Sources.reading``.

@@ -1,4 +1,4 @@
-"""Poses of cameras and lidars: the rigid part of their transforms, or why there is none."""
+"""Reads poses of cameras and lidars: the rigid part of their transforms, or why there is none."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHEARED = "a camera is sheared: its pose is without that, so its picture is not 
 def camera_poses(
     prim: Usd.Prim, frame: StageFrame, times: Sequence[Usd.TimeCode]
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Poses of a camera's axes (USD's: x right, y up, looking along -z), and what they lack.
+    """Returns poses of a camera's axes (USD's: x right, y up, looking along -z), and faults.
 
     As in ``GfFrustum::SetPositionAndRotationFromMatrix`` (pxr/base/gf/frustum.cpp) a mirrored one
     has its x axis turned round, and what then is no rotation is made one.
@@ -55,7 +55,7 @@ def camera_poses(
 def lidar_poses(
     prim: Usd.Prim, frame: StageFrame, times: Sequence[Usd.TimeCode]
 ) -> NDArray[np.float64]:
-    """Poses of a lidar, float64 [times, 4, 4], proper; its scale says nothing.
+    """Returns poses of a lidar, float64 [times, 4, 4], proper; its scale is ignored.
 
     Raises:
         StageError: It is mirrored, sheared or projective, has no inverse, or is not finite.
@@ -73,7 +73,7 @@ def lidar_poses(
 
 
 def straightened(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices [n, 3, 4] with axes at right angles, by USD's own way; the same where they are."""
+    """Makes the axes of matrices [n, 3, 4] orthogonal, as USD does, where they are not."""
     found = np.flatnonzero(sheared(matrices))
     matrices = matrices.copy() if len(found) else matrices
     for at in found.tolist():
@@ -96,7 +96,7 @@ def require_invertible(prim: Usd.Prim, matrices: NDArray[np.float64]) -> None:
 
 
 def flat(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of matrices [..., 3, 4] have no inverse: axes in a plane, or of no length."""
+    """Tells which matrices [..., 3, 4] have no inverse: axes in a plane, or of no length."""
     with np.errstate(all="ignore"):
         axes = matrices[..., :3] / _lengths(matrices)[..., None, :]
         found: NDArray[np.bool_] = ~(np.abs(np.linalg.det(axes)) > _FLAT)
@@ -104,21 +104,21 @@ def flat(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def mirrored(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of matrices [..., 3, 4] turn right hands into left ones."""
+    """Tells which matrices [..., 3, 4] are mirrored: right hands become left ones."""
     x, y, z = np.moveaxis(matrices[..., :3] / _lengths(matrices)[..., None, :], -1, 0)
     found: NDArray[np.bool_] = (np.cross(x, y) * z).sum(axis=-1) < 0.0
     return found
 
 
 def stretched(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of matrices [..., 3, 4] scale one axis more than another."""
+    """Tells which matrices [..., 3, 4] scale one axis more than another."""
     lengths = _lengths(matrices)
     found: NDArray[np.bool_] = lengths.max(axis=-1) > (1.0 + _TOLERANCE) * lengths.min(axis=-1)
     return found
 
 
 def sheared(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of matrices [..., 3, 4] have axes that are not at right angles."""
+    """Tells which matrices [..., 3, 4] have axes that are not at right angles."""
     with np.errstate(invalid="ignore"):
         axes = matrices[..., :3] / _lengths(matrices)[..., None, :]
     x, y, z = np.moveaxis(axes, -1, 0)

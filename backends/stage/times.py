@@ -1,4 +1,4 @@
-"""Time codes of a stage's samples, and when those are."""
+"""Reads the time codes of a stage's samples, and their times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _READ_ONCE = ("protoIndices", "ids")
 
 
 def time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
-    """Time codes of the samples: whole steps of the authored range.
+    """Returns time codes of the samples: whole steps of the authored range.
 
     Without a range they are the codes at which something that is followed over time is authored;
     where nothing is, one: the first sample of whatever changes, the default of all else.
@@ -51,7 +51,7 @@ def time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
 
 
 def sample_times(stage: Usd.Stage, codes: list[Usd.TimeCode]) -> NDArray[np.float64]:
-    """Real time of each sample, seconds, float64 [samples]; from 0 where the stage says none.
+    """Returns each sample's time, seconds, float64 [samples]; from 0 if the stage has none.
 
     Raises:
         StageError: A rate that cannot be.
@@ -69,7 +69,7 @@ def sample_times(stage: Usd.Stage, codes: list[Usd.TimeCode]) -> NDArray[np.floa
 
 
 def _authored_codes(stage: Usd.Stage) -> list[float]:
-    """Codes of time samples, and of knots of splines, of what is followed over time; ascending."""
+    """Lists the codes of time samples and spline knots of followed attributes, ascending."""
     found: set[float] = set()
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Imageable):

@@ -389,7 +389,7 @@ class Unread:
 
 
 def _is_usual(texture: UsdShade.Shader) -> bool:
-    """Whether a texture of normals says 2 * value - 1, y either way, or nothing."""
+    """Tells whether a texture of normals says 2 * value - 1, y either way, or nothing."""
     scale, bias = (
         values.vector(constant(texture, name), 3, _FIRST, of_more=True)
         for name in ("scale", "bias")

@@ -60,7 +60,7 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
 
 @once_per_file(most=2)
 def _evaluated(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What the worker makes of a file."""
+    """Returns the document and the arrays that the worker makes of a file."""
     with scratch_folder() as folder:
         out = Path(folder) / "model.npz"
         _run(file, out, Path(folder))

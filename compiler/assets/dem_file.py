@@ -41,7 +41,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 
 @dataclass(frozen=True)
 class Zeros:
-    """Samples that are exactly 0 as they are stored, far from all others.
+    """Counts samples that are exactly 0 as they are stored, far from all others.
 
     Attributes:
         count: How many there are.
@@ -168,7 +168,7 @@ def read_dem(
 def _void(
     values: NDArray[np.float64], holes: NDArray[np.bool_], height_m: Callable[[float], float]
 ) -> tuple[float, float] | None:
-    """The file's lowest or highest value that is no hole and no height, and its share."""
+    """Returns the file's extreme value that is neither hole nor height, and its share."""
     for extreme, none in ((np.min, np.inf), (np.max, -np.inf)):
         end = float(extreme(values, where=~holes, initial=none))
         height = abs(height_m(end))
@@ -188,7 +188,7 @@ def _void(
 
 
 def _zeros(values: NDArray[np.float64], holes: NDArray[np.bool_], kind: str) -> Zeros | None:
-    """The file's samples of 0, if all others lie on one side of it and far away."""
+    """Finds the file's samples of 0, if all others lie on one side of it and far away."""
     ends = _ends(values, ~holes)
     if 0.0 not in ends or not np.isfinite(ends).all():
         return None
@@ -210,7 +210,7 @@ def _zeros(values: NDArray[np.float64], holes: NDArray[np.bool_], kind: str) -> 
 
 
 def _ends(values: NDArray[np.float64], where: NDArray[np.bool_]) -> tuple[float, float]:
-    """The lowest and the highest of some samples; infinite without any."""
+    """Returns the lowest and the highest of some samples; infinite without any."""
     low = float(np.min(values, where=where, initial=np.inf))
     return low, float(np.max(values, where=where, initial=-np.inf))
 
@@ -266,7 +266,7 @@ def _reason(error: Exception) -> str:
 
 
 def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """Gray values, uint8 or uint16 [ny, nx], and where pixels are transparent."""
+    """Reads gray values, uint8 or uint16 [ny, nx], and where pixels are transparent."""
     from PIL import Image, UnidentifiedImageError
 
     try:

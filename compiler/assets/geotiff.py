@@ -37,7 +37,7 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class GeoReference:
-    """Where on a planet a DEM lies. Recorded, and never part of any arithmetic on heights.
+    """Describes where on a planet a DEM lies; recorded only, no heights are computed with it.
 
     Attributes:
         crs: Coordinate reference system: an authority's code, or WKT; "" where the file has none.
@@ -51,16 +51,16 @@ class GeoReference:
     transform: tuple[float, float, float, float, float, float]
 
     def at(self, column: float, row: float) -> tuple[float, float]:
-        """Coordinates of a place in the file, in pixels from its first corner."""
+        """Returns coordinates of a place in the file, in pixels from its first corner."""
         a, b, c, d, e, f = self.transform
         return a * column + b * row + c, d * column + e * row + f
 
     def first_row(self) -> str:
-        """Which end of the file is its northern one, by the transform: north or south."""
+        """Returns which end of the file is its northern one, by the transform: north or south."""
         return "south" if self.transform[4] > 0.0 else "north"
 
     def pixel_m(self) -> tuple[float, float] | None:
-        """Size of a pixel in meters; None where axes are no lengths."""
+        """Returns the size of a pixel in meters; None where axes are no lengths."""
         a, _, _, _, e, _ = self.transform
         if self.axis_m is None or a == 0.0 or e == 0.0:
             return None
@@ -69,7 +69,7 @@ class GeoReference:
 
 @dataclass(frozen=True)
 class GeoTiff:
-    """One band of a GeoTIFF.
+    """Holds one band of a GeoTIFF.
 
     Attributes:
         samples: As they are stored, [ny, nx].
@@ -186,7 +186,7 @@ def _band(file: Path, source: Any, band: int | None) -> int:
 
 
 def _unit_m(file: Path, source: Any, band: int, reference: GeoReference | None) -> float:
-    """Meters per unit of a band's heights: its own or, as GDAL has it, the vertical axis's."""
+    """Returns meters per unit of a band's heights: its own or, as in GDAL, the vertical axis's."""
     name = source.units[band - 1]
     if name:
         words = " ".join(name.lower().replace("_", " ").replace("-", " ").split())

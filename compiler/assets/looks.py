@@ -168,7 +168,7 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
 
 
 def is_warning(note: str) -> bool:
-    """Whether a note on a model is to be told on the screen, too."""
+    """Tells whether a note on a model is printed on the screen, too."""
     return note.endswith(_WARNINGS)
 
 

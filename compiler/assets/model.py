@@ -134,12 +134,12 @@ def finish_model(
 
 
 def origin_of(value: Any) -> Origin:
-    """A model's origin as the cfg's ``origin`` says it: None where it is the file's."""
+    """Returns a model's origin by the cfg's ``origin``; None where it is the file's."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def base_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The middle of a model's extent in plan, at its lowest height: float64 [3]."""
+    """Returns the middle of a model's extent in plan, at its lowest height: float64 [3]."""
     low, high = points.min(axis=0), points.max(axis=0)
     return np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
 
@@ -186,7 +186,7 @@ def parsed_model(file: Path) -> ParsedModel:
 
 
 def _state(file: Path, parsed: ParsedModel) -> list[Stamp]:
-    """What tells a model's files from what they were."""
+    """Returns stamps of a model's files, which change with them."""
     try:
         return [stamp(path) for path in (file, *parsed.companions)]
     except OSError:

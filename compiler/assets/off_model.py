@@ -1,4 +1,4 @@
-"""OFF files as models: geometry only; normals of vertices are passed over."""
+"""Reads OFF files as models: geometry only; normals of vertices are passed over."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the readers of mesh files have in common: faults, names, what polygons lack."""
+"""Shares what readers of mesh files have in common: faults, names, warnings of polygons."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class MeshFileError(Exception):
 
 
 def polygon_warnings(*faults: dict[str, int]) -> tuple[str, ...]:
-    """What ``schemas.polygons`` finds wrong with the polygons of a file's meshes, and how many."""
+    """Lists what ``schemas.polygons`` finds wrong in a file's meshes, and how often."""
     total: dict[str, int] = {}
     for found in faults:
         for what, count in found.items():

@@ -177,7 +177,7 @@ def read_gray(file: Path) -> NDArray[np.float64]:
 
 
 def read_heights(file: Path) -> NDArray[np.float32]:
-    """A raw picture's red channel in [0, 1], float32 [h, w], row 0 at the top.
+    """Reads a raw picture's red channel in [0, 1], float32 [h, w], row 0 at the top.
 
     Raises:
         SceneError: It cannot be read, or holds what would be cut off or rounded to 8 bits.

@@ -1,4 +1,4 @@
-"""STL by the loader of trimesh, and what ``ply_model`` needs of it.
+"""Reads STL by trimesh's loader, and offers what ``ply_model`` needs of it.
 
 The loaders are called below trimesh's own meshes and scenes, which merge, reorder and compose: what
 comes back has the file's values and its order. The formats say nothing of units or of the upward

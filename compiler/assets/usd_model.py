@@ -190,7 +190,7 @@ class _Primvars:
         return np.clip(np.nan_to_num(spread), 0.0, 1.0)
 
     def is_transparent(self) -> bool:
-        """Whether displayOpacity, without a material, is below 1 somewhere."""
+        """Tells whether displayOpacity, without a material, is below 1 somewhere."""
         primvar = self._mesh.GetDisplayOpacityPrimvar()
         if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
             return False

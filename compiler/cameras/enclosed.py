@@ -39,7 +39,7 @@ _WITHIN: Final = 1.0 - 1e-6
 
 @dataclass(frozen=True)
 class _Eyes:
-    """Where sensors are at the samples that they are triggered at, all of all rigs.
+    """Holds positions of the sensors of all rigs, at the samples that trigger them.
 
     Attributes:
         at: float64 [n, 3], meters.
@@ -55,7 +55,7 @@ class _Eyes:
 
 
 class _Column(NamedTuple):
-    """What vertical lines through points meet, [n] each.
+    """Describes what vertical lines through points meet, [n] each.
 
     Attributes:
         above: Height of the next surface above, +inf without one.
@@ -144,7 +144,7 @@ def _eyes_of(rigs: Sequence[Rig]) -> _Eyes:
     names: list[str] = []
 
     def add(name: str, poses: NDArray[np.float64], trigger: tuple[int, int]) -> None:
-        """Poses of a sensor, [s, k, 4, 4]."""
+        """Adds poses of a sensor, [s, k, 4, 4]."""
         every, first = trigger
         fired = np.arange(first, len(poses), every)
         at.append(poses[fired, :, :3, 3].reshape(-1, 3))
@@ -195,7 +195,7 @@ def _inside(objects: Scatter | Placed, eyes: _Eyes) -> Iterator[tuple[int, int]]
 def _near(
     middles: NDArray[np.float64], radii: NDArray[np.float64], steps: int, eyes: _Eyes
 ) -> NDArray[np.int64]:
-    """Pairs of a ball and a point in it, of points at its sample: int64 [p, 2]."""
+    """Pairs each ball with the points in it at its sample: int64 [p, 2]."""
     none = np.zeros((0, 2), np.int64)
     count = _balls(middles, radii, steps, eyes.at, eyes.sample, none)
     out = np.zeros((count, 2), np.int64)
@@ -213,7 +213,7 @@ def _solved(turn: NDArray[np.float64], offset: NDArray[np.float64]) -> NDArray[n
 
 
 def _held(prototype: Prototype, local: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points are inside of closed pieces; they rise in x, float64 [k, 3]."""
+    """Tells which points are inside of closed pieces; points ascend in x, float64 [k, 3]."""
     points = prototype.points.astype(np.float64)
     wound, unwound = _closed(points, prototype.faces)
     oriented = _Column.empty(len(local))
@@ -227,7 +227,7 @@ def _held(prototype: Prototype, local: NDArray[np.float64]) -> NDArray[np.bool_]
 def _closed(
     points: NDArray[np.float64], faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Faces of pieces without a border: of those whose faces turn alike, and of others."""
+    """Returns faces of pieces without a border: consistently wound ones, and others."""
     corners = weld(points)[faces]
     piece = pieces_of(corners, len(points))[corners[:, 0]]
     begin, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
@@ -262,7 +262,7 @@ def _message(eyes: _Eyes, wrong: dict[int, str]) -> str:
 
 @inlined
 def _rise(ax, ay, bx, by, x, y):  # type: ignore[no-untyped-def]
-    """1 or -1 if an edge passes to the right of a point, upward or downward in y; else 0."""
+    """Returns 1 or -1 if an edge passes right of a point, up or down in y; else 0."""
     if (ay > y) == (by > y):
         return 0
     if by > ay:
@@ -273,7 +273,7 @@ def _rise(ax, ay, bx, by, x, y):  # type: ignore[no-untyped-def]
 
 @inlined
 def _first(at, x):  # type: ignore[no-untyped-def]
-    """Of points that rise in x, the first that is not below one."""
+    """Returns the first point not below a value; points ascend in x."""
     low, high = 0, len(at)
     while low < high:
         middle = (low + high) // 2
@@ -324,7 +324,7 @@ def _meet(points, faces, at, above, upper, below, leaves, crosses):  # type: ign
 
 @kernel
 def _balls(middles, radii, steps, at, sample, out):  # type: ignore[no-untyped-def]
-    """Number of balls and points in them; writes them where there is room, int64 [p, 2]."""
+    """Counts pairs of ball and point in it; writes them where there is room, int64 [p, 2]."""
     count = 0
     for i in range(len(middles)):
         x, y, z = middles[i]

@@ -196,7 +196,7 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 
 def _zeros(file: Path, owner: Node, zeros: Zeros) -> str:
-    """What is said of samples of 0 that may mark holes."""
+    """Warns of samples of 0 that may mark holes."""
     others = f"between {zeros.low:.6g} and {zeros.high:.6g}"
     if zeros.low == zeros.high:
         others = f"{zeros.low:.6g}"

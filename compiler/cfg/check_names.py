@@ -44,7 +44,7 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
 
 
 def _choices(cfg: Node, users: list[Node]) -> list[Node]:
-    """All choices of labels: of what has a material, of the sky, of its picture's ground."""
+    """Lists all choices of labels: of material users, the sky and its picture's ground."""
     sky = cfg.at("light", "sky")
     return [*(node.at("labels") for node in (*users, sky)), sky.at("labels_below")]
 

@@ -113,7 +113,7 @@ def located(path: FilePath) -> FilePath:
 
 
 def folder_of(path: FilePath) -> FilePath:
-    """The folder that the files which a cfg names are relative to.
+    """Returns the folder that the files which a cfg names are relative to.
 
     That is its own; of an output's ``cfg.json``, that of the cfg which was compiled, as long as it
     is there.

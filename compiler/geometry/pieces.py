@@ -9,7 +9,7 @@ from scenec.schemas.kernels import kernel
 
 
 def pieces_of(faces: NDArray[np.integer], points: int) -> NDArray[np.int64]:
-    """The number of each point's connected piece, from 0, in order of their first points.
+    """Numbers each point's connected piece, from 0, in order of their first points.
 
     Args:
         faces: [m, 3].

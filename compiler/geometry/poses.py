@@ -120,7 +120,7 @@ def facing(z: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross product of two vectors [3, ...], written out: NumPy's own is not on our list."""
+    """Returns the cross product of vectors [3, ...]; NumPy's own is not on our list."""
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )

@@ -7,6 +7,6 @@ from numpy.typing import NDArray
 
 
 def rounding_of(points: NDArray[np.float64]) -> float:
-    """How far float32 moves a point [n, 3] at most, in the points' unit."""
+    """Returns the farthest that float32 moves any point [n, 3], in the points' unit."""
     x, y, z = (points - points.astype(np.float32)).T
     return float(np.sqrt((x * x + y * y + z * z).max(initial=0.0)))

@@ -207,7 +207,7 @@ def _report(placed: Placed) -> dict[str, Any]:
 
 
 def _rounding_m(objects: Scatter | Placed) -> float:
-    """How far float32 moves a vertex at most, in its prototype, meters."""
+    """Returns the farthest that float32 moves a vertex in its prototype, meters."""
     if not objects.count:
         return 0.0
     shares = np.array([mesh.rounding / mesh.radius for mesh in objects.prototypes])

@@ -227,7 +227,7 @@ class SensorPlan:
 
 @dataclass(frozen=True)
 class RigPlan:
-    """A rig, its motion and its sensors.
+    """Plans a rig, its motion and its sensors.
 
     Attributes:
         allow_below: Whether it may be below the ground, inside of objects and off the terrain.

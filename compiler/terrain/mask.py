@@ -28,7 +28,7 @@ class ReliefOperator(Protocol):
 
 
 def applied(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -> Applied:
-    """What an operator makes of heights; that of another package's is held against the contract.
+    """Applies an operator to heights; checks another package's result against the contract.
 
     Raises:
         SceneError: It is not what an operator returns.

@@ -83,7 +83,7 @@ def predicted(
 
 
 def unrendered(source: Source) -> list[str]:
-    """A note on frames of the truth that were not rendered, and so are not judged."""
+    """Notes frames of the truth that were not rendered, and so are not judged."""
     missing = source.missing
     if not missing:
         return []

@@ -140,7 +140,7 @@ class Coco(Format):
 def instance_annotations(
     frame: LoadedFrame, level: str, polygons: bool = False
 ) -> tuple[list[dict[str, Any]], NDArray[np.int64]]:
-    """A frame's instances as COCO has them; parts that have labels of their own apart.
+    """Returns a frame's instances in COCO's form; labeled parts are annotations of their own.
 
     Args:
         frame: With a pass ``instance``.

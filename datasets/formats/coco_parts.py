@@ -94,7 +94,7 @@ def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, An
 
 @dataclass(frozen=True)
 class Units:
-    """What has a mask of its own in a frame: an instance, or the part of one that has one label.
+    """Holds what has a mask of its own in a frame: an instance, or its part with one label.
 
     Attributes:
         picture: Number of the unit that each pixel shows, 0 for none, uint32 [h, w].
@@ -112,7 +112,7 @@ class Units:
 
 
 def units_of(frame: LoadedFrame, level: str) -> Units:
-    """The units of a frame at a label level.
+    """Returns the units of a frame at a label level.
 
     An instance whose faces share a label is one. Where they differ, its pixels of each label are
     one, and those without a label are in none. Without any label level all are of category 1.

@@ -190,7 +190,7 @@ class Format(ABC):
         self.info = info
 
     def holds(self, name: str) -> bool:
-        """Whether the dataset has a place for a pass; the others are counted and said.
+        """Tells whether the dataset has a place for a pass; the others are counted and reported.
 
         Args:
             name: Of the pass; ``amodal`` for the amodal masks, ``rgb`` for the pictures.

@@ -57,7 +57,7 @@ def to_16_bits(depth: NDArray[np.floating], steps_per_m: float) -> Depth16:
 
 
 def fitting_scale(farthest: float) -> float:
-    """Most steps a meter, of two digits, at which 16 bits hold a depth in meters, 1 of none."""
+    """Returns the most steps a meter, in two digits, at which 16 bits hold a depth; 1 of none."""
     if not 0.0 < farthest < math.inf:
         # Nothing before the camera: any scale holds that.
         return 1.0

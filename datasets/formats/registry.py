@@ -59,5 +59,5 @@ def find_format(name: str) -> type[Format]:
 
 
 def origin_of(name: str) -> str | None:
-    """Package, version and code of a format that is another's; None of ours."""
+    """Returns package, version and code of another package's format; None of ours."""
     return None if name in _OURS else origin(GROUP, name)

@@ -112,7 +112,7 @@ class Rosbag2(Format):
                 number += 1
 
     def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
-        """A line about bags that begin at the time 0."""
+        """Warns of bags that begin at the time 0."""
         found = [
             task.frames[0].batch_name
             for task in self.tasks(splits)
@@ -295,7 +295,7 @@ class _Bag:
         self._put(f"/{camera}/pose", self._pose(pose, stamp), stamp)
 
     def _disparity(self, frame: LoadedFrame, optical: str, stamp: int) -> None:
-        """Disparity of a pair's left camera, the only one that there is a message for."""
+        """Writes disparity of a pair's left camera, the only one that there is a message for."""
         name = frame.ref.camera
         other, apart = self._pairs.get(name, ("", 0.0))
         if not apart or frame.lens is not None or frame.sidecar.get("partner", other) != other:

@@ -13,7 +13,7 @@ from scenec.datasets.source import FrameRef, sidecar_values
 
 
 def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
-    """Cameras of a rig as rectified pairs (left, right), and those that are in none.
+    """Groups cameras of a rig into rectified pairs (left, right), and single ones.
 
     Pairs first of which both are the other's partner, then those of which one is, then any others;
     none of a camera whose partner is here but another.
@@ -24,7 +24,7 @@ def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
     partners = {name: partner_of(refs) for name, refs in cameras.items()}
 
     def links(pair: tuple[str, str]) -> int:
-        """How many of the two name the other."""
+        """Counts how many of the two name the other."""
         return sum(partners[a] == b for a, b in (pair, pair[::-1]))
 
     found: dict[str, tuple[str, ...]] = {}
@@ -41,13 +41,13 @@ def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
 
 
 def partner_of(frames: Sequence[FrameRef]) -> str | None:
-    """The camera that disparity goes to, as the first sidecar that can be read has it."""
+    """Returns the camera that disparity goes to, by the first readable sidecar."""
     partner = _first_sidecar(frames).get("partner")
     return partner if isinstance(partner, str) else None
 
 
 def before_partners(frames: Sequence[FrameRef]) -> bool:
-    """Whether a camera's frames have disparity and do not say to which camera."""
+    """Tells whether a camera's frames have disparity and do not say to which camera."""
     sidecar = _first_sidecar(frames)
     return "disparity" in sidecar.get("passes", ()) and "partner" not in sidecar
 
@@ -58,7 +58,7 @@ def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
 
 
 def baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
-    """How far b lies to the right of a, meters; 0 where they are no rectified pair."""
+    """Returns how far b lies to the right of a, meters; 0 if they are no rectified pair."""
     others = {ref.sample: ref for ref in b}
     for ref in a:
         if ref.sample not in others:

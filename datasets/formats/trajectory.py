@@ -29,7 +29,7 @@ _MOST_TICKS = 2**63
 
 
 def time_options() -> dict[str, Option]:
-    """The options ``times`` and ``start_s``."""
+    """Returns the options ``times`` and ``start_s``."""
     return {
         "times": Option(
             "stage",
@@ -87,7 +87,7 @@ def stamp(form: Format, frame: LoadedFrame, ticks: int) -> int:
 
 
 def as_seconds(value: int, ticks: int) -> str:
-    """A time stamp in seconds, all of its digits: ``1700000000.123456717``."""
+    """Formats a time stamp in seconds, all of its digits: ``1700000000.123456717``."""
     whole, rest = divmod(abs(value), ticks)
     digits = len(str(ticks)) - 1
     return f"{'-' if value < 0 else ''}{whole}.{rest:0{digits}d}"
@@ -117,7 +117,7 @@ def check_after(form: Format, frame: LoadedFrame, before: int, ticks: int) -> No
 
 
 def stamp_on_disk(form: Format, ref: FrameRef, ticks: int) -> int | None:
-    """The time stamp of a frame that is not read yet; None where its sidecar has none."""
+    """Reads the time stamp of a frame that is not loaded; None where its sidecar has none."""
     if form.option("times") == "samples":
         return _to_ticks(form, float(ref.sample), ticks)
     seconds = (sidecar_values(ref) or {}).get("time_s")

@@ -61,7 +61,7 @@ def read_hdf5(files: Sequence[Path], imported: Imported) -> Scene:
 
 
 def _text(stored: Any) -> str:
-    """A data set that is a text.
+    """Reads a data set that is a text.
 
     Raises:
         ValueError: It is none, or too large for one.
@@ -79,7 +79,7 @@ def _text(stored: Any) -> str:
 
 
 def _shape(stored: Any) -> tuple[int, ...]:
-    """The shape of a picture [height, width, channels], or of a stereo pair of them.
+    """Returns the shape of a picture [height, width, channels], or of a stereo pair.
 
     Raises:
         ValueError: It has another.
@@ -139,7 +139,7 @@ def _add_frame(
 
 
 def _camera_matrix(file: Path, camera: dict[str, Any]) -> list[float]:
-    """What says how a camera projects: nine numbers by row, minus a field of view, or nothing."""
+    """Returns a camera's matrix as nine numbers by row, a negated field of view, or nothing."""
     if "cam_K" in camera:
         k = _numbers(file, "campose", camera, "cam_K", (3, 3))
         if not (np.isfinite(k).all() and 0.0 < k[0, 0] < 1e9 and 0.0 < k[1, 1] < 1e9):
@@ -235,7 +235,7 @@ def _numbers(
 
 
 def _matrix(file: Path, name: str, state: dict[str, Any], key: str) -> NDArray[np.float64]:
-    """A matrix of a state, by itself or by place, Euler angles (x first, radians) and scale."""
+    """Reads a state's matrix, stored whole or as place, Euler angles (x first) and scale."""
     if key in state:
         matrix = _numbers(file, name, state, key, (4, 4))
     elif "location" in state and "rotation_euler" in state:

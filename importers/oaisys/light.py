@@ -151,7 +151,7 @@ def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str
 
 
 def _picture_labels(ctx: Context, vector: Item) -> tuple[list[int], dict[str, Any]]:
-    """The label of a picture on each level, and its label maps by level."""
+    """Returns the label of a picture on each level, and its label maps by level."""
     ids: list[int] = []
     maps: dict[str, Any] = {}
     for level, entry in enumerate(vector.children()):
@@ -167,7 +167,7 @@ def _picture_labels(ctx: Context, vector: Item) -> tuple[list[int], dict[str, An
 
 
 def _even_map(ctx: Context, level: int, number: int) -> dict[str, Any]:
-    """A label map of one texel, for all of a panorama whose label is not the first one's."""
+    """Makes a label map of one texel, for a panorama whose label is not the first one's."""
     values = ctx.labels.values(level, {"#000000": number}, "sky")
     return {"file": ctx.imported.make("labels_even.png", _write_black), "values": values}
 

@@ -26,13 +26,13 @@ type Seen = Sequence[Camera]
 
 
 def moves(seen: Seen) -> bool:
-    """Whether the pose of a camera changes."""
+    """Tells whether the pose of a camera changes."""
     first = seen[0].camera_to_world
     return any(not np.array_equal(first, camera.camera_to_world) for camera in seen)
 
 
 def add_cameras(scene: Scene, found: Sequence[Seen]) -> None:
-    """A rig for each camera that ``render`` draws; an orbit where there is none."""
+    """Adds a rig for each camera that ``render`` draws, or an orbit if there is none."""
     rigs, report = scene.imported.cfg["rigs"], scene.imported.report
     for seen in found:
         name = unused(name_of(seen[0].path), rigs)
@@ -111,7 +111,7 @@ def _sensor(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
 
 
 def _focus(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
-    """Distance and aperture of a camera; its radius is the stage's, whatever its f-number."""
+    """Returns distance and aperture of a camera; the stage fixes the radius, not the f-number."""
     focus, at = seen[0].focus, seen[0].path
     assert focus is not None, "a camera without depth of field"
     prim = UsdGeom.Camera(scene.stage.GetPrimAtPath(at))
@@ -137,6 +137,6 @@ def _focus(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
 
 
 def _named(stage: Usd.Stage) -> set[str]:
-    """Paths of cameras that a render product names."""
+    """Lists paths of cameras that a render product names."""
     products = [prim for prim in stage.Traverse() if prim.IsA(UsdRender.Product)]
     return {str(target) for p in products for target in values.targets(p, "camera")}

@@ -32,7 +32,7 @@ _ROWS = 8
 
 @dataclass(frozen=True)
 class _Shining[T: (Sun, Dome, Lamp)]:
-    """A light of the stage, as it is at the first sample at which it gives light."""
+    """Holds a light of the stage at the first sample at which it gives light."""
 
     path: str
     light: T
@@ -40,7 +40,7 @@ class _Shining[T: (Sun, Dome, Lamp)]:
 
 
 def add_light(scene: Scene, sources: Sources) -> None:
-    """Suns, the domes as one sky, and lamps; daylight where the stage has no light at all."""
+    """Adds suns, the domes as one sky, and lamps; daylight where the stage has no light."""
     prims = light_prims(scene.stage)
     times = time_codes(scene.stage)
     found: list[_Shining[Any]] = []
@@ -94,7 +94,7 @@ def _same(a: Sun | Dome | Lamp, b: Sun | Dome | Lamp | None) -> bool:
 
 
 def _colored(rgb: NDArray[np.float64]) -> list[float | int]:
-    """A color of a cfg: in [0, 1], of any luminance."""
+    """Converts a color to one of a cfg: in [0, 1], of any luminance."""
     positive = np.maximum(rgb, 0.0)
     return [tidy(value) for value in (positive / positive.max()).tolist()]
 
@@ -157,7 +157,7 @@ def _add_lamp(scene: Scene, light: dict[str, Any], one: _Shining[Lamp]) -> None:
 
 
 def _sky(scene: Scene, domes: Sequence[_Shining[Dome]]) -> dict[str, Any]:
-    """The domes as one picture: the stage's own, where it is one that a cfg can turn and dim."""
+    """Makes the domes one picture: the stage's own if a cfg can turn and dim it."""
     notes = {note for one in domes for note in one.notes}
     sky: dict[str, Any] = {"type": "image"}
     dome, turn = domes[0].light, 0.0
@@ -189,7 +189,7 @@ def _sky(scene: Scene, domes: Sequence[_Shining[Dome]]) -> dict[str, Any]:
 
 
 def _picture(domes: Sequence[Dome]) -> tuple[NDArray[np.float32], bool]:
-    """All domes as one picture in a cfg's frame, and whether one was sampled anew."""
+    """Sums domes into one picture in a cfg's frame; tells whether one was resampled."""
     pictures = [
         None if dome.texture is None else _radiance(Path(str(dome.texture))) for dome in domes
     ]
@@ -219,7 +219,7 @@ def _radiance(file: Path) -> NDArray[np.float32]:
 
 
 def _looked_up(picture: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Radiance from directions in a dome's frame, [..., 3], bilinear between texel centers."""
+    """Returns radiance from directions in a dome's frame, [..., 3], bilinear between texels."""
     height, width = picture.shape[:2]
     u = (0.5 - np.arctan2(at[..., 0], at[..., 2]) / (2.0 * np.pi)) * width - 0.5
     v = np.arctan2(np.hypot(at[..., 0], at[..., 2]), at[..., 1]) / np.pi * height - 0.5

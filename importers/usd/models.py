@@ -1,4 +1,4 @@
-"""Shapes of a stage as one file of models: each mesh once, and models that place them."""
+"""Writes shapes of a stage as one file of models: each mesh once, and models that place them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SHAPES = "/_shapes"
 
 @dataclass(frozen=True)
 class Piece:
-    """Faces of one mesh that have the same labels.
+    """Holds faces of one mesh that have the same labels.
 
     Attributes:
         name: Of its prims, in every model; no other piece has it.
@@ -43,7 +43,7 @@ type Placed = tuple[Piece, NDArray[np.float64]]
 
 
 class ModelFile:
-    """The models of a cfg, in meters, z up.
+    """Collects the models of a cfg, in meters, z up.
 
     Args:
         meshes: Of the stage.
@@ -56,7 +56,7 @@ class ModelFile:
         self._models: dict[str, Sequence[Placed]] = {}
 
     def pieces(self, mesh: int) -> list[Piece]:
-        """The pieces of a mesh; none of one without faces."""
+        """Lists the pieces of a mesh; none of one without faces."""
         if mesh not in self._pieces:
             self._pieces[mesh] = self._split(mesh)
         return self._pieces[mesh]
@@ -70,7 +70,7 @@ class ModelFile:
         return f"/{free}"
 
     def shows(self, piece: Piece, place: NDArray[np.float64]) -> bool:
-        """Whether a face of a piece has an area where it is."""
+        """Tells whether a face of a piece has an area where it is."""
         mesh = self._meshes[piece.mesh]
         points = mesh.points.astype(np.float64) @ place[:, :3].T + place[:, 3]
         return bool((_areas(points, mesh.faces[piece.faces]) > 0.0).any())
@@ -135,7 +135,7 @@ class ModelFile:
 
 
 def _crossed(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Unit normals of faces; 0 of those without an area."""
+    """Returns unit normals of faces; 0 of those without an area."""
     a, b, c = (points[faces[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)

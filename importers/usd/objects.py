@@ -1,4 +1,4 @@
-"""Rows of a stage as objects: which rows are one, and where it is at each sample."""
+"""Groups rows of a stage into objects, and finds where each is at each sample."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ type Matrices = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Thing:
-    """One object.
+    """Describes one object.
 
     Attributes:
         number: Its local instance id, from 1.
@@ -43,7 +43,7 @@ class Thing:
 
 @dataclass
 class Class:
-    """Objects of one class.
+    """Groups objects of one class.
 
     Attributes:
         path: Of the prim that they are of.
@@ -57,7 +57,7 @@ class Class:
 
 
 def things(scene: Scene, members: Class) -> Iterator[Thing]:
-    """The objects of a class; nothing of those that are scaled to nothing."""
+    """Yields the objects of a class; none of those that are scaled to nothing."""
     read = scene.read
     beyond = max(members.rows, default=0)
     for number, rows in members.rows.items():
@@ -73,7 +73,7 @@ def things(scene: Scene, members: Class) -> Iterator[Thing]:
 
 
 def _moving_together(read: RenderScene, rows: Sequence[int]) -> list[list[int]]:
-    """Rows that keep their places in each other's frames over all samples."""
+    """Groups rows that keep their places in each other's frames over all samples."""
     motion = read.rows.motion
     if motion is None or len(rows) == 1 or not np.isin(rows, motion.rows).any():
         return [list(rows)]
@@ -137,7 +137,7 @@ def _thing(scene: Scene, number: int, rows: Sequence[int], notes: tuple[str, ...
 
 
 def similar(linear: Matrices) -> tuple[Matrices, NDArray[np.float64]]:
-    """The turns nearest to matrices [n, 3, 3], and even scales: what is left is stretch.
+    """Returns the rotations nearest to matrices [n, 3, 3], and even scales; the rest is stretch.
 
     Of one that mirrors, x is what the turn takes for mirrored.
     """
@@ -164,7 +164,7 @@ def key_of(content: Sequence[tuple[int, Matrices]]) -> bytes:
 
 
 def _matrices(read: RenderScene, motion: Motion | None, row: int) -> Matrices:
-    """Where a row is at each sample, [samples, 3, 4]."""
+    """Returns where a row is at each sample, [samples, 3, 4]."""
     if motion is not None:
         at = int(np.searchsorted(motion.rows, row))
         if at < len(motion.rows) and motion.rows[at] == row:
@@ -173,7 +173,7 @@ def _matrices(read: RenderScene, motion: Motion | None, row: int) -> Matrices:
 
 
 def _place(read: RenderScene, row: int) -> Matrices | None:
-    """Where a row is in its instance, [3, 4]; None where that changes, or has no inverse."""
+    """Returns a row's place in its instance, [3, 4]; None if it changes, or has no inverse."""
     if read.rows.part is None or read.rows.part[row] < 0:
         return None
     place: Matrices = read.parts[read.rows.part[row]]
@@ -197,7 +197,7 @@ def _product(a: Matrices, b: Matrices) -> Matrices:
 
 
 def _without(at: Matrices, place: Matrices) -> Matrices:
-    """The frames in which a place is ``at``."""
+    """Returns the frames in which a place is ``at``."""
     inverse = np.linalg.inv(place[:, :3])
     back = np.column_stack([inverse, -inverse @ place[:, 3]])
     out: Matrices = at[..., :3] @ back

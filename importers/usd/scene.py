@@ -21,7 +21,7 @@ KEEP = ("cameras", "light")
 
 
 class Labels:
-    """The levels of the cfg: the stage's own, or one with a label for each class."""
+    """Holds the levels of the cfg: the stage's own, or one with a label for each class."""
 
     def __init__(self, scene: RenderScene) -> None:
         self._scene = scene
@@ -34,15 +34,15 @@ class Labels:
 
     @property
     def authored(self) -> bool:
-        """Whether the stage has labels."""
+        """Tells whether the stage has labels."""
         return bool(self._scene.levels)
 
     def of_class(self, name: str) -> dict[str, str]:
-        """A label of its own for a class, where the stage has none."""
+        """Returns a label of its own for a class, where the stage has none."""
         return {} if self.authored else self._own.choice(name)
 
     def choice(self, numbers: Sequence[int]) -> dict[str, str]:
-        """The labels of the stage that have these ids, one a level; 0 is none."""
+        """Returns the stage's labels of these ids, one a level; 0 is none."""
         return {
             self._names[level]: self._label(level, number)
             for level, number in zip(self._scene.levels, numbers, strict=True)
@@ -50,13 +50,13 @@ class Labels:
         }
 
     def sky(self) -> dict[str, str]:
-        """The sky's labels."""
+        """Returns the sky's labels."""
         if not self.authored:
             return self._own.choice("sky")
         return self.choice([self._scene.sky_labels.get(level, 0) for level in self._scene.levels])
 
     def added(self, name: str) -> dict[str, str]:
-        """A label for what is in no stage."""
+        """Adds a label for what is in no stage."""
         if not self.authored:
             return self._own.choice(name)
         level = LEVEL if LEVEL in self._scene.levels else self._scene.levels[0]
@@ -66,7 +66,7 @@ class Labels:
         return {self._names[level]: self._used[level][number]}
 
     def as_cfg(self, report_unused: Imported) -> dict[str, dict[str, int]]:
-        """Levels by name, each with its labels and ids; those of nothing that is shown are said."""
+        """Returns levels by name, each with its labels and ids; reports those never visible."""
         if not self.authored:
             return {LEVEL: self._own.ids}
         for level in self._scene.levels:
@@ -120,10 +120,10 @@ class Scene:
 
     @property
     def times_s(self) -> NDArray[np.float64]:
-        """Times of the samples, from the first one."""
+        """Returns times of the samples, from the first one."""
         return self.read.times - self.read.times[0]
 
 
 def name_of(path: str) -> str:
-    """The last part of a prim's path, as a name of a cfg."""
+    """Returns the last part of a prim's path, as a name of a cfg."""
     return identifier(path.rpartition("/")[2])

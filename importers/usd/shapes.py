@@ -30,7 +30,7 @@ type _Box = NDArray[np.float64]
 
 
 def add_shapes(scene: Scene, ground: str) -> None:
-    """The ground, and all else as objects on it; ``ground``: of its prim, or "".
+    """Adds the ground, and all else as objects on it; ``ground``: of its prim, or "".
 
     Raises:
         ScenecError: No prim is called so.
@@ -64,7 +64,7 @@ def add_shapes(scene: Scene, ground: str) -> None:
 
 
 def _origins(scene: Scene) -> dict[str, list[int]]:
-    """Rows by the prim that they come from."""
+    """Groups rows by the prim that they come from."""
     found: dict[str, list[int]] = {}
     first = 0
     for path, count in scene.read.origins:
@@ -74,7 +74,7 @@ def _origins(scene: Scene) -> dict[str, list[int]]:
 
 
 def _box(scene: Scene, rows: Sequence[int]) -> _Box:
-    """Corners of what some rows hold at the first sample, [2, 3]; in meters, z up."""
+    """Returns corners of what some rows hold at the first sample, [2, 3]; in meters, z up."""
     found = [np.zeros((0, 3))]
     for row in rows:
         mesh, matrix = scene.read.meshes[scene.read.rows.mesh[row]], scene.read.rows.to_world[row]
@@ -89,7 +89,7 @@ def _plan(box: _Box) -> float:
 
 
 def _ground(scene: Scene, boxes: dict[str, _Box], rows_of: dict[str, list[int]], name: str) -> str:
-    """The prim that is the ground; "" where none is level and wide."""
+    """Selects the prim that is the ground; "" where none is level and wide."""
     motion = scene.read.rows.motion
     moving = set() if motion is None else set(motion.rows.tolist())
     if name:
@@ -123,7 +123,7 @@ def _plane(scene: Scene, boxes: Sequence[_Box]) -> None:
 def _mesh_ground(
     scene: Scene, materials: Materials, path: str, rows: Sequence[int], box: _Box
 ) -> tuple[dict[str, str], list[Placed]]:
-    """The labels of the ground, and what of its prim has others, or another surface."""
+    """Returns the ground's labels, and parts of its prim with other labels or surface."""
     low, high = box
     scene.extent_m = (tidy(high[0] - low[0]), tidy(high[1] - low[1]))
     scene.shift[:2] = -0.5 * (low + high)[:2]
@@ -175,7 +175,7 @@ def _classes(
     ground: str,
     taken: set[int],
 ) -> list[Class]:
-    """Rows by what they are of, in the order of the stage: those of instances by their ids."""
+    """Groups rows into classes, in the order of the stage: those of instances by their ids."""
     read = scene.read
     ids = read.rows.instance_id.astype(np.int64)
     paths, bases = list(read.instance_paths), np.array([*read.instance_paths.values()], np.int64)
@@ -199,7 +199,7 @@ def _classes(
 
 
 def _groups(paths: Sequence[str], boxes: dict[str, _Box], ground: str) -> dict[str, str]:
-    """The uppermost prim around each that holds no ground: what is one object."""
+    """Finds the uppermost prim around each that holds no ground: what is one object."""
     grounds = [Sdf.Path(ground)] if ground else []
     shapes = [Sdf.Path(path) for path in paths if path in boxes]
     common = shapes[0].GetParentPath() if shapes else Sdf.Path.absoluteRootPath
@@ -217,7 +217,7 @@ def _groups(paths: Sequence[str], boxes: dict[str, _Box], ground: str) -> dict[s
 
 
 def _add(scene: Scene, materials: Materials, members: Class) -> None:
-    """A class of the objects that stand where the stage has them."""
+    """Adds a class of objects at their poses in the stage."""
     models: dict[bytes, list[Placed]] = {}
     found = list(things(scene, members))
     keys = [key_of(thing.content) for thing in found]
@@ -258,7 +258,7 @@ def _write(
     models: Sequence[Sequence[Placed]],
     evened: bool = False,
 ) -> None:
-    """A class of the cfg.
+    """Writes a class of the cfg.
 
     Args:
         path: Of its prim.
@@ -311,7 +311,7 @@ def _write(
 def _poses(
     scene: Scene, name: str, objects: Sequence[tuple[Thing, int]], notes: list[str]
 ) -> dict[str, Any]:
-    """Where the objects of a class are: in the cfg that of one, else in a table."""
+    """Writes poses of a class's objects: one into the cfg, several into a table."""
     thing, _ = objects[0]
     if len(objects) == 1 and len(thing.poses) == 1:
         matrix = thing.poses[0]
@@ -341,7 +341,7 @@ def _poses(
 
 
 def add_rocks(scene: Scene) -> None:
-    """Rocks that each batch scatters anew."""
+    """Adds rocks that each batch scatters anew."""
     cfg = scene.imported.cfg
     name, material = unused("rocks", cfg["objects"]), unused("stone", cfg["materials"])
     cfg["materials"][material] = {

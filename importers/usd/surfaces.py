@@ -1,4 +1,4 @@
-"""Surfaces of a stage as materials of a cfg."""
+"""Converts surfaces of a stage to materials of a cfg."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PLAIN = Reading()
 
 
 class Materials:
-    """Materials, each made when something first has its surface.
+    """Makes materials, each when something first has its surface.
 
     Args:
         surfaces: Of the stage.
@@ -38,7 +38,7 @@ class Materials:
         self._names: dict[int, str] = {}
 
     def name(self, surface: int) -> str:
-        """The material of a surface; -1: of the default one."""
+        """Returns the name of a surface's material; -1: of the default one."""
         if surface not in self._names:
             found = self._surface(surface)
             known = self._imported.cfg["materials"]
@@ -51,7 +51,7 @@ class Materials:
         return self._names[surface]
 
     def of_ground(self, surface: int) -> None:
-        """The material of the ground, which has no texture coordinates."""
+        """Makes the material of the ground, which has no texture coordinates."""
         found = self._surface(surface)
         to = "materials/ground"
         if found == Surface("", DEFAULT_SURFACE.base_color, 0.0, 1.0, 0.0):
@@ -74,7 +74,7 @@ class Materials:
         self._imported.report.add(fate, at, None, f"materials/{name}", "; ".join(notes))
 
     def _numbers(self, surface: Surface) -> tuple[dict[str, Any], list[str]]:
-        """What a cfg says of a surface but for its pictures, and what differs."""
+        """Returns a surface's entries in a cfg but for its pictures, and what differs."""
         notes = []
         colors = [tidy(min(max(value, 0.0), 1.0)) for value in surface.base_color]
         made: dict[str, Any] = {"base_color": colors}
@@ -96,7 +96,7 @@ class Materials:
         return made, notes
 
     def _maps(self, name: str, described: Maps, made: dict[str, Any]) -> dict[str, Any]:
-        """The pictures of a material, on the mesh's texture coordinates.
+        """Makes the pictures of a material, on the mesh's texture coordinates.
 
         A factor of a picture becomes a factor of ``made``; what a cfg cannot say becomes a picture.
         """
@@ -123,7 +123,7 @@ class Materials:
         return found
 
     def _means(self, described: Maps, made: dict[str, Any]) -> dict[str, Any]:
-        """Numbers in place of pictures."""
+        """Returns numbers in place of pictures."""
         found: dict[str, Any] = {}
         readings = dict(described.readings)
         for kind in ("base_color", "roughness", "metallic", "emission"):
@@ -143,7 +143,7 @@ def _writer(file: Path, kind: str, reading: Reading) -> Callable[[Path], object]
 
 
 def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
-    """What a picture means, float32 [h, w, 3], as an OpenEXR map of a cfg holds it.
+    """Decodes a picture, float32 [h, w, 3], to an OpenEXR map of a cfg.
 
     Raises:
         ScenecError: It cannot be read.

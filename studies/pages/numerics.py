@@ -163,7 +163,7 @@ def spheres(page: Page) -> str:
 
 
 def polygons(page: Page) -> str:
-    """Area, winding and time of the triangles of polygons that are no fans."""
+    """Tabulates area, winding and time of triangulated polygons that are no fans."""
     rng = np.random.default_rng(0)
     c = np.array(
         [(-1, 0), (1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2)], np.float64
@@ -203,7 +203,7 @@ def polygons(page: Page) -> str:
 
 
 def _twice(outline: list[tuple[Fraction, Fraction]]) -> Fraction:
-    """Twice the signed area."""
+    """Returns twice the signed area."""
     return sum(
         (a[0] * b[1] - a[1] * b[0] for a, b in pairwise([*outline, outline[0]])), Fraction(0)
     )

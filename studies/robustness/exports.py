@@ -1,4 +1,4 @@
-"""Faults in what exporters read: passes, tables, sidecars, masks, and files that are not there.
+"""Makes faults in what exporters read: passes, tables, sidecars, masks, and missing files.
 
 Most are vouched for by their digests, as those of a renderer that writes nonsense are; the others
 are bits and bytes of files, which digests find.
@@ -56,7 +56,7 @@ _NUMBERS = (
 
 
 def write(folder: Path) -> None:
-    """An output that every format can hold: a stereo pair, two samples, motion, masks."""
+    """Writes an output that every format can hold: a stereo pair, two samples, motion, masks."""
     from made_frames import LEFT, RIGHT, make_out, rewrite
 
     sensors = [
@@ -87,7 +87,7 @@ def warm() -> None:
 
 
 def readers() -> dict[str, Callable[[Path], object]]:
-    """Format -> exports the output that a manifest is of."""
+    """Maps each format to a function that exports the output of a manifest."""
 
     def reader(name: str) -> Callable[[Path], object]:
         return lambda file: _export(file.parent, name)
@@ -96,7 +96,7 @@ def readers() -> dict[str, Callable[[Path], object]]:
 
 
 def _export(out: Path, name: str) -> None:
-    """Exports, and holds what there is afterwards against what an export promises."""
+    """Exports, and checks the files afterwards against what an export promises."""
     target = Path.cwd() / "dataset"
     try:
         export(out, name, target, Choice(options=OPTIONS.get(name, {})))
@@ -116,7 +116,7 @@ def _export(out: Path, name: str) -> None:
 
 @dataclass
 class Frame:
-    """A frame to be damaged, and written again with digests that vouch for it."""
+    """Damages a frame, and writes it again with digests that vouch for it."""
 
     stem: Path
     rng: np.random.Generator
@@ -146,7 +146,7 @@ class Frame:
         path.write_text(json.dumps(json.loads(path.read_bytes()) | values), encoding="utf-8")
 
     def one(self, some: Any) -> Any:
-        """Any of some."""
+        """Picks any of some."""
         return some[int(self.rng.integers(len(some)))]
 
 
@@ -187,7 +187,7 @@ def _bytes(out: Path, rng: np.random.Generator) -> str:
 
 
 def _put(name: str, values: tuple[float, ...]) -> Callable[[Frame], None]:
-    """A value at a pixel, or all over a pass."""
+    """Puts a value at a pixel, or all over a pass."""
 
     def change(frame: Frame) -> None:
         def apply(arrays: dict[str, np.ndarray]) -> None:
@@ -205,7 +205,7 @@ def _put(name: str, values: tuple[float, ...]) -> Callable[[Frame], None]:
 
 
 def _renamed(frame: Frame) -> None:
-    """A label's name, in every frame's sidecar and table."""
+    """Renames a label, in every frame's sidecar and table."""
     name, old = frame.one(_NAMES), "rock"
     number = frame.one(("3", "70000", "4294967295"))
     for path in frame.stem.parents[1].glob("*/*.json"):
@@ -222,7 +222,7 @@ def _renamed(frame: Frame) -> None:
 
 
 def _renumbered(frame: Frame) -> None:
-    """An instance's id, the largest of a frame, in its pass and its table."""
+    """Changes an instance's id, the largest of a frame, in its pass and its table."""
     number = frame.one((2**16, 2**31 - 1, 2**31, 2**32 - 1))
 
     def passes(arrays: dict[str, np.ndarray]) -> None:
@@ -238,14 +238,14 @@ def _renumbered(frame: Frame) -> None:
 
 
 def _emptied(frame: Frame) -> None:
-    """No instance, consistently."""
+    """Removes all instances, consistently."""
     frame.passes(lambda arrays: arrays["instance"].fill(0))
     frame.table(lambda columns: columns.update({k: v[:0] for k, v in columns.items()}))
     frame.told(amodal=None)
 
 
 def _row(name: str, values: tuple[Any, ...]) -> Callable[[Frame], None]:
-    """A value in a line of the table."""
+    """Puts a value into a line of the table."""
 
     def apply(columns: dict[str, np.ndarray], value: Any) -> None:
         if len(columns["id"]):

@@ -1,4 +1,4 @@
-"""The net beneath changes of the inside: what users get must stay as it is.
+"""Compares what users get with what is recorded: changes of the inside must leave it as it is.
 
     python studies/robustness/net.py                  compares with studies/robustness/net.json
     python studies/robustness/net.py --whole          stages, reports and annotation, too (minutes)
@@ -54,7 +54,7 @@ Texts = dict[str, str]
 
 
 def main() -> int:
-    """Compares, or writes."""
+    """Compares, or writes, the recorded texts."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--whole", action="store_true", help="compile and annotate, too")
     arguments.add_argument("--write", action="store_true", help=f"write {GOLDEN.name} anew")
@@ -100,7 +100,7 @@ def _is_asked(name: str, options: argparse.Namespace) -> bool:
 
 
 def texts(whole: bool, only: str = "") -> Texts:
-    """What is held, by name."""
+    """Returns the compared texts, by name."""
     found = {} if only else {**_schema(), **_page()}
     for file in sorted([*CONFIGS.glob("*.json"), *CONFIGS.glob("templates/*.jsonc")]):
         if only not in file.stem:
@@ -118,7 +118,7 @@ def texts(whole: bool, only: str = "") -> Texts:
 
 
 def _json(value: Any) -> str:
-    """A value as JSON, keys in their order."""
+    """Writes a value as JSON, keys in their order."""
 
     def other(of: Any) -> Any:
         if isinstance(of, Distribution):
@@ -129,7 +129,7 @@ def _json(value: Any) -> str:
 
 
 def _schema() -> Texts:
-    """Each definition of the bundled schema, full and partial."""
+    """Returns each definition of the bundled schema, full and partial."""
     found = {}
     for name, partial in (("schema", False), ("partial", True)):
         schema = bundled(partial=partial)
@@ -141,13 +141,13 @@ def _schema() -> Texts:
 
 
 def _page() -> Texts:
-    """Each section of the page of keys."""
+    """Returns each section of the page of keys."""
     head, *sections = reference_page().split("\n## ")
     return {"page/head": head} | {f"page/{s.partition(chr(10))[0]}": s for s in sections}
 
 
 def _streams(spec: Spec) -> str:
-    """Every stream that drawing asks for, in order, with what came of it."""
+    """Lists every stream that drawing asks for, in order, with what came of it."""
     lines: list[str] = []
     uniforms, key = Streams.uniforms, Streams.key
 
@@ -173,7 +173,7 @@ def _streams(spec: Spec) -> str:
 
 
 def _faults(file: Path) -> Iterator[str]:
-    """What is said of a cfg with each of some mistakes in it."""
+    """Yields the messages about a cfg with each of some mistakes in it."""
     cfg = json_positions.parse(file.read_bytes()).value
     tried = [(at, name) for at in _places(cfg, ()) for name in _MISTAKES]
     # Spread over all of the cfg, the same ones each time.
@@ -196,7 +196,7 @@ def _faults(file: Path) -> Iterator[str]:
 
 
 def _places(value: Any, at: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
-    """Every place of a document but its root."""
+    """Yields every place of a document but its root."""
     items = value.items() if isinstance(value, dict) else enumerate(value)
     for key, child in items:
         yield (*at, key)
@@ -205,7 +205,7 @@ def _places(value: Any, at: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
 
 
 def _absolute(value: Any, folder: Path) -> Any:
-    """The same with the names of files that are there made whole."""
+    """Returns the same with the names of existing files made absolute."""
     if isinstance(value, dict):
         return {key: _absolute(child, folder) for key, child in value.items()}
     if isinstance(value, list):
@@ -238,7 +238,7 @@ def _take(cfg: Any, at: tuple[Any, ...]) -> bool:
 
 
 def _misspell(cfg: Any, at: tuple[Any, ...]) -> bool:
-    """Two letters of a key change places; its place among the others stays."""
+    """Swaps two letters of a key; its place among the others stays."""
     owner, key = _owner(cfg, at), at[-1]
     if not isinstance(owner, dict) or len(key) < 4 or key[1] == key[2]:
         return False
@@ -271,7 +271,7 @@ _MISTAKES: dict[str, Callable[[Any, tuple[Any, ...]], bool]] = {
 
 
 def _made(spec: Spec, seed: int) -> Texts:
-    """The files of the first batch, its report by key, and the first sample's annotation."""
+    """Returns files of the first batch, its report by key, and the first sample's annotation."""
     found = {}
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch, "out")

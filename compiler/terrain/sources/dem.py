@@ -148,7 +148,7 @@ class Dem:
 
 
 def _up(value: float) -> str:
-    """A number in six digits that is not below the value."""
+    """Formats a value in six digits, rounded up."""
     text = f"{value:.6g}"
     return text if float(text) >= value else f"{value * (1.0 + 1e-5):.6g}"
 
