@@ -255,10 +255,14 @@ def mixed(fields: Iterable[schema.Field], source: Source) -> Iterator[Finding]:
                 f"{', '.join(others)} would stay from {files[0]}, another calibration: give here "
                 "all that differs from the defaults, and take the rest away with null",
             )
-        elif path in whole and len(over) > 1 and (stay := [*set(others) - set(whole[path])]):
+        elif (
+            path in whole
+            and len(over) > 1
+            and (stay := [key for key in others if key not in whole[path]])
+        ):
             yield Finding(
                 path,
-                f"{', '.join(sorted(stay))} stay from {files[0]}: give the required keys, too "
+                f"{', '.join(stay)} stay from {files[0]}: give the required keys, too "
                 f"({', '.join(whole[path])}), if this is another calibration",
                 is_warning=True,
             )
