@@ -124,6 +124,7 @@ def farthest(camera: Camera, of: RenderScene) -> float:
     return most
 
 
+@pytest.mark.slow
 @examples(30)
 @given(seed=st.integers(0, 2**32), which=st.sampled_from(LENSES))
 def test_nothing_that_rays_meet_moves_farther_than_is_stated(seed: int, which: Lens | None) -> None:

@@ -56,6 +56,7 @@ def late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return said
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("late")
 def test_of_a_gpu_that_keeps_one_waiting_doctor_says_so_and_tries_the_cpu(monkeypatch):
     monkeypatch.setattr(doctor, "GPU_S", 2.0)
