@@ -280,7 +280,7 @@ def _made(spec: Spec, seed: int) -> Texts:
         except ScenecError as error:
             return {"fault": str(error).replace(scratch, "")}
         manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
-        found |= {f"file/{name}": digest for name, digest in manifest["files"].items()}
+        found |= {f"file/{name}": _json(entry) for name, entry in manifest["files"].items()}
         report = json.loads((out / "batch_0000" / "report.json").read_text(encoding="utf-8"))
         found |= {f"report/{key}": _json(value) for key, value in report.items()}
         for path in render(out, "annotation", passes=PASSES, samples=range(1)).frames:
