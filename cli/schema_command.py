@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from scenec.compiler.cfg.schema import bundled
+from scenec.compiler.kinds.schema import bundled
 from scenec.schemas.files import as_json, write_json
 
 

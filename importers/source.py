@@ -13,8 +13,9 @@ from typing import Any
 
 from scenec.compiler.cfg import json_positions
 from scenec.compiler.cfg.document import CfgSyntaxError, Document
-from scenec.compiler.cfg.document import Path as Pointer
-from scenec.compiler.cfg.faults import Finding, locate, pointer
+from scenec.compiler.cfg.faults import locate, pointer
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.finding import Path as Pointer
 from scenec.importers.report import APPROXIMATED, DROPPED, TRANSLATED, Entry, Report
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import closest, nearest, shown

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from scenec.compiler.cfg import builder, schema
+from scenec.compiler.cfg import builder
+from scenec.compiler.kinds import schema
 
 TARGET = Path(__file__).resolve().parents[1] / "compiler" / "cfg" / "builder.pyi"
 

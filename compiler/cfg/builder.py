@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.compiler.cfg import schema
+from scenec.compiler.kinds import schema
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec

@@ -6,14 +6,15 @@ import hashlib
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node
 from scenec.compiler.cfg.resources import ResourceError, find_file
-from scenec.compiler.cfg.schema import Field
+from scenec.compiler.kinds.context import InputFile
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds.schema import Field
 from scenec.schemas.errors import CfgError, Fault, SceneError
 from scenec.schemas.files import sha256
 from scenec.schemas.spelling import nearest, shown
@@ -23,23 +24,6 @@ if TYPE_CHECKING:
     from scenec.compiler.assets.shells import ParsedModel
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
-
-
-@dataclass(frozen=True)
-class InputFile:
-    """A file that the cfg names.
-
-    Attributes:
-        path: Where it is on this machine, a file or a folder; never written to any output.
-        sha256: Of its bytes, in hexadecimal; with those of the files that belong to a model.
-        reference: The string in the cfg.
-        members: All files that are read for it, and the digest of each.
-    """
-
-    path: Path
-    sha256: str
-    reference: str = ""
-    members: tuple[tuple[Path, str], ...] = ()
 
 
 def check_files(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node
 from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
 from scenec.schemas.spelling import shown
 

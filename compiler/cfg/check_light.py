@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node, black, is_black, off_terrain, unknown
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node, black, is_black, off_terrain, unknown
 from scenec.schemas.spelling import shown
 
 #: Prims of the stage that the sun and the sky have.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenec.compiler.cfg.document import Path
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node
+from scenec.compiler.kinds.finding import Finding, Path
+from scenec.compiler.kinds.node import Node
 from scenec.schemas.spelling import shown
 
 #: Keys of maps that are pictures, or are made into some.

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from scenec.compiler.cfg.check_light import label_maps
-from scenec.compiler.cfg.document import Path
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node, unknown
+from scenec.compiler.kinds.finding import Finding, Path
+from scenec.compiler.kinds.node import Node, unknown
 from scenec.schemas.spelling import closest, shown
 
 

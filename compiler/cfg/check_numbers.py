@@ -15,11 +15,11 @@ from typing import Any
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cfg.check_schema import check_value
-from scenec.compiler.cfg.document import Path
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.schema import Field
 from scenec.compiler.distributions.normal import MAX_SIGMAS
 from scenec.compiler.distributions.numbers import Distribution, Number
+from scenec.compiler.kinds.finding import Finding, Path
+from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.support import ends_of, support
 from scenec.schemas.spelling import shown
 
 # Beyond it, whole numbers are no longer told apart by a double.
@@ -91,41 +91,12 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
     )
 
 
-def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
-    """The smallest and largest number that a sound number can be."""
-    if not isinstance(value, dict):
-        ends = value, value
-    elif value["type"] in ("choice", "histogram"):
-        values = value.get("values") or value["edges"]
-        ends = min(values), max(values)
-    else:
-        ends = _support(value, keywords)
-    return float(ends[0]) + 0.0, float(ends[1]) + 0.0
-
-
 def _is_whole_key(keywords: Mapping[str, Any]) -> bool:
     return keywords.get("x-kind") == "integer"
 
 
 def _is_whole(value: float) -> bool:
     return float(value).is_integer() and abs(value) <= _LARGEST_WHOLE
-
-
-def _support(value: Mapping[str, Any], keywords: Mapping[str, Any]) -> tuple[float, float]:
-    low, high = -math.inf, math.inf
-    if value["type"] in ("normal", "log_normal"):
-        if "minimum" in keywords:
-            low = float(keywords["minimum"])
-        if "exclusiveMinimum" in keywords:
-            low = math.nextafter(float(keywords["exclusiveMinimum"]), math.inf)
-        if "maximum" in keywords:
-            high = float(keywords["maximum"])
-        if "exclusiveMaximum" in keywords:
-            high = math.nextafter(float(keywords["exclusiveMaximum"]), -math.inf)
-    if value["type"] == "log_normal":
-        # None is 0 or less; the smallest double is far below any that can be drawn.
-        low = max(low, math.ulp(0.0))
-    return float(value.get("min", low)), float(value.get("max", high))
 
 
 def _check_per(field: Field) -> Iterator[Finding]:
@@ -169,7 +140,7 @@ def _check_support(field: Field) -> Iterator[Finding]:
     kind = value["type"]
     if kind not in ("normal", "log_normal") or outside:
         return
-    low, high = _support(value, keywords)
+    low, high = ends_of(value, keywords)
     middle, width = ("mean", "std") if kind == "normal" else ("median", "sigma")
     at, spread = float(value[middle]), float(value[width])
     ends, place = (low, high), at
@@ -211,6 +182,6 @@ def _check_whole(field: Field) -> Iterator[Finding]:
             if not _is_whole(bound):
                 yield Finding((*field.path, *key), f"{shown(bound)}: expected a whole number")
         return
-    low, high = _support(value, field.keywords)
+    low, high = ends_of(value, field.keywords)
     if math.isfinite(low) and math.isfinite(high) and math.ceil(low) > math.floor(high):
         yield Finding(field.path, f"no whole number lies between {low:g} and {high:g}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from scenec.compiler.cfg.check_files import InputFile
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node, unknown
+from scenec.compiler.kinds.context import InputFile
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node, unknown
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 

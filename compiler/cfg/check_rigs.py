@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 from scenec.compiler.cfg.check_imaging import check_imaging
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node, off_terrain, unknown
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node, off_terrain, unknown
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.lens import COEFFICIENTS, EQUIRECTANGULAR

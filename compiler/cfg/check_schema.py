@@ -8,10 +8,9 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from scenec.compiler.cfg.document import Path
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.schema import Field, inside, walk
 from scenec.compiler.cfg.slips import in_radians, meant_color, meant_key
+from scenec.compiler.kinds.finding import Finding, Path
+from scenec.compiler.kinds.schema import Field, inside, walk
 from scenec.schemas.plugins import names_of
 from scenec.schemas.spelling import closest, nearest, shown
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.node import Node, unknown
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node, unknown
 from scenec.schemas.spelling import shown
 
 #: Height samples of a terrain at most (2 GiB of float64).

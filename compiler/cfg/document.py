@@ -8,25 +8,12 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Any
 
+from scenec.compiler.kinds.finding import Path, Position
+
 #: Deeper nesting than this is refused; a cfg needs about eight levels.
 MAX_DEPTH = 64
 # Longer runs of digits overflow a double; int() of them would cost quadratic time or raise.
 _MAX_INT_DIGITS = 310
-
-#: Keys and list indices from the root to a value.
-Path = tuple[str | int, ...]
-
-
-@dataclass(frozen=True)
-class Position:
-    """Line and column of a file, both from 1, the column in characters.
-
-    Line 0 is that of a value that stands in no file: ``file`` is then the option that gave it.
-    """
-
-    line: int
-    column: int
-    file: str = ""
 
 
 @dataclass(frozen=True)

@@ -3,29 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
-from scenec.compiler.cfg.document import Document, Path, Position
+from scenec.compiler.cfg.document import Document
+from scenec.compiler.kinds.finding import Finding, Path
 from scenec.schemas.errors import Fault
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A fault at a path of the document.
-
-    Attributes:
-        path: Where.
-        message: What is wrong, what was expected.
-        at_key: Whether the key is at fault rather than its value.
-        position: Line and column, where they are not those of the key or value at the path.
-        is_warning: Whether a cfg with it is taken, and the user told.
-    """
-
-    path: Path
-    message: str
-    at_key: bool = False
-    position: Position | None = None
-    is_warning: bool = False
 
 
 def locate(findings: Iterable[Finding], document: Document) -> list[Fault]:

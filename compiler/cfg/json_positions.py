@@ -15,12 +15,11 @@ from scenec.compiler.cfg.document import (
     MAX_DEPTH,
     CfgSyntaxError,
     Document,
-    Path,
-    Position,
     Text,
     as_number,
     has_half_pair,
 )
+from scenec.compiler.kinds.finding import Path, Position
 
 _SPACE = re.compile(r"(?:[ \t\n\r]+|//[^\n]*|/\*.*?\*/)*", re.DOTALL)
 _STRING = re.compile(r'"(?:[^"\\\x00-\x1f]|\\(?:["\\/bfnrt]|u[0-9a-fA-F]{4}))*"')

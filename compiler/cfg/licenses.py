@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.cfg.resources import PREFIX, distribution_of
+from scenec.compiler.kinds.context import InputFile
 
 _LICENSE = re.compile(r"SPDX-License-Identifier:[ \t]*(.+)")
 _COPYRIGHT = re.compile(r"SPDX-FileCopyrightText:[ \t]*(.+)")

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
-from scenec.compiler.cfg import schema
-from scenec.compiler.cfg.check_files import InputFile, check_files
+from scenec.compiler.cfg.check_files import check_files
 from scenec.compiler.cfg.check_light import check_light
 from scenec.compiler.cfg.check_materials import check_materials
 from scenec.compiler.cfg.check_names import check_names
@@ -19,13 +18,16 @@ from scenec.compiler.cfg.check_objects import check_objects, check_parts
 from scenec.compiler.cfg.check_rigs import check_rigs
 from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.check_terrain import check_terrain
-from scenec.compiler.cfg.faults import Finding, locate
+from scenec.compiler.cfg.faults import locate
 from scenec.compiler.cfg.fill import fill
-from scenec.compiler.cfg.node import Node, Tree
 from scenec.compiler.cfg.slips import improbable
 from scenec.compiler.cfg.sources import folder_of, located, mixed, read
 from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.kinds import schema
+from scenec.compiler.kinds.context import InputFile
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.node import Node, Tree
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.arithmetic.srgb import linear_codes
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.schema import Field
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.schema import Field
 from scenec.schemas.spelling import closest, shown
 
 _DEGREES = 180.0 / math.pi

@@ -16,10 +16,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
-from scenec.compiler.cfg import json_positions, schema
-from scenec.compiler.cfg.document import CfgSyntaxError, Document, Path, Position, has_half_pair
-from scenec.compiler.cfg.faults import Finding, pointer
+from scenec.compiler.cfg import json_positions
+from scenec.compiler.cfg.document import CfgSyntaxError, Document, has_half_pair
+from scenec.compiler.cfg.faults import pointer
 from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
+from scenec.compiler.kinds import schema
+from scenec.compiler.kinds.finding import Finding, Path, Position
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.files import as_json
 from scenec.schemas.manifest import CFG, CFG_FOLDER, MANIFEST, TIMINGS

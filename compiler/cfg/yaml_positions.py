@@ -31,12 +31,11 @@ from scenec.compiler.cfg.document import (
     MAX_DEPTH,
     CfgSyntaxError,
     Document,
-    Path,
-    Position,
     Text,
     as_number,
     has_half_pair,
 )
+from scenec.compiler.kinds.finding import Path, Position
 
 #: Values that aliases may stand for in all: a page of them, and no bomb.
 _MOST_COPIES = 100_000

@@ -16,10 +16,11 @@ from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.materials import draw_materials
 from scenec.compiler.draw.models import draw_meshes, draw_placed
-from scenec.compiler.draw.of_keys import Setting, of_keys
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.objects.placed import PlacedPlan
@@ -97,7 +98,7 @@ def label_ids(cfg: Cfg, choice: dict[str, str]) -> Labels:
 
 def _terrain(
     spec: Spec, streams: Streams, materials: dict[str, Material]
-) -> tuple[TerrainPlan, Setting]:
+) -> tuple[TerrainPlan, Context]:
     """Relief and ground, and the setting of what stands on them."""
     cfg = spec.cfg["terrain"]
     node = resolve({key: cfg[key] for key in ("size_m", "spacing_m", "ground")}, streams, "terrain")
@@ -111,7 +112,7 @@ def _terrain(
         for layer in node["ground"]
     )
     size_m = (node["size_m"][0], node["size_m"][1])
-    setting = Setting(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
+    setting = Context(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
     relief: tuple[ReliefOperator, ...] = ()
     for i, operator in enumerate(cfg["relief"]):
         relief = (*relief, _relief(operator, f"terrain/relief/{i}", setting))
@@ -142,7 +143,7 @@ def _terrain(
     return plan, setting
 
 
-def _horizon(spec: Spec, setting: Setting) -> HorizonPlan:
+def _horizon(spec: Spec, setting: Context) -> HorizonPlan:
     """What lies around the terrain; its relief is as wide as it."""
     cfg, path = spec.cfg["terrain"]["horizon"], "terrain/horizon"
     node = resolve({k: v for k, v in cfg.items() if k != "relief"}, setting.streams, path)
@@ -162,7 +163,7 @@ def _horizon(spec: Spec, setting: Setting) -> HorizonPlan:
 
 
 def _displacement(
-    spec: Spec, material: str, maps: MaterialMaps | None, setting: Setting
+    spec: Spec, material: str, maps: MaterialMaps | None, setting: Context
 ) -> Detail | None:
     """What a ground material adds to the relief, at any fineness."""
     path = f"materials/{material}/displacement"
@@ -176,7 +177,7 @@ def _displacement(
     return Sum(tuple(parts)) if parts else None
 
 
-def _relief(cfg: Mapping[str, Any], path: str, setting: Setting) -> ReliefOperator:
+def _relief(cfg: Mapping[str, Any], path: str, setting: Context) -> ReliefOperator:
     """One operator: its keys in the cfg are the fields of its class, but for scattered ones."""
     streams, cfg = setting.streams, dict(cfg)
     mask = cfg.pop("mask")
@@ -197,7 +198,7 @@ def _relief(cfg: Mapping[str, Any], path: str, setting: Setting) -> ReliefOperat
     return Masked(operator, draw_mask(resolve(mask, streams, path), path, setting))
 
 
-def _rig(spec: Spec, name: str, setting: Setting) -> RigPlan:
+def _rig(spec: Spec, name: str, setting: Context) -> RigPlan:
     cfg, streams = spec.cfg["rigs"][name], setting.streams
     samples = int(spec.cfg["samples"])
     path = f"rigs/{name}/pose"

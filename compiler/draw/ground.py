@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.draw.of_keys import Setting, of_keys, ragged_of
+from scenec.compiler.draw.of_keys import of_keys, ragged_of
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.condition import QUANTITIES, Condition, Interval
 from scenec.compiler.terrain.shade import Shade
 
 
-def draw_merges(setting: Setting) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
+def draw_merges(setting: Context) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
     """One merge for each layer after the base, and the part of the terrain each shall cover."""
     merges, coverage = [], []
     for i, layer in enumerate(setting.ground[1:], start=1):
@@ -40,7 +41,7 @@ def draw_merges(setting: Setting) -> tuple[tuple[Merge, ...], tuple[float | None
     return tuple(merges), tuple(coverage)
 
 
-def draw_shades(shades: Sequence[Mapping[str, Any]], setting: Setting) -> tuple[Shade, ...]:
+def draw_shades(shades: Sequence[Mapping[str, Any]], setting: Context) -> tuple[Shade, ...]:
     """Where the ground is darker or lighter."""
     drawn = []
     for i, node in enumerate(shades):
@@ -54,7 +55,7 @@ def draw_shades(shades: Sequence[Mapping[str, Any]], setting: Setting) -> tuple[
     return tuple(drawn)
 
 
-def draw_condition(node: Mapping[str, Any], path: str, setting: Setting) -> Interval:
+def draw_condition(node: Mapping[str, Any], path: str, setting: Context) -> Interval:
     """One condition: its bounds, and a quantity whose fields are its other keys."""
     kind, rest = QUANTITIES[node["type"]], dict(node)
     # Their names end with the unit.
@@ -68,7 +69,7 @@ def draw_condition(node: Mapping[str, Any], path: str, setting: Setting) -> Inte
 
 
 def draw_mask(
-    mask: Sequence[Mapping[str, Any]], path: str, setting: Setting
+    mask: Sequence[Mapping[str, Any]], path: str, setting: Context
 ) -> tuple[Condition, ...]:
     """The mask of an operator."""
     conditions: list[Condition] = []

@@ -9,7 +9,8 @@ from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import Setting, of_keys
+from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.scene.scene import Cells, Far, Material, MaterialMaps, Reflectance, Sources
 from scenec.schemas.maps import MAP_CHANNELS
@@ -95,7 +96,7 @@ def _maps(
             del given["emission"]
     surface = None
     if node["procedural"] is not None:
-        setting = Setting(streams, files=spec.files)
+        setting = Context(streams, files=spec.files)
         surface = of_keys(SURFACES, node["procedural"], f"{at}/procedural", setting)
     size_m = node["size_m"] or (surface.SIZE_M if surface else 1.0)
     cells = far = None

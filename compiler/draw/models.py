@@ -13,15 +13,15 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.model import origin_of
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.scatter import draw_scattered
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.placed import PlacedPlan, PoseKeys
 from scenec.compiler.objects.prototypes import ModelPlan, PartRule
 from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.scene import Labels
 
 
-def draw_meshes(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Setting) -> ScatterPlan:
+def draw_meshes(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Context) -> ScatterPlan:
     """The plan of a class of scattered models."""
     path = f"objects/{name}"
     node = resolve(cfg, setting.streams, path)
@@ -43,7 +43,7 @@ def draw_meshes(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Sett
     )
 
 
-def draw_placed(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Setting) -> PlacedPlan:
+def draw_placed(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Context) -> PlacedPlan:
     """The plan of a class of single objects."""
     path = f"objects/{name}"
     if cfg["file"] is not None:
@@ -73,7 +73,7 @@ def draw_placed(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Sett
     )
 
 
-def _models(path: str, cfg: Mapping[str, Any], setting: Setting) -> tuple[ModelPlan, ...]:
+def _models(path: str, cfg: Mapping[str, Any], setting: Context) -> tuple[ModelPlan, ...]:
     files = [setting.files[f"{path}/models/{i}/file"].path for i in range(len(cfg["models"]))]
     return tuple(
         ModelPlan(file, node["unit_m"], node["up"], node["part"], origin_of(node["origin"]))
@@ -81,7 +81,7 @@ def _models(path: str, cfg: Mapping[str, Any], setting: Setting) -> tuple[ModelP
     )
 
 
-def _rules(cfg: Mapping[str, Any], setting: Setting) -> tuple[PartRule, ...]:
+def _rules(cfg: Mapping[str, Any], setting: Context) -> tuple[PartRule, ...]:
     return tuple(
         PartRule(
             name,

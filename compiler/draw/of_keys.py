@@ -2,45 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any
 
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.terrain.condition import Condition, Ragged
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.operators.craters import Craters
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What a part of the cfg is drawn from, and what it refers to beyond itself.
-
-    Attributes:
-        streams: The batch's.
-        ground: The cfg's ground layers, resolved.
-        relief: Operators before the part.
-        label_table: The cfg's labels: per level, name -> id.
-    """
-
-    streams: Streams
-    size_m: tuple[float, float] = (1.0, 1.0)
-    files: Mapping[str, InputFile] = field(default_factory=dict)
-    ground: Sequence[Mapping[str, Any]] = ()
-    relief: Sequence[ReliefOperator] = ()
-    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-
-    def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
-        """Ground layers that a condition by material names: one, or all of its material."""
-        if node["layer"] is not None:
-            return (node["layer"],)
-        return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
-
-
 def of_keys(
-    kinds: Mapping[str, type[Any]], node: Mapping[str, Any], path: str, setting: Setting
+    kinds: Mapping[str, type[Any]], node: Mapping[str, Any], path: str, setting: Context
 ) -> Any:
     """What a node's ``type`` names, with the node's other keys as its fields."""
     values: dict[str, Any] = {key: value for key, value in node.items() if key != "type"}

@@ -20,10 +20,11 @@ from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay, 
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import Setting, of_keys
+from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.scatter import uniforms
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import matrices
+from scenec.compiler.kinds.context import Context
 from scenec.schemas import stage as names
 from scenec.schemas.plugins import Kinds
 
@@ -95,7 +96,7 @@ def draw_random_target(
     )
 
 
-def draw_motion(cfg: dict[str, Any], path: str, setting: Setting) -> Motion:
+def draw_motion(cfg: dict[str, Any], path: str, setting: Context) -> Motion:
     """A made motion: numbers of the batch are drawn, those of each try get a key."""
     streams = setting.streams
     node = resolve(cfg, streams, path)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scenec.compiler.cfg.check_objects import LYING
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.scatter import Turn, draw_scattered
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.coatings import CoatingPlan
 from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.bedded import draw_bedded
@@ -72,7 +72,7 @@ _USUAL = {
 _ASTRAY = 1.0 / 12.0
 
 
-def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting) -> ScatterPlan:
+def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Context) -> ScatterPlan:
     """The plan of a class of procedural rocks."""
     path, streams = f"objects/{name}", setting.streams
     node = resolve(cfg, streams, path)
@@ -98,7 +98,7 @@ def draw_rocks(name: str, cfg: dict[str, Any], labels: Labels, setting: Setting)
     )
 
 
-def _into_wind(shapes: Sequence[Shape], setting: Setting) -> Turn:
+def _into_wind(shapes: Sequence[Shape], setting: Context) -> Turn:
     """Turns each ventifact so that one of its facets looks into the wind, more or less.
 
     All of a batch have one wind: that of the relief, if it has one, or one of their own.

@@ -14,7 +14,8 @@ from scenec.compiler.distributions.laws import arrivals, golombek_rapp_per_m2, p
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_condition
-from scenec.compiler.draw.of_keys import Setting, of_keys
+from scenec.compiler.draw.of_keys import of_keys
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.conditions import (
     FromCameras,
     FromObjects,
@@ -56,7 +57,7 @@ def draw_scattered(
     cfg: Mapping[str, Any],
     node: Mapping[str, Any],
     labels: Labels,
-    setting: Setting,
+    setting: Context,
     *,
     source: RockShapes | ModelSource,
     weights: Sequence[float],
@@ -158,7 +159,7 @@ def _count(
     return Count(None, float(per_m2), rounding)
 
 
-def _most(path: str, count: Count, setting: Setting) -> int:
+def _most(path: str, count: Count, setting: Context) -> int:
     """How many there can be: ``where`` only takes some away."""
     most = count.exact
     if most is None:
@@ -189,13 +190,13 @@ _DENSITIES: Kinds[type[Density]] = Kinds(
 _DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "object": FromObjects}
 
 
-def _density(node: Mapping[str, Any], path: str, setting: Setting) -> Density:
+def _density(node: Mapping[str, Any], path: str, setting: Context) -> Density:
     if node["type"] == "clusters":
         return _clusters(node, path, setting)
     return of_keys(_DENSITIES, node, path, setting)
 
 
-def _clusters(cfg: Mapping[str, Any], path: str, setting: Setting) -> ClusterDensity:
+def _clusters(cfg: Mapping[str, Any], path: str, setting: Context) -> ClusterDensity:
     """Parents, over the terrain and as far around it as their clusters reach."""
     streams = setting.streams
     margin = 2.0 * CLUSTER_REACH * cfg["sigma_m"]
@@ -218,7 +219,7 @@ def _clusters(cfg: Mapping[str, Any], path: str, setting: Setting) -> ClusterDen
     return ClusterDensity(u[:, 0] * width, u[:, 1] * depth, cfg["sigma_m"], cfg["background"])
 
 
-def _place(node: Mapping[str, Any], path: str, setting: Setting) -> PlacementCondition:
+def _place(node: Mapping[str, Any], path: str, setting: Context) -> PlacementCondition:
     if node["type"] == "material":
         return OnMaterial(setting.layers_of(node))
     if node["type"] in _DISTANCES:

@@ -23,7 +23,7 @@ from PIL import Image
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.stage.scene import Lighting, Maps, RenderScene, Surface
 from scenec.backends.testing.scenes import affine, at_samples, look_at, mesh, plane, scene, sun
-from scenec.compiler.cfg.schema import load_schemas
+from scenec.compiler.kinds.schema import load_schemas
 from scenec.compiler.materials.heights import painted_look, relief_m
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.studies.runner import Cell, Study, run

@@ -16,8 +16,8 @@ import numpy as np
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
@@ -60,7 +60,7 @@ def measure(count: int, subdivisions: int, name: str) -> tuple[float, ...]:
     relief = Multifractal(1, 3.0, 40.0, 8, 2.0, 0.5, "fbm", 0.7)
     surface = Surface(HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0]))
     cameras = np.array([[x, 0.0, 2.0] for x in np.linspace(-100, 100, 100)])
-    setting = Setting(Streams(1, 0), (_SIZE, _SIZE))
+    setting = Context(Streams(1, 0), (_SIZE, _SIZE))
 
     def once(n: int) -> tuple[float, ...]:
         cfg = rocks(n, subdivisions, CASES[name])

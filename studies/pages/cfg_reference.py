@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from scenec.compiler.cfg.schema import NUMBER, ROOT, load_schemas
+from scenec.compiler.kinds.schema import NUMBER, ROOT, load_schemas
 from scenec.schemas.passes import BUILT_IN
 
 #: An example that is longer gets several lines.

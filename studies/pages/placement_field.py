@@ -16,9 +16,9 @@ from scenec.compiler.build import BuildLog, build_surface, stand_objects
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cfg.check_numbers import check_number, read_number
 from scenec.compiler.cfg.load import load
-from scenec.compiler.cfg.schema import Field
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw.batch import draw
+from scenec.compiler.kinds.schema import Field
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.plan import Plan
 from scenec.compiler.scene.rig import Rig

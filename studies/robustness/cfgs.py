@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from scenec.compiler.cfg.load import load
-from scenec.compiler.cfg.schema import Field, root, walk
 from scenec.compiler.cfg.sources import read
+from scenec.compiler.kinds.schema import Field, root, walk
 from scenec.schemas.errors import CfgError
 from scenec.studies.robustness.mutants import Outcome, tried
 from scenec.studies.runner import CONFIGS, Study, run

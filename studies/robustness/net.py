@@ -32,11 +32,11 @@ import numpy as np
 from scenec.backends.run.render import render
 from scenec.compiler.cfg import json_positions
 from scenec.compiler.cfg.load import Spec, load
-from scenec.compiler.cfg.schema import bundled
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.batch import draw
+from scenec.compiler.kinds.schema import bundled
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.versions import version_of

@@ -24,7 +24,7 @@ from scenec.compiler.cfg.builder import (
     Uniform,
 )
 from scenec.compiler.cfg.load import load
-from scenec.compiler.cfg.schema import load_schemas
+from scenec.compiler.kinds.schema import load_schemas
 from scenec.schemas.errors import CfgError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,10 +17,10 @@ from small_cfg import minimal
 
 from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.load import load
-from scenec.compiler.cfg.schema import ROOT, load_schemas, root, walk
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.schema import ROOT, load_schemas, root, walk
 from scenec.schemas.errors import CfgError
 
 _SCHEMAS = [(name, DRAFT202012.create_resource(schema)) for name, schema in load_schemas().items()]

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.cfg.document import MAX_DEPTH, CfgSyntaxError, Position
+from scenec.compiler.cfg.document import MAX_DEPTH, CfgSyntaxError
 from scenec.compiler.cfg.json_positions import parse
+from scenec.compiler.kinds.finding import Position
 
 _TEXT = st.text(st.characters(exclude_categories=["Cs"]))
 _JSON = st.recursive(

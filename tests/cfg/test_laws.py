@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.cfg.check_numbers import check_number, read_number
-from scenec.compiler.cfg.schema import Field
 from scenec.compiler.distributions.numbers import draw_number
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.schema import Field
 
 _N = 20000
 

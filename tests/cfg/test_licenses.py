@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from small import small_cfg, write_cfg
 
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.cfg.licenses import Terms, as_json, terms
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.kinds.context import InputFile
 from scenec.schemas.manifest import read_manifest, stage_digest
 
 ROOT = Path(__file__).resolve().parents[2]

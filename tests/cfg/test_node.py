@@ -9,9 +9,9 @@ import sys
 import pytest
 from small_cfg import changed, faults_of, minimal
 
-from scenec.compiler.cfg import schema
 from scenec.compiler.cfg.check_schema import check_schema
-from scenec.compiler.cfg.node import Node, Tree
+from scenec.compiler.kinds import schema
+from scenec.compiler.kinds.node import Node, Tree
 
 
 def node(cfg) -> Node:

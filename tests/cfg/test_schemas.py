@@ -13,7 +13,7 @@ from small_cfg import changed, minimal
 
 from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_schema import EXPECTED, check_schema
-from scenec.compiler.cfg.schema import (
+from scenec.compiler.kinds.schema import (
     FORMS,
     NUMBER,
     ROOT,

@@ -8,7 +8,7 @@ import pytest
 from small_cfg import load_cfg, minimal
 
 from scenec.compiler.cfg import typed
-from scenec.compiler.cfg.schema import load_schemas
+from scenec.compiler.kinds.schema import load_schemas
 
 _TYPES = {
     "cfg": typed.Cfg,

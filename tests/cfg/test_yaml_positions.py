@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from small_cfg import minimal
 
 from scenec.compiler.cfg import json_positions
-from scenec.compiler.cfg.document import MAX_DEPTH, CfgSyntaxError, Position
+from scenec.compiler.cfg.document import MAX_DEPTH, CfgSyntaxError
 from scenec.compiler.cfg.yaml_positions import parse
+from scenec.compiler.kinds.finding import Position
 
 _TEXT = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=["Cc"]))
 _VALUES = st.recursive(

@@ -98,7 +98,7 @@ def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path
 
 
 def test_the_schema_of_cfgs_knows_all_passes():
-    from scenec.compiler.cfg.schema import load_schemas
+    from scenec.compiler.kinds.schema import load_schemas
     from scenec.schemas.passes import PASSES
 
     for name in ("cfg", "sensor"):

@@ -11,9 +11,10 @@ from jsonschema import Draft202012Validator
 
 from scenec.backends.run.render import render
 from scenec.cli.main import main
-from scenec.compiler.cfg import json_positions, schema
+from scenec.compiler.cfg import json_positions
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.kinds import schema
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, check_output
 

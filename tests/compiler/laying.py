@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from small import small_cfg
 
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.kinds.context import Context, InputFile
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
@@ -52,7 +51,7 @@ def plan(
 ) -> ScatterPlan:
     """What is drawn for one class of rocks."""
     filled = copy.deepcopy(_filled(name, json.dumps(change)))
-    return draw_rocks(name, filled, {}, Setting(Streams(seed, 0), SIZE, files or {}))
+    return draw_rocks(name, filled, {}, Context(Streams(seed, 0), SIZE, files or {}))
 
 
 @cache

@@ -13,8 +13,8 @@ from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.of_keys import Setting
 from scenec.compiler.draw.rocks import draw_rocks
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.coatings import CoatingPlan, coat
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.scene.scene import Prototype
@@ -27,7 +27,7 @@ NOTHING = CoatingPlan("dust", 0.0, 35.0, 0.0, 0.0, 0.15, 7)
 def stones() -> tuple[Chain, ...]:
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"family": "vesicular", "prototypes": 3, "subdivisions": 5}
-    plan = draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Setting(Streams(1, 0)))
+    plan = draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Context(Streams(1, 0)))
     return build_chains(plan.source.shapes)
 
 

@@ -13,9 +13,9 @@ import pytest
 from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
-from scenec.compiler.cfg import schema
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.kinds import schema
 from scenec.schemas.errors import CfgError, ScenecError
 
 #: Sizes of arrays and numbers of things: what they do is take time.

@@ -10,8 +10,8 @@ from laying import laid, plan, surroundings
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from scenec.compiler.cfg.check_files import InputFile
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import InputFile
 from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,

@@ -16,9 +16,9 @@ from test_compile import compiled, hashes
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
-from scenec.compiler.cfg.schema import describe, load_schemas
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
+from scenec.compiler.kinds.schema import describe, load_schemas
 from scenec.compiler.materials import periodic
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.materials.pictures import color_codes, normal_codes, with_pictures

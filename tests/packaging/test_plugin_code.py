@@ -16,9 +16,9 @@ from scenec.backends.annotation.registry import find_pass
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.render import render
 from scenec.cli.main import main
-from scenec.compiler.cfg import schema
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.kinds import schema
 from scenec.compiler.output import held
 from scenec.compiler.views.needed import Keep
 from scenec.datasets.export import export

@@ -14,6 +14,7 @@ FLOORS = {
     "compiler": (
         ("arithmetic", "cache"),
         ("noise", "distributions", "scene", "geometry"),
+        ("kinds",),
         ("assets",),
         ("cfg", "terrain"),
         ("views",),

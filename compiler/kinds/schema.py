@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from scenec.compiler.cfg.document import Path
+from scenec.compiler.kinds.finding import Path
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, names_of, origin
 

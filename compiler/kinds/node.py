@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from scenec.compiler.cfg.check_numbers import support
-from scenec.compiler.cfg.document import Path
-from scenec.compiler.cfg.faults import Finding
-from scenec.compiler.cfg.schema import Field
+from scenec.compiler.kinds.finding import Finding, Path
+from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.support import support
 from scenec.schemas.spelling import nearest, shown
 
 

@@ -1,0 +1,52 @@
+"""What a kind is drawn from: the batch's streams, and what its part of the cfg refers to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scenec.compiler.distributions.streams import Streams
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file that the cfg names.
+
+    Attributes:
+        path: Where it is on this machine, a file or a folder; never written to any output.
+        sha256: Of its bytes, in hexadecimal; with those of the files that belong to a model.
+        reference: The string in the cfg.
+        members: All files that are read for it, and the digest of each.
+    """
+
+    path: Path
+    sha256: str
+    reference: str = ""
+    members: tuple[tuple[Path, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a part of the cfg is drawn from, and what it refers to beyond itself.
+
+    Attributes:
+        streams: The batch's.
+        ground: The cfg's ground layers, resolved.
+        relief: Operators before the part.
+        label_table: The cfg's labels: per level, name -> id.
+    """
+
+    streams: Streams
+    size_m: tuple[float, float] = (1.0, 1.0)
+    files: Mapping[str, InputFile] = field(default_factory=dict)
+    ground: Sequence[Mapping[str, Any]] = ()
+    relief: Sequence[Any] = ()
+    label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+    def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
+        """Ground layers that a condition by material names: one, or all of its material."""
+        if node["layer"] is not None:
+            return (node["layer"],)
+        return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
