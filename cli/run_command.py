@@ -11,8 +11,8 @@ from scenec.cli.output import print_json, say_next, status
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
+    from scenec.compiler.cfg.fill import Cfg
     from scenec.compiler.cfg.load import Spec
-    from scenec.compiler.cfg.typed import Cfg
     from scenec.schemas.units import Executor
 
 

@@ -18,7 +18,7 @@ from scenec.compiler.kinds import schema
 TARGET = Path(__file__).resolve().parents[1] / "compiler" / "cfg" / "builder.pyi"
 
 HEAD = """\
-# Made by tools/cfg_stub.py out of schemas/cfg/.
+# Made by tools/cfg_stub.py out of the cfg's schema.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,11 +137,11 @@ def _name(reference: str) -> str:
 
 def _union(file: str) -> str:
     # The classes of its kinds begin with this name.
-    return "Any" + "".join(part.capitalize() for part in file.partition(".")[0].split("_"))
+    return "Any" + "".join(part.capitalize() for part in file.rpartition("/")[2].split("_"))
 
 
 def _distributions() -> list[str]:
-    return [name for name, own in builder.names().items() if own.startswith("#/$defs/")]
+    return [name for name, own in builder.names().items() if own.startswith(f"{schema.NUMBER}/")]
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 The schemas are the one source: classes are made of them when they are first asked for, and
 ``builder.pyi``, for editors and type checkers, is written out of them (``tools/cfg_stub.py``).
 
-A class is named as its schema's file is, a distribution as its type is. A field that is not given
-is a key that is left out; None is JSON's null.
+A class is named as its definition in the schema is, a distribution as its type is. A field that
+is not given is a key that is left out; None is JSON's null.
 """
 
 from __future__ import annotations
@@ -100,9 +100,9 @@ def names() -> Mapping[str, str]:
     found: dict[str, str] = {}
     for file, content in schema.load_schemas().items():
         if file == schema.NUMBER:
-            found |= {_camel(kind): f"#/$defs/{kind}" for kind in content["$defs"]}
+            found |= {_camel(kind): f"{schema.NUMBER}/$defs/{kind}" for kind in content["$defs"]}
         elif "properties" in content and "allOf" not in content and not content.get("x-shared"):
-            found[_camel(file.partition(".")[0])] = file
+            found[_camel(file.rpartition("/")[2])] = file
     return found
 
 
@@ -172,7 +172,7 @@ def _reference(of: Mapping[str, Any], value: Mapping[str, Any]) -> str | None:
     """The schema of an object that has a class; None for one that maps names."""
     reference = of.get("$ref")
     if reference == schema.NUMBER or schema.describe(of, value).is_number:
-        return f"#/$defs/{value['type']}"
+        return f"{schema.NUMBER}/$defs/{value['type']}"
     if reference in names().values():
         return str(reference)
     content = schema.load_schemas()[reference] if reference else of

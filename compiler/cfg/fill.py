@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from scenec.compiler.cfg.check_numbers import read_number
-from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.schema import Field
+
+#: A cfg in full, by key; what it holds is said by the declarations of ``kinds.table``.
+type Cfg = dict[str, Any]
 
 #: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
 #: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.

@@ -19,10 +19,9 @@ from scenec.compiler.cfg.check_rigs import check_rigs
 from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.check_terrain import check_terrain
 from scenec.compiler.cfg.faults import locate
-from scenec.compiler.cfg.fill import fill
+from scenec.compiler.cfg.fill import Cfg, fill
 from scenec.compiler.cfg.slips import improbable
 from scenec.compiler.cfg.sources import folder_of, located, mixed, read
-from scenec.compiler.cfg.typed import Cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.context import InputFile
@@ -40,7 +39,7 @@ class Spec:
     """A validated cfg.
 
     Attributes:
-        cfg: The cfg in full (see ``fill`` and ``typed``): numbers as float, int or
+        cfg: The cfg in full (see ``fill``): numbers as float, int or
             ``Distribution``, keys without a value and default as None. Not to be changed.
         path: The cfg file.
         files: The files that it names, by the path of the string: "terrain/relief/0/file".

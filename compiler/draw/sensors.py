@@ -10,7 +10,6 @@ import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.imaging import draw_imaging
-from scenec.compiler.cfg import typed
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics, make_lens
@@ -25,7 +24,7 @@ from scenec.schemas.shutter import Shutter
 
 
 def draw_sensor(
-    name: str, cfg: typed.Sensor, path: str, streams: Streams, samples: int
+    name: str, cfg: Mapping[str, Any], path: str, streams: Streams, samples: int
 ) -> SensorPlan:
     """A camera, every number drawn.
 
@@ -83,7 +82,7 @@ def _effects(cfg: list[dict[str, Any]], streams: Streams, path: str) -> tuple[st
 
 
 def _intrinsics(
-    cfg: typed.Sensor, path: str, streams: Streams, lens: Lens | None
+    cfg: Mapping[str, Any], path: str, streams: Streams, lens: Lens | None
 ) -> tuple[float, float, float, float, float]:
     width, height = cfg["resolution"]
     if cfg["intrinsics"] is not None:

@@ -1,13 +1,12 @@
-"""The cfg's JSON Schemas: loading them, and walking a document along them.
+"""The cfg's JSON Schema: loading it, and walking a document along it.
 
-The schemas of ``schemas/cfg/`` keep to a part of draft 2020-12 that can be walked: ``$ref`` to
-another file, ``properties``, ``additionalProperties``, ``unevaluatedProperties`` (beside a
-``$ref`` to keys that schemas share, which has "x-shared"), ``items``, ``prefixItems``, and ``if``,
-``then``, ``else`` (alone or in ``allOf``). So defaults, the reference page and the drawing of
-numbers come from the same files as the validation (``check_schema``). Forms that many keys share (a
-length drawn once a batch, a color, a name) stand in ``forms.schema.json`` and are taken in when
-they are loaded. Where a schema says "x-kinds", the key of that name can hold a name that another
-package offers (``scenec.schemas.plugins``), which brings a schema of its own.
+``schemas/cfg.schema.json`` is made of what kinds declare (``generate``), with a definition for each
+object. It keeps to a part of draft 2020-12 that can be walked: ``$ref`` to a definition,
+``properties``, ``additionalProperties``, ``unevaluatedProperties`` (beside a ``$ref`` to keys that
+objects share, which has "x-shared"), ``items``, ``prefixItems``, and ``if``, ``then``, ``else``
+(alone or in ``allOf``). So defaults, the reference page and the drawing of numbers come from the
+same declarations as the validation (``check_schema``). Where a definition says "x-kinds", the key
+of that name can hold a name that another package offers (``scenec.schemas.plugins``).
 """
 
 from __future__ import annotations
@@ -20,85 +19,52 @@ from functools import cache
 from typing import Any
 
 from scenec.compiler.kinds.finding import Path
+from scenec.compiler.kinds.forms import DEFS
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, names_of, origin
 
-ROOT = "cfg.schema.json"
-NUMBER = "number.schema.json"
-FORMS = "forms.schema.json"
-_SUFFIX = ".schema.json"
+ROOT, NUMBER = f"{DEFS}cfg", f"{DEFS}number"
 
 
-def read_schemas() -> dict[str, dict[str, Any]]:
-    """Every file of the cfg's schemas as it stands, by its name and sorted by it."""
-    folder = importlib.resources.files("scenec.schemas") / "cfg"
-    names = sorted(file.name for file in folder.iterdir() if file.name.endswith(".schema.json"))
-    return {name: json.loads((folder / name).read_text(encoding="utf-8")) for name in names}
+@cache
+def load_bundle() -> Mapping[str, Any]:
+    """Returns the schema as it stands in the file that ships."""
+    file = importlib.resources.files("scenec.schemas") / "cfg.schema.json"
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return found
 
 
 @cache
 def load_schemas() -> Mapping[str, dict[str, Any]]:
-    """Every schema of the cfg by file name, sorted by it, with the forms that they refer to."""
-    schemas = read_schemas()
-    forms = schemas.pop(FORMS)["$defs"]
-    return {name: _with_forms(schema, forms) for name, schema in schemas.items()}
-
-
-def _with_forms(schema: Any, forms: Mapping[str, Any]) -> Any:
-    if isinstance(schema, list):
-        return [_with_forms(entry, forms) for entry in schema]
-    if not isinstance(schema, dict):
-        return schema
-    file, _, name = str(schema.get("$ref", "")).partition("#/$defs/")
-    if file == FORMS:
-        # What stands beside the reference goes before the form.
-        own = {key: entry for key, entry in schema.items() if key != "$ref"}
-        return _with_forms({**forms[name], **own}, forms)
-    return {key: _with_forms(entry, forms) for key, entry in schema.items()}
+    """Returns every definition by the reference to it, sorted by name."""
+    return {f"{DEFS}{name}": schema for name, schema in load_bundle()["$defs"].items()}
 
 
 def bundled(*, partial: bool = False) -> dict[str, Any]:
-    """One JSON Schema with all that the others say, for editors; with kinds of other packages.
+    """One JSON Schema for editors; with kinds of other packages.
 
     Args:
         partial: Whether keys may be missing that are required, as in a cfg that extends another.
     """
-    schemas = load_schemas()
-    return {
-        "$schema": schemas[ROOT]["$schema"],
-        "title": "scenec cfg",
-        "description": schemas[ROOT]["description"],
-        "$ref": _reference(ROOT, ROOT),
-        "$defs": {
-            name.removesuffix(_SUFFIX): _bundled(schema, name, partial)
-            for name, schema in schemas.items()
-        },
-    }
+    found: dict[str, Any] = _with_kinds(load_bundle(), partial)
+    return {"$schema": load_bundle()["$schema"], **found}
 
 
-def _bundled(schema: Any, file: str, partial: bool) -> Any:
+def _with_kinds(schema: Any, partial: bool) -> Any:
     if isinstance(schema, list):
-        return [_bundled(entry, file, partial) for entry in schema]
+        return [_with_kinds(entry, partial) for entry in schema]
     if not isinstance(schema, dict):
         return schema
     found = {
-        key: entry if key == "if" else _bundled(entry, file, partial)
+        key: entry if key == "if" else _with_kinds(entry, partial)
         for key, entry in schema.items()
         # A key of the cfg may be called so: what it says is no list, and no string.
         if not (key == "required" and partial and isinstance(entry, list))
         and not (key == "$schema" and isinstance(entry, str))
     }
-    if isinstance(found.get("$ref"), str):
-        found["$ref"] = _reference(found["$ref"], file)
     if "enum" in found and isinstance(found.get("x-open"), str):
         found["enum"] = list(dict.fromkeys([*found["enum"], *names_of(found["x-open"])]))
     return found
-
-
-def _reference(reference: str, here: str) -> str:
-    """What a reference that stands in a file is inside of the bundle."""
-    file, _, rest = reference.partition("#")
-    return f"#/$defs/{(file or here).removesuffix(_SUFFIX)}{rest}"
 
 
 @dataclass(frozen=True)
@@ -196,12 +162,13 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     # Imported here: few cfgs have any.
     from jsonschema import Draft202012Validator, SchemaError
 
+    from scenec.compiler.kinds.generate import foreign, with_forms
+
     kind = load_kind(group, name)
-    keys = {**kind.SCHEMA.get("properties", {}), **_shared(group, kind)}
-    whole = {**kind.SCHEMA, "properties": keys, "additionalProperties": False}
     try:
+        whole = foreign(group, kind)
         Draft202012Validator.check_schema(whole)
-        found: Mapping[str, Any] = _with_forms(whole, read_schemas()[FORMS]["$defs"])
+        found: Mapping[str, Any] = with_forms(whole)
         for keywords in found["properties"].values():
             _flatten(keywords, None)
     except (SchemaError, KeyError) as error:
@@ -211,45 +178,13 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     return found
 
 
-def _shared(group: str, kind: type[Any]) -> dict[str, Any]:
-    """Keys that all kinds of a group have, beside their own."""
-
-    def form(name: str, **own: Any) -> dict[str, Any]:
-        return {"$ref": f"{FORMS}#/$defs/{name}", **own}
-
-    if group == "scenec.relief":
-        return {"mask": form("mask")}
-    if group == "scenec.conditions":
-        unit = getattr(kind, "UNIT", "")
-        end, own = (f"_{unit}", {"x-unit": unit}) if unit else ("", {})
-        return {
-            f"min{end}": form("per_batch", description="Smallest; left out, no bound.", **own),
-            f"max{end}": form("per_batch", description="Largest; left out, no bound.", **own),
-            f"softness{end}": form(
-                "per_batch",
-                description="Width over which it fades about a bound.",
-                **own, minimum=0, default=0,
-            ),
-            "ragged": form("ragged"),
-        }  # fmt: skip
-    if group == "scenec.surfaces":
-        ends = ("relief_m", "contrast", "resolution", "displacement")
-        return {end: form(f"surface_{end}") for end in ends}
-    if group == "scenec.poses":
-        sampling = "At which times of the motion the samples are."
-        return {
-            "sampling": {
-                "description": sampling, "$ref": "pose_sampling.schema.json", "default": {}
-            }
-        }  # fmt: skip
-    return {}
-
-
 def _referred(reference: str) -> Mapping[str, Any]:
-    """A schema's file, or one of the kinds of numbers."""
-    file, _, kind = reference.partition("#/$defs/")
-    schema = load_schemas()[file or NUMBER]
-    return schema["$defs"][kind] if kind else schema
+    """A definition, or one of the laws of numbers."""
+    if reference in load_schemas():
+        return load_schemas()[reference]
+    of, _, law = reference.rpartition("/$defs/")
+    found: Mapping[str, Any] = load_schemas()[of]["$defs"][law]
+    return found
 
 
 def _fits(value: Any, condition: Mapping[str, Any]) -> bool:

@@ -41,7 +41,7 @@ APART_M, AWAY_M = 100.0, 400.0
 
 def relief(kind: str, texels: int) -> tuple[NDArray[np.float64], float]:
     """Heights of one repeat, [y, x], meters, and its side, as a cfg has them that says no more."""
-    schema = load_schemas()[f"surface_{kind}.schema.json"]
+    schema = load_schemas()[f"#/$defs/surface_{kind}"]
     keys = {k: p.get("default") for k, p in schema["properties"].items() if k != "type"}
     made = SURFACES[kind](**{**keys, "key": 7, "resolution": texels})
     heights = np.asarray(painted_look(made, made.SIZE_M).height, np.float64)

@@ -128,11 +128,23 @@ def _json(value: Any) -> str:
     return json.dumps(value, indent=1, ensure_ascii=False, default=other)
 
 
+def _sorted(value: Any, by_key: bool = True) -> Any:
+    """Returns a schema whose keywords are sorted; the order of a cfg's keys stays."""
+    if isinstance(value, list):
+        return [_sorted(entry) for entry in value]
+    if not isinstance(value, dict):
+        return value
+    # Where checks are found is no matter of the cfg; no required key is as good as no such word.
+    kept = {k: v for k, v in value.items() if k != "x-check" and (k, v) != ("required", [])}
+    made = {key: _sorted(entry, key != "properties") for key, entry in kept.items()}
+    return dict(sorted(made.items())) if by_key else made
+
+
 def _schema() -> Texts:
     """Returns each definition of the bundled schema, full and partial."""
     found = {}
     for name, partial in (("schema", False), ("partial", True)):
-        schema = bundled(partial=partial)
+        schema = _sorted(bundled(partial=partial))
         of = schema.pop("$defs")
         found[f"{name}/root"] = _json(schema)
         found[f"{name}/order"] = _json(list(of))

@@ -11,8 +11,6 @@ from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
-from referencing import Registry
-from referencing.jsonschema import DRAFT202012
 from small_cfg import minimal
 
 from scenec.compiler.cfg.check_schema import check_schema
@@ -20,11 +18,10 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.schema import ROOT, load_schemas, root, walk
+from scenec.compiler.kinds.schema import load_bundle, root, walk
 from scenec.schemas.errors import CfgError
 
-_SCHEMAS = [(name, DRAFT202012.create_resource(schema)) for name, schema in load_schemas().items()]
-_JSONSCHEMA = Draft202012Validator({"$ref": ROOT}, registry=Registry().with_resources(_SCHEMAS))
+_JSONSCHEMA = Draft202012Validator(load_bundle())
 _SHARED_FOLDER = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
-from referencing import Registry
-from referencing.jsonschema import DRAFT202012
 from small_cfg import changed, minimal
 
 from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_schema import EXPECTED, check_schema
 from scenec.compiler.kinds.schema import (
-    FORMS,
     NUMBER,
     ROOT,
     Field,
+    load_bundle,
     load_schemas,
-    read_schemas,
     root,
     walk,
 )
 from scenec.studies.pages import cfg_reference
 
-_FILES = [(name, DRAFT202012.create_resource(schema)) for name, schema in load_schemas().items()]
-_REGISTRY = Registry().with_resources(_FILES)
+_WHOLE = {"$defs": load_bundle()["$defs"]}
 _DOCS = Path(__file__).parents[2] / "docs"
 _NAMES = list(load_schemas())
 
@@ -97,7 +94,7 @@ def test_an_object_takes_no_unknown_keys(name):
 
 
 @pytest.mark.parametrize("name", [name for name in _NAMES if name != NUMBER])
-def test_a_reference_is_to_a_file_that_is_there(name):
+def test_a_reference_is_to_a_definition_that_is_there(name):
     for at, schema in _subschemas(load_schemas()[name]):
         assert schema.get("$ref", ROOT) in load_schemas(), at
 
@@ -107,7 +104,7 @@ def test_every_number_says_when_it_is_drawn_and_every_default_is_valid():
     for name in _NAMES:
         for at, schema in _subschemas(load_schemas()[name]):
             if "default" in schema:
-                Draft202012Validator(schema, registry=_REGISTRY).validate(schema["default"])
+                Draft202012Validator({**_WHOLE, **schema}).validate(schema["default"])
             if schema.get("$ref") != NUMBER:
                 continue
             count += 1
@@ -118,7 +115,7 @@ def test_every_number_says_when_it_is_drawn_and_every_default_is_valid():
     assert count > 50
 
 
-def test_every_schema_file_is_reached_from_the_root():
+def test_every_definition_is_reached_from_the_root():
     reached, pending = set(), [ROOT]
     while pending:
         name = pending.pop()
@@ -126,36 +123,16 @@ def test_every_schema_file_is_reached_from_the_root():
             continue
         reached.add(name)
         below = (s["$ref"] for _, s in _subschemas(load_schemas()[name]) if "$ref" in s)
-        pending.extend(ref for ref in below if not ref.startswith("#"))
+        pending.extend(ref for ref in below if ref in load_schemas())
     assert sorted(reached) == _NAMES
-
-
-def _form_references():
-    """Every reference to a form: where it stands, and what stands beside it."""
-    for name, schema in read_schemas().items():
-        for at, below in _subschemas(schema):
-            for key, entry in (("", below), ("/propertyNames", below.get("propertyNames", {}))):
-                file, _, form = entry.get("$ref", "").partition("#/$defs/")
-                if file == FORMS:
-                    yield f"{name}{at}{key}", entry, form
-
-
-def test_a_form_is_shared_and_nothing_contradicts_it():
-    forms, uses = read_schemas()[FORMS]["$defs"], dict[str, int]()
-    for at, entry, form in _form_references():
-        uses[form] = uses.get(form, 0) + 1
-        assert set(entry) & set(forms[form]) <= {"$ref", "description"}, at
-    assert set(uses) == set(forms)
-    assert min(uses.values()) > 1
 
 
 @pytest.mark.parametrize(
     ("changes", "sound"),
     [({}, True), ({"/objects/rocks/embed": 2}, False), ({"/terrain/ground/0/noise": {}}, False)],
 )
-def test_an_editor_that_follows_the_files_as_they_stand_finds_the_same(changes, sound):
-    resources = [(name, DRAFT202012.create_resource(s)) for name, s in read_schemas().items()]
-    editor = Draft202012Validator({"$ref": ROOT}, registry=Registry().with_resources(resources))
+def test_an_editor_that_follows_the_schema_finds_the_same(changes, sound):
+    editor = Draft202012Validator(load_bundle())
     cfg = changed(changes) if changes else minimal()
     assert editor.is_valid(cfg) == (not check_schema(walk(root(cfg)))) == sound
 
@@ -165,7 +142,7 @@ def _examples():
     for name, schema in load_schemas().items():
         if name == NUMBER:
             for kind, definition in schema["$defs"].items():
-                yield f"{name}#/$defs/{kind}", definition.get("examples", [None])[0]
+                yield f"{name}/$defs/{kind}", definition.get("examples", [None])[0]
         elif name != ROOT and not {"allOf", "x-kinds"} & set(schema):
             yield name, schema.get("examples", [None])[0]
 
@@ -173,13 +150,20 @@ def _examples():
 @pytest.mark.parametrize(("place", "example"), list(_examples()), ids=lambda value: str(value)[:40])
 def test_every_object_has_an_example_that_is_valid(place, example):
     assert example is not None
-    validator = Draft202012Validator({"$ref": place}, registry=_REGISTRY)
+    validator = Draft202012Validator({**_WHOLE, "$ref": place})
     assert not [error.message for error in validator.iter_errors(example)]
+
+
+def test_the_schema_is_made_of_what_kinds_declare(monkeypatch):
+    monkeypatch.syspath_prepend(str(_DOCS.parent))
+    declarations = importlib.import_module("tools.declarations")
+    file = _DOCS.parent / "schemas" / "cfg.schema.json"
+    assert file.read_text(encoding="utf-8") == declarations.text(), "python -m tools.declarations"
 
 
 def test_the_reference_page_is_up_to_date():
     page = (_DOCS / "cfg.md").read_text(encoding="utf-8")
-    assert page == cfg_reference.make(), "run: python studies/pages/cfg_reference.py"
+    assert page == cfg_reference.make(), "run: python -m tools.declarations"
 
 
 def test_the_reference_page_links_to_its_own_sections_only():

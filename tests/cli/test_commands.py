@@ -102,7 +102,7 @@ def test_the_schema_of_cfgs_knows_all_passes():
     from scenec.schemas.passes import PASSES
 
     for name in ("cfg", "sensor"):
-        outputs = load_schemas()[f"{name}.schema.json"]["properties"]["outputs"]
+        outputs = load_schemas()[f"#/$defs/{name}"]["properties"]["outputs"]
         assert sorted(outputs["items"]["enum"]) == sorted(PASSES)
 
 

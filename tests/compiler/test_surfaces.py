@@ -34,7 +34,7 @@ KINDS = sorted(SURFACES)
 
 def surface(kind: str, **change: float | None) -> Surface:
     """A kind as a cfg has it that says nothing of it, but for some keys."""
-    schema = load_schemas()[f"surface_{kind}.schema.json"]
+    schema = load_schemas()[f"#/$defs/surface_{kind}"]
     known = {k: p.get("default") for k, p in schema["properties"].items() if k != "type"}
     return SURFACES[kind](**{"key": 7, **known, "resolution": 128, **change})
 
@@ -362,8 +362,8 @@ def test_a_procedural_surface_needs_a_color_and_lies_in_the_world(tmp_path):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_schema_of_a_kind_has_its_fields_and_its_size(kind):
-    name = f"surface_{kind}.schema.json"
+    name = f"#/$defs/surface_{kind}"
     schema = load_schemas()[name]
     assert schema["properties"].keys() - {"type"} == vars(surface(kind)).keys() - {"key"}
     assert f"is {SURFACES[kind].SIZE_M:g} m." in schema["description"]
-    assert describe({"$ref": "surface.schema.json"}, {"type": kind}).keywords["title"]
+    assert describe({"$ref": "#/$defs/surface"}, {"type": kind}).keywords["title"]

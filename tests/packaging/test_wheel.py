@@ -25,7 +25,7 @@ PROGRAM = """
 import json, sys
 from importlib.resources import files
 import scenec.schemas.errors as errors
-schema = json.loads((files("scenec.schemas") / "cfg" / "cfg.schema.json").read_text())
+schema = json.loads((files("scenec.schemas") / "cfg.schema.json").read_text())
 assert schema["$schema"].endswith("2020-12/schema"), schema["$schema"]
 import scenec.backends.contract, scenec.compiler.scene.scene
 from scenec.compiler.cfg.load import load
@@ -105,7 +105,7 @@ def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -
     compiled = {name for name in names if "/compiled/" in name}
     assert names - compiled == modules() | {f"scenec/{STUB}"}
     assert len(compiled) == 1
-    assert "scenec/schemas/cfg/cfg.schema.json" in names
+    assert "scenec/schemas/cfg.schema.json" in names
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= metadata
 
 

@@ -1,0 +1,162 @@
+"""Declares the keys of a cfg: fields of a class are keys, and its docstring says what it is.
+
+    @dataclass(frozen=True, kw_only=True)
+    class Clusters:
+        \"\"\"Clusters (Thomas 1949): parents scattered evenly, objects around them.\"\"\"
+
+        EXAMPLE: ClassVar = {"type": "clusters", "parents": 9, "sigma_m": 7}
+
+        parents: int | None = key(WHOLE, at_least=1, at_most=1_000_000, optional=True)
+        \"\"\"Number of parents per terrain.\"\"\"
+
+        sigma_m: float = key(LENGTH, above=0, at_most=1e9)
+        \"\"\"Standard deviation of objects about a parent.\"\"\"
+
+The string below a field describes it, as Sphinx and editors read it. A key that has neither a
+default nor is optional or sparse has to be given. From such classes ``generate`` makes the JSON
+Schema, which is what a cfg is held against; they themselves are imported when one is named.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import sys
+import textwrap
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, get_args, get_origin
+
+#: Stands for a default that there is not.
+NONE: Any = object()
+_KEY, _GIVEN = "scenec.key", "scenec.given"
+
+
+@dataclasses.dataclass(frozen=True)
+class Form:
+    """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…")."""
+
+    keywords: Mapping[str, Any]
+
+    def but(self, **keywords: Any) -> Form:
+        """Returns the same form with other keywords; an underscore stands for a hyphen."""
+        own = {name.replace("_", "-"): value for name, value in keywords.items()}
+        return Form({**self.keywords, **own})
+
+
+_BOUNDS = {
+    "above": "exclusiveMinimum",
+    "at_least": "minimum",
+    "below": "exclusiveMaximum",
+    "at_most": "maximum",
+    "unit": "x-unit",
+}
+
+
+def bounded(form: Form, **bounds: Any) -> Form:
+    """Returns a form within bounds: above, at_least, below, at_most, unit."""
+    own = {_BOUNDS[name]: bound for name, bound in bounds.items() if bound is not None}
+    return Form({**form.keywords, **own})
+
+
+def key(
+    form: Form,
+    *,
+    default: Any = NONE,
+    optional: bool = False,
+    sparse: bool = False,
+    name: str = "",
+    above: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
+    below: float | None = None,
+    unit: str | None = None,
+) -> Any:
+    """Declares a field that is a key of the cfg.
+
+    Args:
+        form: What values it takes; it may have a default.
+        default: As a cfg would say it; a field without one has to be given.
+        optional: Whether it may be left out, and is None then.
+        sparse: Whether it may be left out, and is not there then, nor in digests.
+        name: Of the key, where it can be no field's.
+        above, at_least, at_most, below: Bounds of all that it can be.
+        unit: Of what is given.
+    """
+    form = bounded(form, above=above, at_least=at_least, at_most=at_most, below=below, unit=unit)
+    more = {} if default is NONE else {"default": default}
+    if sparse:
+        more["x-sparse"] = True
+    form = Form({**form.keywords, **more})
+    needed = not (optional or sparse or "default" in form.keywords)
+    return dataclasses.field(metadata={_KEY: Key(name, form, needed)})
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """What a field says of its key; without a name it is the field's."""
+
+    name: str
+    form: Form
+    is_required: bool
+
+
+def given(make: Callable[[Any], Any]) -> Any:
+    """Declares a field that no cfg says: it is made of the context (``context.Context``)."""
+    return dataclasses.field(metadata={_GIVEN: make})
+
+
+def made_of_context(kind: type[Any], context: Any) -> dict[str, Any]:
+    """Returns the values of a class's fields that no cfg says."""
+    return {
+        field.name: field.metadata[_GIVEN](context)
+        for field in dataclasses.fields(kind)
+        if _GIVEN in field.metadata
+    }
+
+
+def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
+    """Returns the schema of each key that a class itself declares, and whether it is required.
+
+    Keys of classes that it derives from are theirs.
+    """
+    texts, found = descriptions(kind), {}
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    # In their own order, also of a field that was there before.
+    for name in kind.__annotations__:
+        if name in fields and _KEY in fields[name].metadata:
+            field = fields[name]
+            declared: Key = field.metadata[_KEY]
+            keywords = {**declared.form.keywords}
+            if field.name in texts:
+                keywords["description"] = texts[field.name]
+            if keywords.get("enum") == "of annotation":
+                keywords["enum"] = _listed(field.type, kind)
+            found[declared.name or field.name] = keywords, declared.is_required
+    return found
+
+
+def _listed(annotation: Any, kind: type[Any]) -> list[Any]:
+    """Returns the values that an annotation lists: ``Literal["near", "far"] | None``."""
+    if isinstance(annotation, str):
+        annotation = eval(annotation, vars(sys.modules[kind.__module__]))  # noqa: S307
+    if get_origin(annotation) is Literal:
+        return list(get_args(annotation))
+    return [value for part in get_args(annotation) for value in _listed(part, kind)]
+
+
+def description(kind: type[Any]) -> str:
+    """Returns what a class says of itself, in one line."""
+    return " ".join((kind.__doc__ or "").split())
+
+
+def descriptions(kind: type[Any]) -> dict[str, str]:
+    """Returns what a class says of each field: the string that stands below it."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(tree, ast.ClassDef)
+    found = {}
+    for field, below in zip(tree.body, tree.body[1:], strict=False):
+        is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+        if is_text and isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            found[field.target.id] = " ".join(str(below.value.value).split())  # type: ignore[attr-defined]
+    return found

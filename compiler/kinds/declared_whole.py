@@ -1,0 +1,107 @@
+"""Declares keys of whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from scenec.compiler.kinds.declare import Form, key
+from scenec.compiler.kinds.forms import COUNT, NAME, OUTPUT, TEXT, an, list_of, named
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cfg:
+    """One file, JSON or YAML, that with a seed says everything about a dataset.
+
+    Lengths are meters, angles degrees; +X is east, +Y north, +Z up.
+    """
+
+    TITLE: ClassVar = "Configuration"
+    schema: Any | None = key(
+        Form({"type": "string", "x-ignored": True}), optional=True, name="$schema"
+    )
+    """Where an editor finds this schema; not read by scenec."""
+    extends: Any | None = key(Form({"type": "string", "x-ignored": True}), optional=True)
+    """Another cfg, of which this one says only what differs: relative to this file, or
+    "package:configs/NAME"."""
+    version: Any = key(Form({"const": 1}))
+    """Version of the cfg format."""
+    name: str = key(NAME)
+    """Name of the dataset: letters, digits and underscores, no digit first."""
+    description: str = key(TEXT, default="")
+    """What the dataset is for; not read."""
+    batches: int = key(COUNT, default=1, at_least=1, at_most=1_000_000)
+    """Number of batches. A batch is one terrain with its objects: one stage."""
+    samples: int = key(COUNT, default=1, at_least=1, at_most=1_000_000)
+    """Number of samples of each batch. A sample is one picture of every sensor: camera and light
+    change, terrain and scattered objects do not."""
+    outputs: Any = key(
+        list_of(OUTPUT, least=1, unique=True), default=["rgb", "label", "instance", "depth"]
+    )
+    """Channels that are rendered and written."""
+    labels: Mapping[str, Any] = key(an("labels"), default={})
+    """The label levels, with the names and ids of each."""
+    terrain: Mapping[str, Any] = key(an("terrain"))
+    """The ground: its shape and what covers it."""
+    materials: Mapping[str, Any] = key(
+        named(an("material"), "One material.", by="material", least=1)
+    )
+    """Surface materials by name. Each must be used."""
+    objects: Mapping[str, Any] = key(
+        named(an("objects"), "One class of objects.", by="class"), default={}
+    )
+    """Classes of objects by name; their order decides instance ids, and what each finds in its
+    place."""
+    object_detail: Mapping[str, Any] = key(an("object_detail"), default={})
+    """How much geometry all objects have together."""
+    light: Mapping[str, Any] = key(an("light"), default={})
+    """Sun and sky; left out, both are there with their defaults."""
+    rigs: Mapping[str, Any] = key(named(an("rig"), "One rig.", by="rig", least=1))
+    """Camera rigs by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelChoice:
+    """The label that a thing has on each level; 0, no label, on those that are left out."""
+
+    EXAMPLE: ClassVar = {"class": "rock", "surface": "basalt"}
+
+    KEYWORDS: ClassVar = {
+        "propertyNames": {**NAME.keywords},
+        "x-name": "level",
+        "additionalProperties": {"description": "Name of a label of this level.", "type": "string"},
+    }
+
+    TITLE: ClassVar = "Choice of labels"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Labels:
+    """Label levels by name; each is one annotation channel.
+
+    Id 0 means "no label" and cannot be given a name. Every name must be used.
+    """
+
+    EXAMPLE: ClassVar = {
+        "class": {"sky": 1, "ground": 2, "rock": 3},
+        "surface": {"sky": 1, "sand": 2, "basalt": 3},
+    }
+
+    KEYWORDS: ClassVar = {
+        "propertyNames": {**NAME.keywords},
+        "x-name": "level",
+        "additionalProperties": {
+            "description": "One level: its label names.",
+            "type": "object",
+            "propertyNames": {**NAME.keywords},
+            "additionalProperties": {
+                "description": "Id of the label, unique in its level.",
+                "type": "integer",
+                "minimum": 1,
+                "maximum": 2_147_483_647,
+            },
+            "minProperties": 1,
+            "x-name": "name",
+        },
+    }

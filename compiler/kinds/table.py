@@ -1,0 +1,399 @@
+"""Names the kinds that a cfg can give, and the classes that declare them.
+
+Nothing is imported before it is named. Kinds of other packages come in by entry points
+(``scenec.schemas.plugins``), into the choices that have a group.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+from scenec.schemas.plugins import load_kind
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several kinds, which the key ``type`` tells.
+
+    Attributes:
+        title, description: Of the choice.
+        of: What the key ``type`` is.
+        each: The same in the tables of its kinds, where they say otherwise.
+        prefix: Of the titles of its kinds.
+        kinds: By ``type``: the name in ``CLASSES``.
+        group: Of the entry points by which other packages add kinds; "" without.
+        shared: Which function of ``shared`` says what keys each kind has after its own; "" none.
+        keywords: More that JSON Schema says of it.
+    """
+
+    title: str
+    description: str
+    of: str
+    prefix: str
+    kinds: Mapping[str, str]
+    group: str = ""
+    each: str = ""
+    shared: str = ""
+    keywords: Mapping[str, Any] = field(default_factory=dict)
+
+
+def kinds(prefix: str, names: str, **others: str) -> dict[str, str]:
+    """Returns names in ``CLASSES`` by ``type``: prefix and ``type``, but for some."""
+    return {name: prefix + name for name in names.split()} | others
+
+
+CHOICES = {
+    "density": Choice(
+        title="Density",
+        description="How likely each place is to hold an object.",
+        of="Kind of density.",
+        group="scenec.densities",
+        prefix="Density",
+        kinds=kinds("density_", "uniform noise worley image clusters path rings around"),
+    ),
+    "depth_camera": Choice(
+        title="Depth camera",
+        description="How the sensor measures depth, for the output depth_measured. The output "
+        "depth stays exact.",
+        of="Way of measuring.",
+        each="Kind.",
+        prefix="",
+        kinds=kinds("depth_camera_", "stereo time_of_flight"),
+    ),
+    "displacement": Choice(
+        title="Displacement",
+        description="One small relief of a material, in meters along the vertical.",
+        of="Kind of relief.",
+        each="Kind of operator.",
+        prefix="Displacement",
+        kinds=kinds("displacement_", "multifractal worley crust terraces"),
+    ),
+    "effect": Choice(
+        title="Effect",
+        description="What is done to a camera's 8-bit picture after all else, by another package: "
+        "see docs/plugins.md.",
+        of="Name that a package offers it under.",
+        group="scenec.effects",
+        prefix="Effect",
+        kinds=kinds("effect_", ""),
+    ),
+    "exposure": Choice(
+        title="Exposure",
+        description="How radiance becomes an 8-bit picture; the radiance itself is not touched.",
+        of="Kind of exposure.",
+        prefix="Exposure",
+        kinds=kinds("exposure_", "auto incident fixed"),
+    ),
+    "ground_where": Choice(
+        title="Ground: where",
+        description="One condition on where a layer lies. Its border runs along the bound; the "
+        "color fades over the softness about it.",
+        of="Kind of condition.",
+        group="scenec.conditions",
+        shared="of_conditions",
+        prefix="Condition",
+        kinds=kinds("condition_", "height slope curvature flow crater_freshness noise point path"),
+    ),
+    "imaging_exposure": Choice(
+        title="Imaging: exposure",
+        description="Exposure time and speed of the sensor.",
+        of="Kind.",
+        prefix="Imaging exposure",
+        kinds=kinds("imaging_exposure_", "metered manual auto"),
+    ),
+    "lens": Choice(
+        title="Lens",
+        description="How the lens bends the picture. The parameters are OpenCV's, so that its "
+        "calibrations can be pasted; but the center of the top left pixel is (0.5, 0.5), OpenCV's "
+        "(0, 0): its cx and cy are less by a half.",
+        of="Kind of lens.",
+        prefix="Lens",
+        kinds=kinds("lens_", "brown_conrady kannala_brandt equirectangular"),
+        keywords={"x-whole": True},
+    ),
+    "light_more": Choice(
+        title="Further sun",
+        description="A disc far away, beside the sun.",
+        of="Kind of disc.",
+        prefix="Further sun",
+        kinds=kinds("light_", "sun earthshine"),
+    ),
+    "light_mount": Choice(
+        title="Lamp's mount",
+        description="What a lamp is fixed to.",
+        of="Kind of mount.",
+        prefix="Lamp's mount",
+        kinds=kinds("light_mount_", "rig world"),
+    ),
+    "objects": Choice(
+        title="Objects",
+        description="One class of objects.",
+        of="Kind of objects.",
+        prefix="Objects",
+        kinds=kinds("objects_", "rocks meshes placed"),
+    ),
+    "objects_where": Choice(
+        title="Objects: where",
+        description="One condition on where objects lie; several multiply.",
+        of="Kind of condition.",
+        group="scenec.conditions",
+        shared="of_conditions",
+        prefix="Condition",
+        kinds=kinds(
+            "condition_",
+            "height slope curvature flow crater_freshness noise point path",
+            material="relief_mask_material",
+        )
+        | kinds("condition_", "camera object"),
+    ),
+    "pose": Choice(
+        title="Pose",
+        description="Where a rig is in each sample.",
+        of="Kind of pose.",
+        group="scenec.poses",
+        shared="of_poses",
+        prefix="Pose",
+        kinds=kinds("pose_", "random_target track random orbit lawn_mower rover mav descent"),
+    ),
+    "pose_center": Choice(
+        title="Pose: center",
+        description="What an orbit goes around.",
+        of="Kind of center.",
+        prefix="Center",
+        kinds=kinds("pose_center_", "point object"),
+    ),
+    "pose_look": Choice(
+        title="Pose: look",
+        description="What a random pose looks at.",
+        of="Kind of look.",
+        prefix="Look",
+        kinds=kinds("pose_look_", "direction point object"),
+    ),
+    "reflectance": Choice(
+        title="Reflectance",
+        description="How the dull part of a surface scatters light.",
+        of="Kind of reflectance.",
+        prefix="Reflectance",
+        kinds=kinds("reflectance_", "lambert lommel_seeliger hapke"),
+    ),
+    "relief": Choice(
+        title="Relief operator",
+        description="One step in shaping the terrain.",
+        of="Kind of operator.",
+        group="scenec.relief",
+        shared="of_relief",
+        prefix="Relief",
+        kinds=kinds(
+            "relief_",
+            "plane dem mesh multifractal worley polygons crust craters dunes barchans ripples "
+            "terraces stream_power thermal diffusion smooth tracks footprints",
+        ),
+    ),
+    "relief_mask": Choice(
+        title="Relief mask",
+        description="One condition on where an operator acts; several multiply. A masked operator "
+        "is a blend of before and after, so it conserves nothing.",
+        of="Kind of condition.",
+        group="scenec.conditions",
+        shared="of_conditions",
+        prefix="Condition",
+        kinds=kinds(
+            "condition_",
+            "height slope curvature flow crater_freshness noise point path",
+            material="relief_mask_material",
+        ),
+    ),
+    "sky": Choice(
+        title="Sky",
+        description="What surrounds the scene.",
+        of="Kind of sky.",
+        prefix="Sky",
+        kinds=kinds("sky_", "atmosphere clear image none overcast"),
+    ),
+    "surface": Choice(
+        title="Surface",
+        description="Pictures of color, roughness and normals that the compiler makes, without "
+        "seams; base_color and roughness of the material are their means.",
+        of="Kind of surface.",
+        group="scenec.surfaces",
+        shared="of_surfaces",
+        prefix="Surface",
+        kinds=kinds(
+            "surface_",
+            "granite basalt sandstone breccia weathered sand gravel mud_cracks regolith soil "
+            "pavement turf",
+        ),
+    ),
+}
+#: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
+CLASSES = {
+    "cfg": "kinds.declared_whole:Cfg",
+    "clouds_cirrus": "kinds.declared_light:CloudsCirrus",
+    "clouds_cumulus": "kinds.declared_light:CloudsCumulus",
+    "condition_camera": "kinds.declared_conditions:ConditionCamera",
+    "condition_crater_freshness": "kinds.declared_conditions:ConditionCraterFreshness",
+    "condition_curvature": "kinds.declared_conditions:ConditionCurvature",
+    "condition_flow": "kinds.declared_conditions:ConditionFlow",
+    "condition_height": "kinds.declared_conditions:ConditionHeight",
+    "condition_noise": "kinds.declared_conditions:ConditionNoise",
+    "condition_object": "kinds.declared_conditions:ConditionObject",
+    "condition_path": "kinds.declared_conditions:ConditionPath",
+    "condition_point": "kinds.declared_conditions:ConditionPoint",
+    "condition_ragged": "kinds.declared_conditions:ConditionRagged",
+    "condition_slope": "kinds.declared_conditions:ConditionSlope",
+    "density_around": "kinds.declared_densities:DensityAround",
+    "density_clusters": "kinds.declared_densities:DensityClusters",
+    "density_image": "kinds.declared_densities:DensityImage",
+    "density_noise": "kinds.declared_densities:DensityNoise",
+    "density_path": "kinds.declared_densities:DensityPath",
+    "density_rings": "kinds.declared_densities:DensityRings",
+    "density_uniform": "kinds.declared_densities:DensityUniform",
+    "density_worley": "kinds.declared_densities:DensityWorley",
+    "depth_camera_stereo": "kinds.declared_cameras:DepthCameraStereo",
+    "depth_camera_time_of_flight": "kinds.declared_cameras:DepthCameraTimeOfFlight",
+    "displacement_crust": "kinds.declared_relief:DisplacementCrust",
+    "displacement_multifractal": "kinds.declared_relief:DisplacementMultifractal",
+    "displacement_terraces": "kinds.declared_relief:DisplacementTerraces",
+    "displacement_worley": "kinds.declared_relief:DisplacementWorley",
+    "exposure_auto": "kinds.declared_cameras:ExposureAuto",
+    "exposure_fixed": "kinds.declared_cameras:ExposureFixed",
+    "exposure_incident": "kinds.declared_cameras:ExposureIncident",
+    "focus": "kinds.declared_cameras:Focus",
+    "ground_base": "kinds.declared_terrain:GroundBase",
+    "ground_layer": "kinds.declared_terrain:GroundLayer",
+    "ground_noise": "kinds.declared_terrain:GroundNoise",
+    "imaging": "kinds.declared_cameras:Imaging",
+    "imaging_bloom": "kinds.declared_cameras:ImagingBloom",
+    "imaging_dark_current": "kinds.declared_cameras:ImagingDarkCurrent",
+    "imaging_defects": "kinds.declared_cameras:ImagingDefects",
+    "imaging_exposure_auto": "kinds.declared_cameras:ImagingExposureAuto",
+    "imaging_exposure_manual": "kinds.declared_cameras:ImagingExposureManual",
+    "imaging_exposure_metered": "kinds.declared_cameras:ImagingExposureMetered",
+    "imaging_jpeg": "kinds.declared_cameras:ImagingJpeg",
+    "imaging_vignetting": "kinds.declared_cameras:ImagingVignetting",
+    "intrinsics": "kinds.declared_cameras:Intrinsics",
+    "label_choice": "kinds.declared_whole:LabelChoice",
+    "labels": "kinds.declared_whole:Labels",
+    "lens_brown_conrady": "kinds.declared_cameras:LensBrownConrady",
+    "lens_equirectangular": "kinds.declared_cameras:LensEquirectangular",
+    "lens_kannala_brandt": "kinds.declared_cameras:LensKannalaBrandt",
+    "lidar": "kinds.declared_cameras:Lidar",
+    "lidar_noise": "kinds.declared_cameras:LidarNoise",
+    "light": "kinds.declared_light:Light",
+    "light_clouds": "kinds.declared_light:LightClouds",
+    "light_earthshine": "kinds.declared_light:LightEarthshine",
+    "light_haze": "kinds.declared_light:LightHaze",
+    "light_lamp": "kinds.declared_light:LightLamp",
+    "light_mount_rig": "kinds.declared_light:LightMountRig",
+    "light_mount_world": "kinds.declared_light:LightMountWorld",
+    "light_sun": "kinds.declared_light:LightSun",
+    "light_target": "kinds.declared_light:LightTarget",
+    "material": "kinds.declared_materials:Material",
+    "material_cells": "kinds.declared_materials:MaterialCells",
+    "material_far": "kinds.declared_materials:MaterialFar",
+    "material_maps": "kinds.declared_materials:MaterialMaps",
+    "model": "kinds.declared_objects:Model",
+    "model_part": "kinds.declared_objects:ModelPart",
+    "mount": "kinds.declared_cameras:Mount",
+    "object_detail": "kinds.declared_objects:ObjectDetail",
+    "object_pose": "kinds.declared_objects:ObjectPose",
+    "objects_apart": "kinds.declared_objects:ObjectsApart",
+    "objects_meshes": "kinds.declared_objects:ObjectsMeshes",
+    "objects_placed": "kinds.declared_objects:ObjectsPlaced",
+    "objects_rocks": "kinds.declared_objects:ObjectsRocks",
+    "objects_rocks_coating": "kinds.declared_objects:ObjectsRocksCoating",
+    "objects_rocks_fillet": "kinds.declared_objects:ObjectsRocksFillet",
+    "objects_scattered": "kinds.declared_objects:ObjectsScattered",
+    "pose_center_object": "kinds.declared_poses:PoseCenterObject",
+    "pose_center_point": "kinds.declared_poses:PoseCenterPoint",
+    "pose_descent": "kinds.declared_poses:PoseDescent",
+    "pose_lawn_mower": "kinds.declared_poses:PoseLawnMower",
+    "pose_limits": "kinds.declared_poses:PoseLimits",
+    "pose_look_direction": "kinds.declared_poses:PoseLookDirection",
+    "pose_look_object": "kinds.declared_poses:PoseLookObject",
+    "pose_look_point": "kinds.declared_poses:PoseLookPoint",
+    "pose_mav": "kinds.declared_poses:PoseMav",
+    "pose_orbit": "kinds.declared_poses:PoseOrbit",
+    "pose_random": "kinds.declared_poses:PoseRandom",
+    "pose_random_target": "kinds.declared_poses:PoseRandomTarget",
+    "pose_rover": "kinds.declared_poses:PoseRover",
+    "pose_sampling": "kinds.declared_poses:PoseSampling",
+    "pose_track": "kinds.declared_poses:PoseTrack",
+    "reflectance_hapke": "kinds.declared_materials:ReflectanceHapke",
+    "reflectance_lambert": "kinds.declared_materials:ReflectanceLambert",
+    "reflectance_lommel_seeliger": "kinds.declared_materials:ReflectanceLommelSeeliger",
+    "relief_barchans": "kinds.declared_relief:ReliefBarchans",
+    "relief_craters": "kinds.declared_relief:ReliefCraters",
+    "relief_crust": "kinds.declared_relief:ReliefCrust",
+    "relief_dem": "kinds.declared_relief:ReliefDem",
+    "relief_diffusion": "kinds.declared_relief:ReliefDiffusion",
+    "relief_dunes": "kinds.declared_relief:ReliefDunes",
+    "relief_footprints": "kinds.declared_relief:ReliefFootprints",
+    "relief_mask_material": "kinds.declared_conditions:ReliefMaskMaterial",
+    "relief_mesh": "kinds.declared_relief:ReliefMesh",
+    "relief_mesh_roughness": "kinds.declared_relief:ReliefMeshRoughness",
+    "relief_multifractal": "kinds.declared_relief:ReliefMultifractal",
+    "relief_plane": "kinds.declared_relief:ReliefPlane",
+    "relief_polygons": "kinds.declared_relief:ReliefPolygons",
+    "relief_ripples": "kinds.declared_relief:ReliefRipples",
+    "relief_smooth": "kinds.declared_relief:ReliefSmooth",
+    "relief_stream_power": "kinds.declared_relief:ReliefStreamPower",
+    "relief_terraces": "kinds.declared_relief:ReliefTerraces",
+    "relief_thermal": "kinds.declared_relief:ReliefThermal",
+    "relief_tracks": "kinds.declared_relief:ReliefTracks",
+    "relief_worley": "kinds.declared_relief:ReliefWorley",
+    "rig": "kinds.declared_cameras:Rig",
+    "sensor": "kinds.declared_cameras:Sensor",
+    "shutter": "kinds.declared_cameras:Shutter",
+    "sky_atmosphere": "kinds.declared_light:SkyAtmosphere",
+    "sky_clear": "kinds.declared_light:SkyClear",
+    "sky_image": "kinds.declared_light:SkyImage",
+    "sky_label_map": "kinds.declared_light:SkyLabelMap",
+    "sky_label_maps": "kinds.declared_light:SkyLabelMaps",
+    "sky_none": "kinds.declared_light:SkyNone",
+    "sky_overcast": "kinds.declared_light:SkyOvercast",
+    "sun": "kinds.declared_light:Sun",
+    "surface_basalt": "kinds.declared_surfaces:SurfaceBasalt",
+    "surface_breccia": "kinds.declared_surfaces:SurfaceBreccia",
+    "surface_granite": "kinds.declared_surfaces:SurfaceGranite",
+    "surface_gravel": "kinds.declared_surfaces:SurfaceGravel",
+    "surface_mud_cracks": "kinds.declared_surfaces:SurfaceMudCracks",
+    "surface_pavement": "kinds.declared_surfaces:SurfacePavement",
+    "surface_regolith": "kinds.declared_surfaces:SurfaceRegolith",
+    "surface_sand": "kinds.declared_surfaces:SurfaceSand",
+    "surface_sandstone": "kinds.declared_surfaces:SurfaceSandstone",
+    "surface_soil": "kinds.declared_surfaces:SurfaceSoil",
+    "surface_turf": "kinds.declared_surfaces:SurfaceTurf",
+    "surface_weathered": "kinds.declared_surfaces:SurfaceWeathered",
+    "terrain": "kinds.declared_terrain:Terrain",
+    "terrain_horizon": "kinds.declared_terrain:TerrainHorizon",
+    "terrain_mesh": "kinds.declared_terrain:TerrainMesh",
+    "terrain_shade": "kinds.declared_terrain:TerrainShade",
+    "trigger": "kinds.declared_cameras:Trigger",
+}
+
+
+def class_of(name: str) -> type[Any]:
+    """Returns the class that declares an object or a kind, by its name in ``CLASSES``."""
+    made: type[Any] = _loaded(CLASSES[name])
+    return made
+
+
+def kind_of(choice: str, name: str) -> type[Any]:
+    """Returns the class of a kind by its ``type``; another package's where it is no own one.
+
+    Raises:
+        ScenecError: No package offers it, or what it offers is no kind.
+    """
+    found = CHOICES[choice]
+    return class_of(found.kinds[name]) if name in found.kinds else load_kind(found.group, name)
+
+
+@cache
+def _loaded(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(f"scenec.compiler.{module}"), name)

@@ -1,0 +1,58 @@
+"""Writes what is made of the cfg's declarations: its JSON Schema, its reference page, its types.
+
+python -m tools.declarations
+
+``schemas/cfg.schema.json`` and ``docs/cfg.md`` are part of the repository, and tests hold them
+against the declarations; ``compiler/cfg/builder.pyi`` is not.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tools import cfg_stub
+
+from scenec.compiler.kinds import schema
+from scenec.compiler.kinds.generate import bundle
+from scenec.studies.pages import cfg_reference
+
+TARGET = Path(__file__).resolve().parents[1] / "schemas" / "cfg.schema.json"
+
+
+def text() -> str:
+    """Returns the schema's file: a line for each key of the cfg."""
+    whole = bundle()
+    definitions = whole.pop("$defs")
+    lines = [f"  {_line(key)}: {_line(value)}," for key, value in whole.items()]
+    made = [f"    {_line(name)}: {_definition(one)}" for name, one in definitions.items()]
+    return "{\n" + "\n".join(lines) + '\n  "$defs": {\n' + ",\n".join(made) + "\n  }\n}\n"
+
+
+def _definition(of: dict[str, Any]) -> str:
+    parts = []
+    for key, value in of.items():
+        if key == "properties":
+            below = ",\n".join(f"        {_line(k)}: {_line(v)}" for k, v in value.items())
+            parts.append(f'      "properties": {{\n{below}\n      }}')
+        else:
+            parts.append(f"      {_line(key)}: {_line(value)}")
+    return "{\n" + ",\n".join(parts) + "\n    }"
+
+
+def _line(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def main() -> None:
+    """Writes all three."""
+    TARGET.write_text(text(), encoding="utf-8")
+    for cached in (schema.load_bundle, schema.load_schemas):
+        cached.cache_clear()
+    cfg_reference.TARGET.write_text(cfg_reference.make(), encoding="utf-8")
+    cfg_stub.TARGET.write_text(cfg_stub.make(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
