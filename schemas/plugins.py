@@ -235,6 +235,11 @@ def load_kind(group: str, name: str) -> type[Any]:
     return made  # type: ignore[return-value]
 
 
+def plugin_name(group: str, kind: type[Any]) -> str:
+    """Returns the name that a class was loaded by."""
+    return _names[group, kind]
+
+
 class Kinds[T](dict[str, T]):
     """Classes by the name that a cfg gives; other packages' are loaded when they are asked for."""
 

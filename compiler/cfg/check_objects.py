@@ -35,7 +35,6 @@ def check_objects(cfg: Node) -> Iterator[Finding]:
             yield from _check_weights(thing)
         if thing["type"] == "placed":
             yield from _check_poses(thing)
-        yield from _check_density(cfg, thing)
         yield from _check_others(thing, before, list(cfg.at("objects").entries))
         before.append(str(thing.path[-1]))
 
@@ -132,26 +131,6 @@ def _check_poses(thing: Node) -> Iterator[Finding]:
             yield pose.fault(
                 f"{pose['model']}: expected an index into models, at most {count - 1}", "model"
             )
-
-
-def _check_density(cfg: Node, thing: Node) -> Iterator[Finding]:
-    density = thing.at("density")
-    if density["type"] == "clusters":
-        yield from density.either("parents", "parents_per_m2", "how many clusters there are")
-    if density["type"] != "rings":
-        return
-    if "craters" not in [node.entries.get("type") for node in cfg.each("terrain", "relief", "*")]:
-        yield density.fault(
-            'no craters in the relief: expected an operator of the type "craters"', "type"
-        )
-    low, high = density.span("min_radii"), density.span("max_radii")
-    least = low or ((density["min_radii"],) * 2 if "min_radii" not in density else None)
-    most = high or ((density["max_radii"],) * 2 if "max_radii" not in density else None)
-    if least and most and least[1] >= most[0]:
-        yield density.fault(
-            f"min_radii ({least[1]:g}) can reach max_radii ({most[0]:g}): expected it below",
-            "min_radii" if low else "max_radii",
-        )
 
 
 def _check_others(thing: Node, before: list[str], names: list[str]) -> Iterator[Finding]:

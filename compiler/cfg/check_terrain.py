@@ -27,12 +27,6 @@ def check_terrain(cfg: Node) -> Iterator[Finding]:
             )
         if operator["type"] == "mesh":
             yield from _check_mesh(operator)
-        low, high = operator.span("min_diameter_m"), operator.span("max_diameter_m")
-        if low and high and low[1] > high[0]:
-            yield operator.fault(
-                f"{low[1]:g} m can be above max_diameter_m ({high[0]:g} m): expected it below",
-                "min_diameter_m",
-            )
     masks = ((*relief, "mask") for relief in reliefs)
     others = ("terrain", "ground"), ("terrain", "shades"), ("objects",)
     for pattern in (*masks, *((*of, "*", "where") for of in others)):
@@ -101,19 +95,6 @@ def _check_condition(cfg: Node, condition: Node) -> Iterator[Finding]:
         yield from _check_material(cfg, condition)
     if kind in (None, "material"):
         return
-    if kind == "crater_freshness":
-        # Only craters leave fresh ground; a mask sees those laid before it.
-        masks = condition.path[0] == "terrain" and "relief" in condition.path
-        of = condition.path[: condition.path.index("relief")] if masks else ("terrain",)
-        laid = cfg.at(*of).each("relief", "*")
-        if masks:
-            laid = [one for one in laid if one.path < condition.path[: len(one.path)]]
-        if "craters" not in [operator.entries.get("type") for operator in laid]:
-            where = " before this one" if masks else ""
-            yield condition.fault(
-                f'no craters in the relief{where}: expected an operator of the type "craters"',
-                "type",
-            )
     low, high = (
         next((key for key in condition.entries if key == end or key.startswith(f"{end}_")), None)
         for end in ("min", "max")

@@ -10,6 +10,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from scenec.compiler.cfg.check_files import check_files
+from scenec.compiler.cfg.check_kinds import check_kinds
 from scenec.compiler.cfg.check_light import check_light
 from scenec.compiler.cfg.check_materials import check_materials
 from scenec.compiler.cfg.check_names import check_names
@@ -101,6 +102,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
     for check in _CHECKS:
         findings += check(cfg)
+    findings += check_kinds(fields, cfg)
     folder = folder_of(path)
     files, file_findings = check_files(fields, cfg, folder)
     findings += [finding for finding in file_findings if not finding.is_warning]

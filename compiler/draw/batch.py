@@ -11,7 +11,6 @@ from scenec.compiler.cfg.fill import Cfg
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.craters import draw_craters
 from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.materials import draw_materials
@@ -21,6 +20,7 @@ from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_tra
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.objects.placed import PlacedPlan
@@ -33,10 +33,10 @@ from scenec.compiler.terrain.operators.barchans import draw_barchans
 from scenec.compiler.terrain.operators.footprints import draw_footprints
 from scenec.compiler.terrain.sources.mesh_base import Roughness
 
+_DECLARED = ("craters", "multifractal")
 #: Relief operators that are many things, each drawn.
 _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
     "barchans": draw_barchans,
-    "craters": draw_craters,
     "footprints": draw_footprints,
 }
 #: Samples across the relief of a horizon that says nothing of them.
@@ -169,8 +169,12 @@ def _displacement(
     path = f"materials/{material}/displacement"
     parts: list[Detail] = []
     for i, node in enumerate(spec.cfg["materials"][material]["displacement"] or []):
-        drawn = resolve(node, setting.streams, f"{path}/{i}")
-        parts.append(of_keys(OPERATORS, drawn, f"{path}/{i}", setting).everywhere())
+        if node["type"] in _DECLARED:
+            made = draw_kind("displacement", node, f"{path}/{i}", setting)
+        else:
+            drawn = resolve(node, setting.streams, f"{path}/{i}")
+            made = of_keys(OPERATORS, drawn, f"{path}/{i}", setting)
+        parts.append(made.everywhere())
     pictured = displacement_of(maps)
     if pictured is not None:
         parts.append(pictured)
@@ -182,7 +186,9 @@ def _relief(cfg: Mapping[str, Any], path: str, setting: Context) -> ReliefOperat
     streams, cfg = setting.streams, dict(cfg)
     mask = cfg.pop("mask")
     operator: ReliefOperator
-    if cfg["type"] in _SCATTERED:
+    if cfg["type"] in _DECLARED:
+        operator = draw_kind("relief", cfg, path, setting)
+    elif cfg["type"] in _SCATTERED:
         operator = _SCATTERED[cfg["type"]](cfg, streams, path, setting.size_m)
     else:
         node = resolve(cfg, streams, path)

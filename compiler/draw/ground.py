@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.draw.of_keys import of_keys, ragged_of
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.terrain.condition import QUANTITIES, Condition, Interval
+from scenec.compiler.terrain.condition import Condition, draw_condition
 from scenec.compiler.terrain.shade import Shade
 
 
 def draw_merges(setting: Context) -> tuple[tuple[Merge, ...], tuple[float | None, ...]]:
     """One merge for each layer after the base, and the part of the terrain each shall cover."""
+    setting = replace(setting, choice="ground_where")
     merges, coverage = [], []
     for i, layer in enumerate(setting.ground[1:], start=1):
         path = f"terrain/ground/{i}"
@@ -32,7 +33,7 @@ def draw_merges(setting: Context) -> tuple[tuple[Merge, ...], tuple[float | None
                 threshold=0.5 if layer["threshold"] is None else layer["threshold"],
                 noisy=layer["noise"] is not None,
                 where=tuple(
-                    draw_condition(node, f"{path}/where/{k}", setting)
+                    draw_condition(node, setting.at(f"{path}/where/{k}"))
                     for k, node in enumerate(layer["where"] or ())
                 ),
             )
@@ -43,42 +44,27 @@ def draw_merges(setting: Context) -> tuple[tuple[Merge, ...], tuple[float | None
 
 def draw_shades(shades: Sequence[Mapping[str, Any]], setting: Context) -> tuple[Shade, ...]:
     """Where the ground is darker or lighter."""
-    drawn = []
+    setting, drawn = replace(setting, choice="ground_where"), []
     for i, node in enumerate(shades):
         path = f"terrain/shades/{i}"
         resolved = resolve(node, setting.streams, path)
         where = [
-            draw_condition(condition, f"{path}/where/{k}", setting)
+            draw_condition(condition, setting.at(f"{path}/where/{k}"))
             for k, condition in enumerate(resolved["where"])
         ]
         drawn.append(Shade(resolved["by"], tuple(where)))
     return tuple(drawn)
 
 
-def draw_condition(node: Mapping[str, Any], path: str, setting: Context) -> Interval:
-    """One condition: its bounds, and a quantity whose fields are its other keys."""
-    kind, rest = QUANTITIES[node["type"]], dict(node)
-    # Their names end with the unit.
-    low, high, softness = (
-        rest.pop(next(key for key in node if key.partition("_")[0] == name))
-        for name in ("min", "max", "softness")
-    )
-    low, high = (None if bound is None else kind.of_bound(bound) for bound in (low, high))
-    ragged = ragged_of(rest.pop("ragged"), setting.streams, path)
-    return Interval(of_keys(QUANTITIES, rest, path, setting), low, high, softness, ragged)
-
-
 def draw_mask(
     mask: Sequence[Mapping[str, Any]], path: str, setting: Context
 ) -> tuple[Condition, ...]:
     """The mask of an operator."""
+    setting = replace(setting, choice="relief_mask")
     conditions: list[Condition] = []
     for i, node in enumerate(mask):
         if node["type"] == "material":
             conditions.append(MaterialCondition(setting.layers_of(node), *draw_merges(setting)))
             continue
-        if node["type"] == "slope" and node["over_m"] is None:
-            # An operator asks for the slope of the heights as they are.
-            node = {**node, "over_m": 0.0}
-        conditions.append(draw_condition(node, f"{path}/{i}", setting))
+        conditions.append(draw_condition(node, setting.at(f"{path}/{i}")))
     return tuple(conditions)

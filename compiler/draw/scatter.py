@@ -10,42 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.distributions.laws import arrivals, golombek_rapp_per_m2, pick
+from scenec.compiler.distributions.laws import golombek_rapp_per_m2, pick
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.ground import draw_condition
-from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.objects.conditions import (
-    FromCameras,
-    FromObjects,
     OffTerrain,
     OnMaterial,
     OnRelief,
     PlacementCondition,
 )
-from scenec.compiler.objects.density import (
-    CLUSTER_REACH,
-    AroundDensity,
-    ClusterDensity,
-    Density,
-    ImageDensity,
-    NoiseDensity,
-    PathDensity,
-    RingDensity,
-    UniformDensity,
-    WorleyDensity,
-)
 from scenec.compiler.objects.feet import FilletPlan
 from scenec.compiler.scene.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
 from scenec.compiler.scene.scene import Labels
+from scenec.compiler.terrain.condition import draw_condition
 from scenec.schemas.errors import SceneError
-from scenec.schemas.plugins import Kinds
 
 #: Objects of one class at most.
 MOST_OBJECTS = 100_000_000
-#: Parents of clusters at most.
-_MOST_PARENTS = 4_000_000
 
 Orientation = Literal["random", "upright", "normal"]
 #: Of prototypes, int32 [n], and uniform numbers, [n, 3]: turns about the vertical, in whole ones.
@@ -103,7 +86,7 @@ def draw_scattered(
         instances=cfg["instances"],
         source=source,
         count=count,
-        density=_density(node["density"], f"{path}/density", setting),
+        density=draw_kind("density", node["density"], f"{path}/density", setting),
         where=(
             *where,
             *(
@@ -175,56 +158,13 @@ def _most(path: str, count: Count, setting: Context) -> int:
     return most
 
 
-_DENSITIES: Kinds[type[Density]] = Kinds(
-    "scenec.densities",
-    {
-        "uniform": UniformDensity,
-        "noise": NoiseDensity,
-        "worley": WorleyDensity,
-        "image": ImageDensity,
-        "path": PathDensity,
-        "rings": RingDensity,
-        "around": AroundDensity,
-    },
-)
-_DISTANCES: dict[str, type[PlacementCondition]] = {"camera": FromCameras, "object": FromObjects}
-
-
-def _density(node: Mapping[str, Any], path: str, setting: Context) -> Density:
-    if node["type"] == "clusters":
-        return _clusters(node, path, setting)
-    return of_keys(_DENSITIES, node, path, setting)
-
-
-def _clusters(cfg: Mapping[str, Any], path: str, setting: Context) -> ClusterDensity:
-    """Parents, over the terrain and as far around it as their clusters reach."""
-    streams = setting.streams
-    margin = 2.0 * CLUSTER_REACH * cfg["sigma_m"]
-    width, depth = setting.size_m[0] + margin, setting.size_m[1] + margin
-    area = setting.size_m[0] * setting.size_m[1]
-    if cfg["parents"] is not None:
-        mean = cfg["parents"] * (width * depth / area)
-    else:
-        mean = cfg["parents_per_m2"] * width * depth
-    if not mean <= _MOST_PARENTS:
-        raise SceneError(
-            f"{path}: {mean:.3g} parents are expected on the terrain and around it, at most "
-            f"{_MOST_PARENTS:,} are taken; ask for fewer, or lower sigma_m"
-        )
-    if cfg["parents"] is not None:
-        n = max(1, int(mean + 0.5))
-    else:
-        n = int(np.searchsorted(arrivals(streams, f"{path}/parents", mean), mean))
-    u = uniforms(streams, f"{path}/position", n, 2) - 0.5
-    return ClusterDensity(u[:, 0] * width, u[:, 1] * depth, cfg["sigma_m"], cfg["background"])
-
-
 def _place(node: Mapping[str, Any], path: str, setting: Context) -> PlacementCondition:
     if node["type"] == "material":
         return OnMaterial(setting.layers_of(node))
-    if node["type"] in _DISTANCES:
-        return of_keys(_DISTANCES, node, path, setting)
-    return OnRelief(draw_condition(node, path, setting))
+    if node["type"] in ("camera", "object"):
+        made: PlacementCondition = draw_kind("objects_where", node, path, setting)
+        return made
+    return OnRelief(draw_condition(node, replace(setting, path=path, choice="objects_where")))
 
 
 def _random_turns(u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.distributions.streams import Streams
 
@@ -36,6 +39,8 @@ class Context:
         ground: The cfg's ground layers, resolved.
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.
+        path: Of what is drawn: "terrain/relief/0".
+        choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
     """
 
     streams: Streams
@@ -44,6 +49,20 @@ class Context:
     ground: Sequence[Mapping[str, Any]] = ()
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    path: str = ""
+    choice: str = ""
+
+    def at(self, path: str) -> Context:
+        """Returns the context of what is drawn at a place."""
+        return replace(self, path=path)
+
+    def key(self, below: str = "") -> int:
+        """Returns the noise key of what is drawn, or of something below it."""
+        return self.streams.key(f"{self.path}/{below}" if below else self.path)
+
+    def uniforms(self, below: str, n: int, columns: int) -> NDArray[np.float64]:
+        """Returns uniform numbers, [n, columns]; a larger n leaves the first rows as they are."""
+        return self.streams.uniforms(f"{self.path}/{below}", n * columns).reshape(n, columns)
 
     def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""

@@ -34,14 +34,20 @@ _KEY, _GIVEN = "scenec.key", "scenec.given"
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…")."""
+    """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…").
+
+    Attributes:
+        drawn: Name of the object (``table.CLASSES``) that a kind gets in place of what the cfg
+            says; "": as it stands there.
+    """
 
     keywords: Mapping[str, Any]
+    drawn: str = ""
 
     def but(self, **keywords: Any) -> Form:
         """Returns the same form with other keywords; an underscore stands for a hyphen."""
         own = {name.replace("_", "-"): value for name, value in keywords.items()}
-        return Form({**self.keywords, **own})
+        return dataclasses.replace(self, keywords={**self.keywords, **own})
 
 
 _BOUNDS = {
@@ -56,7 +62,7 @@ _BOUNDS = {
 def bounded(form: Form, **bounds: Any) -> Form:
     """Returns a form within bounds: above, at_least, below, at_most, unit."""
     own = {_BOUNDS[name]: bound for name, bound in bounds.items() if bound is not None}
-    return Form({**form.keywords, **own})
+    return dataclasses.replace(form, keywords={**form.keywords, **own})
 
 
 def key(
@@ -87,9 +93,14 @@ def key(
     more = {} if default is NONE else {"default": default}
     if sparse:
         more["x-sparse"] = True
-    form = Form({**form.keywords, **more})
+    form = dataclasses.replace(form, keywords={**form.keywords, **more})
     needed = not (optional or sparse or "default" in form.keywords)
-    return dataclasses.field(metadata={_KEY: Key(name, form, needed)})
+    usual: dict[str, Any] = {} if needed else {"default": form.keywords.get("default")}
+    if isinstance(usual.get("default"), list):
+        usual["default"] = tuple(usual["default"])
+    elif isinstance(usual.get("default"), dict):
+        del usual["default"]
+    return dataclasses.field(metadata={_KEY: Key(name, form, needed)}, **usual)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,17 +113,37 @@ class Key:
 
 
 def given(make: Callable[[Any], Any]) -> Any:
-    """Declares a field that no cfg says: it is made of the context (``context.Context``)."""
-    return dataclasses.field(metadata={_GIVEN: make})
+    """Declares a field that no cfg says: it is made of the context (``context.Context``).
+
+    It is given by name. It stands last where it is called ``key``, which then is no function there.
+    """
+    return dataclasses.field(metadata={_GIVEN: make}, kw_only=True)
 
 
-def made_of_context(kind: type[Any], context: Any) -> dict[str, Any]:
-    """Returns the values of a class's fields that no cfg says."""
-    return {
-        field.name: field.metadata[_GIVEN](context)
-        for field in dataclasses.fields(kind)
-        if _GIVEN in field.metadata
-    }
+def noise_key() -> Any:
+    """Declares a field that is a key for hash noises, of the place where the kind stands."""
+    return given(lambda context: context.key())
+
+
+def made_of_context(kind: type[Any], context: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the values of a class's fields that no cfg says.
+
+    Args:
+        kind: A dataclass; another package's says by the names of its fields what it wants.
+        context: See ``context.Context``.
+        values: Of the keys.
+    """
+    fields = dataclasses.fields(kind)
+    found = {f.name: f.metadata[_GIVEN](context) for f in fields if _GIVEN in f.metadata}
+    if "key" in (f.name for f in fields) and "key" not in {**values, **found}:
+        found["key"] = context.key()
+    return found
+
+
+def keys_of(kind: type[Any]) -> dict[str, Key]:
+    """Returns what a class declares of its keys, by field, those that it derives included."""
+    fields = dataclasses.fields(kind)
+    return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
 
 
 def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
@@ -146,8 +177,9 @@ def _listed(annotation: Any, kind: type[Any]) -> list[Any]:
 
 
 def description(kind: type[Any]) -> str:
-    """Returns what a class says of itself, in one line."""
-    return " ".join((kind.__doc__ or "").split())
+    """Returns what a class says of itself, but for its notes to who reads the code, in a line."""
+    text = inspect.cleandoc(kind.__doc__ or "").partition("\n\nNote:")[0]
+    return " ".join(text.split())
 
 
 def descriptions(kind: type[Any]) -> dict[str, str]:

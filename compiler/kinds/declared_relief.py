@@ -15,14 +15,12 @@ from scenec.compiler.kinds.forms import (
     CONSTANT,
     COUNT,
     FRACTION_PER_BATCH,
-    FRACTION_PER_INSTANCE,
     GAIN,
     LACUNARITY,
     LENGTH_PER_BATCH,
     LENGTH_PER_INSTANCE,
     NOISE_SCALE_M,
     PER_BATCH,
-    PER_INSTANCE,
     WHOLE_PER_BATCH,
     WIND_DEG,
     WORDS,
@@ -48,40 +46,6 @@ class DisplacementCrust:
     """Width of a plate."""
     missing: float = key(FRACTION_PER_BATCH, default=0.25)
     """Share of the plates that are gone, in gaps of several."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DisplacementMultifractal:
-    """Fractal relief on Perlin noise (Musgrave, in Ebert et al.
-
-    2003).
-    """
-
-    EXAMPLE: ClassVar = {
-        "type": "multifractal",
-        "variant": "fbm",
-        "amplitude_m": 0.02,
-        "scale_m": 0.25,
-        "octaves": 2,
-    }
-
-    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000)
-    """Height of the first octave's extremes."""
-    scale_m: float = key(NOISE_SCALE_M)
-    octaves: int = key(WHOLE_PER_BATCH, default=3, at_least=0, at_most=24)
-    """Number of octaves."""
-    lacunarity: float = key(LACUNARITY)
-    gain: float = key(GAIN)
-    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"] = key(CHOICE, default="hetero")
-    """fbm: a plain sum; hetero: rough where it is high, smooth in the valleys; hybrid: smooth in
-    valleys at every height; ridged: sharp crests; billow: round hills between creases."""
-    offset: float = key(PER_BATCH, default=0.7, at_least=-100, at_most=100)
-    """The multifractal offset: how much the fine octaves show in the valleys (hetero, hybrid), how
-    high the crests are (ridged)."""
-    distortion: float = key(PER_BATCH, default=0, at_least=-10, at_most=10)
-    """Domain warp: how far, in units of scale_m, the noise is moved about by another noise."""
-    distortion_octaves: int = key(WHOLE_PER_BATCH, default=2, at_least=1, at_most=24)
-    """Octaves of the noise that warps; their gain is 1/2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,44 +113,6 @@ class ReliefBarchans:
     wind_deg: float = key(WIND_DEG)
     repose_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=15, at_most=60)
     """Slope of the slip faces: the angle of repose."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReliefCraters:
-    """Impact craters, fresh and worn, drawn from a size-frequency law and laid over each other and
-    over what is there in the order of their ages. A younger crater replaces what lies within it.
-    """
-
-    EXAMPLE: ClassVar = {
-        "type": "craters",
-        "min_diameter_m": 2,
-        "max_diameter_m": 12,
-        "density_per_m2": 0.02,
-        "degradation": 0.5,
-    }
-
-    min_diameter_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
-    """Smallest diameter from rim to rim; craters narrower than three spacings are left out."""
-    max_diameter_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
-    """Largest diameter."""
-    density_per_m2: float = key(PER_BATCH, default=0.033572, at_least=0, at_most=1_000_000_000)
-    """Craters larger than reference_diameter_m in a square meter. The default is the equilibrium
-    that small lunar craters are in: 0.0218 · 1.54 above 1 m."""
-    reference_diameter_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=1_000_000)
-    """Diameter that density_per_m2 is given for."""
-    exponent: float = key(PER_BATCH, default=2, above=0, at_most=10)
-    """The law's exponent b in N(>D) ∝ D^-b: 2 in equilibrium, about 3 where craters have not yet
-    destroyed each other."""
-    depth_ratio: Number = key(FRACTION_PER_INSTANCE, default=0.2)
-    """Depth below the rim of a fresh crater over its diameter: about 0.2 above 400 m, down to 0.1
-    for the smallest lunar ones."""
-    rim_ratio: Number = key(PER_INSTANCE, default=0.04, at_least=0, at_most=0.5)
-    """Height of a fresh crater's rim over its diameter."""
-    degradation: float = key(PER_BATCH, default=0.4, at_least=0, at_most=2)
-    """How worn the oldest craters are: κt/R² of the diffusion that wore them. 0 leaves all fresh;
-    at 0.1 the depth has fallen to 55 %, at 0.5 to 16 %. Ages are uniform."""
-    irregularity: float = key(PER_BATCH, default=0.08, at_least=0, at_most=0.5)
-    """How far outlines are from circles, as a part of the radius."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -441,39 +367,6 @@ class ReliefMeshRoughness:
     """Number of octaves at most; those finer than two edges of the mesh are left out. Each is half
     the size of the one before."""
     gain: float = key(GAIN)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReliefMultifractal:
-    """Fractal relief on Perlin noise, added to what is there (Musgrave, in Ebert et al.
-
-    2003).
-    """
-
-    EXAMPLE: ClassVar = {
-        "type": "multifractal",
-        "amplitude_m": {"type": "uniform", "min": 0.5, "max": 1.5},
-        "scale_m": 15,
-        "octaves": 8,
-    }
-
-    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000)
-    """Height of the first octave's extremes."""
-    scale_m: float = key(NOISE_SCALE_M)
-    octaves: int = key(WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
-    """Number of octaves at most; those finer than the spacing can show are left out."""
-    lacunarity: float = key(LACUNARITY)
-    gain: float = key(GAIN)
-    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"] = key(CHOICE, default="hetero")
-    """fbm: a plain sum; hetero: rough where it is high, smooth in the valleys; hybrid: smooth in
-    valleys at every height; ridged: sharp crests; billow: round hills between creases."""
-    offset: float = key(PER_BATCH, default=0.7, at_least=-100, at_most=100)
-    """The multifractal offset: how much the fine octaves show in the valleys (hetero, hybrid), how
-    high the crests are (ridged)."""
-    distortion: float = key(PER_BATCH, default=0, at_least=-10, at_most=10)
-    """Domain warp: how far, in units of scale_m, the noise is moved about by another noise."""
-    distortion_octaves: int = key(WHOLE_PER_BATCH, default=2, at_least=1, at_most=24)
-    """Octaves of the noise that warps; their gain is 1/2."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,9 +27,14 @@ def one_of(*values: Any) -> Form:
     return Form({"enum": list(values)})
 
 
-def an(name: str) -> Form:
-    """Returns the form of an object, or of one of several kinds, by its name in ``table``."""
-    return Form({"$ref": f"{DEFS}{name}"})
+def an(name: str, *, drawn: bool = False) -> Form:
+    """Returns the form of an object, or of one of several kinds.
+
+    Args:
+        name: Its name in ``table``.
+        drawn: Whether the kind gets the object itself, its numbers drawn, and not a mapping.
+    """
+    return Form({"$ref": f"{DEFS}{name}"}, name if drawn else "")
 
 
 def file(kind: str) -> Form:
@@ -95,7 +100,7 @@ LENGTH_PER_INSTANCE = bounded(PER_INSTANCE, unit="m")
 ANGLE_PER_BATCH = bounded(PER_BATCH, unit="°")
 ANGLE_PER_SAMPLE = bounded(PER_SAMPLE, unit="°")
 WHOLE_PER_BATCH = PER_BATCH.but(x_kind="integer")
-RAGGED = an("condition_ragged").but(
+RAGGED = an("condition_ragged", drawn=True).but(
     description="A noise that is added, so that the border is ragged and no contour line."
 )
 SOFTNESS_M = bounded(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000).but(

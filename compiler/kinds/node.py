@@ -72,6 +72,10 @@ class Node:
         """The object or list that stands at a key or, of several keys, below it."""
         return Node(self._tree, (*self.path, *keys))
 
+    def whole(self) -> Node:
+        """The cfg that it is a part of."""
+        return Node(self._tree)
+
     def each(self, *pattern: str) -> list[Node]:
         """The objects and lists below at keys, where ``*`` stands for any key or index."""
         found = [self]

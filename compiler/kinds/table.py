@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from scenec.schemas.plugins import load_kind
+from scenec.schemas.plugins import load_kind, plugin_name
 
 
 @dataclass(frozen=True)
@@ -234,29 +234,29 @@ CLASSES = {
     "cfg": "kinds.declared_whole:Cfg",
     "clouds_cirrus": "kinds.declared_light:CloudsCirrus",
     "clouds_cumulus": "kinds.declared_light:CloudsCumulus",
-    "condition_camera": "kinds.declared_conditions:ConditionCamera",
-    "condition_crater_freshness": "kinds.declared_conditions:ConditionCraterFreshness",
-    "condition_curvature": "kinds.declared_conditions:ConditionCurvature",
-    "condition_flow": "kinds.declared_conditions:ConditionFlow",
-    "condition_height": "kinds.declared_conditions:ConditionHeight",
-    "condition_noise": "kinds.declared_conditions:ConditionNoise",
-    "condition_object": "kinds.declared_conditions:ConditionObject",
-    "condition_path": "kinds.declared_conditions:ConditionPath",
-    "condition_point": "kinds.declared_conditions:ConditionPoint",
-    "condition_ragged": "kinds.declared_conditions:ConditionRagged",
-    "condition_slope": "kinds.declared_conditions:ConditionSlope",
-    "density_around": "kinds.declared_densities:DensityAround",
-    "density_clusters": "kinds.declared_densities:DensityClusters",
-    "density_image": "kinds.declared_densities:DensityImage",
-    "density_noise": "kinds.declared_densities:DensityNoise",
-    "density_path": "kinds.declared_densities:DensityPath",
-    "density_rings": "kinds.declared_densities:DensityRings",
-    "density_uniform": "kinds.declared_densities:DensityUniform",
-    "density_worley": "kinds.declared_densities:DensityWorley",
+    "condition_camera": "objects.conditions:FromCameras",
+    "condition_crater_freshness": "terrain.condition:Freshness",
+    "condition_curvature": "terrain.condition:Curvature",
+    "condition_flow": "terrain.condition:Flow",
+    "condition_height": "terrain.condition:Height",
+    "condition_noise": "terrain.condition:Noise",
+    "condition_object": "objects.conditions:FromObjects",
+    "condition_path": "terrain.condition:FromPath",
+    "condition_point": "terrain.condition:FromPoint",
+    "condition_ragged": "terrain.condition:Ragged",
+    "condition_slope": "terrain.condition:Slope",
+    "density_around": "objects.density:AroundDensity",
+    "density_clusters": "objects.density:Clusters",
+    "density_image": "objects.density:ImageDensity",
+    "density_noise": "objects.density:NoiseDensity",
+    "density_path": "objects.density:PathDensity",
+    "density_rings": "objects.density:RingDensity",
+    "density_uniform": "objects.density:UniformDensity",
+    "density_worley": "objects.density:WorleyDensity",
     "depth_camera_stereo": "kinds.declared_cameras:DepthCameraStereo",
     "depth_camera_time_of_flight": "kinds.declared_cameras:DepthCameraTimeOfFlight",
     "displacement_crust": "kinds.declared_relief:DisplacementCrust",
-    "displacement_multifractal": "kinds.declared_relief:DisplacementMultifractal",
+    "displacement_multifractal": "terrain.operators.multifractal:Multifractal",
     "displacement_terraces": "kinds.declared_relief:DisplacementTerraces",
     "displacement_worley": "kinds.declared_relief:DisplacementWorley",
     "exposure_auto": "kinds.declared_cameras:ExposureAuto",
@@ -327,16 +327,16 @@ CLASSES = {
     "reflectance_lambert": "kinds.declared_materials:ReflectanceLambert",
     "reflectance_lommel_seeliger": "kinds.declared_materials:ReflectanceLommelSeeliger",
     "relief_barchans": "kinds.declared_relief:ReliefBarchans",
-    "relief_craters": "kinds.declared_relief:ReliefCraters",
+    "relief_craters": "terrain.operators.craters:CraterLaw",
     "relief_crust": "kinds.declared_relief:ReliefCrust",
     "relief_dem": "kinds.declared_relief:ReliefDem",
     "relief_diffusion": "kinds.declared_relief:ReliefDiffusion",
     "relief_dunes": "kinds.declared_relief:ReliefDunes",
     "relief_footprints": "kinds.declared_relief:ReliefFootprints",
-    "relief_mask_material": "kinds.declared_conditions:ReliefMaskMaterial",
+    "relief_mask_material": "mesh.cover:Showing",
     "relief_mesh": "kinds.declared_relief:ReliefMesh",
     "relief_mesh_roughness": "kinds.declared_relief:ReliefMeshRoughness",
-    "relief_multifractal": "kinds.declared_relief:ReliefMultifractal",
+    "relief_multifractal": "terrain.operators.multifractal:Multifractal",
     "relief_plane": "kinds.declared_relief:ReliefPlane",
     "relief_polygons": "kinds.declared_relief:ReliefPolygons",
     "relief_ripples": "kinds.declared_relief:ReliefRipples",
@@ -379,7 +379,7 @@ CLASSES = {
 
 def class_of(name: str) -> type[Any]:
     """Returns the class that declares an object or a kind, by its name in ``CLASSES``."""
-    made: type[Any] = _loaded(CLASSES[name])
+    made: type[Any] = loaded(CLASSES[name])
     return made
 
 
@@ -393,7 +393,17 @@ def kind_of(choice: str, name: str) -> type[Any]:
     return class_of(found.kinds[name]) if name in found.kinds else load_kind(found.group, name)
 
 
+def name_of(choice: str, kind: type[Any]) -> str:
+    """Returns the ``type`` that a class goes by; what a kind draws says it by its ``KIND``."""
+    if "KIND" in vars(kind):
+        return str(kind.KIND)
+    place = f"{kind.__module__.removeprefix('scenec.compiler.')}:{kind.__qualname__}"
+    own = (name for name, of in CHOICES[choice].kinds.items() if CLASSES[of] == place)
+    return next(own, "") or plugin_name(CHOICES[choice].group, kind)
+
+
 @cache
-def _loaded(place: str) -> Any:
+def loaded(place: str) -> Any:
+    """Returns what stands at a place of the compiler, ``module:name``."""
     module, _, name = place.partition(":")
     return getattr(importlib.import_module(f"scenec.compiler.{module}"), name)

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, RAGGED, TEXT
 from scenec.compiler.objects.lattice import Circles, Lattice, nearest
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
@@ -87,7 +90,6 @@ class OffTerrain(PlacementCondition):
         return np.where(on_y[:, None] & on_x, 0.0, 1.0)
 
 
-@dataclass(frozen=True)
 class _Distance(PlacementCondition):
     """A distance in plan, from ``min_m`` to ``max_m``."""
 
@@ -109,7 +111,17 @@ class _Distance(PlacementCondition):
 
 @dataclass(frozen=True)
 class FromCameras(_Distance):
-    """Distances from the nearest camera of any sample."""
+    """Distances in plan from the nearest camera of any sample, between two bounds."""
+
+    EXAMPLE: ClassVar = {"type": "camera", "min_m": 6, "softness_m": 3}
+
+    min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0)
+    """Smallest distance; left out, no bound."""
+    max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0)
+    """Largest distance; left out, no bound."""
+    softness_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
+    """Width over which it fades about a bound: half of it on either side."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval; without cameras all is far."""
@@ -119,9 +131,25 @@ class FromCameras(_Distance):
 
 @dataclass(frozen=True)
 class FromObjects(_Distance):
-    """Distances from the circles around the objects of another class, below 0 within them."""
+    """Distances in plan from the objects of an earlier class, between two bounds: from the circle
+    around each, below 0 within it.
+    """
 
-    of: str
+    EXAMPLE: ClassVar = {"type": "object", "of": "lander", "min_m": 2}
+
+    of: str = key(TEXT)
+    """The class."""
+    min_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=-1000000000.0, at_most=1000000000.0
+    )
+    """Smallest distance; left out, no bound."""
+    max_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=-1000000000.0, at_most=1000000000.0
+    )
+    """Largest distance; left out, no bound."""
+    softness_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
+    """Width over which it fades about a bound: half of it on either side."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval; without objects all is far."""

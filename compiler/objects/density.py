@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,21 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pictures import read_gray
 from scenec.compiler.assets.polyline import read_polyline
+from scenec.compiler.distributions.laws import arrivals
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import given, key, noise_key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    BACKGROUND,
+    CHOICE,
+    FRACTION_PER_BATCH,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    TEXT,
+    WHOLE_PER_BATCH,
+    file,
+)
+from scenec.compiler.kinds.node import Node
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.octaves import BLOCK
 from scenec.compiler.noise.worley import worley2_points
@@ -20,13 +36,21 @@ from scenec.compiler.objects.lattice import Circles, Lattice, splat, table
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.operators.crater_profile import profile_table
-from scenec.compiler.terrain.operators.craters import Craters, shown_on
+from scenec.compiler.terrain.operators.craters import (
+    Craters,
+    craters_laid,
+    require_craters,
+    shown_on,
+)
 from scenec.compiler.terrain.polyline import project_on
+from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Beyond so many standard deviations of a cluster nothing of it lies (3e-4 would).
 CLUSTER_REACH = 4.0
+#: Parents of clusters at most.
+_MOST_PARENTS = 4_000_000
 #: A path's Gaussian ends at so many standard deviations.
 _PATH_REACH = 5.0
 
@@ -59,6 +83,8 @@ class Everywhere(Density):
 class UniformDensity(Everywhere):
     """The same everywhere."""
 
+    EXAMPLE: ClassVar = {"type": "uniform"}
+
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Relative density at points, float64 [n]."""
         return np.ones(x.shape)
@@ -66,17 +92,20 @@ class UniformDensity(Everywhere):
 
 @dataclass(frozen=True)
 class NoiseDensity(Everywhere):
-    """Clusters: density = max(0, 1 + contrast * fBm)^2.
+    """Clusters that follow a Perlin noise.
 
-    Attributes:
-        scale_m: Size of the clusters, meters.
-        contrast: 0 is uniform; from about 1 on there are empty places.
+    Note: density = max(0, 1 + contrast * fBm)^2.
     """
 
-    key: int
-    scale_m: float
-    octaves: int
-    contrast: float
+    EXAMPLE: ClassVar = {"type": "noise", "scale_m": 20, "contrast": 3}
+
+    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    """Size of the clusters."""
+    contrast: float = key(PER_BATCH, default=2, at_least=0, at_most=100)
+    """How much the clusters stand out; 0 is uniform."""
+    octaves: int = key(WHOLE_PER_BATCH, default=3, at_least=1, at_most=24)
+    """Number of octaves."""
+    key: int = noise_key()
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Relative density at points, float64 [n]."""
@@ -87,18 +116,21 @@ class NoiseDensity(Everywhere):
 
 @dataclass(frozen=True)
 class WorleyDensity(Everywhere):
-    """Heaps about points, (1 - F1)^sharpness, or lines between cells, (1 - (F2 - F1))^sharpness.
+    """Heaps, or lines between cells, of a cellular noise (Worley 1996)."""
 
-    Attributes:
-        scale_m: Width of a cell, meters.
-        jitter: How far the points are from a square lattice, 0 to 1.
+    EXAMPLE: ClassVar = {"type": "worley", "scale_m": 6, "distance": "f2-f1"}
+
+    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
+    """Width of a cell."""
+    distance: Literal["f1", "f2-f1"] = key(CHOICE, default="f1")
+    """f1: heaps about scattered points, (1 - F1)^sharpness. f2-f1: along the borders of their
+    cells, as in cracks, (1 - (F2 - F1))^sharpness. Distances are in cells, and nothing is below 0.
     """
-
-    key: int
-    scale_m: float
-    distance: Literal["f1", "f2-f1"]
-    sharpness: float
-    jitter: float
+    sharpness: float = key(PER_BATCH, default=3, at_least=0, at_most=100)
+    """Exponent: how much heaps or lines stand out; 0 is uniform."""
+    jitter: float = key(FRACTION_PER_BATCH, default=1)
+    """How far the points are from a square lattice."""
+    key: int = noise_key()
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Relative density at points, float64 [n]."""
@@ -126,13 +158,16 @@ def _worley_part(begin, end, key, x, y, jitter, first, second):  # type: ignore[
 
 @dataclass(frozen=True)
 class ImageDensity(Density):
-    """A picture over the terrain's rectangle, north at its top: each cell has its mean there.
+    """A picture, laid over the terrain's rectangle: its top row is the northern border.
 
-    Attributes:
-        file: The picture; its values are taken as they are stored, the mean of its channels.
+    Black is none; other values count in proportion, the mean of the channels, as they are
+    stored.
     """
 
-    file: Path
+    EXAMPLE: ClassVar = {"type": "image", "file": "density.png"}
+
+    file: Path = key(file("density"))
+    """PNG, JPEG, TIFF or OpenEXR: relative to the cfg, or "package:NAME/path"."""
 
     def pixels(self) -> NDArray[np.float64]:
         """The picture, row 0 in the south, float64 [h, w].
@@ -170,6 +205,58 @@ def _along(values: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> N
     return (1.0 - part) * values.take(cell, axis) + part * values.take(cell + 1, axis)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Clusters:
+    """Clusters (Thomas 1949): parents scattered evenly, objects around them, normally distributed.
+
+    Parents lie as far around the terrain as clusters reach.
+    """
+
+    EXAMPLE: ClassVar = {"type": "clusters", "parents": 9, "sigma_m": 7, "background": 0.15}
+
+    parents: int | None = key(WHOLE_PER_BATCH, optional=True, at_least=1, at_most=1_000_000)
+    """Number of parents per terrain; those around it come on top. One of parents and parents_per_m2
+    is given."""
+    parents_per_m2: float | None = key(
+        PER_BATCH, optional=True, above=0, at_most=1000000.0, unit="1/m^2"
+    )
+    """Number of parents per square meter, on average: they are a Poisson process."""
+    sigma_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
+    """Standard deviation of objects about their parent, along each axis."""
+    background: float = key(BACKGROUND)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Findings between its keys."""
+        yield from node.either("parents", "parents_per_m2", "how many clusters there are")
+
+    def draw(self, context: Context) -> ClusterDensity:
+        """Parents, over the terrain and as far around it as their clusters reach.
+
+        Raises:
+            SceneError: They are too many.
+        """
+        margin = 2.0 * CLUSTER_REACH * self.sigma_m
+        width, depth = context.size_m[0] + margin, context.size_m[1] + margin
+        if self.parents is not None:
+            mean = self.parents * (width * depth / (context.size_m[0] * context.size_m[1]))
+        else:
+            assert self.parents_per_m2 is not None
+            mean = self.parents_per_m2 * width * depth
+        if not mean <= _MOST_PARENTS:
+            raise SceneError(
+                f"{context.path}: {mean:.3g} parents are expected on the terrain and around it, at "
+                f"most {_MOST_PARENTS:,} are taken; ask for fewer, or lower sigma_m"
+            )
+        if self.parents is not None:
+            n = max(1, int(mean + 0.5))
+        else:
+            parents = arrivals(context.streams, f"{context.path}/parents", mean)
+            n = int(np.searchsorted(parents, mean))
+        u = context.uniforms("position", n, 2) - 0.5
+        return ClusterDensity(u[:, 0] * width, u[:, 1] * depth, self.sigma_m, self.background)
+
+
 @dataclass(frozen=True, eq=False)
 class ClusterDensity(Density):
     """A Thomas process' intensity: Gaussians about parents, cut at four standard deviations.
@@ -199,23 +286,23 @@ class ClusterDensity(Density):
         return 0.5 * self.sigma_m
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PathDensity(Density):
-    """Along a path, on both sides of it.
+    """Along a path, on both sides of it."""
 
-    Attributes:
-        file: The path, see ``polyline``.
-        law: Whether ``width_m`` is a Gaussian's standard deviation or half of a band's width.
-        width_m: About ``offset_m``.
-        offset_m: Distance from the path that has the most.
-        background: Part that is spread evenly.
+    EXAMPLE: ClassVar = {"type": "path", "file": "track.csv", "width_m": 4, "offset_m": 2}
+
+    file: Path = key(file("polyline"))
+    """CSV of the path's points, columns x_m and y_m: relative to the cfg, or "package:NAME/path".
     """
-
-    file: Path
-    law: Literal["gaussian", "band"]
-    width_m: float
-    offset_m: float
-    background: float
+    law: Literal["gaussian", "band"] = key(CHOICE, default="gaussian")
+    """gaussian: width_m is the standard deviation of the distance from offset_m; band: even over
+    width_m on either side of it."""
+    width_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
+    """Width, see law."""
+    offset_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
+    """Distance from the path at which they are densest, as in the berms of a track."""
+    background: float = key(BACKGROUND)
 
     def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """At the middles of cells."""
@@ -237,23 +324,38 @@ class PathDensity(Density):
 
 @dataclass(frozen=True, eq=False)
 class RingDensity(Density):
-    """Around craters: each counts with 0.14 R^0.74 (r / R)^-3, its ejecta's thickness in meters.
+    """Around the craters of the relief, as their ejecta: each crater counts with 0.14 R^0.74 (r /
+    R)^-3 (McGetchin et al. 1973; meters), times what wear has left of its depth.
 
-    That is the mean over all directions (McGetchin et al. 1973), here a measure of how many blocks
-    came with it. It is multiplied with the part of the crater's depth that wear has left.
-
-    Attributes:
-        craters: With the conditions of their masks, which are taken at their middles.
-        min_radii, max_radii: Borders of a ring, in radii of its crater; the inner one is a fade.
-        freshness: Exponent on what wear has left.
-        background: Part that is spread evenly.
+    Note: the law is the thickness of ejecta, the mean over all directions, here a measure of how
+    many blocks came with them.
     """
 
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...]
-    min_radii: float
-    max_radii: float
-    freshness: float
-    background: float
+    EXAMPLE: ClassVar = {"type": "rings", "min_radii": 1, "max_radii": 3, "background": 0.4}
+
+    min_radii: float = key(PER_BATCH, default=0.9, at_least=0, at_most=100)
+    """Inner border, in radii of the crater, 1 is the rim; within it they fade over a fifth of it.
+    """
+    max_radii: float = key(PER_BATCH, default=5, above=0, at_most=100)
+    """Outer border, in radii of the crater."""
+    freshness: float = key(PER_BATCH, default=2, at_least=0, at_most=20)
+    """Exponent on freshness: 0 treats all craters alike, larger ones favor fresh craters."""
+    background: float = key(BACKGROUND)
+    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
+    """With the conditions of their masks, which are taken at their middles."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Findings between its keys, and on the relief."""
+        yield from require_craters(node, node.whole().each("terrain", "relief", "*"))
+        low, high = node.span("min_radii"), node.span("max_radii")
+        least = low or ((node["min_radii"],) * 2 if "min_radii" not in node else None)
+        most = high or ((node["max_radii"],) * 2 if "max_radii" not in node else None)
+        if least and most and least[1] >= most[0]:
+            yield node.fault(
+                f"min_radii ({least[1]:g}) can reach max_radii ({most[0]:g}): expected it below",
+                "min_radii" if low else "max_radii",
+            )
 
     def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """At the middles of cells."""
@@ -287,20 +389,22 @@ class RingDensity(Density):
 
 @dataclass(frozen=True)
 class AroundDensity(Density):
-    """Around other objects: 1 beside each, falling to 0 at the reach, (1 - s / reach)^2.
-
-    Attributes:
-        reach: In radii of the object, from the circle around it.
-        inside: Where it begins, in radii from the middle.
-        min_size_m: Objects of a smaller diameter have none.
-        background: Part that is spread evenly.
+    """Around the objects of an earlier class, as the finer debris about half-buried boulders:
+    densest beside an object, falling to none at the reach as the square of what is left of the way.
     """
 
-    of: str
-    reach: float
-    inside: float
-    min_size_m: float
-    background: float
+    EXAMPLE: ClassVar = {"type": "around", "of": "boulders", "reach": 1.6}
+
+    of: str = key(TEXT)
+    """The class."""
+    reach: float = key(PER_BATCH, default=1.5, above=0, at_most=1000)
+    """How far it reaches, in radii of the ball around an object, from the circle around it."""
+    inside: float = key(FRACTION_PER_BATCH, default=0.6)
+    """Where it begins, in the same radii from the middle: rocks are narrower than the circle around
+    them."""
+    min_size_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
+    """Smaller objects have none, by the diameter of the ball."""
+    background: float = key(BACKGROUND)
 
     def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """At the middles of cells."""

@@ -7,39 +7,57 @@ the ground's layers, where a place has to hold them all (``mesh.signed_bound``).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import given, key, keys_of, noise_key
+from scenec.compiler.kinds.draw import draw_kind, draw_object
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    FRACTION_PER_BATCH,
+    GAIN,
+    LACUNARITY,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    RAGGED,
+    SOFTNESS_M,
+    WHOLE_PER_BATCH,
+    file,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds.table import kind_of
 from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.freshness import crater_freshness
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.craters import Craters
+from scenec.compiler.terrain.operators.craters import Craters, craters_laid, require_craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.kernels import inlined, kernel
-from scenec.schemas.plugins import Kinds
 
 
 @dataclass(frozen=True)
 class Ragged:
-    """An fBm that is added to a quantity, so that the line at a bound is no contour line.
+    """An fBm that is added to what a condition asks for, before it is held against the bounds."""
 
-    Attributes:
-        key: Noise key.
-        amplitude: Of the first octave, in the quantity's unit; later ones have half, a quarter ...
-        scale_m: Size of the first octave's features, meters.
-        octaves: How many.
-    """
+    EXAMPLE: ClassVar = {"amplitude": 3, "scale_m": 20}
 
-    key: int
-    amplitude: float
-    scale_m: float
-    octaves: int
+    amplitude: float = key(PER_BATCH, at_least=0, at_most=1_000_000_000)
+    """Amplitude of the first octave, in the unit of the bounds (of the area: in doublings); each
+    later one has half of the one before it."""
+    scale_m: float = key(LENGTH_PER_BATCH, at_least=1e-09, at_most=1_000_000_000)
+    """Size of the largest features."""
+    octaves: int = key(WHOLE_PER_BATCH, default=4, at_least=1, at_most=24)
+    """Number of octaves."""
+    key: int = noise_key()
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """What is added at points, float64 [n]."""
@@ -200,7 +218,25 @@ def product(conditions: Sequence[Condition], quantities: Quantities) -> NDArray[
 
 @dataclass(frozen=True)
 class Height(Quantity):
-    """Height, meters."""
+    """Heights between two bounds."""
+
+    EXAMPLE: ClassVar = {
+        "type": "height",
+        "max_m": 1.5,
+        "softness_m": 0.4,
+        "ragged": {"amplitude": 0.3, "scale_m": 4},
+    }
+
+    min_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000
+    )
+    """Smallest height; left out, no bound."""
+    max_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000
+    )
+    """Largest height; left out, no bound."""
+    softness_m: float = key(SOFTNESS_M)
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Heights."""
@@ -209,9 +245,24 @@ class Height(Quantity):
 
 @dataclass(frozen=True)
 class Slope(Quantity):
-    """Slope, degrees; ``over_m`` as in ``Quantities``."""
+    """Slopes between two bounds."""
 
-    over_m: float | None = 0.0
+    EXAMPLE: ClassVar = {"type": "slope", "max_deg": 12, "softness_deg": 3, "over_m": 2}
+
+    #: An operator asks for the slope of the heights as they are.
+    USUAL: ClassVar = {"relief_mask": {"over_m": 0.0}}
+
+    min_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Smallest slope; left out, no bound."""
+    max_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Largest slope; left out, no bound."""
+    softness_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
+    """Width over which it fades about a bound: half of it on either side. On the ground at least an
+    eighth of what changes over a spacing there."""
+    over_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Length over which the heights are smoothed before the slope is taken (standard deviation of a
+    Gaussian). Left out, 0 in the mask of an operator and two spacings on the ground."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Slopes."""
@@ -220,9 +271,27 @@ class Slope(Quantity):
 
 @dataclass(frozen=True)
 class Curvature(Quantity):
-    """Laplacian of the height, 1/m: above 0 in hollows."""
+    """Curvature of the ground between two bounds: the Laplacian of the height, above 0 in hollows,
+    below 0 on crests. A bowl z = (x² + y²) / 2R has 2 / R.
+    """
 
-    over_m: float | None = None
+    EXAMPLE: ClassVar = {"type": "curvature", "max_per_m": -0.05, "over_m": 2}
+
+    min_per_m: float | None = key(
+        PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000, unit="1/m"
+    )
+    """Smallest curvature; left out, no bound."""
+    max_per_m: float | None = key(
+        PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000, unit="1/m"
+    )
+    """Largest curvature; left out, no bound."""
+    softness_per_m: float = key(PER_BATCH, default=0, at_least=0, at_most=1_000_000_000, unit="1/m")
+    """Width over which it fades about a bound: half of it on either side. On the ground at least an
+    eighth of what changes over a spacing there."""
+    over_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Length over which the heights are smoothed first (standard deviation of a Gaussian). Left
+    out, two spacings."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Laplacians."""
@@ -231,9 +300,32 @@ class Curvature(Quantity):
 
 @dataclass(frozen=True)
 class Flow(Quantity):
-    """Upslope area, in doublings of 1 m^2."""
+    """Area that drains through a place between two bounds: small on crests, large along valleys.
 
-    over_m: float | None = None
+    Water leaves over all borders and parts among all lower neighbors; through hollows it takes
+    one of eight directions, a sample wide. The area is averaged over a spacing, so that such a
+    line counts 0.4 of what it drains and grows wider with it.
+
+    Note: upslope area, in doublings of 1 m^2.
+    """
+
+    EXAMPLE: ClassVar = {"type": "flow", "min_m2": 40, "softness_doublings": 1}
+
+    min_m2: float | None = key(
+        PER_BATCH, optional=True, above=0, at_most=1_000_000_000_000, unit="m²"
+    )
+    """Smallest area; left out, no bound."""
+    max_m2: float | None = key(
+        PER_BATCH, optional=True, above=0, at_most=1_000_000_000_000, unit="m²"
+    )
+    """Largest area; left out, no bound."""
+    softness_doublings: float = key(PER_BATCH, default=1, at_least=0, at_most=1_000_000_000)
+    """Doublings of the area over which it fades about a bound: half of it on either side. On the
+    ground at least an eighth of what changes over a spacing there."""
+    over_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Length over which the heights are smoothed first (standard deviation of a Gaussian). Left
+    out, two spacings."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Logarithms of areas."""
@@ -247,14 +339,37 @@ class Flow(Quantity):
 
 @dataclass(frozen=True)
 class Freshness(Quantity):
-    """Freshness of the craters' ground in [0, 1], see ``freshness``.
+    """Freshness of the ground that craters left, between two bounds in [0, 1].
 
-    Attributes:
-        craters: What was laid, in order, each with the conditions of its mask, which are taken on
-            the relief that is asked about.
+    A crater's is the part of its depth that wear has left; its ejecta cover all within the rim,
+    half at 2.3 radii and nothing beyond 5, the newest over the oldest. 0 where no crater
+    reaches. Later operators leave it as it is.
     """
 
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...]
+    EXAMPLE: ClassVar = {"type": "crater_freshness", "min": 0.7, "softness": 0.2}
+
+    min: float | None = key(FRACTION_PER_BATCH, optional=True)
+    """Smallest freshness; left out, no bound."""
+    max: float | None = key(FRACTION_PER_BATCH, optional=True)
+    """Largest freshness; left out, no bound."""
+    softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
+    """Width over which it fades about a bound: half of it on either side. On the ground at least an
+    eighth of what changes over a spacing there."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
+    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
+    """What was laid, in order, each with the conditions of its mask, which are taken on the relief
+    that is asked about."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Findings on the relief: only craters leave fresh ground; masks see those laid before."""
+        path = node.path
+        is_mask = path[0] == "terrain" and "relief" in path
+        of = path[: path.index("relief")] if is_mask else ("terrain",)
+        laid = node.whole().at(*of).each("relief", "*")
+        if is_mask:
+            laid = [one for one in laid if one.path < path[: len(one.path)]]
+        yield from require_craters(node, laid, " before this one" if is_mask else "")
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Freshness."""
@@ -270,13 +385,31 @@ class Freshness(Quantity):
 
 @dataclass(frozen=True)
 class Noise(Quantity):
-    """An fBm of mean 0, of which one octave lies in [-1, 1]."""
+    """Where a noise lies between two bounds.
 
-    key: int
-    scale_m: float
-    octaves: int
-    lacunarity: float
-    gain: float
+    One octave lies in [-1, 1], half of it within ±0.2.
+
+    Note: An fBm of mean 0, of which one octave lies in [-1, 1].
+    """
+
+    EXAMPLE: ClassVar = {"type": "noise", "scale_m": 14, "octaves": 3, "min": 0.1, "softness": 0.3}
+
+    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    """Size of the noise's largest features."""
+    octaves: int = key(WHOLE_PER_BATCH, default=4, at_least=0, at_most=24)
+    """Number of octaves at most; in the mask of an operator those finer than the spacing can show
+    are left out."""
+    lacunarity: float = key(LACUNARITY)
+    gain: float = key(GAIN)
+    min: float | None = key(PER_BATCH, optional=True, at_least=-100, at_most=1_000_000_000)
+    """Smallest value; left out, no bound."""
+    max: float | None = key(PER_BATCH, optional=True, at_least=-100, at_most=1_000_000_000)
+    """Largest value; left out, no bound."""
+    softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
+    """Width over which it fades about a bound: half of it on either side. On the ground at least an
+    eighth of what changes over a spacing there."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
+    key: int = noise_key()
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """The octaves that the grid shows."""
@@ -298,10 +431,20 @@ class Noise(Quantity):
 
 @dataclass(frozen=True)
 class FromPoint(Quantity):
-    """Distance from a point in plan, meters."""
+    """Distances in plan from a point, between two bounds."""
 
-    x_m: float
-    y_m: float
+    EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "min_m": 20, "softness_m": 5}
+
+    x_m: float = key(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
+    """The point's x."""
+    y_m: float = key(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
+    """The point's y."""
+    min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Smallest distance; left out, no bound."""
+    max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Largest distance; left out, no bound."""
+    softness_m: float = key(SOFTNESS_M)
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Distances."""
@@ -322,9 +465,19 @@ class FromPoint(Quantity):
 
 @dataclass(frozen=True)
 class FromPath(Quantity):
-    """Distance from a path in plan, meters."""
+    """Distances in plan from a path, between two bounds."""
 
-    file: Path
+    EXAMPLE: ClassVar = {"type": "path", "file": "track.csv", "max_m": 3, "softness_m": 1}
+
+    file: Path = key(file("polyline"))
+    """CSV of the path's points, columns x_m and y_m: relative to the cfg, or "package:NAME/path".
+    """
+    min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Smallest distance; left out, no bound."""
+    max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
+    """Largest distance; left out, no bound."""
+    softness_m: float = key(SOFTNESS_M)
+    ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """Distances; beyond the bounds every one is alike.
@@ -340,17 +493,27 @@ class FromPath(Quantity):
         return quantities.distance_to_path_m(self.file, reach)
 
 
-#: Cfg ``type`` -> quantity, whose fields are its keys but the bounds'.
-QUANTITIES: Kinds[type[Quantity]] = Kinds(
-    "scenec.conditions",
-    {
-        "height": Height,
-        "slope": Slope,
-        "curvature": Curvature,
-        "flow": Flow,
-        "crater_freshness": Freshness,
-        "noise": Noise,
-        "point": FromPoint,
-        "path": FromPath,
-    },
-)
+def draw_condition(node: Mapping[str, Any], context: Context) -> Interval:
+    """Returns a condition that stands at the context's path: a quantity, and its bounds.
+
+    Args:
+        node: Of the cfg, with all keys.
+        context: Its choice is where the condition stands: "relief_mask", "ground_where" …
+    """
+    path, name = context.path, node["type"]
+    kind = kind_of(context.choice, name)
+    usual: Mapping[str, Any] = getattr(kind, "USUAL", {}).get(context.choice, {})
+    node = {**node, **{key: value for key, value in usual.items() if node[key] is None}}
+    # Their names end with the unit.
+    ends = [
+        next(key for key in node if key.partition("_")[0] == end)
+        for end in ("min", "max", "softness")
+    ]
+    drawn = resolve({key: node[key] for key in (*ends, "ragged")}, context.streams, path)
+    own = {key: value for key, value in node.items() if key in keys_of(kind) or key not in drawn}
+    low, high = (None if drawn[key] is None else kind.of_bound(drawn[key]) for key in ends[:2])
+    ragged = drawn["ragged"]
+    if ragged is not None:
+        ragged = draw_object("condition_ragged", ragged, f"{path}/ragged", context)
+    quantity = draw_kind(context.choice, own, path, context)
+    return Interval(quantity, low, high, drawn[ends[2]], ragged)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from scenec.compiler.kinds.table import name_of
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.mask import ReliefOperator as ReliefOperator
 from scenec.compiler.terrain.operators.barchans import Barchans
@@ -54,4 +55,5 @@ def operator_type(operator: ReliefOperator) -> str:
     """The cfg's ``type`` of an operator, behind a mask or not."""
     if isinstance(operator, Masked):
         return operator_type(operator.operator)
-    return OPERATORS.name_of(type(operator))
+    own = (name for name, kind in OPERATORS.items() if kind is type(operator))
+    return next(own, "") or name_of("relief", type(operator))

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.operators.barchans import draw_barchans
@@ -108,21 +109,59 @@ def rows(n: int, runs: int, folder: Path) -> Iterator[list[Cell]]:
         return lambda: operator.apply(of, height)
 
     for variant in ("hetero", "hybrid", "ridged", "billow", "fbm"):
-        noise = Multifractal(1, 1.0, 512.0, 8, 2.0, 0.5, variant, 0.7)
+        noise = Multifractal(
+            key=1,
+            amplitude_m=1.0,
+            scale_m=512.0,
+            octaves=8,
+            lacunarity=2.0,
+            gain=0.5,
+            variant=variant,
+            offset=0.7,
+        )
         yield row(f"{variant}, {n}², 8 octaves", on(noise), "≤ 0.3")
     ours = latest[-1]
     yield row(f"pyfastnoiselite, Perlin fBm, {n}², 8 octaves", fast_noise_lite(n, 8), "yardstick")
-    warped = Multifractal(1, 1.0, 512.0, 8, 2.0, 0.5, "fbm", 0.7, 0.5, 2)
+    warped = Multifractal(
+        key=1,
+        amplitude_m=1.0,
+        scale_m=512.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+        distortion=0.5,
+        distortion_octaves=2,
+    )
     yield row(f"fbm, warped by 2 octaves, {n}², 8 octaves", on(warped))
     for distance in ("f1", "f2-f1"):
         yield row(f"worley {distance}, {n}²", on(Worley(1, 1.0, 64.0, distance, 1.0, 1, 2.0, 0.5)))
-    hills = Multifractal(1, 60.0, 512.0, 8, 2.0, 0.5, "fbm", 0.7).apply(grid, flat)[0]
+    hills = Multifractal(
+        key=1,
+        amplitude_m=60.0,
+        scale_m=512.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    ).apply(grid, flat)[0]
     for length in (0.1, 30.0, 1e6):
         yield row(f"diffusion, {n}², {length:g} m", on(Smooth(length), hills), "≤ 0.5")
 
     m = n // 2
     half = Grid((10.0 * m - 10.0, 10.0 * m - 10.0), (m, m))
-    valley = Multifractal(1, 300.0, 6000.0, 8, 2.0, 0.5, "fbm", 0.7)
+    valley = Multifractal(
+        key=1,
+        amplitude_m=300.0,
+        scale_m=6000.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    )
     valleys = valley.apply(half, np.zeros(half.shape))[0]
     for power, asked in ((1.0, "< fastscapelib's"), (1.5, "")):
         river = StreamPower(2e-5, 0.5, power, 0.0, 0.0, 0.0, 1e5, 1, SIDES)
@@ -133,7 +172,9 @@ def rows(n: int, runs: int, folder: Path) -> Iterator[list[Cell]]:
         yield row(f"fastscapelib, {name}", theirs, "yardstick")
     yield row(f"thermal erosion, {m}²", on(Thermal(20.0), 5.0 * valleys, half))
 
-    craters = draw_craters(CRATERS, Streams(1, 0), "craters", grid.size_m)
+    craters = draw_kind(
+        "relief", {"type": "craters", **CRATERS}, "craters", Context(Streams(1, 0), grid.size_m)
+    )
     yield row(f"{len(craters.x_m):,} craters of 3 to 300 m in equilibrium, {n}²", on(craters))
     yield row(f"dunes, {n}²", on(Dunes(1, 4.0, 60.0, 20.0, 33.0, 0.3)))
     yield row(f"ripples, {n}²", on(Ripples(1, 0.6, 10.0, 20.0, 28.0, 0.4)))

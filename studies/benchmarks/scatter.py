@@ -57,7 +57,16 @@ def rocks(count: int, subdivisions: int, case: dict[str, Any]) -> dict[str, Any]
 def measure(count: int, subdivisions: int, name: str) -> tuple[float, ...]:
     """Of ``HEADER``: count, seconds of each step, memory beyond that before, in this process."""
     grid = Grid.with_spacing((_SIZE, _SIZE), 0.4)
-    relief = Multifractal(1, 3.0, 40.0, 8, 2.0, 0.5, "fbm", 0.7)
+    relief = Multifractal(
+        key=1,
+        amplitude_m=3.0,
+        scale_m=40.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    )
     surface = Surface(HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0]))
     cameras = np.array([[x, 0.0, 2.0] for x in np.linspace(-100, 100, 100)])
     setting = Context(Streams(1, 0), (_SIZE, _SIZE))

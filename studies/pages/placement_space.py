@@ -93,15 +93,15 @@ def _cases(
         np.array([-9.0, 9.0]), np.array([3.0, -5.0]), np.array([9.0, 6.0]),
         np.full(2, 0.2), np.full(2, 0.04), np.zeros(2), np.arange(2, dtype=np.uint64), 0.0,
     )  # fmt: skip
-    lines = WorleyDensity(3, 7.0, "f2-f1", 6.0, 0.9)
-    heaps = WorleyDensity(3, 6.0, "f1", 4.0, 0.9)
-    noise = NoiseDensity(5, 6.0, 3, 2.0)
+    lines = WorleyDensity(key=3, scale_m=7.0, distance="f2-f1", sharpness=6.0, jitter=0.9)
+    heaps = WorleyDensity(key=3, scale_m=6.0, distance="f1", sharpness=4.0, jitter=0.9)
+    noise = NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=2.0)
     away = _away(x, y)
     band = (np.abs(away - 2.0) <= 0.7).astype(float)
     there = Circles(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
                        np.array([3.0, 2.0, 1.0]))  # fmt: skip
     around.objects["boulders"] = there
-    gentle = OnRelief(Interval(Slope(), None, 8.0, 4.0))
+    gentle = OnRelief(Interval(Slope(over_m=0.0), None, 8.0, 4.0))
     # As coarse as the grid, by the page's own account: at the middles of its cells.
     coarse = [0.4 * (np.arange(round(n / 0.4)) + 0.5) - 0.5 * n for n in SIZE]
     even = np.kron(_gentle(around.surface.field, *np.meshgrid(*coarse)), np.ones((4, 4)))
@@ -110,15 +110,15 @@ def _cases(
         ("noise", noise, (), noise.at(*flat).reshape(x.shape)),
         ("worley f1", heaps, (), heaps.at(*flat).reshape(x.shape)),
         ("worley f2-f1", lines, (), lines.at(*flat).reshape(x.shape)),
-        ("image", ImageDensity(folder / "map.png"), (),
+        ("image", ImageDensity(file=folder / "map.png"), (),
          np.kron(gray[::-1].astype(float), np.ones((10, 10)))),
         ("clusters", ClusterDensity(*parents, 1.2, 0.0), (), thomas),
-        ("path, gaussian", PathDensity(path, "gaussian", 0.8, 0.0, 0.0), (),
+        ("path, gaussian", PathDensity(file=path, law="gaussian", width_m=0.8, offset_m=0.0, background=0.0), (),
          np.exp(-0.5 * (away / 0.8) ** 2)),
-        ("path, band", PathDensity(path, "band", 0.7, 2.0, 0.2), (),
+        ("path, band", PathDensity(file=path, law="band", width_m=0.7, offset_m=2.0, background=0.2), (),
          0.2 + 0.8 * band / band.mean()),
-        ("rings", RingDensity(((craters, ()),), 1.0, 4.0, 1.0, 0.0), (), _rings(x, y, craters)),
-        ("around", AroundDensity("boulders", 1.5, 0.8, 0.0, 0.0), (), _skirts(x, y, there)),
+        ("rings", RingDensity(craters=((craters, ()),), min_radii=1.0, max_radii=4.0, freshness=1.0, background=0.0), (), _rings(x, y, craters)),
+        ("around", AroundDensity(of="boulders", reach=1.5, inside=0.8, min_size_m=0.0, background=0.0), (), _skirts(x, y, there)),
         ("uniform, slope ≤ 8°", UniformDensity(), (gentle,), even),
     ]  # fmt: skip
 
@@ -151,7 +151,16 @@ def _chi_square(x: NDArray, y: NDArray, wanted: NDArray) -> tuple[float, int]:
 def densities(page: Page) -> str:
     """Every spatial law: a picture, chi-square, seconds."""
     grid = Grid.with_spacing(SIZE, 0.4)
-    hills = Multifractal(1, 1.5, 8.0, 5, 2.0, 0.5, "fbm", 0.7)
+    hills = Multifractal(
+        key=1,
+        amplitude_m=1.5,
+        scale_m=8.0,
+        octaves=5,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    )
     around = Surroundings(Surface(HeightField(grid, hills.apply(grid, np.zeros(grid.shape))[0])),
                           _NOWHERE)  # fmt: skip
     n, shown = 100_000, 3000

@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw
 
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.condition import FromPoint, Interval
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
@@ -37,8 +38,26 @@ def gallery(page: Page) -> str:
     size, n = 200.0, 301
     grid = Grid((size, size), (n, n))
     streams = Streams(4, 0)
-    soft = Multifractal(11, 1.2, 60.0, 8, 2.0, 0.5, "fbm", 0.7)
-    rock = Multifractal(12, 28.0, 130.0, 8, 2.0, 0.42, "ridged", 0.9)
+    soft = Multifractal(
+        key=11,
+        amplitude_m=1.2,
+        scale_m=60.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    )
+    rock = Multifractal(
+        key=12,
+        amplitude_m=28.0,
+        scale_m=130.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.42,
+        variant="ridged",
+        offset=0.9,
+    )
     base = soft.apply(grid, np.zeros(grid.shape))[0]
     hills = rock.apply(grid, np.zeros(grid.shape))[0]
     pits = {
@@ -54,11 +73,27 @@ def gallery(page: Page) -> str:
         "x_m,y_m\n" + "\n".join(f"{x},{1.5 * np.sin(x / 2)}" for x in np.linspace(-7, 7, 60))
     )
     small = Grid((12.0, 12.0), (n, n))
-    ground = Multifractal(5, 0.12, 5.0, 8, 2.0, 0.5, "fbm", 0.7).apply(
-        small, np.zeros(small.shape)
-    )[0]
+    ground = Multifractal(
+        key=5,
+        amplitude_m=0.12,
+        scale_m=5.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    ).apply(small, np.zeros(small.shape))[0]
     large = Grid((6000.0, 6000.0), (n, n))
-    upland = Multifractal(9, 250.0, 4000.0, 8, 2.0, 0.5, "fbm", 0.7)
+    upland = Multifractal(
+        key=9,
+        amplitude_m=250.0,
+        scale_m=4000.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    )
     uplands = upland.apply(large, np.zeros(large.shape))[0]
     rivers = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.02, 5e-4, 6e5, 300, SIDES)
     wide = Grid((60.0, 60.0), (n, n))
@@ -66,7 +101,17 @@ def gallery(page: Page) -> str:
     def fractal(
         variant: str, offset: float, amplitude: float, distortion: float = 0.0, gain: float = 0.5
     ) -> NDArray:
-        operator = Multifractal(7, amplitude, 90.0, 9, 2.0, gain, variant, offset, distortion)
+        operator = Multifractal(
+            key=7,
+            amplitude_m=amplitude,
+            scale_m=90.0,
+            octaves=9,
+            lacunarity=2.0,
+            gain=gain,
+            variant=variant,
+            offset=offset,
+            distortion=distortion,
+        )
         return operator.apply(grid, np.zeros(grid.shape))[0]
 
     six = Grid((6.0, 6.0), (n, n))
@@ -75,16 +120,28 @@ def gallery(page: Page) -> str:
     sand = Dunes(8, 2.2, 24.0, 15.0, 33.0, 0.25)
     waves = Ripples(8, 0.018, 0.24, 15.0, 28.0, 0.35)
     rover = Tracks(page.scratch / "path.csv", 2.0, 0.4, 0.05, 0.18, 0.02, "chevrons")
-    grain = Multifractal(5, 0.4, 20.0, 8, 2.0, 0.5, "fbm", 0.7).apply(wide, np.zeros(wide.shape))[0]
-    fresh = draw_craters(
-        {**pits, "degradation": 0.1, "density_per_m2": 0.2}, streams, "m", (60.0, 60.0)
+    grain = Multifractal(
+        key=5,
+        amplitude_m=0.4,
+        scale_m=20.0,
+        octaves=8,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    ).apply(wide, np.zeros(wide.shape))[0]
+    fresh = draw_kind(
+        "relief",
+        {"type": "craters", **{**pits, "degradation": 0.1, "density_per_m2": 0.2}},
+        "m",
+        Context(streams, (60.0, 60.0)),
     )
     close = Grid((2.0, 2.0), (n, n))
     boots = draw_footprints(
         {"walks": 1, "stride_m": 1.3, "length_m": 0.33, "depth_m": 0.025, "tread_m": 0.006},
         streams, "f", close.size_m,
     )  # fmt: skip
-    disk = Interval(FromPoint(0.0, 0.0), None, 20.0, 6.0)
+    disk = Interval(FromPoint(x_m=0.0, y_m=0.0), None, 20.0, 6.0)
     panels: list[tuple[str, NDArray, Grid]] = [
         ("multifractal fbm", fractal("fbm", 0.7, 9.0), grid),
         ("hetero", fractal("hetero", 0.2, 16.0), grid),
@@ -96,7 +153,7 @@ def gallery(page: Page) -> str:
         ("worley f2-f1", cracks.apply(grid, base)[0], grid),
         ("polygons", ice.apply(wide, 0.4 * grain)[0], wide),
         ("craters in equilibrium",
-         draw_craters(pits, streams, "c", (size, size)).apply(grid, base)[0], grid),
+         draw_kind("relief", {"type": "craters", **pits}, "c", Context(streams, (size, size))).apply(grid, base)[0], grid),
         ("stream power, uplift, creep", rivers.apply(large, uplands)[0], large),
         ("ridged, steep", hills, grid),
         ("thermal: it slid to 33°", Thermal(33.0).apply(grid, hills)[0], grid),
@@ -131,14 +188,34 @@ def gallery(page: Page) -> str:
 
 def lunar(grid: Grid, streams: Streams, pits: dict) -> NDArray:
     """A program of several operators."""
-    height = Multifractal(21, 2.0, 120.0, 4, 2.0, 0.45, "fbm", 0.7).apply(
-        grid, np.zeros(grid.shape)
-    )[0]
-    height = draw_craters(pits, streams, "old", grid.size_m).apply(grid, height)[0]
+    height = Multifractal(
+        key=21,
+        amplitude_m=2.0,
+        scale_m=120.0,
+        octaves=4,
+        lacunarity=2.0,
+        gain=0.45,
+        variant="fbm",
+        offset=0.7,
+    ).apply(grid, np.zeros(grid.shape))[0]
+    height = draw_kind(
+        "relief", {"type": "craters", **pits}, "old", Context(streams, grid.size_m)
+    ).apply(grid, height)[0]
     height = Smooth(1.0).apply(grid, height)[0]
     young = {**pits, "max_diameter_m": 25.0, "density_per_m2": 0.01, "degradation": 0.05}
-    height = draw_craters(young, streams, "young", grid.size_m).apply(grid, height)[0]
-    return Multifractal(22, 0.25, 8.0, 6, 2.0, 0.55, "fbm", 0.7).apply(grid, height)[0]
+    height = draw_kind(
+        "relief", {"type": "craters", **young}, "young", Context(streams, grid.size_m)
+    ).apply(grid, height)[0]
+    return Multifractal(
+        key=22,
+        amplitude_m=0.25,
+        scale_m=8.0,
+        octaves=6,
+        lacunarity=2.0,
+        gain=0.55,
+        variant="fbm",
+        offset=0.7,
+    ).apply(grid, height)[0]
 
 
 def craters(page: Page) -> str:
@@ -156,7 +233,12 @@ def craters(page: Page) -> str:
         law = {**cfg, "exponent": exponent, "density_per_m2": density}
         diameters = []
         for seed in range(seeds):
-            c = draw_craters(law, Streams(seed, 0), "craters", (size, size))
+            c = draw_kind(
+                "relief",
+                {"type": "craters", **law},
+                "craters",
+                Context(Streams(seed, 0), (size, size)),
+            )
             here = (np.abs(c.x_m) < size / 2) & (np.abs(c.y_m) < size / 2)
             diameters.append(c.diameter_m[here])
         pooled = np.sort(np.concatenate(diameters))[::-1]

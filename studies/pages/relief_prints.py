@@ -75,7 +75,16 @@ def _error(detail: Detail, size_m: float, spacing_m: float, places: int) -> tupl
 def _picture(page: Page, crust: Detail) -> None:
     """Hillshades: a walk of 4 m, three prints, plates of 6 m."""
     n = 480
-    ground = Multifractal(5, 0.06, 2.0, 9, 2.0, 0.5, "fbm", 0.7)
+    ground = Multifractal(
+        key=5,
+        amplitude_m=0.06,
+        scale_m=2.0,
+        octaves=9,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    )
     walk = draw_footprints(_WALK, Streams(2, 0), "page", (6.0, 6.0)).everywhere()
     sheet = Image.new("L", (3 * n + 12, n), 255)
     panels: list[tuple[Detail, float, float]] = [(walk, 4.0, 1.0), (walk, 1.2, 0.3),

@@ -40,7 +40,17 @@ def _noise(
     if variant in ("f1", "f2-f1"):
         worley = Worley(3, amplitude, scale, variant, 1.0, octaves, lacunarity, gain)
         return worley.apply(grid, np.zeros(grid.shape))[0]
-    fractal = Multifractal(3, amplitude, scale, octaves, lacunarity, gain, variant, 0.7, 0.5)
+    fractal = Multifractal(
+        key=3,
+        amplitude_m=amplitude,
+        scale_m=scale,
+        octaves=octaves,
+        lacunarity=lacunarity,
+        gain=gain,
+        variant=variant,
+        offset=0.7,
+        distortion=0.5,
+    )
     return fractal.apply(grid, np.zeros(grid.shape))[0]
 
 

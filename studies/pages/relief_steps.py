@@ -107,7 +107,16 @@ def cases(number: int) -> list[tuple[Grid, NDArray[np.float64], StreamPower]]:
         n, size = 49, float(10 ** rng.uniform(1.5, 4.5))
         grid = Grid((size, size), (n, n))
         amplitude = size * float(10 ** rng.uniform(-2.3, -1.0))
-        hills = Multifractal(k, amplitude, size / rng.uniform(1, 4), 7, 2.0, 0.5, "fbm", 0.9)
+        hills = Multifractal(
+            key=k,
+            amplitude_m=amplitude,
+            scale_m=size / rng.uniform(1, 4),
+            octaves=7,
+            lacunarity=2.0,
+            gain=0.5,
+            variant="fbm",
+            offset=0.9,
+        )
         m, exponent = float(rng.uniform(0.3, 0.6)), float(rng.choice([1.0, 1.0, 0.7, 1.5]))
         years, courant = float(10 ** rng.uniform(3, 6)), float(10 ** rng.uniform(-1, 2.5))
         slope = amplitude / size
@@ -226,9 +235,16 @@ def _steep() -> dict[str, NDArray[np.float64]]:
     grid = Grid((128.0, 128.0), (129, 129))
     rng = np.random.default_rng(4)
     x, y = grid.x()[None, :], grid.y()[:, None]
-    hills = Multifractal(3, 40.0, 60.0, 7, 2.0, 0.5, "fbm", 0.9).apply(grid, np.zeros(grid.shape))[
-        0
-    ]
+    hills = Multifractal(
+        key=3,
+        amplitude_m=40.0,
+        scale_m=60.0,
+        octaves=7,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.9,
+    ).apply(grid, np.zeros(grid.shape))[0]
     return {
         "noise of 100 m": 100.0 * rng.random(grid.shape),
         "hills": hills,

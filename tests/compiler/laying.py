@@ -33,7 +33,16 @@ def surface(amplitude_m: float = 1.0) -> Surface:
     grid = Grid.with_spacing(SIZE, 0.4)
     height = np.zeros(grid.shape)
     if amplitude_m:
-        height = Multifractal(1, amplitude_m, 8.0, 5, 2.0, 0.5, "fbm", 0.7).apply(grid, height)[0]
+        height = Multifractal(
+            key=1,
+            amplitude_m=amplitude_m,
+            scale_m=8.0,
+            octaves=5,
+            lacunarity=2.0,
+            gain=0.5,
+            variant="fbm",
+            offset=0.7,
+        ).apply(grid, height)[0]
     return Surface(HeightField(grid, height), smooth=False)
 
 

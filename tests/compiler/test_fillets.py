@@ -60,7 +60,16 @@ def ground(amplitude_m: float = 0.0, size=SIZE, spacing: float = 0.4) -> Surface
     grid = Grid.with_spacing(size, spacing)
     height = np.zeros(grid.shape)
     if amplitude_m:
-        height = Multifractal(1, amplitude_m, 8.0, 5, 2.0, 0.5, "fbm", 0.7).apply(grid, height)[0]
+        height = Multifractal(
+            key=1,
+            amplitude_m=amplitude_m,
+            scale_m=8.0,
+            octaves=5,
+            lacunarity=2.0,
+            gain=0.5,
+            variant="fbm",
+            offset=0.7,
+        ).apply(grid, height)[0]
     return Surface(HeightField(grid, height))
 
 

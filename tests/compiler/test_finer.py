@@ -30,7 +30,16 @@ from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, 
 
 MERGES = (Merge(5, 3.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),)
 GRAINS = Worley(9, 0.03, 0.12, "f1", 1.0, 1, 2.0, 0.5).everywhere()
-ROUGH = Multifractal(2, 1.2, 9.0, 10, 2.0, 0.5, "fbm", 0.7)
+ROUGH = Multifractal(
+    key=2,
+    amplitude_m=1.2,
+    scale_m=9.0,
+    octaves=10,
+    lacunarity=2.0,
+    gain=0.5,
+    variant="fbm",
+    offset=0.7,
+)
 
 
 def surface(smooth: bool = True) -> Surface:
@@ -59,7 +68,18 @@ def test_grid_and_detail_add_up_to_all_octaves(variant, distortion):
     """A fine grid's samples are those of a coarse one and its detail."""
     coarse, fine = Grid((20.0, 16.0), (41, 51)), Grid((20.0, 16.0), (641, 801))
     # One octave of warp, which both grids hold.
-    relief = Multifractal(5, 1.0, 6.0, 7, 2.1, 0.55, variant, 0.7, distortion, 1)
+    relief = Multifractal(
+        key=5,
+        amplitude_m=1.0,
+        scale_m=6.0,
+        octaves=7,
+        lacunarity=2.1,
+        gain=0.55,
+        variant=variant,
+        offset=0.7,
+        distortion=distortion,
+        distortion_octaves=1,
+    )
     here, _ = relief.apply(coarse, np.zeros(coarse.shape))
     there, report = relief.apply(fine, np.zeros(fine.shape))
     assert report["octaves_below_grid"] == 0
@@ -158,7 +178,16 @@ def test_displacement_lies_where_its_material_does():
 
 
 def test_parts_of_a_displacement_add_up():
-    other = Multifractal(3, 0.01, 0.1, 2, 2.0, 0.5, "fbm", 0.7).everywhere()
+    other = Multifractal(
+        key=3,
+        amplitude_m=0.01,
+        scale_m=0.1,
+        octaves=2,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.7,
+    ).everywhere()
     x, y = np.random.default_rng(4).uniform(-9.0, 9.0, (2, 100))
     both = Sum((GRAINS, other))
     np.testing.assert_array_equal(both.at(x, y), GRAINS.at(x, y) + other.at(x, y))

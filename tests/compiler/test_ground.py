@@ -23,7 +23,16 @@ MERGES = (
 
 def relief(size: float = 40.0, spacing: float = 0.4) -> HeightField:
     grid = Grid.with_spacing((size, size), spacing)
-    operator = Multifractal(1, 0.6, 8.0, 5, 2.0, 0.5, "hetero", 0.7)
+    operator = Multifractal(
+        key=1,
+        amplitude_m=0.6,
+        scale_m=8.0,
+        octaves=5,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="hetero",
+        offset=0.7,
+    )
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
 
 

@@ -60,7 +60,7 @@ def test_a_layer_with_conditions_and_no_noise_lies_wherever_they_hold(tmp_path):
     (bare, _), field = laid(write(tmp_path, {"noise": None, "where": [slope]}))
     assert not bare.noisy
     x, y = field.grid.points()
-    condition = Interval(Slope(None), 10.0, None, 0.0)
+    condition = Interval(Slope(over_m=None), 10.0, None, 0.0)
     value = condition.value_at(bare.limits[0].quantities, x, y)
     assert np.array_equal(bare.side(x, y) >= 0.0, value >= 10.0)
     # With a noise it lies where that is, too: less, and not elsewhere.

@@ -128,18 +128,18 @@ def test_craters_below_the_grid_or_behind_a_mask_leave_no_fresh_ground():
     tiny = craters([(0.0, 0.0, 0.7, 0.0)])
     assert not crater_freshness(GRID, [(tiny, None)]).any()
     whole = craters([(0.0, 0.0, 4.0, 0.0)])
-    east = Interval(FromPoint(10.0, 0.0), None, 10.0, 0.0)
+    east = Interval(FromPoint(x_m=10.0, y_m=0.0), None, 10.0, 0.0)
     flat = Quantities(GRID, np.zeros(GRID.shape))
-    held = Interval(Freshness(()), 0.5, None, 0.1)
-    seen = Freshness(((whole, (east,)),)).on(flat, held)
-    bare = Freshness(((whole, ()),)).on(flat, held)
+    held = Interval(Freshness(craters=()), 0.5, None, 0.1)
+    seen = Freshness(craters=((whole, (east,)),)).on(flat, held)
+    bare = Freshness(craters=((whole, ()),)).on(flat, held)
     assert np.array_equal(seen, bare * product((east,), flat))
     assert 0 < (seen > 0).sum() < (bare > 0).sum()
 
 
 def test_a_ragged_bound_moves_by_its_noise():
     height = 0.1 * X
-    noise = Ragged(5, 0.4, 3.0, 3)
+    noise = Ragged(key=5, amplitude=0.4, scale_m=3.0, octaves=3)
     weight = Interval(Height(), 0.0, None, 0.0, noise).weight(GRID, height)
     added = noise.at(*GRID.points()).reshape(GRID.shape)
     assert np.array_equal(weight, (height + added >= 0.0).astype(float))
@@ -151,7 +151,7 @@ def test_a_ragged_bound_moves_by_its_noise():
 @pytest.mark.parametrize("amplitude", [1e-9, 0.1, 0.7])
 def test_a_noise_is_evaluated_only_where_it_decides(bounds, softness, amplitude):
     height = np.random.default_rng(7).normal(0.0, 0.6, GRID.shape)
-    noise = Ragged(6, amplitude, 2.0, 6)
+    noise = Ragged(key=6, amplitude=amplitude, scale_m=2.0, octaves=6)
     held, quantities = Interval(Height(), *bounds, softness, noise), Quantities(GRID, height)
     everywhere = height + noise.at(*GRID.points()).reshape(GRID.shape)
     assert np.array_equal(held.weight_of(quantities), soft_interval(everywhere, *bounds, softness))
@@ -192,7 +192,7 @@ def test_the_smallest_grid_has_quantities():
 def test_masks_take_curvature_and_flow():
     bowl = 0.5 * 0.2 * (X * X + Y * Y)
     for low, expected in ((0.39, 1.0), (0.41, 0.0)):
-        weight = Interval(Curvature(0.0), low, None, 0.0).weight(GRID, bowl)
+        weight = Interval(Curvature(over_m=0.0), low, None, 0.0).weight(GRID, bowl)
         assert np.allclose(weight, expected)
     # A bowl holds its water: it gathers in the middle and leaves by one way.
     flow = Interval(Flow(), Flow.of_bound(50.0), None, 1.0).weight(GRID, bowl)

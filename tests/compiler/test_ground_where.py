@@ -77,7 +77,7 @@ def test_a_height_line_on_a_cone_is_a_circle():
 
 def test_a_slope_line_on_a_paraboloid_is_a_circle():
     field = HeightField(GRID, 0.05 * (X * X + Y * Y))
-    steep = where(Interval(Slope(), 25.0, 40.0, 3.0))
+    steep = where(Interval(Slope(over_m=0.0), 25.0, 40.0, 3.0))
     _, points, faces, layer, _ = built(field, steep)
     r = np.tan(np.radians([25.0, 40.0])) / 0.1
     expected = np.pi * (r[1] ** 2 - r[0] ** 2)
@@ -87,7 +87,7 @@ def test_a_slope_line_on_a_paraboloid_is_a_circle():
 def test_a_curvature_line_on_a_cubic_is_straight_and_in_its_hollow():
     # z = c x^3 / 6 has the Laplacian c x, and second differences give it without error.
     field = HeightField(GRID, 0.03 * X * X * X / 6.0)
-    hollow = where(Interval(Curvature(0.0), 0.03 * 3.1, None, 0.0))
+    hollow = where(Interval(Curvature(over_m=0.0), 0.03 * 3.1, None, 0.0))
     _, points, faces, layer, report = built(field, hollow)
     area = plan_area(points, faces)
     # The last two columns of samples share the second difference of the one within.
@@ -101,7 +101,7 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
     x = np.broadcast_to(grid.x(), grid.shape)
     field = HeightField(grid, -0.1 * x)
     # A strip of one sample's width, 0.25 m, drains to a place: 2.5 m^2 at 10 m from the crest.
-    laid, _ = lay([where(Interval(Flow(0.0), Flow.of_bound(2.5), None, 0.0))], [None], field)
+    laid, _ = lay([where(Interval(Flow(over_m=0.0), Flow.of_bound(2.5), None, 0.0))], [None], field)
     px = np.linspace(-6.0, 6.0, 1001)
     side = laid[0].side(px, np.zeros_like(px))
     line = px[np.argmax(side >= 0.0)]
@@ -218,13 +218,15 @@ class Definition:
 
 
 def layers() -> tuple[Merge, ...]:
-    noisy = Merge(5, 9.0, 2, 0.5, 2.0, 0.0, 5.0, 0.5, where=(Interval(Slope(), None, 18.0, 4.0),))
+    noisy = Merge(
+        5, 9.0, 2, 0.5, 2.0, 0.0, 5.0, 0.5, where=(Interval(Slope(over_m=0.0), None, 18.0, 4.0),)
+    )
     return (
-        where(Interval(Slope(), 12.0, None, 4.0), Interval(Height(), None, 1.4, 0.2)),
+        where(Interval(Slope(over_m=0.0), 12.0, None, 4.0), Interval(Height(), None, 1.4, 0.2)),
         noisy,
-        where(Interval(Curvature(0.0), 0.1, None, 0.1, ragged=Ragged(3, 0.1, 4.0, 2))),
-        where(Interval(FromPoint(2.0, -3.0), 4.0, 11.0, 1.0),
-              Interval(Noise(9, 6.0, 2, 2.0, 0.5), -0.1, None, 0.1)),
+        where(Interval(Curvature(over_m=0.0), 0.1, None, 0.1, ragged=Ragged(key=3, amplitude=0.1, scale_m=4.0, octaves=2))),
+        where(Interval(FromPoint(x_m=2.0, y_m=-3.0), 4.0, 11.0, 1.0),
+              Interval(Noise(key=9, scale_m=6.0, octaves=2, lacunarity=2.0, gain=0.5), -0.1, None, 0.1)),
     )  # fmt: skip
 
 
@@ -254,14 +256,14 @@ def test_labels_are_those_of_the_definition_away_from_the_lines():
 _CONDITIONS = st.one_of(
     st.builds(lambda low, span, soft: Interval(Height(), low, low + span, soft),
               st.floats(-2, 2), st.floats(0, 2), st.sampled_from([0.0, 0.3, 5.0])),
-    st.builds(lambda low, soft, over: Interval(Slope(over), low, None, soft),
+    st.builds(lambda low, soft, over: Interval(Slope(over_m=over), low, None, soft),
               st.floats(0, 40), st.sampled_from([0.0, 5.0]), st.sampled_from([0.0, None, 3.0])),
-    st.builds(lambda high, over: Interval(Curvature(over), None, high, 0.1),
+    st.builds(lambda high, over: Interval(Curvature(over_m=over), None, high, 0.1),
               st.floats(-1, 1), st.sampled_from([0.0, None])),
     st.builds(lambda low: Interval(Flow(), Flow.of_bound(low), None, 1.0), st.floats(0.01, 500)),
-    st.builds(lambda r: Interval(FromPoint(1.0, 1.0), r, None, 0.5), st.floats(0, 12)),
-    st.builds(lambda low: Interval(Noise(4, 5.0, 3, 2.0, 0.5), low, None, 0.1), st.floats(-1, 1)),
-    st.builds(lambda amplitude: Interval(Height(), 0.0, None, 0.0, Ragged(8, amplitude, 3.0, 2)),
+    st.builds(lambda r: Interval(FromPoint(x_m=1.0, y_m=1.0), r, None, 0.5), st.floats(0, 12)),
+    st.builds(lambda low: Interval(Noise(key=4, scale_m=5.0, octaves=3, lacunarity=2.0, gain=0.5), low, None, 0.1), st.floats(-1, 1)),
+    st.builds(lambda amplitude: Interval(Height(), 0.0, None, 0.0, Ragged(key=8, amplitude=amplitude, scale_m=3.0, octaves=2)),
               st.floats(0, 3)),
 )  # fmt: skip
 _LAYERS = st.lists(
@@ -272,7 +274,17 @@ _LAYERS = st.lists(
 
 
 #: Bounds that no sample is beyond by more than the smallest numbers there are.
-_TINY = [([Interval(Height(), 0.0, None, 0.0, Ragged(8, 5e-324, 3.0, 2))], False, 0.5)]
+_TINY = [
+    (
+        [
+            Interval(
+                Height(), 0.0, None, 0.0, Ragged(key=8, amplitude=5e-324, scale_m=3.0, octaves=2)
+            )
+        ],
+        False,
+        0.5,
+    )
+]
 
 
 @examples(25)
@@ -315,8 +327,8 @@ def test_any_layers_on_any_ground_make_a_sound_mesh_with_one_label_a_face(drawn,
 def test_twelve_layers_of_conditions_make_a_sound_mesh():
     field = relief(spacing=0.4)
     merges = [
-        where(Interval(Height(), -0.6 + 0.1 * i, None, 0.05, Ragged(i, 0.2, 3.0, 3)),
-              Interval(FromPoint(0.0, 0.0), None, 19.0 - i, 1.0))
+        where(Interval(Height(), -0.6 + 0.1 * i, None, 0.05, Ragged(key=i, amplitude=0.2, scale_m=3.0, octaves=3)),
+              Interval(FromPoint(x_m=0.0, y_m=0.0), None, 19.0 - i, 1.0))
         for i in range(12)
     ]  # fmt: skip
     _, points, faces, layer, _ = built(field, *merges)
@@ -358,7 +370,7 @@ def test_constant_ground_lies_wholly_on_one_side():
 @pytest.mark.parametrize("part", [0.0, 0.05, 0.2])
 def test_a_coverage_within_conditions_is_that_of_the_whole_terrain(part):
     field = relief(spacing=0.25)
-    merge = replace(MERGES[0], where=(Interval(Slope(), 8.0, None, 2.0),))
+    merge = replace(MERGES[0], where=(Interval(Slope(over_m=0.0), 8.0, None, 2.0),))
     laid, (entry,) = lay([merge], [part], field)
     assert entry["covers"] == pytest.approx(part, abs=2e-4)
     assert entry["conditions"][0]["holds"] > 0.2

@@ -89,7 +89,16 @@ def test_rocks_lie_on_the_table_and_under_it_as_densely_as_around_it(tmp_path):
 
 
 def test_rocks_neither_float_over_a_cave_s_floor_nor_sink_into_it(tmp_path):
-    relief = Multifractal(1, 0.3, 4.0, 4, 2.0, 0.5, "hetero", 0.7)
+    relief = Multifractal(
+        key=1,
+        amplitude_m=0.3,
+        scale_m=4.0,
+        octaves=4,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="hetero",
+        offset=0.7,
+    )
     path = write(tmp_path / "cave.glb", *shelter(24))
     surface = run([base(path), relief], GRID).field
     assert isinstance(surface, MeshSurface)
@@ -132,7 +141,7 @@ def test_rocks_stand_on_floors_only_and_turn_with_them(tmp_path):
 def test_more_rocks_leave_the_first_where_they_are_and_density_is_followed(tmp_path):
     surface = run([base(table(tmp_path))], GRID).field
     assert isinstance(surface, MeshSurface)
-    density = NoiseDensity(5, 6.0, 2, 2.0)
+    density = NoiseDensity(key=5, scale_m=6.0, octaves=2, contrast=2.0)
     few = place_on_mesh(surface, density, uniforms(50), "rocks")
     many = place_on_mesh(surface, density, uniforms(4000), "rocks")
     assert np.array_equal(few.points, many.points[:50])

@@ -17,7 +17,16 @@ from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import SceneError
 
 DEM = Dem(Path(), None, (1.0, 1.0), 1.0, 0.0, "south", (0.5, 0.5), None, "clamp")
-FRACTAL = Multifractal(7, 1.0, 10.0, 8, 2.0, 0.5, "hetero", 0.7)
+FRACTAL = Multifractal(
+    key=7,
+    amplitude_m=1.0,
+    scale_m=10.0,
+    octaves=8,
+    lacunarity=2.0,
+    gain=0.5,
+    variant="hetero",
+    offset=0.7,
+)
 
 
 def apply(operator, grid: Grid, height: np.ndarray | None = None) -> np.ndarray:

@@ -9,7 +9,8 @@ import pytest
 from scipy.special import i0e
 
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, fresh, profile_table
 from scenec.compiler.terrain.operators.craters import Craters
@@ -36,7 +37,12 @@ def craters(*, x, y, diameter, state=0.0, irregularity=0.0) -> Craters:
 
 
 def drawn(seed: int = 0, **change) -> Craters:
-    return draw_craters({**CFG, **change}, Streams(seed, 0), "terrain/relief/1", SIZE)
+    return draw_kind(
+        "relief",
+        {"type": "craters", **{**CFG, **change}},
+        "terrain/relief/1",
+        Context(Streams(seed, 0), SIZE),
+    )
 
 
 def apply(operator: Craters, grid: Grid, height: np.ndarray | None = None) -> np.ndarray:

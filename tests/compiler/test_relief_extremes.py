@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.craters import draw_craters
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.condition import Height, Interval, Noise, Slope
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
@@ -51,10 +52,10 @@ def operators(size: float, folder) -> list:
     streams = Streams(1, 0)
     return [
         Plane(size, (0.3, -1e6)),
-        Multifractal(1, 0.1 * size, 0.3 * size, 24, 2.0, 2.0, "hybrid", 0.7, 2.0),
+        Multifractal(key=1, amplitude_m=0.1 * size, scale_m=0.3 * size, octaves=24, lacunarity=2.0, gain=2.0, variant="hybrid", offset=0.7, distortion=2.0),
         Worley(2, -size, 0.2 * size, "f2-f1", 1.0, 4, 2.0, 0.5),
         Polygons(2, 0.3 * size, 0.02 * size, 0.1 * size, 0.01 * size, 1.0),
-        draw_craters(pits, streams, "craters", (size, 0.7 * size)),
+        draw_kind("relief", {"type": "craters", **pits}, "craters", Context(streams, (size, 0.7 * size))),
         Dunes(3, 0.01 * size, 0.2 * size, 70.0, 33.0, 0.2),
         draw_barchans(heaps, streams, "barchans", (size, 0.7 * size)),
         Ripples(3, 0.004 * size, 0.12 * size, 70.0, 30.0, 0.2),
@@ -105,7 +106,16 @@ def test_every_operator_is_the_same_at_every_extent(size, tmp_path):
     for scale in (1.0, unit):
         grid = Grid.with_spacing((scale, 0.7 * scale), scale / 40)
         ops = [op for op in operators(scale, tmp_path) if operator_type(op) in SCALE_FREE]
-        base = Multifractal(1, 0.1 * scale, 0.3 * scale, 6, 2.0, 0.5, "fbm", 0.7)
+        base = Multifractal(
+            key=1,
+            amplitude_m=0.1 * scale,
+            scale_m=0.3 * scale,
+            octaves=6,
+            lacunarity=2.0,
+            gain=0.5,
+            variant="fbm",
+            offset=0.7,
+        )
         ground = base.apply(grid, np.zeros(grid.shape))[0]
         results.append([op.apply(grid, ground)[0] / scale for op in ops])
     for a, b in zip(*results, strict=True):
@@ -122,8 +132,10 @@ def test_masks_take_every_ground(size):
     grid = Grid.with_spacing((size, 0.7 * size), size / 40)
     conditions = (
         Interval(Height(), -1e6, 1e6, 0.0),
-        Interval(Slope(), 0.0, 89.0, 5.0),
-        Interval(Noise(1, 0.3 * size, 24, 2.0, 0.5), -0.5, None, 0.0),
+        Interval(Slope(over_m=0.0), 0.0, 89.0, 5.0),
+        Interval(
+            Noise(key=1, scale_m=0.3 * size, octaves=24, lacunarity=2.0, gain=0.5), -0.5, None, 0.0
+        ),
     )
     for ground in grounds(grid).values():
         out, _ = Masked(Thermal(30.0), conditions).apply(grid, ground)
@@ -168,7 +180,17 @@ def test_detail_finer_than_float64_can_place_is_left_out(scale, lacunarity):
             if kind is Worley:
                 noise = Worley(2, 1.0, scale, variant, 1.0, 24, lacunarity, 0.5)
             else:
-                noise = Multifractal(1, 1.0, scale, 24, lacunarity, 0.5, variant, 0.7, 0.5)
+                noise = Multifractal(
+                    key=1,
+                    amplitude_m=1.0,
+                    scale_m=scale,
+                    octaves=24,
+                    lacunarity=lacunarity,
+                    gain=0.5,
+                    variant=variant,
+                    offset=0.7,
+                    distortion=0.5,
+                )
             assert np.isfinite(noise.apply(grid, np.zeros(grid.shape))[0]).all()
             details = (noise.detail(grid), noise.everywhere())
             found += [detail.at(x, 0.3 * x) for detail in details if detail is not None]
@@ -185,7 +207,16 @@ FRACTALS = ("fbm", "hetero", "hybrid", "ridged", "billow")
 def test_detail_that_no_renderer_can_hold_is_refused():
     # Below the grid, octave upon octave of twice the amplitude of the one before.
     grid = Grid.with_spacing((20.0, 20.0), 5.0)
-    wild = Multifractal(1, 1e6, 5.0, 24, 2.0, 2.0, "hybrid", 0.7)
+    wild = Multifractal(
+        key=1,
+        amplitude_m=1e6,
+        scale_m=5.0,
+        octaves=24,
+        lacunarity=2.0,
+        gain=2.0,
+        variant="hybrid",
+        offset=0.7,
+    )
     assert np.abs(wild.apply(grid, np.zeros(grid.shape))[0]).max() < 1e9
     with pytest.raises(SceneError, match=r"heights reach .*e\+\d\d m, at most 1e\+18 m"):
         run((wild,), grid)

@@ -63,7 +63,7 @@ def test_a_soft_interval_is_one_within_zero_outside_and_half_at_its_bounds():
 
 def test_a_masked_operator_is_a_blend_and_says_that_it_conserves_nothing():
     height = bumps()
-    here = Interval(FromPoint(0.0, 0.0), None, 3.0, 2.0)
+    here = Interval(FromPoint(x_m=0.0, y_m=0.0), None, 3.0, 2.0)
     whole = Smooth(0.5).apply(GRID, height)[0]
     out, report = Masked(Smooth(0.5), (here,)).apply(GRID, height)
     weight = here.weight(GRID, height)
@@ -78,7 +78,7 @@ def test_a_masked_operator_is_a_blend_and_says_that_it_conserves_nothing():
 
 def test_conditions_multiply():
     pair = (
-        Interval(FromPoint(2.0, 0.0), None, 3.0, 1.0),
+        Interval(FromPoint(x_m=2.0, y_m=0.0), None, 3.0, 1.0),
         Interval(Height(), 0.0, None, 0.5),
     )
     height = bumps()
@@ -95,16 +95,18 @@ def test_each_condition_is_a_soft_interval_of_its_quantity(tmp_path):
     slope = np.degrees(np.arctan(np.hypot(0.3, 0.4)))
     tilted = 0.3 * x - 0.4 * y
     for low, expected in ((slope - 1.0, 1.0), (slope + 1.0, 0.0), (slope, 0.5)):
-        weight = Interval(Slope(), low, None, 0.5).weight(GRID, tilted)
+        weight = Interval(Slope(over_m=0.0), low, None, 0.5).weight(GRID, tilted)
         assert np.allclose(weight, expected, rtol=0, atol=1e-9)
     file = write_path(tmp_path, "x_m,y_m\n-4,0\n4,0\n")
     away = np.hypot(x - np.clip(x, -4, 4), y)
     for low, high in ((None, 2.0), (1.0, 2.0), (1.5, None)):
-        got = Interval(FromPath(file), low, high, 0.4).weight(GRID, bumps())
+        got = Interval(FromPath(file=file), low, high, 0.4).weight(GRID, bumps())
         assert np.allclose(got, soft_interval(away, low, high, 0.4), rtol=0, atol=1e-12)
-    got = Interval(FromPoint(1.0, -2.0), 2.0, 3.0, 0.3).weight(GRID, bumps())
+    got = Interval(FromPoint(x_m=1.0, y_m=-2.0), 2.0, 3.0, 0.3).weight(GRID, bumps())
     assert np.allclose(got, soft_interval(np.hypot(x - 1, y + 2), 2.0, 3.0, 0.3))
-    noise = Interval(Noise(3, 4.0, 3, 2.0, 0.5), 0.0, None, 0.05).weight(GRID, bumps())
+    noise = Interval(
+        Noise(key=3, scale_m=4.0, octaves=3, lacunarity=2.0, gain=0.5), 0.0, None, 0.05
+    ).weight(GRID, bumps())
     assert noise.mean() == pytest.approx(0.5, abs=0.2)
     assert 0.0 < ((noise > 0) & (noise < 1)).mean() < 0.3
 

@@ -28,7 +28,16 @@ from scenec.compiler.terrain.operators.worley import Worley
 from scenec.schemas.threads import at_most
 
 VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]
-FRACTAL = Multifractal(7, 3.0, 25.0, 6, 2.13, 0.6, "fbm", 0.7)
+FRACTAL = Multifractal(
+    key=7,
+    amplitude_m=3.0,
+    scale_m=25.0,
+    octaves=6,
+    lacunarity=2.13,
+    gain=0.6,
+    variant="fbm",
+    offset=0.7,
+)
 CELLS = Worley(9, 2.0, 8.0, "f1", 1.0, 1, 2.0, 0.5)
 GRID = Grid((60.0, 40.0), (41, 61))
 
@@ -184,7 +193,15 @@ def test_noise_is_finite_over_the_whole_range(
     grid = Grid.with_spacing((size, size), size / 16)
     if variant in VARIANTS:
         operator = Multifractal(
-            3, amplitude, size / 3, octaves, lacunarity, gain, variant, offset, distortion
+            key=3,
+            amplitude_m=amplitude,
+            scale_m=size / 3,
+            octaves=octaves,
+            lacunarity=lacunarity,
+            gain=gain,
+            variant=variant,
+            offset=offset,
+            distortion=distortion,
         )
     else:
         operator = Worley(3, amplitude, size / 3, variant, 1.0, octaves, lacunarity, gain)

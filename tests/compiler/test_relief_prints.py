@@ -88,7 +88,19 @@ def test_the_volume_converges_with_the_spacing():
 
 
 def test_a_grid_holds_all_of_a_print_or_leaves_it_to_the_detail():
-    prints, ground = one_print(turn=0.3), Multifractal(1, 0.1, 0.5, 3, 2.0, 0.5, "fbm", 0.7)
+    prints, ground = (
+        one_print(turn=0.3),
+        Multifractal(
+            key=1,
+            amplitude_m=0.1,
+            scale_m=0.5,
+            octaves=3,
+            lacunarity=2.0,
+            gain=0.5,
+            variant="fbm",
+            offset=0.7,
+        ),
+    )
     fine, coarse = Grid((0.7, 0.7), (101, 101)), Grid((0.7, 0.7), (15, 15))
     height, report = prints.apply(fine, ground.apply(fine, np.zeros(fine.shape))[0])
     assert not report["below_grid"]
@@ -267,7 +279,7 @@ def test_details_do_not_depend_on_the_number_of_threads(detail):
 
 
 def test_a_mask_fades_prints_and_they_stay_local():
-    disk = Interval(FromPoint(0.0, 0.0), None, 6.0, 1.0)
+    disk = Interval(FromPoint(x_m=0.0, y_m=0.0), None, 6.0, 1.0)
     relief = run([Plane(0.0, (0.0, 0.0)), Masked(walked(walks=5), (disk,))],
                  Grid.with_spacing(SIZE, 0.1))  # fmt: skip
     (detail,) = relief.details

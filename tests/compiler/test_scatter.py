@@ -30,7 +30,16 @@ def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: in
 
 def relief() -> HeightField:
     grid = Grid.with_spacing((40.0, 40.0), 0.4)
-    operator = Multifractal(1, 1.5, 8.0, 5, 2.0, 0.5, "hetero", 0.7)
+    operator = Multifractal(
+        key=1,
+        amplitude_m=1.5,
+        scale_m=8.0,
+        octaves=5,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="hetero",
+        offset=0.7,
+    )
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
 
 
@@ -61,8 +70,10 @@ def test_the_icosphere_is_that_of_an_independent_library(subdivisions):
 
 def test_the_count_is_exact_and_the_first_points_stay_when_it_grows():
     u = np.random.default_rng(0).random((1000, 3))
-    few = place(relief(), NoiseDensity(5, 6.0, 3, 4.0), u[:300], "rocks")
-    many = place(relief(), NoiseDensity(5, 6.0, 3, 4.0), u, "rocks")
+    few = place(
+        relief(), NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=4.0), u[:300], "rocks"
+    )
+    many = place(relief(), NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=4.0), u, "rocks")
     assert len(many[0]) == 1000
     assert np.array_equal(few[0], many[0][:300])
     assert np.array_equal(few[1], many[1][:300])

@@ -97,8 +97,8 @@ def test_every_law_places_as_its_formula_says(tmp_path):
     x, y = middles()
     flat = x.ravel(), y.ravel()
     away = to_path(x, y)
-    worley = WorleyDensity(3, 7.0, "f2-f1", 6.0, 0.9)
-    noise = NoiseDensity(5, 6.0, 3, 2.0)
+    worley = WorleyDensity(key=3, scale_m=7.0, distance="f2-f1", sharpness=6.0, jitter=0.9)
+    noise = NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=2.0)
     parents = np.random.default_rng(4).uniform(-1, 1, (2, 9)) * [[22], [18]]
     square = (x[..., None] - parents[0]) ** 2 + (y[..., None] - parents[1]) ** 2
     thomas = np.where(square < 16 * 1.2**2, np.exp(-0.5 * square / 1.2**2), 0.0).sum(axis=2)
@@ -109,9 +109,15 @@ def test_every_law_places_as_its_formula_says(tmp_path):
         (noise, noise.at(*flat).reshape(x.shape)),
         (ClusterDensity(*parents, 1.2, 0.0), thomas),
         (ClusterDensity(*parents, 1.2, 0.3), 0.3 + 0.7 * thomas / thomas.mean()),
-        (PathDensity(file, "gaussian", 0.8, 0.0, 0.0), np.exp(-0.5 * (away / 0.8) ** 2)),
-        (PathDensity(file, "band", 0.7, 2.0, 0.0), band),
-        (PathDensity(file, "band", 0.7, 2.0, 0.2), 0.2 + 0.8 * band / band.mean()),
+        (
+            PathDensity(file=file, law="gaussian", width_m=0.8, offset_m=0.0, background=0.0),
+            np.exp(-0.5 * (away / 0.8) ** 2),
+        ),
+        (PathDensity(file=file, law="band", width_m=0.7, offset_m=2.0, background=0.0), band),
+        (
+            PathDensity(file=file, law="band", width_m=0.7, offset_m=2.0, background=0.2),
+            0.2 + 0.8 * band / band.mean(),
+        ),
     ):
         # Four standard deviations and a little: a cell's width shows at 1e5 points.
         assert abs(chi_square(*points(density), wanted)) < 6.0, density
@@ -119,15 +125,21 @@ def test_every_law_places_as_its_formula_says(tmp_path):
 
 def test_a_chi_square_tells_a_density_from_a_slightly_other_one():
     x, y = middles()
-    other = NoiseDensity(5, 6.0, 3, 2.2).at(x.ravel(), y.ravel()).reshape(x.shape)
-    assert chi_square(*points(NoiseDensity(5, 6.0, 3, 2.0)), other) > 6.0
+    other = (
+        NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=2.2)
+        .at(x.ravel(), y.ravel())
+        .reshape(x.shape)
+    )
+    assert (
+        chi_square(*points(NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=2.0)), other) > 6.0
+    )
 
 
 def test_a_picture_lies_with_its_top_in_the_north_and_is_followed_pixel_by_pixel(tmp_path):
     gray = np.random.default_rng(0).integers(0, 256, (16, 20)).astype(np.uint8)
     gray[:4] //= 8
     Image.fromarray(gray).save(tmp_path / "map.png")
-    x, y = points(ImageDensity(tmp_path / "map.png"))
+    x, y = points(ImageDensity(file=tmp_path / "map.png"))
     wanted = np.kron(gray[::-1].astype(float), np.ones((20, 20)))
     assert abs(chi_square(x, y, wanted)) < 4.0
     assert (y > 8).mean() < 0.1
@@ -137,7 +149,7 @@ def test_one_pixel_that_is_not_black_holds_everything(tmp_path):
     gray = np.zeros((50, 70), np.uint16)
     gray[7, 11] = 3
     Image.fromarray(gray).save(tmp_path / "map.png")
-    x, y = points(ImageDensity(tmp_path / "map.png"))
+    x, y = points(ImageDensity(file=tmp_path / "map.png"))
     west, south = -20 + 40 * 11 / 70, 16 - 32 * 8 / 50
     # But for the cells that reach over its border: a quarter of a pixel wide at most.
     cell = 0.25 * 40 / 70
@@ -150,16 +162,40 @@ def test_one_pixel_that_is_not_black_holds_everything(tmp_path):
 
 def test_rings_follow_the_ejecta_and_favor_fresh_craters():
     # One crater alone: the number between r1 and r2 goes as the integral of r^-3 2 pi r dr.
-    alone = RingDensity(((craters((0.0,)), ()),), 1.0, 4.0, 2.0, 0.0)
+    alone = RingDensity(
+        craters=((craters((0.0,)), ()),),
+        min_radii=1.0,
+        max_radii=4.0,
+        freshness=2.0,
+        background=0.0,
+    )
     x, y = points(alone)
     away = np.hypot(x + 9.0, y - 2.0) / 4.0
     inner = ((away > 1.2) & (away < 1.5)).sum() / ((away > 1.5) & (away < 2.0)).sum()
     assert inner == pytest.approx((1 / 1.2 - 1 / 1.5) / (1 / 1.5 - 1 / 2), rel=0.03)
     assert away.max() < 4.1
     assert (away < 0.75).sum() == 0
-    both = RingDensity(((craters((0.0, 0.0)), ()),), 1.0, 3.0, 2.0, 0.0)
-    worn = RingDensity(((craters((0.0, 0.3)), ()),), 1.0, 3.0, 2.0, 0.0)
-    equal = RingDensity(((craters((0.0, 0.3)), ()),), 1.0, 3.0, 0.0, 0.0)
+    both = RingDensity(
+        craters=((craters((0.0, 0.0)), ()),),
+        min_radii=1.0,
+        max_radii=3.0,
+        freshness=2.0,
+        background=0.0,
+    )
+    worn = RingDensity(
+        craters=((craters((0.0, 0.3)), ()),),
+        min_radii=1.0,
+        max_radii=3.0,
+        freshness=2.0,
+        background=0.0,
+    )
+    equal = RingDensity(
+        craters=((craters((0.0, 0.3)), ()),),
+        min_radii=1.0,
+        max_radii=3.0,
+        freshness=0.0,
+        background=0.0,
+    )
     second = [(points(density)[0] > 2.0).mean() for density in (both, worn, equal)]
     assert second[0] > 2.0 * second[1]
     assert second[2] == pytest.approx(second[0], abs=0.01)
@@ -170,7 +206,9 @@ def test_skirts_lie_around_the_objects_they_are_asked_for():
     size = {"type": "choice", "values": [1, 3], "weights": [1, 3]}
     boulders = laid(around, name="boulders", count=8, size_m=size, apart={"gap_m": 4.5})
     around = surroundings(boulders=boulders)
-    x, y = points(AroundDensity("boulders", 1.5, 0.6, 2.0, 0.0), around)
+    x, y = points(
+        AroundDensity(of="boulders", reach=1.5, inside=0.6, min_size_m=2.0, background=0.0), around
+    )
     large = boulders.scales[:, 0] > 2.0
     away = cKDTree(boulders.positions[large, :2]).query(np.stack([x, y], axis=1))[0] / 1.5
     assert 2 < large.sum() < 8
@@ -235,7 +273,7 @@ def test_the_nearest_circle_is_that_of_brute_force(reach):
 def test_a_density_that_is_nowhere_is_refused():
     for density in (
         ClusterDensity(np.array([500.0]), np.array([0.0]), 1.0, 0.0),
-        RingDensity((), 1.0, 5.0, 1.0, 0.0),
+        RingDensity(craters=(), min_radii=1.0, max_radii=5.0, freshness=1.0, background=0.0),
     ):
         with pytest.raises(SceneError, match="objects/rocks: its density is zero everywhere"):
             points(density)
@@ -253,5 +291,7 @@ def test_files_of_densities_come_from_the_cfg(tmp_path):
     files = {"objects/rocks/density/file": InputFile(path_file(tmp_path), "")}
     density = {"type": "path", "file": "path.csv", "width_m": 1}
     drawn = plan(count=1, density=density, files=files)
-    assert drawn.density == PathDensity(tmp_path / "path.csv", "gaussian", 1.0, 0.0, 0.0)
+    assert drawn.density == PathDensity(
+        file=tmp_path / "path.csv", law="gaussian", width_m=1.0, offset_m=0.0, background=0.0
+    )
     assert Streams(1, 0).key("objects/rocks/density") != 0

@@ -32,7 +32,16 @@ RIVERS = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.01, 1e-3, 1e6, 20, SIDES)
 
 def hills(n: int = 65, size: float = 4000.0, seed: int = 1) -> tuple[Grid, np.ndarray]:
     grid = Grid((size, size), (n, n))
-    noise = Multifractal(seed, 0.03 * size, 0.5 * size, 7, 2.0, 0.5, "fbm", 0.9)
+    noise = Multifractal(
+        key=seed,
+        amplitude_m=0.03 * size,
+        scale_m=0.5 * size,
+        octaves=7,
+        lacunarity=2.0,
+        gain=0.5,
+        variant="fbm",
+        offset=0.9,
+    )
     return grid, noise.apply(grid, np.zeros((n, n)))[0]
 
 

@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2, whole
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.laws import arrivals
+from scenec.compiler.distributions.numbers import Number, draw_number
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    FRACTION_PER_INSTANCE,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    PER_INSTANCE,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.noise.lattice import hash2, subkeys, whole
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.crater_profile import (
@@ -20,6 +36,8 @@ from scenec.compiler.terrain.operators.crater_profile import (
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 
+#: Craters of one operator at most.
+MAX_CRATERS = 4_000_000
 #: Craters narrower than this many grid spacings are not shown.
 _FINEST = 3.0
 # Within the first radius the old surface is gone, beyond the second it is as it was.
@@ -31,6 +49,106 @@ _OUTLINE = 1.5
 _FIRST, _WIDTH = -2, 5
 # Samples that all craters together may reach: some minutes' work.
 _MOST_SAMPLES = 1e10
+
+
+@dataclass(frozen=True, kw_only=True)
+class CraterLaw:
+    """Impact craters, fresh and worn, drawn from a size-frequency law and laid over each other and
+    over what is there in the order of their ages. A younger crater replaces what lies within it.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "craters",
+        "min_diameter_m": 2,
+        "max_diameter_m": 12,
+        "density_per_m2": 0.02,
+        "degradation": 0.5,
+    }
+
+    min_diameter_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    """Smallest diameter from rim to rim; craters narrower than three spacings are left out."""
+    max_diameter_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    """Largest diameter."""
+    density_per_m2: float = key(PER_BATCH, default=0.033572, at_least=0, at_most=1_000_000_000)
+    """Craters larger than reference_diameter_m in a square meter. The default is the equilibrium
+    that small lunar craters are in: 0.0218 · 1.54 above 1 m."""
+    reference_diameter_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=1_000_000)
+    """Diameter that density_per_m2 is given for."""
+    exponent: float = key(PER_BATCH, default=2, above=0, at_most=10)
+    """The law's exponent b in N(>D) ∝ D^-b: 2 in equilibrium, about 3 where craters have not yet
+    destroyed each other."""
+    depth_ratio: Number = key(FRACTION_PER_INSTANCE, default=0.2)
+    """Depth below the rim of a fresh crater over its diameter: about 0.2 above 400 m, down to 0.1
+    for the smallest lunar ones."""
+    rim_ratio: Number = key(PER_INSTANCE, default=0.04, at_least=0, at_most=0.5)
+    """Height of a fresh crater's rim over its diameter."""
+    degradation: float = key(PER_BATCH, default=0.4, at_least=0, at_most=2)
+    """How worn the oldest craters are: κt/R² of the diffusion that wore them. 0 leaves all fresh;
+    at 0.1 the depth has fallen to 55 %, at 0.5 to 16 %. Ages are uniform."""
+    irregularity: float = key(PER_BATCH, default=0.08, at_least=0, at_most=0.5)
+    """How far outlines are from circles, as a part of the radius."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Findings between its keys."""
+        low, high = node.span("min_diameter_m"), node.span("max_diameter_m")
+        if low and high and low[1] > high[0]:
+            yield node.fault(
+                f"{low[1]:g} m can be above max_diameter_m ({high[0]:g} m): expected it below",
+                "min_diameter_m",
+            )
+
+    def draw(self, context: Context) -> Craters:
+        """The craters.
+
+        They are a Poisson process with N(>D) = density * (D / reference)**-exponent per m^2: counts
+        have that mean over seeds, exactly, and scatter by their square root, as nature's do.
+        Diameters are drawn in octaves [2^k, 2^(k+1)) m, each with streams of its own and from its
+        largest crater down, over the terrain and as far around it as such craters reach. So a
+        smaller ``min_diameter_m`` or a larger ``max_diameter_m`` adds craters and leaves the others
+        as they were.
+
+        Ages are uniform between now and when the surface was new; the oldest are the most worn.
+
+        Raises:
+            SceneError: There would be too many.
+        """
+        low, high, path, size_m = (
+            self.min_diameter_m,
+            self.max_diameter_m,
+            context.path,
+            context.size_m,
+        )
+        law = _Law(self.density_per_m2, self.reference_diameter_m, self.exponent)
+        first = math.frexp(low)[1] - 1
+        octaves = range(first, max(math.frexp(math.nextafter(high, 0.0))[1], first + 1))
+        expected = sum(
+            _area(size_m, k) * law.between(max(low, 2.0**k), 2.0 ** (k + 1)) for k in octaves
+        )
+        if not expected <= MAX_CRATERS:
+            raise SceneError(
+                f"{path}: {f'{expected:.3g}' if math.isfinite(expected) else 'countless'} craters "
+                f"are expected, at most {MAX_CRATERS:,} are taken; "
+                "raise min_diameter_m or lower density_per_m2"
+            )
+        parts = [
+            _octave(self, context.streams, f"{path}/octave/{k}", size_m, law, k) for k in octaves
+        ]
+        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        age = columns.pop()
+        # The oldest first.
+        order = np.argsort(-age, kind="stable")
+        x, y, diameter, depth_ratio, rim_ratio, outline = (column[order] for column in columns)
+        return Craters(
+            x_m=x,
+            y_m=y,
+            diameter_m=diameter,
+            depth_ratio=depth_ratio,
+            rim_ratio=rim_ratio,
+            state=self.degradation * age[order],
+            outline=outline,
+            irregularity=self.irregularity,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +171,8 @@ class Craters:
         outline: Noise key of each outline, uint64 [n].
         irregularity: How far outlines are from circles: part of the radius.
     """
+
+    KIND: ClassVar = "craters"
 
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
@@ -302,3 +422,89 @@ def _plane(
     slope_x = (xz * yy - yz * xy) / determinant
     slope_y = (yz * xx - xz * xy) / determinant
     return sz - slope_x * sx - slope_y * sy, slope_x, slope_y
+
+
+def craters_laid(context: Context) -> tuple[tuple[Craters, tuple[Any, ...]], ...]:
+    """Returns the craters that the relief lays, each with the conditions of its mask."""
+    found = []
+    for one in context.relief:
+        operator, conditions = getattr(one, "operator", one), getattr(one, "conditions", ())
+        if isinstance(operator, Craters):
+            found.append((operator, conditions))
+    return tuple(found)
+
+
+def require_craters(node: Node, relief: list[Node], where: str = "") -> Iterator[Finding]:
+    """Finds fault with what needs craters, where a relief has none."""
+    if "craters" not in [operator.entries.get("type") for operator in relief]:
+        yield node.fault(
+            f'no craters in the relief{where}: expected an operator of the type "craters"', "type"
+        )
+
+
+class _Law:
+    """N(>D) = density * (D / reference)**-exponent."""
+
+    def __init__(self, density: float, reference: float, exponent: float):
+        self.density, self.reference, self.exponent = density, reference, exponent
+
+    def above(self, diameter: float) -> float:
+        """Craters per m^2 larger than a diameter."""
+        return self.density * elementary.pow(self.reference / diameter, self.exponent)
+
+    def between(self, low: float, high: float) -> float:
+        """Craters per m^2 of diameters from low to high."""
+        return self.above(low) - self.above(high)
+
+    def diameters(self, above: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The diameter that so many craters per m^2 are larger than."""
+        logs = elementary.log_array(above / self.density)
+        return self.reference * elementary.exp_array(-logs / self.exponent)
+
+
+def _area(size_m: tuple[float, float], octave: int) -> float:
+    """Of the rectangle that craters below 2**(octave + 1) m reach the terrain from, m^2."""
+    margin = 2.0 * _margin(octave)
+    return (size_m[0] + margin) * (size_m[1] + margin)
+
+
+def _margin(octave: int) -> float:
+    return REACH * 2.0**octave
+
+
+def _octave(
+    of: CraterLaw,
+    streams: Streams,
+    path: str,
+    size_m: tuple[float, float],
+    law: _Law,
+    octave: int,
+) -> tuple[NDArray[Any], ...]:
+    """The craters of one octave of diameters: x, y, diameter, two ratios, outline, age."""
+    low = max(of.min_diameter_m, 2.0**octave)
+    diameter = _poisson(streams, f"{path}/diameter", law, _area(size_m, octave), low, octave)
+    n = len(diameter)
+    margin = _margin(octave)
+    at = streams.uniforms(f"{path}/position", 2 * n).reshape(n, 2) - 0.5
+    columns = (
+        at[:, 0] * (size_m[0] + 2.0 * margin),
+        at[:, 1] * (size_m[1] + 2.0 * margin),
+        diameter,
+        draw_number(of.depth_ratio, streams, f"{path}/depth_ratio", n),
+        draw_number(of.rim_ratio, streams, f"{path}/rim_ratio", n),
+        subkeys(np.uint64(streams.key(path)), n),
+        streams.uniforms(f"{path}/age", n),
+    )
+    kept = diameter <= of.max_diameter_m
+    return tuple(column[kept] for column in columns)
+
+
+def _poisson(
+    streams: Streams, path: str, law: _Law, area: float, low: float, octave: int
+) -> NDArray[np.float64]:
+    """Diameters of one octave down to ``low``, falling: a Poisson process in N(>D) * area."""
+    start, end = law.above(2.0 ** (octave + 1)), law.above(low)
+    above = start + arrivals(streams, path, area * (end - start)) / area
+    diameter = law.diameters(above[above <= end])
+    # Rounding must not carry one over the octave's border.
+    return np.clip(diameter, low, np.nextafter(2.0 ** (octave + 1), 0.0))

@@ -8,6 +8,16 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    GAIN,
+    LACUNARITY,
+    LENGTH_PER_BATCH,
+    NOISE_SCALE_M,
+    PER_BATCH,
+    WHOLE_PER_BATCH,
+)
 from scenec.compiler.noise.fractal import WARP_LACUNARITY, Fractal, warp_keys
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
@@ -18,9 +28,9 @@ LARGEST_M = 1e6
 
 @dataclass(frozen=True)
 class Multifractal:
-    """Adds fractal relief (Musgrave, in Ebert et al. 2003, Texturing and Modeling, ch. 16).
+    """Fractal relief on Perlin noise, added to what is there (Musgrave, in Ebert et al. 2003).
 
-    With octaves n_o of Perlin noise and weights g_o = gain**o:
+    Note: With octaves n_o of Perlin noise and weights g_o = gain**o:
 
     - ``fbm``: sum of g_o n_o;
     - ``hetero``: v = offset + n_0, then v += g_o (n_o + offset) v: rough where it is high, smooth
@@ -36,32 +46,45 @@ class Multifractal:
 
     Octaves finer than two grid spacings cannot be represented there: they are ``detail`` (counted
     in the report). A warp shortens wavelengths where it compresses; that is not followed.
-
-    Attributes:
-        key: Noise key.
-        amplitude_m: Factor on all of it, meters: the extremes of the first octave of ``fbm`` and
-            ``hetero``.
-        scale_m: Size of the first octave's features, meters.
-        octaves: Number of octaves at most.
-        lacunarity: Ratio of successive frequencies.
-        gain: Ratio of successive amplitudes.
-        variant: Which of the five.
-        offset: The multifractal offset; 0 makes ``hetero`` and ``hybrid`` smoothest in the valleys.
-        distortion: Strength of the domain warp.
-        distortion_octaves: Octaves of the noise that warps; their gain is 1/2.
     """
 
-    key: int
-    amplitude_m: float
-    scale_m: float
-    octaves: int
-    lacunarity: float
-    gain: float
-    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"]
-    offset: float
-    distortion: float = 0.0
-    distortion_octaves: int = 2
+    EXAMPLE: ClassVar = {
+        "type": "multifractal",
+        "amplitude_m": {"type": "uniform", "min": 0.5, "max": 1.5},
+        "scale_m": 15,
+        "octaves": 8,
+    }
 
+    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000)
+    """Height of the first octave's extremes."""
+    scale_m: float = key(NOISE_SCALE_M)
+    octaves: int = key(WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
+    """Number of octaves at most; those finer than the spacing can show are left out."""
+    lacunarity: float = key(LACUNARITY)
+    gain: float = key(GAIN)
+    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"] = key(CHOICE, default="hetero")
+    """fbm: a plain sum; hetero: rough where it is high, smooth in the valleys; hybrid: smooth in
+    valleys at every height; ridged: sharp crests; billow: round hills between creases."""
+    offset: float = key(PER_BATCH, default=0.7, at_least=-100, at_most=100)
+    """The multifractal offset: how much the fine octaves show in the valleys (hetero, hybrid), how
+    high the crests are (ridged)."""
+    distortion: float = key(PER_BATCH, default=0, at_least=-10, at_most=10)
+    """Domain warp: how far, in units of scale_m, the noise is moved about by another noise."""
+    distortion_octaves: int = key(WHOLE_PER_BATCH, default=2, at_least=1, at_most=24)
+    """Octaves of the noise that warps; their gain is 1/2."""
+    key: int = noise_key()
+
+    #: As a relief of a material, at any fineness.
+    ELSEWHERE: ClassVar = {
+        "displacement_multifractal": {
+            "DESCRIPTION": "Fractal relief on Perlin noise (Musgrave, in Ebert et al. 2003).",
+            "EXAMPLE": {
+                "type": "multifractal", "variant": "fbm", "amplitude_m": 0.02, "scale_m": 0.25,
+                "octaves": 2,
+            },
+            "octaves": {"description": "Number of octaves.", "default": 3},
+        }
+    }  # fmt: skip
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 
