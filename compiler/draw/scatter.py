@@ -36,8 +36,8 @@ from scenec.compiler.objects.density import (
     WorleyDensity,
 )
 from scenec.compiler.objects.feet import FilletPlan
-from scenec.compiler.scene.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
-from scenec.compiler.scene.scene import Labels
+from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
+from scenec.compiler.scene.labels import Labels
 from scenec.schemas.errors import SceneError
 from scenec.schemas.plugins import Kinds
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scenec.compiler.emit.layer import Appearance
 from scenec.compiler.emit.objects import write_scatter
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.plan import RockShapes, ScatterPlan
 from scenec.compiler.objects.rocks import Chain, build_chains
-from scenec.compiler.scene.plan import RockShapes, ScatterPlan
-from scenec.compiler.scene.scene import Placed, Prototype, Scatter
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
 from scenec.studies.ladder.apart import apart
 from scenec.studies.ladder.base import Base

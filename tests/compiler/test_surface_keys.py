@@ -65,7 +65,7 @@ def test_a_surface_has_the_numbers_that_its_keys_say(tmp_path, kind):
     cfg["materials"]["gravel"].pop("maps")
     del cfg["terrain"]["ground"][1]["height_blend"]
     spec = load(write_cfg(tmp_path, cfg))
-    surface = draw(spec, 1, 0).materials["sand"].maps.procedural
+    surface = draw(spec, 1, 0).materials["sand"].procedural
     assert type(surface) is SURFACES[kind]
     given = resolve(spec.cfg["materials"]["sand"]["maps"]["procedural"], Streams(1, 0), "x")
     constant = {k: v for k, v in given.items() if isinstance(v, (int, float, str)) and k != "type"}
