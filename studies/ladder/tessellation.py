@@ -129,7 +129,8 @@ def _rung(
         base.tiles = tiles
     table = base.plan.label_table if base.labels else {}
     names = [label_names(table, layer.labels) for layer in terrain.layers]
-    materials = dict(base.plan.materials) if base.color else {}
+    drawn = base.plan.materials if base.color else {}
+    materials = {name: one.material for name, one in drawn.items()}
     ground = Ground(terrain.layers, tiles)
     size = clock.mean(
         lambda: written(

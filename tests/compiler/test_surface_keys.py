@@ -120,7 +120,7 @@ def test_viewers_see_what_a_material_gives_off(folder):
 
 def test_cells_are_others_in_each_batch_and_the_same_for_one_seed(folder):
     spec = load(write_cfg(folder, {**keyed_cfg(), "batches": 2}))
-    seeds = [draw(spec, 5, batch).materials["sand"].maps.cells.seed for batch in (0, 1, 0)]
+    seeds = [draw(spec, 5, batch).materials["sand"].material.maps.cells.seed for batch in (0, 1, 0)]
     assert seeds[0] == seeds[2] != seeds[1]
 
 
