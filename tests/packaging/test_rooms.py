@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import tomllib
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import chain
@@ -13,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 #: The house, from the ground up: a folder imports those before it. Folders side by side share
-#: nothing. What a folder's ``ruff.toml`` bans follows from it.
+#: nothing. ``test_layers.py`` holds each folder's ``ruff.toml`` to it.
 HOUSE = (
     ("schemas",),
     ("compiler", "backends", "datasets"),
@@ -81,7 +80,6 @@ FLOORS = {
 FLAT = {"schemas", "settle", "cli"}
 #: Folders that further ones are closed to, above what ``HOUSE`` says.
 CLOSED = {
-    "datasets": {"compiler", "backends"},
     "settle": {"backends", "datasets"},
     "importers": {"datasets"},
 }
@@ -142,30 +140,9 @@ def above(folder: str) -> set[str]:
     return set(chain(*HOUSE[own:])) - {folder} | CLOSED.get(folder, set())
 
 
-def banned(folder: str) -> set[str]:
-    """What a folder's linter bans."""
-    text = (ROOT / folder / "ruff.toml").read_text(encoding="utf-8")
-    return set(tomllib.loads(text)["lint"]["flake8-tidy-imports"]["banned-api"])
-
-
 def test_every_folder_with_modules_of_the_package_has_its_floor() -> None:
     folders = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     assert folders - {"tests"} == set(chain(*HOUSE)) == FLOORS.keys() | FLAT
-
-
-@pytest.mark.parametrize("folder", [name for name in chain(*HOUSE) if name != "cli"])
-def test_the_linter_bans_what_is_above_and_second_copies_of_modules(folder: str) -> None:
-    found = banned(folder)
-    assert {f"scenec.{name}" for name in above(folder)} <= found
-    assert set(chain(*HOUSE)) <= found
-    assert not {f"scenec.{name}" for name in chain(*HOUSE) if name not in above(folder)} & found
-
-
-def test_the_linter_opens_the_reader_of_stages_alone_to_importers() -> None:
-    rooms = {f"scenec.backends.{name}" for name in chain(*FLOORS["backends"])}
-    assert {name for name in banned("importers") if name.startswith("scenec.backends.")} == (
-        rooms - {"scenec.backends.stage"}
-    )
 
 
 @pytest.mark.parametrize("layer", FLOORS)
