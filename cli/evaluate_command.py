@@ -9,8 +9,8 @@ from pathlib import Path
 from scenec.cli.evaluate_arguments import BELONGS
 from scenec.cli.output import Progress, print_json, say, table
 from scenec.datasets.evaluate import breakdown, report
+from scenec.datasets.evaluate.evaluation import Cell, Evaluation
 from scenec.datasets.evaluate.predictions import unrendered
-from scenec.datasets.evaluate.report import Cell, Evaluation
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES

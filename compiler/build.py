@@ -23,28 +23,25 @@ from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
+from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.mesh.cover import lay
 from scenec.compiler.mesh.horizon import Land as FarLand
 from scenec.compiler.mesh.horizon import build_horizon
+from scenec.compiler.mesh.plan import HorizonPlan
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import Built, build_objects
+from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import HorizonPlan, Plan, ScatterPlan
+from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
+from scenec.compiler.scene.ground import Ground, Horizon, Tile
+from scenec.compiler.scene.light import SkyLight
+from scenec.compiler.scene.material import Material
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.scene import (
-    Georeference,
-    Ground,
-    Horizon,
-    Material,
-    Placed,
-    Scatter,
-    Scene,
-    SkyLight,
-    Tile,
-)
+from scenec.compiler.scene.scene import Georeference, Scene
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.program import Relief, run
 from scenec.compiler.terrain.quantities import Samples
@@ -162,7 +159,9 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
             ground = replace(ground, horizon=around)
     with log.timed("cameras"):
         require_open(plan.rigs, rigs, ground, objects, plan.terrain.size_m)
-    _note_left_out(log, *needed.note_outputs(needs, plan, ground, objects))
+    drawn, levels = [one.material for one in plan.materials.values()], len(plan.label_table)
+    unshown = needed.note_outputs(needs, drawn, ground, objects, levels=levels, lit=plan.light.lit)
+    _note_left_out(log, *unshown)
     with log.timed("outputs"):
         used = needed.without_unused(looks.materials if looks else {}, ground, objects, needs)
         ground, objects = used.ground, needed.without_ids(used.objects, needs)
@@ -230,25 +229,6 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
 @memoized("prune")
 def _pruned(scene: Scene, needs: needed.Needs, keep: Keep, hills: bool, everywhere: bool) -> Pruned:
     return prune(scene, needs, keep, hills=hills, everywhere=everywhere)
-
-
-def needs_of_plan(plan: Plan, keep: Keep) -> needed.Needs:
-    """What the sensors of a batch need of its Scene.
-
-    Args:
-        plan: The batch.
-        keep: How much stays.
-    """
-    outputs = [name for rig in plan.rigs for name in rig.outputs]
-    # Scans hold labels and ids, whatever cameras are asked for.
-    scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
-    return needed.needs_of((*outputs, *scanned), keep, bool(plan.label_table))
-
-
-def seen_everywhere(plan: Plan) -> Plan:
-    """A plan whose meshes and levels of detail are as fine out of view as in view."""
-    meshing = replace(plan.terrain.meshing, unseen=1.0)
-    return replace(plan, terrain=replace(plan.terrain, meshing=meshing))
 
 
 def build_surface(plan: Plan, log: BuildLog) -> Surface:
@@ -433,7 +413,7 @@ def stand_objects(
 
 
 def _finished(
-    materials: dict[str, Material],
+    materials: dict[str, MaterialPlan],
     plan: Plan,
     ground: Ground,
     objects: tuple[Scatter | Placed, ...],
@@ -446,7 +426,8 @@ def _finished(
     unseen = plan.terrain.meshing.unseen
     looked_at = None
     if rigs:
-        looked_at = footprints(materials, ground, objects, (views, views_of(rigs)), unseen)
+        shown = {name: one.material for name, one in materials.items()}
+        looked_at = footprints(shown, ground, objects, (views, views_of(rigs)), unseen)
     finest_m = plan.terrain.meshing.finest(plan.terrain.spacing_m)
     finished = finish(materials, ground, looked_at, Shown(reached_px, finest_m))
     if finished.facts:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,14 @@ from typing import Any
 from scenec.datasets.export_plan import Plan
 from scenec.datasets.export_records import DATA, SCRATCH, write_record
 from scenec.datasets.filters import Tally
-from scenec.datasets.formats.contract import Task
+from scenec.datasets.formats.contract import Format, Task
 from scenec.datasets.formats.registry import find_format, origin_of
-from scenec.datasets.pictures import counted, vouch
+from scenec.datasets.pictures import kinds, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
 from scenec.datasets.statistics import Statistics, measure
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
+from scenec.schemas.passes import AMODAL
 from scenec.schemas.units import Keeper
 
 
@@ -77,7 +78,7 @@ class ExportPart:
         narrowed: dict[str, Any] = {}
         if first is not None:
             form = self.plan.format()
-            told = counted(itertools.chain((first,), frames), form, left_out, unheld)
+            told = _counted(itertools.chain((first,), frames), form, left_out, unheld)
             written = form.write(task, told, data, scratch)
             # What a format does not look at is in the dataset all the same.
             for _ in told:
@@ -136,6 +137,30 @@ class ExportPart:
             tally.add(seen, int((~frame.ignored).sum()), rejected)
             statistics.add(measure(frame))
             yield frame
+
+
+def _counted(
+    frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int], unheld: Counter[str]
+) -> Iterator[LoadedFrame]:
+    """Yields the frames; counts what a format has no place for, such as passes, poses of rows.
+
+    Args:
+        frames: As they come.
+        form: The format.
+        left_out: What it was -> how many; added to.
+        unheld: Name of a pass -> of how many frames; added to.
+    """
+    for frame in frames:
+        amodal = (AMODAL,) if frame.sidecar.get(AMODAL) else ()
+        unheld.update(name for name in (*frame.sidecar["passes"], *amodal) if not form.holds(name))
+        for kind in kinds(frame.sidecar):
+            if kind not in form.beside:
+                what = f"{kind} pictures beside a sensor's, which format {form.name} does not hold"
+                left_out[what] = left_out.get(what, 0) + 1
+        if frame.rolls and not form.row_poses:
+            what = f"poses of rows (rolling shutter): format {form.name} has the middle row's alone"
+            left_out[what] = left_out.get(what, 0) + 1
+        yield frame
 
 
 def _index_line(frame: LoadedFrame, split: str) -> list[str]:

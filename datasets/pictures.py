@@ -8,8 +8,7 @@ picture without noise, pattern, defects, mosaic and JPEG, and ``raw``, the conve
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.formats.contract import Format
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE, Frame, beside_path
-from scenec.schemas.passes import AMODAL
 from scenec.schemas.picture import develop
 
 if TYPE_CHECKING:
@@ -124,30 +121,6 @@ def vouch(frame: LoadedFrame, held: Collection[str]) -> None:
     if frame.png is not None:
         with _opened(frame.png, frame.sidecar) as image:
             image.verify()
-
-
-def counted(
-    frames: Iterable[LoadedFrame], form: Format, left_out: dict[str, int], unheld: Counter[str]
-) -> Iterator[LoadedFrame]:
-    """Yields the frames; counts what a format has no place for, such as passes, poses of rows.
-
-    Args:
-        frames: As they come.
-        form: The format.
-        left_out: What it was -> how many; added to.
-        unheld: Name of a pass -> of how many frames; added to.
-    """
-    for frame in frames:
-        amodal = (AMODAL,) if frame.sidecar.get(AMODAL) else ()
-        unheld.update(name for name in (*frame.sidecar["passes"], *amodal) if not form.holds(name))
-        for kind in kinds(frame.sidecar):
-            if kind not in form.beside:
-                what = f"{kind} pictures beside a sensor's, which format {form.name} does not hold"
-                left_out[what] = left_out.get(what, 0) + 1
-        if frame.rolls and not form.row_poses:
-            what = f"poses of rows (rolling shutter): format {form.name} has the middle row's alone"
-            left_out[what] = left_out.get(what, 0) + 1
-        yield frame
 
 
 def mosaic(sidecar: Mapping[str, Any]) -> str:

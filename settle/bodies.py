@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.objects.placed import PlacedPlan
-from scenec.compiler.scene.plan import ScatterPlan
-from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.compiler.objects.plan import ScatterPlan
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.schemas.quaternions import quaternion as quaternion_of
 from scenec.settle.shapes import Shape, shape_of
 

@@ -15,8 +15,8 @@ from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.plan import Plan
-from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.compiler.plan import Plan
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import OutputError, ScenecError, SceneError
 from scenec.schemas.files import check_output

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 
 #: Of a model with more connected pieces (a tree's leaves), the hull of all is taken.
 MOST_PIECES = 128

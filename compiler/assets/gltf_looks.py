@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets.gltf_file import GltfFile, natural
 from scenec.compiler.assets.looks import (
     NOT_FOLLOWED,
     OPACITY,
@@ -18,9 +19,6 @@ from scenec.compiler.assets.looks import (
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
-
-if TYPE_CHECKING:
-    from scenec.compiler.assets.gltf_model import GltfFile
 
 _REPEAT = 10497
 #: Extensions of materials that are read; of the others only their names are told.
@@ -161,14 +159,3 @@ def _uv_map(moved: dict[str, Any]) -> UvMap:
     s, c = affine.sin_cos(angle * (180.0 / elementary.PI))
     # The extension's, about the lower left corner instead of the upper left one.
     return (c * wide, -s * high, across + s * high, s * wide, c * high, 1.0 - down - c * high)
-
-
-def natural(value: Any) -> int:
-    """A JSON value that is a whole number from 0.
-
-    Raises:
-        MeshFileError: It is something else.
-    """
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise MeshFileError(f"a broken glTF file: {value!r} where an index or a count belongs")
-    return value

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scenec.compiler.assets.gltf_model import chunks
+from scenec.compiler.assets.gltf_file import chunks
 from scenec.schemas.errors import ScenecError
 
 FOLDER = Path(__file__).resolve().parents[2] / "assets" / "models"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError
-from scenec.compiler.scene.scene import Picture
+from scenec.compiler.scene.material import Picture
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels, require_all_bits
 from scenec.schemas.scratch import scratch_folder

@@ -21,12 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.joining import weld
+from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.geometry.poses import composed, cross
 from scenec.compiler.geometry.rotations import turned
-from scenec.compiler.scene.plan import RigPlan
+from scenec.compiler.scene.ground import Ground
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.scene import Ground, Placed, Prototype, Scatter
 from scenec.schemas.depth_camera import StereoDepth
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import inlined, kernel

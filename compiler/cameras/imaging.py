@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.plan import ImagingPlan, RigPlan
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.scene.plan import ImagingPlan, RigPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import Around, Bodies
+from scenec.compiler.cameras.plan import RigPlan, SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
-from scenec.compiler.scene.plan import RigPlan, SensorPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 
 

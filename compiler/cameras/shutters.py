@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import Around, Built, Motion, Way
+from scenec.compiler.cameras.plan import SensorPlan
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import composed
-from scenec.compiler.scene.plan import SensorPlan
 from scenec.compiler.scene.rig import Between, OpenShutter, Rig, Sensor
 from scenec.schemas.shutter import Shutter, between
 
@@ -163,7 +163,7 @@ def _error_px(
 def _pixels_a_radian(sensor: Sensor) -> float:
     """The most pixels that a small turn moves anything by, per radian."""
     if sensor.lens is not None:
-        return float(sight_of(sensor, 0.0)[1][0])
+        return float(sight_of(sensor.lens, sensor.intrinsics, sensor.resolution, 0.0)[1][0])
     fx, fy, cx, cy, skew = sensor.intrinsics
     width, height = sensor.resolution
     focal = max(fx, fy) + abs(skew)

@@ -8,6 +8,7 @@ from typing import Any
 
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cfg.fill import Cfg
+from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
@@ -22,10 +23,14 @@ from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.materials.displacement import displacement_of
+from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.mesh.mesh import Meshing
+from scenec.compiler.mesh.plan import HorizonPlan, TerrainPlan
 from scenec.compiler.objects.placed import PlacedPlan
-from scenec.compiler.scene.plan import HorizonPlan, Plan, RigPlan, ScatterPlan, TerrainPlan
-from scenec.compiler.scene.scene import GroundLayer, Labels, Material, MaterialMaps
+from scenec.compiler.objects.plan import ScatterPlan
+from scenec.compiler.plan import Plan
+from scenec.compiler.scene.ground import GroundLayer
+from scenec.compiler.scene.labels import Labels
 from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
@@ -97,7 +102,7 @@ def label_ids(cfg: Cfg, choice: dict[str, str]) -> Labels:
 
 
 def _terrain(
-    spec: Spec, streams: Streams, materials: dict[str, Material]
+    spec: Spec, streams: Streams, materials: dict[str, MaterialPlan]
 ) -> tuple[TerrainPlan, Context]:
     """Relief and ground, and the setting of what stands on them."""
     cfg = spec.cfg["terrain"]
@@ -134,7 +139,7 @@ def _terrain(
             finest_m=cfg["mesh"]["finest_m"],
         ),
         displacements=tuple(
-            _displacement(spec, layer["material"], materials[layer["material"]].maps, setting)
+            _displacement(spec, layer["material"], materials[layer["material"]], setting)
             for layer in node["ground"]
         ),
         horizon=_horizon(spec, setting) if "horizon" in cfg else None,
@@ -163,7 +168,7 @@ def _horizon(spec: Spec, setting: Context) -> HorizonPlan:
 
 
 def _displacement(
-    spec: Spec, material: str, maps: MaterialMaps | None, setting: Context
+    spec: Spec, material: str, surface: MaterialPlan, setting: Context
 ) -> Detail | None:
     """What a ground material adds to the relief, at any fineness."""
     path = f"materials/{material}/displacement"
@@ -175,7 +180,7 @@ def _displacement(
             drawn = resolve(node, setting.streams, f"{path}/{i}")
             made = of_keys(OPERATORS, drawn, f"{path}/{i}", setting)
         parts.append(made.everywhere())
-    pictured = displacement_of(maps)
+    pictured = displacement_of(surface)
     if pictured is not None:
         parts.append(pictured)
     return Sum(tuple(parts)) if parts else None

@@ -14,7 +14,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.poses import from_euler
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light_plan import (
+from scenec.compiler.light.plan import (
     AtmospherePlan,
     CirrusPlan,
     ClearSkyPlan,
@@ -28,7 +28,7 @@ from scenec.compiler.scene.light_plan import (
     RigMount,
     WorldMount,
 )
-from scenec.compiler.scene.scene import Haze, SunLight
+from scenec.compiler.scene.light import Haze, SunLight
 
 #: -ln 0.02: over the visibility, contrast falls to 2 % (Koschmieder 1924).
 KOSCHMIEDER = 3.912

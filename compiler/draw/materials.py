@@ -12,14 +12,16 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.materials.kinds import SURFACES
-from scenec.compiler.scene.scene import Cells, Far, Material, MaterialMaps, Reflectance, Sources
+from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.surface import Surface
+from scenec.compiler.scene.material import Cells, Far, Material, MaterialMaps, Reflectance
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Further kinds of pictures that a cfg or a folder can name.
 _SOURCES = ("gloss", "ambient_occlusion", "displacement")
 
 
-def draw_materials(spec: Spec, streams: Streams) -> dict[str, Material]:
+def draw_materials(spec: Spec, streams: Streams) -> dict[str, MaterialPlan]:
     """All materials of a batch, in the cfg's order; pictures are not made yet."""
     worn = _worn(spec.cfg["objects"])
     return {
@@ -46,24 +48,25 @@ def _worn(objects: dict[str, Any]) -> set[str]:
 
 def _material(
     spec: Spec, path: str, node: dict[str, Any], worn: bool, streams: Streams
-) -> Material:
+) -> MaterialPlan:
     # Left out, it is a factor of 1 on a map's colors.
     red, green, blue = node["base_color"] or (1.0, 1.0, 1.0)
     emission = tuple(node["emission"] or (0.0, 0.0, 0.0))
-    maps = None
+    maps = surface = sources = None
     if node["maps"] is not None:
-        maps = _maps(spec, path, node["maps"], worn, max(emission) > 0.0, streams)
+        maps, surface, sources = _maps(spec, path, node["maps"], worn, max(emission) > 0.0, streams)
     numbers = (
         "roughness", "specular", "variation", "metallic", "roughness_variation",
         "diffuse_transmission",
     )  # fmt: skip
-    return Material(
+    material = Material(
         base_color=(red, green, blue),
         maps=maps,
         reflectance=_reflectance(node["reflectance"]),
         emission=emission,
         **{key: node[key] for key in numbers},
     )
+    return MaterialPlan(material, surface, sources)
 
 
 def _reflectance(node: dict[str, Any] | None) -> Reflectance | None:
@@ -75,7 +78,7 @@ def _reflectance(node: dict[str, Any] | None) -> Reflectance | None:
 
 def _maps(
     spec: Spec, path: str, node: dict[str, Any], worn: bool, glows: bool, streams: Streams
-) -> MaterialMaps:
+) -> tuple[MaterialMaps, Surface | None, Sources | None]:
     """Which files, which kinds, and how they lie; ``glows``: a picture could vary its emission."""
     at = f"{path}/maps"
     given = {
@@ -104,16 +107,15 @@ def _maps(
         cells = Cells(node["cells"]["size_m"] or size_m, streams.key(f"{at}/cells") >> 33)
     if node["far"] is not None:
         far = Far(node["far"]["factor"], node["far"]["share"])
-    return MaterialMaps(
+    maps = MaterialMaps(
         size_m=size_m,
         files={kind: given[kind] for kind in MAP_CHANNELS if kind in given},
         normal_convention=convention,
         projection=node["projection"] or ("triplanar" if worn else "above"),
-        procedural=surface,
         cells=cells,
         far=far,
-        sources=_sources(node, given, found),
     )
+    return maps, surface, _sources(node, given, found)
 
 
 def _sources(node: dict[str, Any], given: dict[str, Path], found: TextureSet) -> Sources | None:

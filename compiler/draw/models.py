@@ -16,9 +16,8 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.draw.scatter import draw_scattered
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.placed import PlacedPlan, PoseKeys
-from scenec.compiler.objects.prototypes import ModelPlan, PartRule
-from scenec.compiler.scene.plan import ModelSource, ScatterPlan
-from scenec.compiler.scene.scene import Labels
+from scenec.compiler.objects.plan import ModelPlan, ModelSource, PartRule, ScatterPlan
+from scenec.compiler.scene.labels import Labels
 
 
 def draw_meshes(name: str, cfg: Mapping[str, Any], labels: Labels, setting: Context) -> ScatterPlan:

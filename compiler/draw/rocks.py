@@ -23,8 +23,8 @@ from scenec.compiler.objects.families.slab import draw_slab
 from scenec.compiler.objects.families.ventifact import Ventifact, draw_ventifact
 from scenec.compiler.objects.families.vesicular import draw_vesicular
 from scenec.compiler.objects.families.weathered import draw_weathered
-from scenec.compiler.scene.plan import RockShapes, ScatterPlan
-from scenec.compiler.scene.scene import Labels
+from scenec.compiler.objects.plan import RockShapes, ScatterPlan
+from scenec.compiler.scene.labels import Labels
 from scenec.compiler.terrain.mask import Masked
 from scenec.schemas.plugins import Kinds
 

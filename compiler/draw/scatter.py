@@ -22,8 +22,8 @@ from scenec.compiler.objects.conditions import (
     PlacementCondition,
 )
 from scenec.compiler.objects.feet import FilletPlan
-from scenec.compiler.scene.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
-from scenec.compiler.scene.scene import Labels
+from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
+from scenec.compiler.scene.labels import Labels
 from scenec.compiler.terrain.condition import draw_condition
 from scenec.schemas.errors import SceneError
 

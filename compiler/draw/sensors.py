@@ -10,11 +10,11 @@ import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.imaging import draw_imaging
+from scenec.compiler.cameras.plan import ImagingPlan, SensorPlan
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics, make_lens
 from scenec.compiler.geometry.poses import from_euler
-from scenec.compiler.scene.plan import ImagingPlan, SensorPlan
 from scenec.compiler.scene.rig import Focus, Lidar, LidarNoise, Sensor
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import SceneError

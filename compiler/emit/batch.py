@@ -16,7 +16,9 @@ from scenec.compiler.emit.materialx import mixed_materials, write_ground_mix, wr
 from scenec.compiler.emit.objects import class_path, write_placed, write_scatter
 from scenec.compiler.emit.sky_prim import write_sky_prim
 from scenec.compiler.emit.terrain import write_terrain
-from scenec.compiler.scene.scene import Material, Placed, Scene
+from scenec.compiler.scene.material import Material
+from scenec.compiler.scene.objects import Placed
+from scenec.compiler.scene.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import inside

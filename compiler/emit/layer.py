@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSemantics
 
-from scenec.compiler.scene.scene import Labels, Material
+from scenec.compiler.scene.labels import Labels
+from scenec.compiler.scene.material import Material
 from scenec.schemas import stage as names
 
 TYPES = Sdf.ValueTypeNames

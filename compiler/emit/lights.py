@@ -15,7 +15,8 @@ from scenec.compiler.emit.layer import TYPES, author, custom, matrix, new_layer
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.geometry.poses import facing
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.scene import Gobo, Lamp, Scene, SkyLight, SunLight
+from scenec.compiler.scene.light import Gobo, Lamp, SkyLight, SunLight
+from scenec.compiler.scene.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
 

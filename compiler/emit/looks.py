@@ -9,7 +9,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import TYPES, custom, new_layer
 from scenec.compiler.emit.preview import is_encoded, write_preview
-from scenec.compiler.scene.scene import Material, MaterialMaps, Reflectance
+from scenec.compiler.scene.material import Material, MaterialMaps, Reflectance
 from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.materials.heights import stamp
-from scenec.compiler.scene.scene import Material, Picture
+from scenec.compiler.scene.material import Material, Picture
 from scenec.schemas.files import Stamp, inside
 from scenec.schemas.maps import read_pixels
 

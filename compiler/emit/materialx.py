@@ -22,7 +22,8 @@ from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import TYPES, new_layer
 from scenec.compiler.emit.looks import LOOKS, look_path
 from scenec.compiler.emit.preview import is_encoded
-from scenec.compiler.scene.scene import Ground, Material
+from scenec.compiler.scene.ground import Ground
+from scenec.compiler.scene.material import Material
 from scenec.schemas import materialx as mtlx
 from scenec.schemas import stage as names
 

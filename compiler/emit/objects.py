@@ -21,7 +21,7 @@ from scenec.compiler.emit.layer import (
 )
 from scenec.compiler.emit.prototypes import write_prototype
 from scenec.compiler.emit.terrain import bind, write_vertex_floats
-from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.schemas import stage as names
 
 OBJECTS = f"{names.ROOT}/Objects"

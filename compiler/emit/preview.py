@@ -6,7 +6,7 @@ from pxr import Gf, Sdf, Usd, UsdShade
 
 from scenec.compiler.emit.layer import TYPES
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.scene.scene import Material
+from scenec.compiler.scene.material import Material
 from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
 

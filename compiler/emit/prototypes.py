@@ -19,7 +19,9 @@ from scenec.compiler.emit.terrain import (
     write_triangles,
     write_vertex_floats,
 )
-from scenec.compiler.scene.scene import Labels, Material, ObjectClass, Prototype
+from scenec.compiler.scene.labels import Labels
+from scenec.compiler.scene.material import Material
+from scenec.compiler.scene.objects import ObjectClass, Prototype
 from scenec.schemas import stage as names
 
 #: Primvar of texture coordinates, USD's customary name.

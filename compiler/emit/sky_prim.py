@@ -18,7 +18,8 @@ from scenec.compiler.emit.layer import (
     new_layer,
 )
 from scenec.compiler.emit.maps import TEXTURES
-from scenec.compiler.scene.scene import Haze, Scene, SkyLabelMaps
+from scenec.compiler.scene.light import Haze, SkyLabelMaps
+from scenec.compiler.scene.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.files import inside
 

@@ -13,7 +13,8 @@ from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import TYPES, custom, label, new_layer
 from scenec.compiler.emit.looks import look_path
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.scene.scene import Ground, Material, Tile
+from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.material import Material
 from scenec.schemas import stage as names
 
 TERRAIN = f"{names.ROOT}/Terrain"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,6 @@ from scenec.schemas.lens import (
     reach,
     to_plane,
 )
-
-if TYPE_CHECKING:
-    from scenec.compiler.scene.rig import Sensor
 
 _RADIANS = elementary.PI / 180.0
 #: Points of a picture's side at which its rays are looked at.
@@ -157,10 +154,15 @@ def strip_width(lens: Lens, intrinsics: Intrinsics, width: int) -> float | None:
     return float(across[1] - across[0])
 
 
-def sight_of(sensor: Sensor, margin: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A cone around the axis that holds all rays of a sensor with a lens, and its scale.
+def sight_of(
+    lens: Lens, intrinsics: Intrinsics, resolution: tuple[int, int], margin: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """A cone around the axis that holds all rays of a camera with a lens, and its scale.
 
     Args:
+        lens: The camera's.
+        intrinsics: (fx, fy, cx, cy, skew), pixels.
+        resolution: (width, height), pixels.
         margin: How far the picture is continued on each side, in parts of its size.
 
     Returns:
@@ -171,18 +173,16 @@ def sight_of(sensor: Sensor, margin: float) -> tuple[tuple[float, float], tuple[
         panoramas: rays near the poles of a panorama, and behind a fisheye, fill more than they
         show, and count as those beside the axis do).
     """
-    lens = sensor.lens
-    assert lens is not None
-    fx, fy, _, _, skew = sensor.intrinsics
+    fx, fy, _, _, skew = intrinsics
     focal = max(fx, fy) + abs(skew)
     if lens.model == EQUIRECTANGULAR:
         return (-1.0, 0.0), (focal, focal)
-    width, height = sensor.resolution
+    width, height = resolution
     along = np.arange(_SIDE) / (_SIDE - 1.0) * (1.0 + 2.0 * margin) - margin
     low, high = np.full(_SIDE, -margin), np.full(_SIDE, 1.0 + margin)
     u = width * np.concatenate([along, along, low, high])
     v = height * np.concatenate([low, high, along, along])
-    rays, _ = pixel_rays(lens, sensor.intrinsics, u, v)
+    rays, _ = pixel_rays(lens, intrinsics, u, v)
     rays /= np.sqrt((rays * rays).sum(axis=1))[:, None]
     # Between two of the border's points a ray leads at most as far out as their distance.
     chord = np.sqrt(((rays[1:] - rays[:-1]) * (rays[1:] - rays[:-1])).sum(axis=1))

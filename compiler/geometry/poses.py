@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-
-#: Poses while a shutter is open that detail is made for, but for one.
-_OPEN_STEPS = 4
-
-if TYPE_CHECKING:
-    from scenec.compiler.scene.rig import Rig, Sensor
 
 
 def look_at(
@@ -96,16 +88,6 @@ def composed(parents: NDArray[np.float64], child: NDArray[np.float64]) -> NDArra
     for k in range(4):
         out += parents[:, :, k, None] * child[None, None, k, :]
     return out
-
-
-def camera_poses(rig: Rig, sensor: Sensor) -> NDArray[np.float64]:
-    """Camera-to-world matrices at all samples, and some while the shutter is open, [n, 4, 4]."""
-    at_samples = composed(rig.to_world, sensor.to_rig)
-    if sensor.shutter is None or len(sensor.shutter.times) == 1:
-        return at_samples
-    steps = len(sensor.shutter.times) - 1
-    some = sensor.shutter.to_world[:, :: max(steps // _OPEN_STEPS, 1)]
-    return np.concatenate([at_samples, some.reshape(-1, 4, 4)])
 
 
 def facing(z: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.kernels import kernel
 
-if TYPE_CHECKING:
-    from scenec.compiler.scene.scene import Prototype
+#: Points, [n, 3], and faces, [m, 3], of a mesh.
+type Mesh = tuple[NDArray[np.float32], NDArray[np.int32]]
 
 #: Cubes along the longest axis of what points are held against.
 _CUBES: Final = 48
@@ -43,14 +43,14 @@ class Voxels:
         return self.corner + self.side * (np.argwhere(self.full) + 0.5)
 
 
-def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
-    """The cubes of a prototype.
+def voxels_of(mesh: Mesh, side: float, most: int) -> Voxels:
+    """The cubes of a mesh.
 
     Args:
-        prototype: With one triangle or more.
+        mesh: With one triangle or more.
         most: Cubes along the longest axis at most: the side is longer where it has to be.
     """
-    points = prototype.points.astype(np.float64)
+    points = mesh[0].astype(np.float64)
     low = points.min(axis=0)
     extent = points.max(axis=0) - low
     # Never 0: a mesh may be a point.
@@ -59,7 +59,7 @@ def voxels_of(prototype: Prototype, side: float, most: int) -> Voxels:
     # As much is left on both sides.
     corner = low - 0.5 * (counts * side - extent)
     full = np.zeros(tuple(counts.tolist()), np.bool_)
-    _touch((points - corner) / side, prototype.faces, full)
+    _touch((points - corner) / side, mesh[1], full)
     return Voxels(corner, side, _with_hollows(full))
 
 
@@ -124,15 +124,15 @@ def _with_hollows(touched: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 class Cubes:
-    """The cubes of some prototypes, each made when it is first asked for."""
+    """The cubes of some meshes, each made when it is first asked for."""
 
-    def __init__(self, prototypes: Sequence[Prototype]):
-        self._prototypes = prototypes
+    def __init__(self, meshes: Sequence[Mesh]):
+        self._meshes = meshes
         self._made: dict[int, Voxels] = {}
 
     def near(
         self,
-        prototype: NDArray[np.int32],
+        mesh: NDArray[np.int32],
         middle: NDArray[np.float64],
         turn: NDArray[np.float32],
         radius: NDArray[np.float64],
@@ -142,7 +142,7 @@ class Cubes:
         """Which instances any of some points is inside of, or within ``reach_m`` of, bool [n].
 
         Args:
-            prototype: Of each instance, [n].
+            mesh: Of each instance, [n].
             middle: Their positions, [n, 3].
             turn: From their axes to the world's with one scale, [n, 3, 3].
             radius: Of the balls around ``middle`` outside which no point counts, [n].
@@ -150,10 +150,10 @@ class Cubes:
             points: By rising x, [m, 3].
         """
         found = np.zeros(len(middle), np.bool_)
-        for k in np.unique(prototype).tolist():
+        for k in np.unique(mesh).tolist():
             if k not in self._made:
-                self._made[k] = voxels_of(self._prototypes[k], 0.0, _CUBES)
-            own, cubes = np.flatnonzero(prototype == k), self._made[k]
+                self._made[k] = voxels_of(self._meshes[k], 0.0, _CUBES)
+            own, cubes = np.flatnonzero(mesh == k), self._made[k]
             found[own] = _near_any(
                 middle[own], turn[own], radius[own], reach_m, points,
                 cubes.corner, cubes.side, cubes.full,

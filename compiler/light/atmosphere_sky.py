@@ -13,8 +13,8 @@ from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light_plan import AtmospherePlan
-from scenec.compiler.scene.scene import SkyLight, SunLight
+from scenec.compiler.light.plan import AtmospherePlan
+from scenec.compiler.scene.light import SkyLight, SunLight
 
 #: At which optical depths are reported, nm.
 _REPORTED_NM = 550.0

@@ -17,14 +17,14 @@ from scenec.compiler.light.clouds import add_clouds
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.overcast import build_overcast
 from scenec.compiler.light.panorama import build_label_maps, build_panorama
-from scenec.compiler.scene.light_plan import (
+from scenec.compiler.light.plan import (
     AtmospherePlan,
     ClearSkyPlan,
     ImageSkyPlan,
     LightPlan,
     OvercastSkyPlan,
 )
-from scenec.compiler.scene.scene import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions, far_ground, horizontal_irradiance, luminance
-from scenec.compiler.scene.light_plan import ClearSkyPlan
-from scenec.compiler.scene.scene import SkyLight, SunLight
+from scenec.compiler.light.plan import ClearSkyPlan
+from scenec.compiler.scene.light import SkyLight, SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 

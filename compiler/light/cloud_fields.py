@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.light.plan import CirrusPlan, CumulusPlan
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash3, mix
 from scenec.compiler.noise.worley import worley2
-from scenec.compiler.scene.light_plan import CirrusPlan, CumulusPlan
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 

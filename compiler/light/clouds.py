@@ -27,8 +27,8 @@ from scenec.compiler.light.cloud_rays import Shine, beam_left, beams_left, draw_
 from scenec.compiler.light.cloud_shadows import Land, Shadows, cloud_shadows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
 from scenec.compiler.light.overcast import NIL
-from scenec.compiler.scene.light_plan import CloudsPlan
-from scenec.compiler.scene.scene import Gobo, SkyLight, SunLight
+from scenec.compiler.light.plan import CloudsPlan
+from scenec.compiler.scene.light import Gobo, SkyLight, SunLight
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import bearing_vector, compose, look_at
 from scenec.compiler.light.latlong import luminance
+from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
-from scenec.compiler.scene.light_plan import LampPlan, RigMount, WorldMount
-from scenec.compiler.scene.plan import RigPlan
+from scenec.compiler.scene.light import Lamp, SpotLight
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Lamp, SpotLight
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 

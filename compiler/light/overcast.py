@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import far_ground, horizontal_irradiance, luminance
-from scenec.compiler.scene.light_plan import OvercastSkyPlan
-from scenec.compiler.scene.scene import SkyLight, SunLight
+from scenec.compiler.light.plan import OvercastSkyPlan
+from scenec.compiler.scene.light import SkyLight, SunLight
 
 #: Mean cosine of the angle by which droplets of clouds turn light (Hu and Stamnes 1993).
 ASYMMETRY = 0.85

@@ -12,8 +12,8 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.label_maps import decode
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
-from scenec.compiler.scene.light_plan import ImageSkyPlan, LabelMapPlan
-from scenec.compiler.scene.scene import SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.light.plan import ImageSkyPlan, LabelMapPlan
+from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
 from scenec.compiler.views.illumination import SHARP
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from scenec.compiler.materials.periodic import Plane
+from scenec.compiler.materials.plan import Sources
 from scenec.compiler.materials.resample import resampled
 from scenec.compiler.materials.values import (
     Source,
@@ -17,14 +18,14 @@ from scenec.compiler.materials.values import (
     raw,
     stored,
 )
-from scenec.compiler.scene.scene import Material, Picture
+from scenec.compiler.scene.material import Material, Picture
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Channel of each kind in a packed picture.
 _CHANNELS = {"ambient_occlusion": 0, "roughness": 1, "metallic": 2}
 
 
-def baked(material: Material) -> tuple[Material, dict[str, str]]:
+def baked(material: Material, sources: Sources | None) -> tuple[Material, dict[str, str]]:
     """A material whose maps hold all that its sources say, and what was done, by kind.
 
     Roughness is 1 - gloss. Albedo is multiplied with 1 - strength (1 - occlusion), in linear light;
@@ -32,9 +33,8 @@ def baked(material: Material) -> tuple[Material, dict[str, str]]:
     is made. What needs none of this stays the file it is.
     """
     maps = material.maps
-    if maps is None or maps.sources is None:
+    if maps is None or sources is None:
         return material, {}
-    sources = maps.sources
     files: dict[str, Source] = dict(maps.files)
     done: dict[str, str] = {}
     if sources.gloss is not None:

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.materials.heights import relief_of, stamp
+from scenec.compiler.materials.heights import file_relief, stamp, surface_relief
 from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.resample import box
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.scene.scene import Cells, MaterialMaps, Sources
+from scenec.compiler.scene.material import Cells
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.cells import SIDE, STEPS, table
 from scenec.schemas.files import Stamp
@@ -38,78 +39,66 @@ class Displacement:
     """A material's relief (a ``Detail``); its picture is read or painted when it is asked for.
 
     Attributes:
-        maps: Of the material, projected from above.
+        size_m: Side of one repeat.
+        cells: How it is kept from repeating, or None.
+        made: A procedural surface whose relief it is, or a picture and what white is above black.
     """
 
-    maps: MaterialMaps
+    size_m: float
+    cells: Cells | None
+    made: Surface | tuple[Path, float]
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters above the mean at points, float64 [n]."""
-        plane = _plane(self.maps)
-        cells = self.maps.cells
+        plane, cells = _cached_plane(self._key()), self.cells
         size = 0.0 if cells is None else cells.size_m
-        return np.asarray(_heights(plane, self.maps.size_m, _turns(cells), size, x, y), np.float64)
+        return np.asarray(_heights(plane, self.size_m, _turns(cells), size, x, y), np.float64)
 
     def spectrum(self) -> Spectrum:
         """Its octaves, measured on a pyramid of box filters."""
-        return _spectrum(self.maps)
+        return _cached_spectrum(self._key())
+
+    def _key(self) -> _Key:
+        file = None if isinstance(self.made, Surface) else stamp(self.made[0])
+        return self.made, self.size_m, file
 
 
-def displacement_of(maps: MaterialMaps | None) -> Displacement | None:
+def displacement_of(drawn: MaterialPlan) -> Displacement | None:
     """The relief of a material's pictures that becomes geometry, or None."""
+    maps, sources, surface = drawn.material.maps, drawn.sources, drawn.procedural
     if maps is None:
         return None
-    by_file = maps.sources is not None and bool(maps.sources.heights and maps.sources.heights_m)
-    made = maps.procedural is not None and maps.procedural.displacement
-    return Displacement(maps) if by_file or made else None
+    if sources is not None and sources.heights and sources.heights_m:
+        return Displacement(maps.size_m, maps.cells, (sources.heights, sources.heights_m))
+    if surface is not None and surface.displacement:
+        return Displacement(maps.size_m, maps.cells, surface)
+    return None
 
 
-#: What a relief depends on: procedural kind, size, file, what tells it from others, its range.
-type _Key = tuple[Surface | None, float, Path | None, Stamp | None, float | None]
-
-
-def _key(maps: MaterialMaps) -> _Key:
-    file = maps.sources.heights if maps.sources is not None else None
-    range_m = maps.sources.heights_m if maps.sources is not None else None
-    return (maps.procedural, maps.size_m, file, stamp(file) if file else None, range_m)
-
-
-def _plane(maps: MaterialMaps) -> Plane:
-    return _cached_plane(_key(maps))
-
-
-def _spectrum(maps: MaterialMaps) -> Spectrum:
-    return _cached_spectrum(_key(maps))
+#: What a relief depends on: its surface or picture, size, what tells a file from others.
+type _Key = tuple[Surface | tuple[Path, float], float, Stamp | None]
 
 
 @lru_cache(maxsize=4)
 def _cached_plane(key: _Key) -> Plane:
-    surface, size_m, file, _, range_m = key
-    return _made_plane(surface, size_m, file, range_m)
+    made, size_m, _ = key
+    return _made_plane(made, size_m)
 
 
 @memoized("displacement")
-def _made_plane(
-    surface: Surface | None, size_m: float, file: Path | None, range_m: float | None
-) -> Plane:
-    sources = Sources(heights=file, heights_m=range_m)
-    plane = relief_of(MaterialMaps(size_m, {}, "", procedural=surface, sources=sources))
-    assert plane is not None
-    return plane
+def _made_plane(made: Surface | tuple[Path, float], size_m: float) -> Plane:
+    return surface_relief(made, size_m) if isinstance(made, Surface) else file_relief(*made)
 
 
 @lru_cache(maxsize=16)
 def _cached_spectrum(key: _Key) -> Spectrum:
-    surface, size_m, file, _, range_m = key
-    return _made_spectrum(surface, size_m, file, range_m)
+    made, size_m, _ = key
+    return _made_spectrum(made, size_m)
 
 
 @memoized("displacement")
-def _made_spectrum(
-    surface: Surface | None, size_m: float, file: Path | None, range_m: float | None
-) -> Spectrum:
-    key = surface, size_m, file, stamp(file) if file else None, range_m
-    return octaves_of(_cached_plane(key), size_m)
+def _made_spectrum(made: Surface | tuple[Path, float], size_m: float) -> Spectrum:
+    return octaves_of(_cached_plane(Displacement(size_m, None, made)._key()), size_m)
 
 
 def octaves_of(plane: Plane, size_m: float) -> Spectrum:

@@ -13,9 +13,11 @@ from scenec.compiler.materials.footprint import Footprint
 from scenec.compiler.materials.heights import forget_looks
 from scenec.compiler.materials.leave_out import LeftOut, unseen, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
+from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
 from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
-from scenec.compiler.scene.scene import Ground, Material, MaterialMaps
+from scenec.compiler.scene.ground import Ground
+from scenec.compiler.scene.material import Material
 from scenec.schemas.left_out import entry
 from scenec.schemas.maps import MAP_CHANNELS
 
@@ -38,7 +40,7 @@ class Finished:
     """Materials for a Scene.
 
     Attributes:
-        materials: By name; nothing procedural, no sources.
+        materials: By name.
         facts: By name, for report.json.
         left_out: What is not written, for report.json.
     """
@@ -49,7 +51,7 @@ class Finished:
 
 
 def finish(
-    materials: dict[str, Material],
+    materials: dict[str, MaterialPlan],
     ground: Ground,
     looked_at: dict[str, Footprint] | None,
     mesh: Shown,
@@ -67,13 +69,12 @@ def finish(
     """
     out = Finished()
     heights = _with_heights(ground)
-    for name, material in materials.items():
-        maps = material.maps
-        if maps is None:
-            out.materials[name] = material
+    for name, drawn in materials.items():
+        if drawn.material.maps is None:
+            out.materials[name] = drawn.material
             continue
         footprint = None if looked_at is None else looked_at[name]
-        one = _finished_alone(name, material, name in heights, footprint, mesh)
+        one = _finished_alone(name, drawn, name in heights, footprint, mesh)
         out.materials |= one.materials
         out.facts |= one.facts
         out.left_out += one.left_out
@@ -90,38 +91,34 @@ def _with_heights(ground: Ground) -> set[str]:
 
 @memoized("surfaces", lambda name, **_: name)
 def _finished_alone(
-    name: str, material: Material, high: bool, footprint: Footprint | None, mesh: Shown
+    name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: Shown
 ) -> Finished:
     """What becomes of one material: it reads nothing of the others."""
     out = Finished()
-    assert material.maps is not None
-    out.materials[name] = _finished(name, material, material.maps, high, footprint, mesh, out)
+    out.materials[name] = _finished(name, drawn, high, footprint, mesh, out)
     return out
 
 
 def _finished(
     name: str,
-    material: Material,
-    maps: MaterialMaps,
+    drawn: MaterialPlan,
     high: bool,
     footprint: Footprint | None,
     mesh: Shown,
     out: Finished,
 ) -> Material:
-    sources = maps.sources
+    material, sources = drawn.material, drawn.sources
     facts: dict[str, Any] = {}
     as_is = footprint is None or (sources is not None and sources.as_is)
-    _note_folder(name, maps, out)
-    if footprint is not None and footprint.seen == 0.0 and not as_is and maps.procedural:
+    _note_folder(name, sources, out)
+    if footprint is not None and footprint.seen == 0.0 and not as_is and drawn.procedural:
         # Its numbers are the means of pictures that need not be made.
         out.left_out.append(
             _entry(name, "the procedural pictures", "no camera sees the material: its means do", 0)
         )
-        maps = replace(maps, procedural=None)
-        material = replace(material, maps=maps)
     else:
-        material, facts = with_pictures(material, high)
-    material, done = baked(material)
+        material, facts = with_pictures(drawn, high)
+    material, done = baked(material, sources)
     if done:
         facts["made"] = done
     if material.maps is not None and high and sources is not None and sources.heights is not None:
@@ -129,7 +126,7 @@ def _finished(
     left: list[LeftOut] = []
     if (footprint is None or footprint.seen > 0.0) and material.maps is not None:
         if footprint is not None:
-            material = _beside_relief(material, maps, footprint, mesh, facts)
+            material = _beside_relief(material, drawn, footprint, mesh, facts)
         material = _with_lean(material, facts)
         if footprint is not None and not as_is:
             material, left = without_unneeded(material)
@@ -142,7 +139,7 @@ def _finished(
     kept = material.maps
     if kept is not None:
         lean = kept.lean if "normal" in kept.files else 0.0
-        kept = replace(kept, procedural=None, sources=None, lean=lean) if kept.files else None
+        kept = replace(kept, lean=lean) if kept.files else None
     return replace(material, maps=kept)
 
 
@@ -162,12 +159,12 @@ def _with_files(material: Material, files: dict[str, Source]) -> Material:
     return replace(material, maps=replace(material.maps, files=ordered))
 
 
-def _note_folder(name: str, maps: MaterialMaps, out: Finished) -> None:
-    if maps.sources is None:
+def _note_folder(name: str, sources: Sources | None, out: Finished) -> None:
+    if sources is None:
         return
     for files, why in (
-        (maps.sources.unused, "of the folder: another file takes its place, or nothing shows it"),
-        (maps.sources.unknown, "of the folder: its name does not say what it is"),
+        (sources.unused, "of the folder: another file takes its place, or nothing shows it"),
+        (sources.unknown, "of the folder: its name does not say what it is"),
     ):
         out.left_out += [_entry(name, file, why, None) for file in files]
 
@@ -178,7 +175,7 @@ def _entry(material: str, what: str, why: str, size: int | None) -> dict[str, An
 
 def _beside_relief(
     material: Material,
-    drawn: MaterialMaps,
+    drawn: MaterialPlan,
     footprint: Footprint,
     mesh: Shown,
     facts: dict[str, Any],
@@ -198,8 +195,8 @@ def _beside_relief(
         return material
     picture, facts["normals_beside_mesh"] = finer_normals(
         maps.files["normal"],
-        drawn.size_m,
-        footprint.seen / drawn.size_m,
+        maps.size_m,
+        footprint.seen / maps.size_m,
         mesh.tolerance_px,
         mesh.finest_m,
     )

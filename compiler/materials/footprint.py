@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
+from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.material import Material
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 
 #: A layer whose weight is no larger changes no 8-bit code.

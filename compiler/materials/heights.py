@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.pictures import read_heights
 from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.plan import Sources
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile
-from scenec.compiler.scene.scene import MaterialMaps
 from scenec.schemas import files
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import Stamp
@@ -55,26 +55,28 @@ def _gray(path: Path, _stamp: Stamp) -> Plane:
     return read_heights(path)
 
 
-def relief_of(maps: MaterialMaps) -> Plane | None:
-    """Heights that become geometry, meters about a mean of 0, float32 [h, w]; None: it is flat."""
-    surface, sources = maps.procedural, maps.sources
-    if sources is not None and sources.heights is not None and sources.heights_m:
-        return _centered(gray(sources.heights), sources.heights_m)
-    if surface is not None and surface.displacement:
-        look = painted_look(surface, maps.size_m)
-        height = np.asarray(look.height, np.float32)
-        deviation = moments(height)[1]
-        return _centered(height, relief_m(surface, maps.size_m, deviation) / (deviation or 1.0))
-    return None
+def file_relief(file: Path, range_m: float) -> Plane:
+    """Heights of a picture, meters about a mean of 0, float32 [h, w].
+
+    Args:
+        file: The picture.
+        range_m: White above black.
+    """
+    return _centered(gray(file), range_m)
 
 
-def blend_heights(maps: MaterialMaps) -> Plane | None:
+def surface_relief(surface: Surface, size_m: float) -> Plane:
+    """Heights of a kind of surface, meters about a mean of 0, float32 [h, w]."""
+    height = np.asarray(painted_look(surface, size_m).height, np.float32)
+    deviation = moments(height)[1]
+    return _centered(height, relief_m(surface, size_m, deviation) / (deviation or 1.0))
+
+
+def blend_heights(surface: Surface, size_m: float, sources: Sources | None) -> Plane | None:
     """Heights in [0, 1] that blends of layers go by, float32 [h, w]; None: there are none."""
-    if maps.sources is not None and maps.sources.heights is not None:
-        return gray(maps.sources.heights)
-    if maps.procedural is None:
-        return None
-    height = np.asarray(painted_look(maps.procedural, maps.size_m).height, np.float32)
+    if sources is not None and sources.heights is not None:
+        return gray(sources.heights)
+    height = np.asarray(painted_look(surface, size_m).height, np.float32)
     low, high = float(height.min()), float(height.max())
     if high <= low:
         return None

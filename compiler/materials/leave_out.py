@@ -8,7 +8,7 @@ import numpy as np
 
 from scenec.compiler.materials.periodic import moments
 from scenec.compiler.materials.values import Source, colors, mean_color, raw, size_of, stored
-from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps
 
 #: Parts of a unit vector along the surface up to here are a flat normal's half a code.
 _FLAT = 1.0001 / 255.0

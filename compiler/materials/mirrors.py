@@ -8,7 +8,7 @@ import numpy as np
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.materials.values import forget_pixels, raw
-from scenec.compiler.scene.scene import Material
+from scenec.compiler.scene.material import Material
 from scenec.compiler.views.illumination import SHARP
 
 #: Albedos count as no less where gloss is weighed against them.

@@ -12,9 +12,11 @@ from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.materials.heights import blend_heights, painted_look, relief_m
 from scenec.compiler.materials.periodic import Plane, moments
+from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Tile
 from scenec.compiler.materials.values import encoded, picture_of
-from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
+from scenec.compiler.scene.material import Material, MaterialMaps, Picture
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -22,25 +24,26 @@ from scenec.schemas.threads import over_threads
 _DARKEST = 0.06
 
 
-def with_pictures(material: Material, high: bool = False) -> tuple[Material, dict[str, Any]]:
+def with_pictures(drawn: MaterialPlan, high: bool = False) -> tuple[Material, dict[str, Any]]:
     """A material whose procedural surface has become pictures, and what there is to tell.
 
     Its numbers stay the means: its ``base_color`` becomes a factor on the picture of colors so that
     their product has the mean it had, and roughness is the picture's mean.
 
     Args:
-        material: One without such a surface stays as it is, and there is nothing to tell.
+        drawn: One without such a surface stays as it is, and there is nothing to tell.
         high: Whether it gets a picture of its heights, too.
     """
-    if material.maps is None or material.maps.procedural is None:
+    material, surface = drawn.material, drawn.procedural
+    if material.maps is None or surface is None:
         return material, {}
-    return _painted(material, material.maps, high)
+    return _painted(material, material.maps, surface, drawn.sources, high)
 
 
 @memoized("pictures")
-def _painted(material: Material, maps: MaterialMaps, high: bool) -> tuple[Material, dict[str, Any]]:
-    surface = maps.procedural
-    assert surface is not None
+def _painted(
+    material: Material, maps: MaterialMaps, surface: Surface, sources: Sources | None, high: bool
+) -> tuple[Material, dict[str, Any]]:
     tile = Tile(surface.key, maps.size_m, surface.resolution)
     look = painted_look(surface, maps.size_m)
     height = np.asarray(look.height, np.float32)
@@ -64,13 +67,14 @@ def _painted(material: Material, maps: MaterialMaps, high: bool) -> tuple[Materi
         normals, slope = normal_codes(height, steepness)
         pictures["normal"] = picture_of(normals)
         maps = replace(maps, normal_convention="opengl")
-    share = blend_heights(maps) if high and "height" not in maps.files else None
+    high = high and "height" not in maps.files
+    share = blend_heights(surface, maps.size_m, sources) if high else None
     if share is not None:
         codes = np.floor(share * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
         pictures["height"] = picture_of(codes[..., None])
     # In the order of the kinds, whichever come from files.
     files = {**pictures, **maps.files}
-    left = replace(maps, files=files, procedural=None) if files or maps.sources else None
+    left = replace(maps, files=files) if files or sources else None
     return replace(material, base_color=base_color, maps=left), {
         "kind": type(surface).__name__,
         "pixel_m": tile.size_m / tile.pixels,

@@ -17,7 +17,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import pixels_of, png
 from scenec.compiler.materials.heights import stamp
 from scenec.compiler.materials.periodic import Plane, moments
-from scenec.compiler.scene.scene import Picture
+from scenec.compiler.scene.material import Picture
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import kernel

@@ -22,7 +22,7 @@ from scenec.compiler.mesh import adaptive
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import albedo_variation
-from scenec.compiler.scene.scene import GroundLayer, Horizon, Tile
+from scenec.compiler.scene.ground import GroundLayer, Horizon, Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import Views, pixels_of_balls
 

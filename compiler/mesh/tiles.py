@@ -23,7 +23,7 @@ from scenec.compiler.mesh.mesh import (
 )
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.fractal import fbm2_points
-from scenec.compiler.scene.scene import Tile
+from scenec.compiler.scene.ground import Tile
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NO_VIEWS, Views

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.rotations import rotation_rows
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.kernels import Kernel, kernel
 
 #: The part of the range of least gaps, from below, whose vertices are looked at first: few others

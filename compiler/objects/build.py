@@ -19,12 +19,12 @@ from scenec.compiler.objects.feet import heap
 from scenec.compiler.objects.foliage import foliage_chain
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
-from scenec.compiler.objects.prototypes import Looks, ModelPlan, build_prototype
+from scenec.compiler.objects.plan import ModelPlan, ModelSource, ScatterPlan
+from scenec.compiler.objects.prototypes import Looks, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
-from scenec.compiler.scene.plan import ModelSource, ScatterPlan
-from scenec.compiler.scene.scene import Placed, Prototype, Scatter
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.views.resolution import Views
 
 Timed = Callable[[str], AbstractContextManager[None]]

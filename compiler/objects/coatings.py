@@ -12,7 +12,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.icosphere import EDGE
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.rocks import Chain
-from scenec.compiler.scene.scene import Coating, Prototype
+from scenec.compiler.scene.objects import Coating, Prototype
 from scenec.schemas.kernels import kernel
 
 #: Slopes over which a coating thins out at its steepest, degrees to either side.

@@ -11,7 +11,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.bodies import Bodies, vertices_of
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.scene import Scatter
+from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls
 from scenec.schemas.kernels import kernel

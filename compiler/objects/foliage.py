@@ -15,7 +15,7 @@ from scenec.compiler.assets.model import Model
 from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.noise.lattice import mix
 from scenec.compiler.objects.rocks import Chain
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.kernels import kernel
 
 #: What counts as a leaf, needle, blade, twig has at most so many triangles.

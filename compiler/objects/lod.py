@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.objects.rocks import Chain
-from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 from scenec.schemas.errors import SceneError
 

@@ -11,8 +11,9 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.rotations import upright_to
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.prototypes import ModelPlan, PartRule
-from scenec.compiler.scene.scene import Labels, Placed, Prototype
+from scenec.compiler.objects.plan import ModelPlan, PartRule
+from scenec.compiler.scene.labels import Labels
+from scenec.compiler.scene.objects import Placed, Prototype
 from scenec.schemas.errors import SceneError
 
 

@@ -14,10 +14,10 @@ from scenec.compiler.objects.bodies import Bodies, vertices
 from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.mesh_candidates import MeshCandidates, Spots
 from scenec.compiler.objects.mesh_seating import seat_on_mesh
+from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.seating import seat, seat_on_detail
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import ScatterPlan
-from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.fillets import Fillets
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface

@@ -4,77 +4,46 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import ModelMaterial
-from scenec.compiler.assets.model import Model, Origin
+from scenec.compiler.assets.model import Model
 from scenec.compiler.assets.parts import is_of
 from scenec.compiler.geometry.rounding import rounding_of
+from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.objects.corners import corner_normals, split
-from scenec.compiler.scene.scene import Labels, Material, MaterialMaps, MeshPart, Prototype
+from scenec.compiler.objects.placed import PlacedPlan
+from scenec.compiler.objects.plan import ModelSource, PartRule, ScatterPlan
+from scenec.compiler.scene.material import Material, MaterialMaps
+from scenec.compiler.scene.objects import MeshPart, Prototype
 from scenec.schemas.errors import SceneError
-
-if TYPE_CHECKING:
-    from scenec.compiler.objects.placed import PlacedPlan
-    from scenec.compiler.scene.plan import ModelSource, ScatterPlan
 
 #: Faces that meet at a larger angle have an edge between them, where a file gives no normals.
 CREASE_DEG = 40.0
-
-
-@dataclass(frozen=True)
-class PartRule:
-    """What the cfg says of one part of a class's models.
-
-    Attributes:
-        name: Of a part, of what stands above it, or of a material of the file.
-        material: The cfg's material that it gets, or None.
-        labels: Label ids, on the levels where they differ from the class's.
-    """
-
-    name: str
-    material: str | None
-    labels: Labels
-
-
-@dataclass(frozen=True)
-class ModelPlan:
-    """One model of a class.
-
-    Attributes:
-        unit_m, up, part: See ``assets.model.read_model``.
-        origin: See ``assets.model.finish_model``.
-    """
-
-    file: Path
-    unit_m: float | None
-    up: str | None
-    part: str | None
-    origin: Origin
 
 
 @dataclass
 class Looks:
     """Materials of the scene: those of the cfg, and those that come with models."""
 
-    materials: dict[str, Material]
+    materials: dict[str, MaterialPlan]
     _made: list[tuple[str, str]] = field(default_factory=list)
 
     def add(self, owner: str, wanted: str, material: Material) -> str:
         """The name of a model's material: ``<class>_<material>``, numbered if another has it."""
+        made = MaterialPlan(material)
         for other, name in self._made:
-            if other == owner and self.materials[name] == material:
+            if other == owner and self.materials[name] == made:
                 return name
         base = re.sub(r"\W", "_", f"{owner}_{wanted or 'surface'}", flags=re.ASCII)
         name, number = base, 1
         while name in self.materials:
             number += 1
             name = f"{base}_{number}"
-        self.materials[name] = material
+        self.materials[name] = made
         self._made.append((owner, name))
         return name
 

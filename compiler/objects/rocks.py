@@ -15,7 +15,7 @@ from scenec.compiler.geometry.rounding import rounding_of
 from scenec.compiler.objects.creases import along_creases
 from scenec.compiler.objects.deviation import deviation
 from scenec.compiler.objects.families.shape import Shape
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.kernels import kernel
 
 #: The meshes of one shape, the finest first; each has a quarter of the triangles of the one before.

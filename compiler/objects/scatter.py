@@ -15,11 +15,11 @@ from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
 from scenec.compiler.objects.placement import Placement, seating_report
+from scenec.compiler.objects.plan import Count, ScatterPlan, Spacing
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.plan import Count, ScatterPlan, Spacing
-from scenec.compiler.scene.scene import Prototype, Scatter
+from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
@@ -181,7 +181,7 @@ class _Scattering:
         cameras = np.ascontiguousarray(cameras[np.argsort(cameras[:, 0], kind="stable")])
         first = np.zeros(self.n, np.int64)
         looked_at = np.flatnonzero(self.tries >= 0) if len(cameras) else first[:0]
-        cubes = Cubes(self.prototypes)
+        cubes = Cubes([p.mesh for p in self.prototypes])
         moved = [first[:0]]
         while len(looked_at):
             near = self._near(looked_at, cameras, cubes)

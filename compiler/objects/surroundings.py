@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.lattice import Circles
-from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.terrain.quantities import Quantities
 from scenec.compiler.views.resolution import NO_VIEWS, Views
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
-from scenec.compiler.geometry.poses import camera_poses, composed
+from scenec.compiler.geometry.poses import composed
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
 from scenec.schemas.depth_camera import StereoDepth
 from scenec.schemas.kernels import inlined
@@ -80,6 +80,8 @@ class Views(NamedTuple):
     blocks: NDArray[np.float64]
 
 
+#: Poses while a shutter is open that detail is made for, but for one.
+_OPEN_STEPS = 4
 #: Of a view: it shows color; it stands for an eye that moves, from behind which it is seen.
 COLOR, MOVING = 1, 2
 #: Of one view: where it is, its axes as columns, its outline, its kind.
@@ -105,7 +107,7 @@ def outline(
     if isinstance(sensor, Lidar):
         return Outline(planes, (-1.0, 0.0), rays_a_radian(sensor), sensor.range_m[1])
     if sensor.lens is not None:
-        cone, focals = sight_of(sensor, margin)
+        cone, focals = sight_of(sensor.lens, sensor.intrinsics, sensor.resolution, margin)
         return Outline(planes, _wider(cone, turned), focals[0])
     fx, fy, cx, cy, skew = sensor.intrinsics
     cx, cy = cx + moved[0], cy + moved[1]
@@ -141,6 +143,16 @@ def rays_a_radian(lidar: Lidar) -> float:
     if len(steps):
         per_degree = max(per_degree, 1.0 / float(steps.min()))
     return per_degree * 180.0 / elementary.PI
+
+
+def camera_poses(rig: Rig, sensor: Sensor) -> NDArray[np.float64]:
+    """Camera-to-world matrices at all samples, and some while the shutter is open, [n, 4, 4]."""
+    at_samples = composed(rig.to_world, sensor.to_rig)
+    if sensor.shutter is None or len(sensor.shutter.times) == 1:
+        return at_samples
+    steps = len(sensor.shutter.times) - 1
+    some = sensor.shutter.to_world[:, :: max(steps // _OPEN_STEPS, 1)]
+    return np.concatenate([at_samples, some.reshape(-1, 4, 4)])
 
 
 def views_at_samples(rigs: tuple[Rig, ...]) -> Views:

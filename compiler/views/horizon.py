@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.scene.scene import Tile
+from scenec.compiler.scene.ground import Tile
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import MOVING, Views
 from scenec.schemas.kernels import inlined, kernel

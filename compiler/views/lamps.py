@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.scene.scene import Ground, Lamp, Placed, Scatter
+from scenec.compiler.scene.ground import Ground
+from scenec.compiler.scene.light import Lamp
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.views.needed import PASS
 from scenec.schemas.left_out import entry
 

@@ -18,7 +18,7 @@ Nothing here moves what stays: geometry is the same whatever is asked for, but f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -26,9 +26,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scenec.compiler.scene.plan import Plan
+from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.material import Material
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.scene import Ground, Material, Placed, Prototype, Scatter, Tile
 from scenec.schemas.left_out import entry
 from scenec.schemas.passes import BUILT_IN
 
@@ -100,25 +101,26 @@ def with_color(rigs: tuple[Rig, ...], keep: Keep = Keep.SEEN) -> tuple[Rig, ...]
 
 
 @dataclass(frozen=True)
-class Used:
+class Used[Kind]:
     """What is left of a Scene's contents.
 
     Attributes:
-        materials, ground, objects: As in ``Scene``.
+        materials: By name, drawn or built.
+        ground, objects: As in ``Scene``.
     """
 
-    materials: dict[str, Material]
+    materials: dict[str, Kind]
     ground: Ground
     objects: tuple[Scatter | Placed, ...]
     left_out: list[dict[str, Any]] = field(default_factory=list)
 
 
-def without_unused(
-    materials: Mapping[str, Material],
+def without_unused[Kind](
+    materials: Mapping[str, Kind],
     ground: Ground,
     objects: Sequence[Scatter | Placed],
     needs: Needs,
-) -> Used:
+) -> Used[Kind]:
     """Leaves out models that nothing is, layers that show nowhere, materials that nothing has.
 
     Classes without instances stay in the list, since their ids stay reserved; they have no
@@ -219,9 +221,24 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
 
 
 def note_outputs(
-    needs: Needs, plan: Plan, ground: Ground, objects: Sequence[Scatter | Placed]
+    needs: Needs,
+    materials: Collection[Material],
+    ground: Ground,
+    objects: Sequence[Scatter | Placed],
+    *,
+    levels: int,
+    lit: bool,
 ) -> list[dict[str, Any]]:
-    """Entries about what no output shows, with the bytes of the arrays that it would take."""
+    """Entries about what no output shows, with the bytes of the arrays that it would take.
+
+    Args:
+        needs: What the outputs show.
+        materials: The cfg's.
+        ground: The terrain, with all its layers.
+        objects: What stands on it.
+        levels: How many kinds of labels there are.
+        lit: Whether the cfg has any light.
+    """
     meshes: list[Tile | Prototype] = [
         *ground.meshes,
         *(mesh for one in objects for mesh in one.prototypes),
@@ -231,26 +248,26 @@ def note_outputs(
         on_ground = sum(len(tile.points) for tile in ground.meshes)
         size = _SHADING * sum(len(mesh.points) for mesh in meshes)
         # Weights of merges, and the variation.
-        size += _NUMBER * len(plan.terrain.layers) * on_ground
+        size += _NUMBER * len(ground.layers) * on_ground
         found = [
             entry(PASS, "terrain, objects: shading normals, weights, colors", _NO_RGB, size=size),
             entry(
                 PASS,
-                f"materials: {_counted(len(plan.materials), 'material')}",
+                f"materials: {_counted(len(materials), 'material')}",
                 _NO_RGB,
-                size=sum(_file_bytes(material) for material in plan.materials.values()),
+                size=sum(_file_bytes(material) for material in materials),
             ),
         ]
-        if plan.light.sun is not None or plan.light.sky is not None or plan.light.lamps:
+        if lit:
             found.append(entry(PASS, "light: sun, sky, lamps, haze", _NO_RGB))
-    if not needs.labels and plan.label_table:
+    if not needs.labels and levels:
         faces = sum(len(tile.faces) for tile in ground.meshes)
         found.append(
             entry(
                 PASS,
                 "labels: ids of faces and the cut along label lines",
                 _NO_LABELS,
-                size=_NUMBER * len(plan.label_table) * faces,
+                size=_NUMBER * levels * faces,
             )
         )
     count = sum(one.count for one in objects)

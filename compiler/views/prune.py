@@ -24,7 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Ground, Placed, Scatter, Scene, Tile
+from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.objects import Placed, Scatter
+from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, chosen, views_of_all
 from scenec.compiler.views.horizon import Relief, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (

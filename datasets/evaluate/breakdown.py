@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.evaluate.report import Cell
+from scenec.datasets.evaluate.evaluation import Cell
 from scenec.datasets.filters import QUANTITIES, quantity
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.errors import OutputError

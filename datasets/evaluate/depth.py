@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import Attribute, Attributes, filled, pixel_bins
+from scenec.datasets.evaluate.evaluation import Cell, Evaluation, Table
 from scenec.datasets.evaluate.predictions import predicted, read_depth, unrendered
-from scenec.datasets.evaluate.report import Cell, Evaluation, Table
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import SUN, Attribute, Attributes, filled
-from scenec.datasets.evaluate.report import Cell, Evaluation, Table
+from scenec.datasets.evaluate.evaluation import Cell, Evaluation, Table
 from scenec.schemas.errors import OutputError
 
 NEEDED = "instances are judged by pycocotools: pip install 'scenec[coco]'"

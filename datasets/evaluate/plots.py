@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from scenec.datasets.evaluate.report import Evaluation, Table
+from scenec.datasets.evaluate.evaluation import Evaluation, Table
 from scenec.schemas.files import atomic
 
 #: Colors that color-blind people tell apart (Okabe and Ito 2008).

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import SUN, Attribute, Attributes, filled, sun_elevation
-from scenec.datasets.evaluate.report import Cell, Evaluation, Table
+from scenec.datasets.evaluate.evaluation import Cell, Evaluation, Table
 from scenec.datasets.source import Source, sequences
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.quaternions import quaternions

@@ -20,8 +20,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 
 from scenec.datasets.evaluate.breakdown import ATTRIBUTES
+from scenec.datasets.evaluate.evaluation import Evaluation
 from scenec.datasets.evaluate.plots import COLORS, tracks_from_above
-from scenec.datasets.evaluate.report import Evaluation
 from scenec.datasets.evaluate.tracks import Track, evaluate_track, track_of
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError

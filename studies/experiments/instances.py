@@ -27,9 +27,9 @@ import numpy as np
 from scenec.datasets.colors import paint_instances
 from scenec.datasets.evaluate.breakdown import ATTRIBUTES
 from scenec.datasets.evaluate.coco_files import read_detections, read_truth
+from scenec.datasets.evaluate.evaluation import Evaluation, Table
 from scenec.datasets.evaluate.instances import evaluate_instances
 from scenec.datasets.evaluate.plots import COLORS
-from scenec.datasets.evaluate.report import Evaluation, Table
 from scenec.datasets.pictures import picture
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError

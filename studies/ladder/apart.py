@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 from scenec.studies.ladder.points import triangle

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scenec.compiler.build import (
     BuildLog,
     build_surface,
-    needs_of_plan,
-    seen_everywhere,
     stand_objects,
     stand_rigs,
 )
@@ -20,10 +18,12 @@ from scenec.compiler.cfg.load import Spec
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.build import Built
+from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.prototypes import Looks
-from scenec.compiler.scene.plan import Plan, ScatterPlan
+from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
+from scenec.compiler.scene.ground import Tile
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.scene import Placed, Scatter, Tile
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.needed import Keep, with_color
 from scenec.compiler.views.resolution import Views, pixels_of_balls, pixels_per_meter, views_of

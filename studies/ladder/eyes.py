@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.lenses import FUNCTIONS, pixel_rays
-from scenec.compiler.geometry.poses import camera_poses, compose
+from scenec.compiler.geometry.poses import compose
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
+from scenec.compiler.views.frustum import camera_poses
 from scenec.schemas.lens import project
 
 _RADIAN = elementary.PI / 180.0

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scenec.compiler.emit.layer import Appearance
 from scenec.compiler.emit.objects import write_scatter
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.plan import RockShapes, ScatterPlan
 from scenec.compiler.objects.rocks import Chain, build_chains
-from scenec.compiler.scene.plan import RockShapes, ScatterPlan
-from scenec.compiler.scene.scene import Placed, Prototype, Scatter
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
 from scenec.studies.ladder.apart import apart
 from scenec.studies.ladder.base import Base
@@ -172,7 +172,8 @@ def _measure(
 ) -> Rung:
     """Errors of chosen levels, and what they take in the stage; in meters without cameras."""
     table = base.plan.label_table if base.labels else {}
-    looks = base.looks.materials if base.looks is not None else {}
+    drawn = base.looks.materials if base.looks is not None else {}
+    looks = {name: one.material for name, one in drawn.items()}
 
     def write(folder: Path) -> None:
         for n, (scatter, _) in enumerate(chosen):

@@ -19,8 +19,10 @@ from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.atmosphere_spectra import weights
 from scenec.compiler.light.clear_sky import build_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan
-from scenec.compiler.scene.scene import Ground, Scene, SkyLight, SunLight
+from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
+from scenec.compiler.scene.ground import Ground
+from scenec.compiler.scene.light import SkyLight, SunLight
+from scenec.compiler.scene.scene import Scene
 from scenec.schemas.exr import write_rgb
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock, written

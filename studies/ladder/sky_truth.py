@@ -29,8 +29,8 @@ from scenec.compiler.light.atmosphere_rays import (
 )
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan
-from scenec.compiler.scene.scene import SunLight
+from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
+from scenec.compiler.scene.light import SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.emit.layer import label_names
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.scene import Ground, Tile
+from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import pixels_per_meter
@@ -129,7 +129,8 @@ def _rung(
         base.tiles = tiles
     table = base.plan.label_table if base.labels else {}
     names = [label_names(table, layer.labels) for layer in terrain.layers]
-    materials = dict(base.plan.materials) if base.color else {}
+    drawn = base.plan.materials if base.color else {}
+    materials = {name: one.material for name, one in drawn.items()}
     ground = Ground(terrain.layers, tiles)
     size = clock.mean(
         lambda: written(

@@ -14,10 +14,12 @@ from scenec.compiler.materials.bake import baked
 from scenec.compiler.materials.footprint import Footprint, footprints
 from scenec.compiler.materials.heights import forget_looks
 from scenec.compiler.materials.pictures import with_pictures
+from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.reduce import halvings, reduced
 from scenec.compiler.materials.values import Source, colors, forget_pixels, stored
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.scene import Ground, Material, Tile
+from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.material import Material
 from scenec.studies.ladder.base import Base
 from scenec.studies.ladder.cost import Clock, written
 from scenec.studies.ladder.pixel_means import pixel_means
@@ -61,9 +63,9 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
         return "no output shows color, so there are no pictures"
     objects = base.built.objects
     pictured = {
-        name: material
-        for name, material in base.looks.materials.items()
-        if material.maps is not None
+        name: drawn
+        for name, drawn in base.looks.materials.items()
+        if drawn.material.maps is not None
     }
     if not pictured:
         return "no material has pictures"
@@ -71,7 +73,8 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
     if views is None:
         return "without cameras, or with --keep all, all pictures stay as they are drawn"
     ground = Ground(base.plan.terrain.layers, _tiles(base))
-    seen = footprints(pictured, ground, objects, views, base.unseen)
+    materials = {name: drawn.material for name, drawn in pictured.items()}
+    seen = footprints(materials, ground, objects, views, base.unseen)
     clock = Clock()
     with clock.running():
         pictures = _pictures(pictured, seen)
@@ -118,14 +121,13 @@ def _tiles(base: Base) -> tuple[Tile, ...]:
     return base.tiles
 
 
-def _pictures(materials: dict[str, Material], seen: dict[str, Footprint]) -> list[_Picture]:
+def _pictures(materials: dict[str, MaterialPlan], seen: dict[str, Footprint]) -> list[_Picture]:
     """Pictures of colors that a camera sees and that the compiler may make smaller."""
     found = []
-    for name, material in materials.items():
-        maps = material.maps
-        if maps is None or seen[name].seen <= 0.0 or (maps.sources and maps.sources.as_is):
+    for name, drawn in materials.items():
+        if seen[name].seen <= 0.0 or (drawn.sources and drawn.sources.as_is):
             continue
-        made, _ = baked(with_pictures(material)[0])
+        made, _ = baked(with_pictures(drawn)[0], drawn.sources)
         source = made.maps.files.get("base_color") if made.maps is not None else None
         if source is None:
             continue

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Tile
+from scenec.compiler.scene.ground import Tile
 from scenec.schemas.kernels import kernel
 
 #: Points to a cell of the index.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.scene import Ground
+from scenec.compiler.scene.ground import Ground
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.studies.ladder.base import Base

@@ -37,7 +37,7 @@ from scenec.compiler.light.cloud_rays import Shine, beam_left, through_cumulus
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
 from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
-from scenec.compiler.scene.light_plan import CirrusPlan, CumulusPlan
+from scenec.compiler.light.plan import CirrusPlan, CumulusPlan
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
 from scenec.schemas.kernels import kernel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from scenec.compiler.scene.scene import Placed, Scatter
+from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.schemas.errors import ScenecError
 from scenec.studies.pages.placement_field import (
     HILLS,

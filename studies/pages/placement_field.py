@@ -20,9 +20,9 @@ from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.plan import Plan
+from scenec.compiler.plan import Plan
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 
 #: Extent of the terrain where nothing else is said, meters.
 SIZE = (40.0, 32.0)

@@ -13,7 +13,7 @@ from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.rocks import build_chains
-from scenec.compiler.scene.scene import Scatter
+from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.views.resolution import views_of
 from scenec.schemas.errors import SceneError
 from scenec.studies.pages.placement_field import PLANE, cfg, gaps, stand

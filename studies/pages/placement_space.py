@@ -27,7 +27,7 @@ from scenec.compiler.objects.density import (
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.scene import Scatter
+from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters

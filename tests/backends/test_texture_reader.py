@@ -13,7 +13,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.backends.surface import maps
 from scenec.compiler.emit.looks import look_path, write_look
-from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 

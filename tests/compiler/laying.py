@@ -16,11 +16,11 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.kinds.context import Context, InputFile
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
-from scenec.compiler.scene.plan import ScatterPlan
-from scenec.compiler.scene.scene import Scatter
+from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 

@@ -20,7 +20,7 @@ from test_assets_model import fails, pixels
 from scenec.compiler.assets import blend
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
-from scenec.compiler.scene.scene import Picture
+from scenec.compiler.scene.material import Picture
 
 
 def needs_blender(test):

@@ -22,7 +22,7 @@ from PIL import Image
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.assets.pictures import png
-from scenec.compiler.scene.scene import Picture
+from scenec.compiler.scene.material import Picture
 from scenec.schemas.errors import SceneError
 
 

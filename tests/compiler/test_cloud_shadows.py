@@ -25,7 +25,7 @@ from scenec.compiler.light.cloud_fields import (
 )
 from scenec.compiler.light.cloud_rays import beam_left
 from scenec.compiler.light.cloud_shadows import EVEN, Land, _disc, cloud_shadows
-from scenec.compiler.scene.light_plan import CloudsPlan
+from scenec.compiler.light.plan import CloudsPlan
 
 RADIUS = np.radians(0.265)
 LAND = Land((-1000.0, -800.0, -20.0), (1000.0, 800.0, 60.0), 0.0)

@@ -22,14 +22,8 @@ from scenec.compiler.light.cloud_rays import Shine, _scattered, beam_left, throu
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import directions
 from scenec.compiler.light.overcast import transmitted
-from scenec.compiler.scene.light_plan import (
-    CirrusPlan,
-    ClearSkyPlan,
-    CloudsPlan,
-    CumulusPlan,
-    LightPlan,
-)
-from scenec.compiler.scene.scene import SunLight
+from scenec.compiler.light.plan import CirrusPlan, ClearSkyPlan, CloudsPlan, CumulusPlan, LightPlan
+from scenec.compiler.scene.light import SunLight
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import at_most
 

@@ -17,7 +17,7 @@ from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.coatings import CoatingPlan, coat
 from scenec.compiler.objects.rocks import Chain, build_chains
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.errors import CfgError
 
 NOTHING = CoatingPlan("dust", 0.0, 35.0, 0.0, 0.0, 0.15, 7)

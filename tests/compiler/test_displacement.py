@@ -21,19 +21,24 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.materials.displacement import Displacement, displacement_of, octaves_of
 from scenec.compiler.materials.finer import finer_normals
-from scenec.compiler.materials.heights import gray, relief_of
+from scenec.compiler.materials.heights import gray, surface_relief
 from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.values import normal_picture, normals, unit
-from scenec.compiler.scene.scene import Cells, MaterialMaps, Sources
+from scenec.compiler.scene.material import Cells, Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.exr import write_rgb
+
+
+def plan(maps: MaterialMaps, **made) -> MaterialPlan:
+    return MaterialPlan(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), **made)
 
 
 def picture(folder: Path, codes: np.ndarray, size_m: float, high_m: float, **more) -> Displacement:
     file = folder / "heights.png"
     Image.fromarray(codes).save(file)
     sources = Sources(heights=file, heights_m=high_m)
-    made = displacement_of(MaterialMaps(size_m, {}, "opengl", sources=sources, **more))
+    made = displacement_of(plan(MaterialMaps(size_m, {}, "opengl", **more), sources=sources))
     assert made is not None
     return made
 
@@ -151,11 +156,11 @@ def test_normals_stay_where_relief_is_low_and_go_where_it_is_high():
 
 def test_procedural_relief_has_the_root_mean_square_asked_for():
     made = SURFACES["gravel"](3, 0.05, 0.004, 1.0, 64, True)
-    plane = relief_of(MaterialMaps(1.5, {}, "opengl", procedural=made))
+    plane = surface_relief(made, 1.5)
     assert plane.std() == pytest.approx(0.004, rel=1e-4)
     assert abs(plane.mean()) < 1e-8
     flat = SURFACES["gravel"](3, 0.05, 0.004, 1.0, 64, False)
-    assert displacement_of(MaterialMaps(1.5, {}, "opengl", procedural=flat)) is None
+    assert displacement_of(plan(MaterialMaps(1.5, {}, "opengl"), procedural=flat)) is None
 
 
 def test_the_ground_is_displaced_by_its_layers_weights(tmp_path):
@@ -180,20 +185,20 @@ _PROGRAM = """
 import hashlib, sys
 import numpy as np
 from pathlib import Path
-from scenec.compiler.scene.scene import Cells, MaterialMaps
+from scenec.compiler.scene.material import Cells, Material, MaterialMaps
 from scenec.compiler.materials.displacement import displacement_of
-from scenec.compiler.scene.scene import Sources
+from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.kinds import SURFACES
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)
 for cells in (None, Cells(0.7, 99)):
-    for maps in (
-        MaterialMaps(1.3, {}, "opengl", cells=cells,
-                     sources=Sources(heights=Path(sys.argv[1]), heights_m=0.1)),
-        MaterialMaps(1.3, {}, "opengl", cells=cells,
-                     procedural=SURFACES["mud_cracks"](3, 0.1, None, 1.0, 64, True, 0.1)),
+    maps = MaterialMaps(1.3, {}, "opengl", cells=cells)
+    material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
+    for drawn in (
+        MaterialPlan(material, sources=Sources(heights=Path(sys.argv[1]), heights_m=0.1)),
+        MaterialPlan(material, SURFACES["mud_cracks"](3, 0.1, None, 1.0, 64, True, 0.1)),
     ):
-        made = displacement_of(maps)
+        made = displacement_of(drawn)
         digest.update(made.at(x, x[::-1].copy()).tobytes())
         digest.update(made.spectrum().amplitude_m.tobytes())
 print(digest.hexdigest())

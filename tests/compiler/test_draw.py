@@ -14,7 +14,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.light.latlong import read_picture
-from scenec.compiler.scene.plan import Plan
+from scenec.compiler.plan import Plan
 from scenec.schemas.errors import SceneError
 from scenec.schemas.exr import write_rgb
 

@@ -12,12 +12,13 @@ from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cameras.enclosed import require_open
+from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
-from scenec.compiler.scene.plan import RigPlan
+from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Ground, Placed, Prototype, Scatter, Tile
 from scenec.schemas.errors import SceneError
 
 SIZE = (20.0, 16.0)

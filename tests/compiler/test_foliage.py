@@ -17,7 +17,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.objects.foliage import LEVELS, foliage_chain
 from scenec.compiler.objects.lod import see_levels
 from scenec.compiler.objects.rocks import Chain
-from scenec.compiler.scene.scene import MeshPart, Prototype, Scatter
+from scenec.compiler.scene.objects import MeshPart, Prototype, Scatter
 from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import Views
 

@@ -17,21 +17,13 @@ from scenec.compiler.emit.maps import average_color
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import Footprint, footprints
 from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.reduce import halvings, reduced
 from scenec.compiler.materials.values import color_picture, gray_picture, normal_picture, unit
+from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
+from scenec.compiler.scene.material import Material, MaterialMaps, Picture
+from scenec.compiler.scene.objects import MeshPart, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import (
-    Ground,
-    GroundLayer,
-    Material,
-    MaterialMaps,
-    MeshPart,
-    Picture,
-    Prototype,
-    Scatter,
-    Sources,
-    Tile,
-)
 from scenec.compiler.views.resolution import Views, views_of
 from scenec.schemas.maps import decode, read_pixels
 
@@ -207,7 +199,8 @@ def test_normals_are_summed_as_vectors_and_the_slope_that_goes_is_told():
     assert made.facts["slope_rms_kept"] == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
 
 
-def finished(made: Material, seen: float, high: bool = False):
+def finished(material: Material, seen: float, high: bool = False, **drawn):
+    made = MaterialPlan(material, **drawn)
     layers = (GroundLayer("m", {}), GroundLayer("m", {}, 0.2 if high else 0.0))
     return finish({"m": made}, Ground(layers, ()), {"m": Footprint(seen, seen)}, Shown(0.5, 0.01))
 
@@ -263,8 +256,9 @@ def test_a_material_that_no_camera_sees_is_its_means():
         decode(read_pixels(files["roughness"].data), "roughness").mean(), abs=1e-5
     )
     assert len(found.left_out) == 3
-    painted = material(procedural=SURFACES["gravel"](1, 0.05, None, 1.0, 64, False))
-    unpainted = finished(replace(painted, base_color=(0.3, 0.2, 0.1)), 0.0).materials["m"]
+    dark, gravel = replace(material(), base_color=(0.3, 0.2, 0.1)), SURFACES["gravel"]
+    surface = gravel(1, 0.05, None, 1.0, 64, False)
+    unpainted = finished(dark, 0.0, procedural=surface).materials["m"]
     assert unpainted.maps is None
     assert unpainted.base_color == (0.3, 0.2, 0.1)
 
@@ -272,9 +266,9 @@ def test_a_material_that_no_camera_sees_is_its_means():
 def test_as_is_keeps_files_whoever_sees_them(tmp_path):
     Image.fromarray(np.full((64, 64, 3), 99, np.uint8)).save(tmp_path / "c.png")
     files = {"base_color": tmp_path / "c.png"}
-    kept = material(files, sources=Sources(as_is=True))
     for seen in (0.0, 1.0, 1e9):
-        assert finished(kept, seen).materials["m"].maps.files == files
+        kept = finished(material(files), seen, sources=Sources(as_is=True)).materials["m"]
+        assert kept.maps.files == files
     assert finished(material(files), 1.0).materials["m"].maps is None
 
 
@@ -291,9 +285,12 @@ def test_what_is_seen_closely_stays_the_file_it_is(tmp_path):
 
 
 def test_a_picture_of_heights_is_made_where_a_blend_goes_by_it():
-    painted = material(procedural=SURFACES["gravel"](1, 0.2, None, 1.0, 64, False))
-    assert "height" not in finished(painted, 1e4).materials["m"].maps.files
-    picture = finished(painted, 1e4, high=True).materials["m"].maps.files["height"]
+    gravel = SURFACES["gravel"](1, 0.2, None, 1.0, 64, False)
+    without, painted = (
+        finished(material(), 1e4, high, procedural=gravel).materials["m"] for high in (False, True)
+    )
+    assert "height" not in without.maps.files
+    picture = painted.maps.files["height"]
     values = decode(read_pixels(picture.data), "height")
     assert values.min() == 0.0
     assert values.max() == 1.0

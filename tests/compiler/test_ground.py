@@ -10,7 +10,7 @@ from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.mesh.mesh import grid_mesh
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.scene import Tile
+from scenec.compiler.scene.ground import Tile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 

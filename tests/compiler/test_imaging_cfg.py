@@ -17,12 +17,12 @@ from pxr import Sdf, Usd, UsdGeom
 from scenec.backends.run.render import render
 from scenec.backends.stage.cameras import read_imaging
 from scenec.compiler.cameras.imaging import draw_imaging, expose
+from scenec.compiler.cameras.plan import ImagingPlan, RigPlan, SensorPlan
 from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.emit.cameras import write_imaging
-from scenec.compiler.scene.plan import ImagingPlan, RigPlan, SensorPlan
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError

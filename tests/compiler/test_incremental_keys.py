@@ -28,7 +28,8 @@ from scenec.compiler.cache.structure import (
     text_of,
 )
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.scene.scene import Picture, Prototype
+from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Quantities
 

@@ -14,10 +14,11 @@ from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.light.atmosphere_sky import build_atmosphere
 from scenec.compiler.light.clear_sky import build_sky
 from scenec.compiler.light.latlong import directions, luminance
+from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.light_plan import AtmospherePlan, ClearSkyPlan
-from scenec.compiler.scene.scene import Prototype, SunLight
+from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.studies.ladder import cost, points, sky
 from scenec.studies.ladder.apart import apart, nearest, spread_over

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.materials.values import color_picture, colors
-from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.studies.ladder import cost
 from scenec.studies.ladder.pixel_means import pixel_means
 from scenec.studies.ladder.textures import _Picture, _rung, _through

@@ -13,16 +13,16 @@ from small import small_cfg, write_cfg
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cameras.paths.random_target import RandomTarget
+from scenec.compiler.cameras.plan import RigPlan, SensorPlan
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.light.build import Light, without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
+from scenec.compiler.light.plan import LampPlan, WorldMount
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
-from scenec.compiler.scene.light_plan import LampPlan, WorldMount
-from scenec.compiler.scene.plan import RigPlan, SensorPlan
+from scenec.compiler.scene.light import Lamp, SkyLight, SunLight
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Lamp, SkyLight, SunLight
 from scenec.compiler.terrain.grid import Grid, HeightField
 
 LIGHTS = "/World/Lights"

@@ -11,8 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.emit.terrain import blended_color
+from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
+from scenec.compiler.scene.light import Lamp
+from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Ground, GroundLayer, Lamp, Material, Tile
 from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.needed import Needs, with_color, without_unused
 

@@ -12,9 +12,9 @@ from scenec.compiler.geometry.poses import compose, from_euler, from_quaternion,
 from scenec.compiler.light import clear_sky as skies
 from scenec.compiler.light.clear_sky import build_sky, clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.light.plan import ClearSkyPlan
 from scenec.compiler.scene.exposure import incident_exposure
-from scenec.compiler.scene.light_plan import ClearSkyPlan
-from scenec.compiler.scene.scene import SunLight
+from scenec.compiler.scene.light import SunLight
 
 COLORS = tuple(
     np.array(c) for c in [(0.23, 0.42, 0.9), (0.72, 0.82, 0.95), (0.3, 0.26, 0.22), (600, 500, 400)]

@@ -17,7 +17,7 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import MAP_CHANNELS, decode, read_pixels
 

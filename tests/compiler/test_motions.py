@@ -19,8 +19,8 @@ from scenec.compiler.cameras.paths.spline import Spline, largest
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.poses import look_at
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.scene.rig import Sensor
-from scenec.compiler.scene.scene import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.schemas.errors import SceneError
 

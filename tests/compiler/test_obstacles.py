@@ -17,8 +17,8 @@ from test_motions import around, bodies_of_meshes, prototype, rover
 from scenec.compiler.cameras.paths.obstacles import obstacles_of
 from scenec.compiler.cameras.paths.route import passable
 from scenec.compiler.geometry.voxels import Cubes, voxels_of
+from scenec.compiler.objects.plan import ModelSource
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.scene.plan import ModelSource
 from scenec.schemas.errors import SceneError
 
 
@@ -58,7 +58,7 @@ def test_cubes_hold_every_triangle_and_reach_no_farther_than_a_diagonal(seed, mo
     rng = np.random.default_rng(seed)
     vertices = rng.normal(size=(12, 3)) * [1.0, 2.0, 0.3]
     soup = trimesh.Trimesh(vertices, rng.integers(0, 12, (8, 3)), process=False)
-    cubes = voxels_of(prototype(soup), 0.0, most)
+    cubes = voxels_of(prototype(soup).mesh, 0.0, most)
     weights = rng.dirichlet([1, 1, 1], 400)
     on = np.einsum("nk,nkd->nd", weights, soup.triangles[rng.integers(0, 8, 400)])
     index = np.floor((on - cubes.corner) / cubes.side).astype(int)
@@ -66,7 +66,7 @@ def test_cubes_hold_every_triangle_and_reach_no_farther_than_a_diagonal(seed, mo
     assert cubes.full[tuple(index.T)].all()
     # A single triangle encloses nothing.
     one = trimesh.Trimesh(vertices[:3], [[0, 1, 2]], process=False)
-    middles = (own := voxels_of(prototype(one), 0.0, most)).middles()
+    middles = (own := voxels_of(prototype(one).mesh, 0.0, most)).middles()
     at = trimesh.triangles.closest_point(np.repeat(one.triangles, len(middles), 0), middles)
     away = np.abs(at - middles).max(axis=1)
     assert (away <= 0.5 * np.sqrt(3) * own.side * (1 + 1e-6)).all()
@@ -81,7 +81,7 @@ def test_a_hollow_is_full_unless_it_opens_to_a_side_or_the_top():
         for kept in (height > -0.5, height < 0.5, east < 0.5)
     )
     for mesh, holds in ((ball, True), (below, True), (bowl, False), (cave, False)):
-        cubes = Cubes((prototype(mesh),))
+        cubes = Cubes((prototype(mesh).mesh,))
         inside = cubes.near(
             np.zeros(1, np.int32), np.zeros((1, 3)), np.eye(3, dtype=np.float32)[None],
             np.full(1, 1.1), 0.0, np.zeros((1, 3)),

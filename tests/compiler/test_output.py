@@ -26,7 +26,7 @@ from scenec.compiler.draw.batch import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.output import Output, locked
-from scenec.compiler.scene.scene import MaterialMaps, Picture
+from scenec.compiler.scene.material import MaterialMaps, Picture
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, inside, sweep, temporary_folder

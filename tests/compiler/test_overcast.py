@@ -14,8 +14,8 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
-from scenec.compiler.scene.light_plan import LightPlan, OvercastSkyPlan
-from scenec.compiler.scene.scene import SunLight
+from scenec.compiler.light.plan import LightPlan, OvercastSkyPlan
+from scenec.compiler.scene.light import SunLight
 from scenec.schemas.errors import CfgError
 
 GRAY = np.array([1.0, 1.0, 1.0])

@@ -9,8 +9,10 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from scenec.compiler.geometry.poses import look_at
+from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
+from scenec.compiler.scene.light import Lamp, SunLight
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Ground, GroundLayer, Lamp, Scene, SunLight, Tile
+from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
 from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (

@@ -13,10 +13,10 @@ from test_panoramas import sky_with
 
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.light.panorama import build_panorama
+from scenec.compiler.light.plan import ImageSkyPlan
 from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.materials.values import gray_picture
-from scenec.compiler.scene.light_plan import ImageSkyPlan
-from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.exr import write_rgb
 
 _DULL = Material((0.4, 0.3, 0.2), 0.9, 0.04, 0.0)

@@ -21,10 +21,10 @@ from scenec.compiler.kinds.context import Context
 from scenec.compiler.objects.creases import along_creases
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.rocks import Chain, build_chains, build_prototypes
-from scenec.compiler.scene.plan import ScatterPlan
+from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
-from scenec.compiler.scene.scene import Prototype, Scatter
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operators.dunes import Dunes
 from scenec.compiler.views.resolution import NO_VIEWS, Views, views_of

@@ -20,7 +20,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.poses import from_quaternion
-from scenec.compiler.scene.scene import Prototype
+from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.settle.settle import settle

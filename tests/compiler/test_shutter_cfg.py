@@ -22,6 +22,7 @@ from scenec.compiler.cameras.paths.mav import Mav
 from scenec.compiler.cameras.paths.motion import Around, Way
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
+from scenec.compiler.cameras.plan import RigPlan, SensorPlan
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cameras.shutters import ERROR_PX, way_of
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay
@@ -29,7 +30,6 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.geometry.lenses import make_lens
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.plan import RigPlan, SensorPlan
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.frustum import MOVING, in_view, views_of_all

@@ -65,7 +65,7 @@ def test_a_surface_has_the_numbers_that_its_keys_say(tmp_path, kind):
     cfg["materials"]["gravel"].pop("maps")
     del cfg["terrain"]["ground"][1]["height_blend"]
     spec = load(write_cfg(tmp_path, cfg))
-    surface = draw(spec, 1, 0).materials["sand"].maps.procedural
+    surface = draw(spec, 1, 0).materials["sand"].procedural
     assert type(surface) is SURFACES[kind]
     given = resolve(spec.cfg["materials"]["sand"]["maps"]["procedural"], Streams(1, 0), "x")
     constant = {k: v for k, v in given.items() if isinstance(v, (int, float, str)) and k != "type"}
@@ -120,7 +120,7 @@ def test_viewers_see_what_a_material_gives_off(folder):
 
 def test_cells_are_others_in_each_batch_and_the_same_for_one_seed(folder):
     spec = load(write_cfg(folder, {**keyed_cfg(), "batches": 2}))
-    seeds = [draw(spec, 5, batch).materials["sand"].maps.cells.seed for batch in (0, 1, 0)]
+    seeds = [draw(spec, 5, batch).materials["sand"].material.maps.cells.seed for batch in (0, 1, 0)]
     assert seeds[0] == seeds[2] != seeds[1]
 
 

@@ -22,10 +22,11 @@ from scenec.compiler.kinds.schema import describe, load_schemas
 from scenec.compiler.materials import periodic
 from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.materials.pictures import color_codes, normal_codes, with_pictures
+from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Tile
 from scenec.compiler.materials.values import encoded, forget_pixels, picture_of, stored
-from scenec.compiler.scene.scene import Material, MaterialMaps, Picture
+from scenec.compiler.scene.material import Material, MaterialMaps, Picture
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 
@@ -44,8 +45,9 @@ def painted(
 ) -> tuple[Material, dict]:
     """A material of a kind, and what is told of it."""
     made = surface(kind, **change)
-    maps = MaterialMaps(size_m or made.SIZE_M, {}, "opengl", "triplanar", made)
-    return with_pictures(Material(base_color, 0.7, 0.03, 0.0, maps=maps))
+    maps = MaterialMaps(size_m or made.SIZE_M, {}, "opengl", "triplanar")
+    material = Material(base_color, 0.7, 0.03, 0.0, maps=maps)
+    return with_pictures(MaterialPlan(material, made))
 
 
 def pixels(material: Material, kind: str) -> np.ndarray:
@@ -246,14 +248,13 @@ def test_without_gloss_there_is_no_picture_of_roughness_and_a_file_replaces_its_
     made = surface("granite")
     file = tmp_path / "n.png"
     Image.fromarray(np.full((4, 4, 3), (128, 128, 255), np.uint8)).save(file)
-    maps = MaterialMaps(1.0, {"normal": file}, "directx", "above", made)
+    maps = MaterialMaps(1.0, {"normal": file}, "directx", "above")
     material = Material((0.3, 0.3, 0.3), 0.7, 0.0, 0.0, maps=maps)
-    found = with_pictures(material)[0].maps
+    found = with_pictures(MaterialPlan(material, made))[0].maps
     assert found.files.keys() == {"base_color", "normal"}
     assert found.files["normal"] == file
     assert found.normal_convention == "directx"
-    assert found.procedural is None
-    glossy = with_pictures(replace(material, specular=0.1))[0].maps
+    glossy = with_pictures(MaterialPlan(replace(material, specular=0.1), made))[0].maps
     assert glossy.files.keys() == {"base_color", "roughness", "normal"}
 
 

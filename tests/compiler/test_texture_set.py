@@ -16,8 +16,9 @@ from scenec.compiler.assets.texture_set import TextureSetError, recognize
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.materials.bake import baked
+from scenec.compiler.materials.plan import Sources
 from scenec.compiler.materials.values import colors, raw
-from scenec.compiler.scene.scene import Material, MaterialMaps, Sources
+from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 
@@ -214,8 +215,8 @@ def test_occlusion_multiplies_the_albedo_in_linear_light(folder, strength):
     color = folder / "Soil_1K_Color.png"
     occlusion = folder / "Soil_1K_Gloss.png"
     sources = Sources(occlusion=occlusion, occlusion_strength=strength)
-    maps = MaterialMaps(1.0, {"base_color": color}, "opengl", sources=sources)
-    made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps))
+    maps = MaterialMaps(1.0, {"base_color": color}, "opengl")
+    made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), sources)
     linear = decode(read_pixels(color), "base_color").astype(np.float64)
     share = np.asarray(Image.open(occlusion))[..., None] / 255.0
     expected = linear * (1.0 - strength * (1.0 - share))
@@ -230,10 +231,8 @@ def test_occlusion_of_another_size_is_looked_up_between_its_texels(folder):
     high = np.linspace(0, 1, 8)[:, None] * np.ones((1, 8))
     Image.fromarray((255 * high).astype(np.uint8)).save(folder / "ao.png")
     sources = Sources(occlusion=folder / "ao.png")
-    maps = MaterialMaps(
-        1.0, {"base_color": folder / "Soil_1K_Color.png"}, "opengl", sources=sources
-    )
-    made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps))
+    maps = MaterialMaps(1.0, {"base_color": folder / "Soil_1K_Color.png"}, "opengl")
+    made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), sources)
     linear = decode(read_pixels(folder / "Soil_1K_Color.png"), "base_color").astype(np.float64)
     stored = (255 * high).astype(np.uint8) / 255.0
     at = (np.arange(16) + 0.5) / 2.0 - 0.5
@@ -249,8 +248,8 @@ def test_a_packed_picture_s_channels_are_occlusion_roughness_and_metal(folder):
     sources = Sources(
         packed=folder / "arm.png", unpacked=("ambient_occlusion", "roughness", "metallic")
     )
-    maps = MaterialMaps(1.0, {}, "opengl", sources=sources)
-    made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps))
+    maps = MaterialMaps(1.0, {}, "opengl")
+    made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), sources)
     for kind, channel in (("roughness", 1), ("metallic", 2)):
         np.testing.assert_allclose(raw(made.maps.files[kind]), packed[..., channel] / 255.0)
     # Of a material whose color is a number, occlusion is the picture of colors.

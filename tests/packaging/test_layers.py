@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -14,21 +15,10 @@ from source_rules import (
     random_violations,
     wait_violations,
 )
+from test_rooms import HOUSE, above
 
 ROOT = Path(__file__).resolve().parents[2]
-LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "importers", "cli")
-#: What each layer may import of ours.
-ALLOWED = {
-    "schemas": (),
-    "compiler": ("schemas",),
-    "backends": ("schemas",),
-    "datasets": ("schemas",),
-    "studies": ("schemas", "compiler", "backends", "datasets"),
-    "settle": ("schemas", "compiler"),
-    # Of the backends their lowest room alone, see below.
-    "importers": ("schemas", "compiler", "backends"),
-    "cli": ("schemas", "compiler", "backends", "datasets", "studies", "settle", "importers"),
-}
+LAYERS = tuple(chain(*HOUSE))
 STREAMS = ROOT / "compiler" / "distributions" / "streams.py"
 
 
@@ -54,7 +44,7 @@ def test_ruff_lets_a_layer_import_only_the_layers_under_it(layer: str) -> None:
     lines = [f"import scenec.{other}.anything" for other in others]
     lines += [f"from scenec.{other} import anything" for other in others]
     lines += [f"from scenec import {other}" for other in others]
-    wrong = [other not in ALLOWED[layer] for other in others] * 3
+    wrong = [other in above(layer) for other in others] * 3
     expected = {n for n, refused in enumerate(wrong, 1) if refused}
     assert banned_lines(f"{layer}/scratch.py", lines) == expected
     assert banned_lines(f"{layer}/deeper/scratch.py", lines) == expected

@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdShade
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.emit.materialx import write_material
-from scenec.compiler.scene.scene import Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas import materialx
 
 needs_bpy = pytest.mark.skipif(

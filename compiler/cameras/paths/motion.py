@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Lidar, Sensor
-from scenec.compiler.scene.scene import Placed, Prototype, Scatter
 from scenec.schemas.errors import SceneError
 
 _DEGREE = elementary.PI / 180.0

@@ -108,7 +108,7 @@ def obstacles_of(
                 clouds.append(np.empty((0, 3)))
                 half.append(0.0)
                 continue
-            voxels = voxels_of(prototype, cell_m / _FINER / float(own.max()), _CUBES)
+            voxels = voxels_of(prototype.mesh, cell_m / _FINER / float(own.max()), _CUBES)
             clouds.append(voxels.middles())
             half.append(_CORNER * voxels.side)
         first = np.cumsum([0] + [len(cloud) for cloud in clouds])

@@ -105,7 +105,10 @@ class RandomPose:
         tried = 0
         # All samples at once: the ground is asked for many points in one call.
         span = span_of(around.surface.field)
-        cubes = {name: Cubes(bodies.prototypes) for name, bodies in around.bodies.items()}
+        cubes = {
+            name: Cubes([p.mesh for p in bodies.prototypes])
+            for name, bodies in around.bodies.items()
+        }
         for k in range(self.tries):
             if not len(waiting):
                 break

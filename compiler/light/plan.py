@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.scene import Haze, SpotLight, SunLight
+from scenec.compiler.scene.light import Haze, SpotLight, SunLight
 
 
 @dataclass(frozen=True)
@@ -206,3 +206,8 @@ class LightPlan:
     haze: Haze | None = None
     clouds: CloudsPlan | None = None
     lamps: tuple[LampPlan, ...] = ()
+
+    @property
+    def lit(self) -> bool:
+        """Whether there is a sun, a sky or a lamp."""
+        return self.sun is not None or self.sky is not None or bool(self.lamps)
