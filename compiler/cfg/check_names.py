@@ -31,13 +31,8 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
         name = user["material"]
         if materials and name is not None and name not in materials:
             yield user.fault(unknown("material", name, materials.entries), "material")
-    if levels or "labels" not in cfg:
-        for choice in _choices(cfg, users):
-            yield from _check_choice(levels, choice)
-        if not levels.entries:
-            yield from _check_label_outputs(cfg)
-    for level in levels.each("*"):
-        yield from _check_ids(level)
+    if (levels or "labels" not in cfg) and not levels.entries:
+        yield from _check_label_outputs(cfg)
     made_of = [user["material"] for user in (*users, *coatings)]
     yield from _check_unused(cfg, users, made_of, frozenset() if sound else _all_words(cfg))
 
@@ -46,16 +41,6 @@ def _choices(cfg: Node, users: list[Node]) -> list[Node]:
     """Lists all choices of labels: of material users, the sky and its picture's ground."""
     sky = cfg.at("light", "sky")
     return [*(node.at("labels") for node in (*users, sky)), sky.at("labels_below")]
-
-
-def _check_choice(levels: Node, chosen: Node) -> Iterator[Finding]:
-    for level in chosen.entries:
-        name, names = chosen[level], levels.at(level)
-        if level not in levels:
-            yield chosen.key_fault(unknown("label level", level, levels.entries), level)
-        elif name is not None and names and name not in names:
-            where = f" on the level {shown(level)}"
-            yield chosen.fault(unknown("label", name, names.entries, where), level)
 
 
 def _check_label_outputs(cfg: Node) -> Iterator[Finding]:
@@ -71,20 +56,6 @@ def _check_label_outputs(cfg: Node) -> Iterator[Finding]:
             'the output "label" needs at least one level in "labels"; define one, or leave '
             '"label" out of "outputs"',
         )
-
-
-def _check_ids(level: Node) -> Iterator[Finding]:
-    first: dict[int, str] = {}
-    for name in level.entries:
-        number = level[name]
-        if number in first:
-            yield level.fault(
-                f"the id {shown(number)} is that of {shown(first[number])} already: ids are "
-                "unique within a level",
-                name,
-            )
-        if number is not None:
-            first.setdefault(number, name)
 
 
 def _check_unused(

@@ -231,7 +231,7 @@ CHOICES = {
 }
 #: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
 CLASSES = {
-    "cfg": "kinds.declared_whole:Cfg",
+    "cfg": "cfg.whole:Cfg",
     "clouds_cirrus": "kinds.declared_light:CloudsCirrus",
     "clouds_cumulus": "kinds.declared_light:CloudsCumulus",
     "condition_camera": "objects.conditions:FromCameras",
@@ -276,8 +276,8 @@ CLASSES = {
     "imaging_jpeg": "kinds.declared_cameras:ImagingJpeg",
     "imaging_vignetting": "kinds.declared_cameras:ImagingVignetting",
     "intrinsics": "kinds.declared_cameras:Intrinsics",
-    "label_choice": "kinds.declared_whole:LabelChoice",
-    "labels": "kinds.declared_whole:Labels",
+    "label_choice": "cfg.whole:LabelChoice",
+    "labels": "cfg.whole:Labels",
     "lens_brown_conrady": "kinds.declared_cameras:LensBrownConrady",
     "lens_equirectangular": "kinds.declared_cameras:LensEquirectangular",
     "lens_kannala_brandt": "kinds.declared_cameras:LensKannalaBrandt",

@@ -1,13 +1,16 @@
-"""Declares keys of whole."""
+"""Declares the keys of a whole cfg, and labels."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.kinds.declare import Form, key
+from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.forms import COUNT, NAME, OUTPUT, TEXT, an, list_of, named
+from scenec.compiler.kinds.node import Node, unknown
+from scenec.schemas.spelling import shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +78,20 @@ class LabelChoice:
 
     TITLE: ClassVar = "Choice of labels"
 
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds levels and names that there are none of."""
+        levels = node.whole().at("labels")
+        if not levels and "labels" in node.whole():
+            return
+        for level in node.entries:
+            name, names = node[level], levels.at(level)
+            if level not in levels:
+                yield node.key_fault(unknown("label level", level, levels.entries), level)
+            elif name is not None and names and name not in names:
+                where = f" on the level {shown(level)}"
+                yield node.fault(unknown("label", name, names.entries, where), level)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Labels:
@@ -105,3 +122,19 @@ class Labels:
             "x-name": "name",
         },
     }
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds ids that two names of a level have."""
+        for level in node.each("*"):
+            first: dict[int, str] = {}
+            for name in level.entries:
+                number = level[name]
+                if number in first:
+                    yield level.fault(
+                        f"the id {shown(number)} is that of {shown(first[number])} already: ids "
+                        "are unique within a level",
+                        name,
+                    )
+                if number is not None:
+                    first.setdefault(number, name)

@@ -1,3 +1,0 @@
-"""Declares keys of densities."""
-
-from __future__ import annotations
