@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.fractal import Fractal
-from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.noise.lattice import hash2, unit
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed
@@ -123,8 +123,7 @@ class Ledges:
 @inlined
 def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
     """Height of a layer's bottom, in mean thicknesses."""
-    unit = np.float64(hash2(key, layer, 0) >> np.uint64(11)) * 2.0**-53
-    return layer + 0.5 * irregularity * (unit - 0.5)
+    return layer + 0.5 * irregularity * (unit(hash2(key, layer, 0)) - 0.5)
 
 
 @kernel
