@@ -14,7 +14,6 @@ from scenec.schemas.sidecars import read_sidecar
 
 _FINER = {
     "surface_error_rms_px": float,
-    "surface_error_bound_px?": float,
     "checked_points": natural,
     "searched_points?": natural,
     "finest_leg_m": float,

@@ -158,14 +158,11 @@ def _mesh_errors(mesh: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
     yield "  at samples", f"{mesh['height_error_max_px']:.2g} px worst; {asked}"
     finer = mesh.get("finer")
     if finer:
-        # Older outputs call what was found the largest there is, and state no bound.
+        # Older outputs call what was found the largest there is, or searched at more points.
         found = finer.get("surface_error_found_px", finer.get("surface_error_max_px"))
+        points = finer["checked_points"] + finer.get("searched_points", 0)
         error = f"{finer['surface_error_rms_px']:.2g} px rms, "
-        if "surface_error_bound_px" in finer:
-            error = f"{finer['surface_error_bound_px']:.2g} px at most, {error}"
-        error += f"{found:.2g} px at the worst of {finer['checked_points']:,} points"
-        if "searched_points" in finer:
-            error += f" and {finer['searched_points']:,} searched"
+        error += f"{found:.2g} px at the worst of {points:,} points"
         yield "  between samples", f"{error}; legs from {finer['finest_leg_m']:.2g} m"
     if "label_error_max_px" in mesh:
         yield "  label lines", f"{mesh['label_error_max_px']:.2g} px worst at samples"

@@ -172,6 +172,20 @@ def asin(x: float) -> float:
     return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
+@inlined
+def smoothstep(t: float) -> float:
+    """Zero below 0, 1 above 1, 3 t^2 - 2 t^3 between: level at both."""
+    t = 0.0 if t < 0.0 else t
+    t = 1.0 if t > 1.0 else t
+    return t * t * (3.0 - 2.0 * t)
+
+
+def smoothstep_array(t: ArrayLike) -> NDArray[np.float64]:
+    """Smoothstep, elementwise."""
+    t = np.clip(t, 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
 def _map(loop: Callable[[NDArray, NDArray], None], x: ArrayLike) -> NDArray[np.float64]:
     values = np.ascontiguousarray(x, dtype=np.float64)
     out = np.empty_like(values)

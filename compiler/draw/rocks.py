@@ -18,7 +18,7 @@ from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.bedded import draw_bedded
 from scenec.compiler.objects.families.breccia import draw_breccia
 from scenec.compiler.objects.families.rounded import draw_rounded
-from scenec.compiler.objects.families.shape import Common, Shape
+from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.families.slab import draw_slab
 from scenec.compiler.objects.families.ventifact import Ventifact, draw_ventifact
 from scenec.compiler.objects.families.vesicular import draw_vesicular
@@ -134,12 +134,8 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
     u = streams.uniforms(f"{path}/axes", 2)
     middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
     low = 1.0 - flatness * (0.75 + 0.5 * u[1])
-    common = Common(
-        streams.key(path),
-        cfg["bumpiness"],
-        (1.0, middle, min(max(low, 0.05), middle)),
-        int(cfg["subdivisions"]),
-    )
+    axes = 1.0, middle, min(max(low, 0.05), middle)
+    common = streams.key(path), cfg["bumpiness"], axes, int(cfg["subdivisions"])
     if other is None:
         return _FAMILIES[family](path, streams, wear, common)
     return other(*common, **{key: cfg[key] for key in other.SCHEMA["properties"]})

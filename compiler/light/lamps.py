@@ -99,7 +99,7 @@ def lamp_irradiance(lamp: Lamp, sample: int, point: NDArray[np.float64]) -> floa
     if angle > cone:
         return 0.0
     x = (angle - start) / (cone - start) if angle > start else 0.0
-    falloff = 1.0 - x * x * (3.0 - 2.0 * x)
+    falloff = 1.0 - float(elementary.smoothstep_array(x))
     return float(luminance(lamp.intensity[sample])) * falloff / squared
 
 

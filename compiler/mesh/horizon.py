@@ -83,8 +83,7 @@ class Land:
 
     def share(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of its own relief and material at points: 0 at the border, float64 [n]."""
-        t = np.minimum(self.distance_m(x, y) / self.blend_m, 1.0)
-        return t * t * (3.0 - 2.0 * t)
+        return elementary.smoothstep_array(self.distance_m(x, y) / self.blend_m)
 
     def height_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heights, float64 [n], meters."""

@@ -23,7 +23,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.arithmetic.ranks import ranked
 from scenec.compiler.mesh.signed_bound import SignedBound
 from scenec.compiler.noise.fractal import fbm2
-from scenec.compiler.terrain.condition import Interval, smoothstep
+from scenec.compiler.terrain.condition import Interval
 from scenec.compiler.terrain.quantities import Samples
 from scenec.schemas.kernels import kernel
 
@@ -127,7 +127,7 @@ def _weigh(
 ) -> None:
     """Smoothstep of t = least + factor * (side + level - center), clamped to [0, 1]."""
     for k in range(side.size):
-        alpha[k] = smoothstep(least + factor * (side[k] + level - center))
+        alpha[k] = elementary.smoothstep(least + factor * (side[k] + level - center))
 
 
 def center_for_coverage(noise: NDArray[np.float64], coverage: float) -> float:

@@ -7,14 +7,13 @@ too coarse for: octaves left out, and the displacement of the materials, mixed b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.detail import Detail, finer, finer_than, joined, local, over
-from scenec.compiler.terrain.fillets import Fillets
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -111,11 +110,6 @@ class Surface:
                 x, y = np.ascontiguousarray(balls[0][:, :2].T)
                 out += somewhere.finer_at(x, y, balls[1], length_m)
         return out
-
-    def at_most(self) -> Surface:
-        """The same, for bounds: fines about feet state how high they are anywhere."""
-        details = (one.at_most() if isinstance(one, Fillets) else one for one in self.details)
-        return replace(self, details=tuple(details))
 
     def amplitude_m(self) -> float:
         """About how far the surface gets from the grid's samples, meters."""

@@ -11,6 +11,7 @@ from scenec.schemas.kernels import inlined, kernel
 _C1 = np.uint64(0x9E3779B97F4A7C15)
 _C2 = np.uint64(0xBF58476D1CE4E5B9)
 _C3 = np.uint64(0x94D049BB133111EB)
+_S11 = np.uint64(11)
 _S27 = np.uint64(27)
 _S30 = np.uint64(30)
 _S31 = np.uint64(31)
@@ -60,3 +61,9 @@ def hash2(key: np.uint64, i: int, j: int) -> np.uint64:
 def hash3(key: np.uint64, i: int, j: int, k: int) -> np.uint64:
     """Hash of the lattice point (i, j, k)."""
     return mix(mix(mix(key ^ np.uint64(i)) ^ np.uint64(j)) ^ np.uint64(k))
+
+
+@inlined
+def unit(bits: np.uint64) -> float:
+    """The highest 53 bits of a hash as a number in [0, 1)."""
+    return np.float64(bits >> _S11) * 2.0**-53

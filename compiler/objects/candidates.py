@@ -12,13 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2, subkeys
+from scenec.compiler.noise.lattice import hash2, subkeys, unit
 from scenec.compiler.objects.lattice import Lattice
-from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
-
-_SHIFT = np.uint64(11)
-_TO_UNIT = 2.0**-53
 
 
 class Cells(NamedTuple):
@@ -118,12 +115,6 @@ def _points_part(first, last, cells, u, x, y, index):  # type: ignore[no-untyped
         x[n], y[n], index[n] = point(cells, u[n, 0], u[n, 1], u[n, 2])
 
 
-@inlined
-def unit(key, instance, attempt):  # type: ignore[no-untyped-def]
-    """A number in [0, 1), a multiple of 2**-53."""
-    return np.float64(hash2(key, instance, attempt) >> _SHIFT) * _TO_UNIT
-
-
 def numbers(
     u: NDArray[np.float64], key: int, instances: NDArray[np.int64], attempts: NDArray[np.int64]
 ) -> NDArray[np.float64]:
@@ -145,5 +136,5 @@ def _numbers(u, keys, instances, attempts):  # type: ignore[no-untyped-def]
             if attempts[n] == 0:
                 out[n, k] = u[i, k]
             else:
-                out[n, k] = unit(keys[k], i, attempts[n])
+                out[n, k] = unit(hash2(keys[k], i, attempts[n]))
     return out

@@ -90,21 +90,17 @@ def _weights(
         elementary.cos(elementary.PI / 180.0 * min(max(plan.max_slope_deg + side, 0.0), 180.0))
         for side in (_SOFT_DEG, -_SOFT_DEG)
     )
-    lies = _smooth((up - steepest) / (flattest - steepest) + 0.5 * ragged)
-    swept = _smooth(-hollow - 0.5 + 0.5 * ragged)
-    kept = _smooth(hollow + 0.5 * ragged) * _smooth((up + 0.5) / 0.5)
-    near = 1.0 - _smooth(above / plan.foot_height + ragged)
+    lies = elementary.smoothstep_array((up - steepest) / (flattest - steepest) + 0.5 * ragged)
+    swept = elementary.smoothstep_array(-hollow - 0.5 + 0.5 * ragged)
+    kept = elementary.smoothstep_array(hollow + 0.5 * ragged)
+    kept *= elementary.smoothstep_array((up + 0.5) / 0.5)
+    near = 1.0 - elementary.smoothstep_array(above / plan.foot_height + ragged)
     bare = (
         (1.0 - plan.tops * lies * (1.0 - swept))
         * (1.0 - plan.hollows * kept)
         * (1.0 - plan.foot * near)
     )
     return (1.0 - bare).astype(np.float32)
-
-
-def _smooth(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    t = np.minimum(np.maximum(t, 0.0), 1.0)
-    return t * t * (3.0 - 2.0 * t)
 
 
 @kernel

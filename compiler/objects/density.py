@@ -362,8 +362,8 @@ class RingDensity(Density):
         dense = np.zeros(lattice.shape)
         at = table(self.max_radii)
         # Its inner border is a fade over a fifth: blocks roll in.
-        t = np.clip(1.0 - 5.0 * (1.0 - at / self.min_radii), 0.0, 1.0) if self.min_radii else 1.0
-        falling = t * t * (3.0 - 2.0 * t) * np.ones(at.shape)
+        t = 1.0 - 5.0 * (1.0 - at / self.min_radii) if self.min_radii else 1.0
+        falling = elementary.smoothstep_array(t) * np.ones(at.shape)
         # Within a tenth of a radius from the middle the law would diverge.
         falling /= np.maximum(at, 0.1) * np.maximum(at, 0.1) * np.maximum(at, 0.1)
         for craters, conditions in self.craters:

@@ -18,8 +18,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash3, subkeys
-from scenec.compiler.objects.candidates import Candidates, point, unit
+from scenec.compiler.noise.lattice import hash2, hash3, subkeys, unit
+from scenec.compiler.objects.candidates import Candidates, point
 from scenec.schemas.kernels import inlined, kernel
 
 #: Tries of one object at most.
@@ -179,10 +179,8 @@ def _throw(  # type: ignore[no-untyped-def]
             if attempt == 0:
                 x, y, _ = point(cells, u[n, 0], u[n, 1], u[n, 2])
             else:
-                x, y, _ = point(
-                    cells,
-                    unit(keys[0], n, attempt), unit(keys[1], n, attempt), unit(keys[2], n, attempt),
-                )  # fmt: skip
+                v, w = unit(hash2(keys[1], n, attempt)), unit(hash2(keys[2], n, attempt))
+                x, y, _ = point(cells, unit(hash2(keys[0], n, attempt)), v, w)
             # As the stage will have it.
             x, y = np.float64(np.float32(x)), np.float64(np.float32(y))
             if _free(grid, x, y, radius[n]):

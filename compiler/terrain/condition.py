@@ -41,7 +41,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.craters import Craters, craters_laid, require_craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
-from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -189,21 +189,13 @@ def soft_interval(
     return weight
 
 
-@inlined
-def smoothstep(t: float) -> float:
-    """Zero below 0, 1 above 1, level at both."""
-    t = 0.0 if t < 0.0 else t
-    t = 1.0 if t > 1.0 else t
-    return t * t * (3.0 - 2.0 * t)
-
-
 @kernel
 def _weigh(quantity: NDArray, bound: float, sign: float, softness: float, weight: NDArray) -> None:
     """Multiplies weights by those of one bound; ``sign`` points to the side that holds."""
     for k in range(quantity.size):
         inside = sign * (quantity[k] - bound)
         if softness > 0.0:
-            weight[k] *= smoothstep(inside / softness + 0.5)
+            weight[k] *= elementary.smoothstep(inside / softness + 0.5)
         else:
             weight[k] *= inside >= 0.0
 

@@ -9,7 +9,7 @@ follow. Where ramps overlap the highest counts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -62,13 +62,11 @@ class Fillets:
         feet: Of each stone.
         far: How far from its middle each ramp ends at most, meters, float64 [n].
         bins: Where they are.
-        stated: How large ``finer_at`` says that each is, meters, float64 [n].
     """
 
     feet: Feet
     far: NDArray[np.float64]
     bins: Bins
-    stated: NDArray[np.float64]
 
     @classmethod
     def of(cls, feet: Feet) -> Fillets:
@@ -79,19 +77,7 @@ class Fillets:
         # So wide that a stone is in about four bins, however many are large.
         width = 2.0 * float(np.sqrt((far * far).mean()))
         bins = binned(feet.x, feet.y, far, (corner, sizes), width)
-        return cls(feet, far, bins, feet.height)
-
-    def at_most(self) -> Fillets:
-        """The same, each stated as high as it is anywhere: for bounds.
-
-        What decides how finely the ground is meshed and how things are seated goes by the height
-        at the outline, without what differs from side to side.
-        """
-        return replace(self, stated=self._highest())
-
-    def _highest(self) -> NDArray[np.float64]:
-        """Of each ramp, under its stone, meters: see ``_ramp``."""
-        return _CORE * self.feet.height * np.maximum(self.feet.share.max(axis=1), 1.0)
+        return cls(feet, far, bins)
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
@@ -108,19 +94,21 @@ class Fillets:
     ) -> NDArray[np.float64]:
         """About how large what is finer than lengths is in disks, meters, float64 [n].
 
-        A ramp counts as a wave of twice its reach, where it ends in the disk.
+        A ramp counts as a wave of twice its reach, where it ends in the disk, and as high as it is
+        at the outline.
         """
         out = np.empty(x.size)
-        ramps = self.feet._replace(height=self.stated)
         over_threads(
-            _finer_part, x.size, (ramps, self.far, self.bins), x, y,
+            _finer_part, x.size, (self.feet, self.far, self.bins), x, y,
              radius_m, length_m, out, least=POINTS,
         )  # fmt: skip
         return out
 
     def spectrum(self) -> Spectrum:
-        """Of the highest."""
-        highest = float(self._highest().max())
+        """Of the highest, under its stone: see ``_ramp``."""
+        highest = float(
+            (_CORE * self.feet.height * np.maximum(self.feet.share.max(axis=1), 1.0)).max()
+        )
         return Spectrum(np.array([2.0 * float(self.feet.reach.min())]), np.array([highest]))
 
 

@@ -72,8 +72,8 @@ def cover(x: float) -> float:
     if x >= REACH:
         return 0.0
     whole = 1.0 - elementary.exp(-_COVER)
-    t = min(max((x - _FADE) / (REACH - _FADE), 0.0), 1.0)
-    return (1.0 - elementary.exp(-_COVER / (x * x * x))) / whole * (1.0 - t * t * (3.0 - 2.0 * t))
+    fade = elementary.smoothstep((x - _FADE) / (REACH - _FADE))
+    return (1.0 - elementary.exp(-_COVER / (x * x * x))) / whole * (1.0 - fade)
 
 
 @kernel

@@ -71,8 +71,8 @@ _INVENTORY = [
     [
         "the adaptive mesh",
         "",
-        "tolerance or triangle budget; 32,768 points searched",
-        "`surface_error_bound_px`; what was found is no bound",
+        "tolerance or triangle budget",
+        "`surface_error_rms_px`, `surface_error_99_9_px`, `surface_error_found_px`, at points",
     ],
     [
         "scattering of all orders in skies",

@@ -7,6 +7,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
+from scipy.special import betainc
 
 from scenec.compiler.arithmetic import elementary
 
@@ -45,6 +46,13 @@ CASES = [
 def test_error_stays_below_the_stated_ulps(name, x, exact, bound):
     got = getattr(elementary, f"{name}_array")(x)
     assert ulps(got, [exact(mpmath.mpf(v)) for v in x.tolist()]) <= bound
+
+
+def test_smoothstep_is_the_cumulative_beta_distribution_of_2_and_2():
+    x = spread(-0.5, 1.5)
+    got = elementary.smoothstep_array(x)
+    np.testing.assert_allclose(got, betainc(2, 2, np.clip(x, 0.0, 1.0)), rtol=0, atol=1e-15)
+    assert [elementary.smoothstep(t) for t in x] == got.tolist()
 
 
 def test_atan2_is_right_in_every_quadrant():

@@ -122,7 +122,8 @@ def test_the_cfg_s_rung_claims_what_the_batch_s_report_claims(output, report):
     own = written["ground"]["mesh"]
     assert mesh.value == own["tolerance_px"]
     assert mesh.details["triangles_before_cuts"] == own["triangles"]
-    assert mesh.claimed == own["finer"]["surface_error_bound_px"]
+    found = own["finer"]["surface_error_found_px"]
+    assert mesh.details["found_px"] == max(found, own["height_error_max_px"])
     assert mesh.triangles == written["ground"]["faces"]
     level = next(rung for rung in ladder(report, "lod").rungs if rung.used)
     rocks = written["objects"]["rocks"]
@@ -199,7 +200,7 @@ def test_what_a_scene_has_not_has_no_ladder_and_a_reason(tmp_path):
     assert all(found.absent.values())
     (flat,) = found.ladders
     assert flat.name == "tessellation"
-    assert all(rung.worst == 0.0 and flat.holds(rung) for rung in flat.rungs)
+    assert all(rung.worst == rung.details["found_px"] == 0.0 for rung in flat.rungs)
     assert flat.slopes["seconds"] is None
     json.dumps(found.as_json(), allow_nan=False)
 

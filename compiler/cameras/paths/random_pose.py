@@ -26,7 +26,7 @@ from scenec.compiler.distributions.numbers import Number, at_uniforms
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.geometry.voxels import Cubes
-from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.noise.lattice import hash2, unit
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 
@@ -34,8 +34,6 @@ from scenec.schemas.kernels import kernel
 _RAYS: Final = (12, 9)
 #: Points of a polygon's box at most before one counts that lies outside; see ``_require_wide``.
 _PLACES: Final = 4096
-_S11: Final = np.uint64(11)
-_ULP: Final = 2.0**-53
 _DEGREES: Final = 180.0 / elementary.PI
 
 
@@ -283,7 +281,7 @@ def _uniforms(key, samples, k):  # type: ignore[no-untyped-def]
     """Numbers in [0, 1), multiples of 2**-53: functions of the key, the sample and the try."""
     out = np.empty(len(samples))
     for n in range(len(samples)):
-        out[n] = float(hash2(key, samples[n], k) >> _S11) * _ULP
+        out[n] = unit(hash2(key, samples[n], k))
     return out
 
 
@@ -296,8 +294,8 @@ def _places(polygon, key_x, key_y, samples, k, out):  # type: ignore[no-untyped-
     for n in range(len(samples)):
         for m in range(_PLACES):
             j = _PLACES * k + m
-            x = x0 + float(hash2(key_x, samples[n], j) >> _S11) * _ULP * (x1 - x0)
-            y = y0 + float(hash2(key_y, samples[n], j) >> _S11) * _ULP * (y1 - y0)
+            x = x0 + unit(hash2(key_x, samples[n], j)) * (x1 - x0)
+            y = y0 + unit(hash2(key_y, samples[n], j)) * (y1 - y0)
             inside = corners == 2
             # By the crossings of the edges with a ray to the east.
             for c in range(corners if corners > 2 else 0):

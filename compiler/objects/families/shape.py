@@ -17,13 +17,8 @@ from scenec.schemas.kernels import Kernel, inlined, kernel
 LEAST = 0.25
 
 
-class Common(NamedTuple):
-    """What is drawn of a rock of any family, see ``Shape``."""
-
-    key: int
-    bumpiness: float
-    axes: tuple[float, float, float]
-    subdivisions: int
+#: What is drawn of a rock of any family: the fields of ``Shape``, in order.
+type Common = tuple[int, float, tuple[float, float, float], int]
 
 
 @dataclass(frozen=True)

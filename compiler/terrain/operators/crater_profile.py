@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.schemas.kernels import inlined, kernel
 
 #: Radius at which the blanket ends, in crater radii; from 4 on it is faded out.
@@ -85,8 +86,7 @@ def profile_table(largest_state: float) -> ProfileTable:
         for _ in range(2):
             rim, depth = _diffuse(rim, dt), _diffuse(depth, dt)
         rims[row], depths[row] = rim[:shown], depth[:shown]
-    t = np.clip((x[:shown] - _FADE) / (REACH - _FADE), 0.0, 1.0)
-    window = 1.0 - t * t * (3.0 - 2.0 * t)
+    window = 1.0 - elementary.smoothstep_array((x[:shown] - _FADE) / (REACH - _FADE))
     return ProfileTable(np.array(states), rims * window, depths * window)
 
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.noise.lattice import hash2, mix, subkey
 from scenec.compiler.noise.worley import feature_point, worley2_cell
@@ -145,9 +146,9 @@ def _heights_part(
         lean = _LOOSE if _unit(mix(bits)) < _LOOSE_SHARE else _LYING
         x, y = feature_point(keys[0], i, j, _JITTER)
         rise = (2.0 * east - 1.0) * (u[n] - x) + (2.0 * north - 1.0) * (v[n] - y)
-        t = min(0.5 * (second - nearest) / _WALL, 1.0)
+        wall = elementary.smoothstep(0.5 * (second - nearest) / _WALL)
         # The low side of a loose plate lies in the soil.
-        out[n] = t * t * (3.0 - 2.0 * t) * plates.height * max(1.0 + 2.0 * lean * rise, 0.0)
+        out[n] = wall * plates.height * max(1.0 + 2.0 * lean * rise, 0.0)
 
 
 @inlined

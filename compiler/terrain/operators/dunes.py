@@ -216,17 +216,14 @@ def _bedforms_part(
                 # min(tall, _TALLEST), rounded.
                 excess = tall * tall / (_TALLEST * _TALLEST)
                 tall /= np.sqrt(np.sqrt(1.0 + excess * excess))
-                t = min(max((along * gx + across * gy) / (_FULL * gradient), 0.0), 1.0)
-                tall *= t * t * (3.0 - 2.0 * t)
-                t = min(square / (_FADE * _FADE), 1.0)
-                tall *= t * t * (3.0 - 2.0 * t)
+                tall *= elementary.smoothstep((along * gx + across * gy) / (_FULL * gradient))
+                tall *= elementary.smoothstep(square / (_FADE * _FADE))
             t = phase - np.floor(phase)
             if t < 1.0 - lee:
-                t /= 1.0 - lee
-                profile = t * t * (3.0 - 2.0 * t)
+                profile = elementary.smoothstep(t / (1.0 - lee))
             else:
                 t = (1.0 - t) / lee
-                profile = t * t * (3.0 - 2.0 * t) if rounded else t
+                profile = elementary.smoothstep(t) if rounded else t
             # Between ripples the sand lies at their middle, between dunes at their feet.
             out[j, i] = tall * (profile - 0.5) + 0.5 if rounded else tall * profile
 

@@ -284,12 +284,12 @@ def _print(along: float, across: float, sole: Sole) -> float:
     # (u / radius)^4 + (v / radius)^2 = 1: straight sides, round ends.
     radius = np.sqrt(0.5 * (v * v + np.sqrt(v * v * v * v + 4.0 * u * u * u * u)))
     if radius < 1.0:
-        t = min((1.0 - radius) / _WALL, 1.0)
+        wall = elementary.smoothstep((1.0 - radius) / _WALL)
         phase = along / sole.pitch
         bar = (phase - np.floor(phase) - 0.5) / _BAR
         bar = max(1.0 - bar * bar, 0.0)
         # Less its mean, so that ribs take no volume.
         rib = bar * bar - 2.0 * _BAR * (8.0 / 15.0)
-        return -t * t * (3.0 - 2.0 * t) * (sole.depth - sole.tread * rib)
+        return -wall * (sole.depth - sole.tread * rib)
     t = (radius - 1.0) / _RIM
     return sole.rim * 16.0 * t * t * (1.0 - t) * (1.0 - t) if t < 1.0 else 0.0

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.worley import Worley
@@ -75,8 +76,7 @@ def _profile(away: NDArray, half: float, depth: float, shoulder: float) -> NDArr
     out = np.zeros(away.size)
     for n in range(away.size):
         if away[n] < half:
-            t = away[n] / half
-            out[n] = -depth * (1.0 - t * t * (3.0 - 2.0 * t))
+            out[n] = -depth * (1.0 - elementary.smoothstep(away[n] / half))
         t = (away[n] - half) / (2.0 * half * _SHOULDER)
         if 0.0 < t < 1.0:
             out[n] = shoulder * 16.0 * t * t * (1.0 - t) * (1.0 - t)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.fractal import Fractal
-from scenec.compiler.noise.lattice import hash2
+from scenec.compiler.noise.lattice import hash2, unit
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed
@@ -20,16 +19,6 @@ from scenec.schemas.threads import POINTS, over_threads
 _GAIN = 0.5
 _LACUNARITY = 2.0
 _OCTAVES = 4
-
-
-class Layers(NamedTuple):
-    """Of a ``Terraces``, in numbers: what it has of that name."""
-
-    key: np.uint64
-    step: float
-    riser: float
-    tread_slope: float
-    irregularity: float
 
 
 @dataclass(frozen=True)
@@ -84,9 +73,8 @@ class Terraces:
     def _change(
         self, height: NDArray[np.float64], bend: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        layers = Layers(
-            np.uint64(self.key), self.step_m, self.riser, self.tread_slope, self.irregularity
-        )
+        key = np.uint64(self.key)
+        layers = key, self.step_m, self.riser, self.tread_slope, self.irregularity
         out = np.empty(height.size)
         raised = np.ascontiguousarray(height + bend).ravel()
         over_threads(_terraced_part, raised.size, raised, layers, out, least=POINTS)
@@ -123,12 +111,13 @@ class Ledges:
 @inlined
 def _boundary(key: np.uint64, layer: int, irregularity: float) -> float:
     """Height of a layer's bottom, in mean thicknesses."""
-    unit = np.float64(hash2(key, layer, 0) >> np.uint64(11)) * 2.0**-53
-    return layer + 0.5 * irregularity * (unit - 0.5)
+    return layer + 0.5 * irregularity * (unit(hash2(key, layer, 0)) - 0.5)
 
 
 @kernel
-def _terraced_part(first: int, last: int, height: NDArray, layers: Layers, out: NDArray) -> None:
+def _terraced_part(
+    first: int, last: int, height: NDArray, layers: tuple[float, ...], out: NDArray
+) -> None:
     key, step, riser, tread_slope, irregularity = layers
     for n in range(first, last):
         level = height[n] / step

@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.smooth import diffuse
@@ -129,8 +130,7 @@ def _press_part(
                 continue
             s = abs(abs(offset[j, i]) - middle) / half
             if s < 1.0:
-                t = min((1.0 - s) / (1.0 - _FLOOR), 1.0)
-                pressed = t * t * (3.0 - 2.0 * t)
+                pressed = elementary.smoothstep((1.0 - s) / (1.0 - _FLOOR))
                 phase = along[j, i]
                 if chevrons:
                     phase += s * half
