@@ -164,8 +164,8 @@ def compile_cfg(
             reason = next(iter(failed.values()))
             raise SceneError(f"none of {len(chosen)} batches can be built; the first: {reason}")
         output.close()
-    if cache is not None:
-        Store(cache, say=lambda line: tell(line, None)).tidy()
+    if cache is not None and any(report.made.values()):
+        Store(cache).tidy()
     return replace_(report, batches=tuple(made), unchanged=unchanged, strays=tuple(left_over))
 
 
