@@ -163,7 +163,7 @@ def packed(value: Any, describer: Describer) -> Packed:
         pickler.dump(value)
     except (pickle.PickleError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise NotPlainError(str(error)) from error
-    buffers = [describer.known.digest(memoryview(array).obj) for array in arrays]
+    buffers = [describer.known.digest(np.asarray(memoryview(array).obj)) for array in arrays]
     blobs = dict(zip(buffers, (array.raw() for array in arrays), strict=True))
     return Packed(stream.getvalue(), buffers, pickler.blobs | blobs)
 

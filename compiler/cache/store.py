@@ -47,6 +47,7 @@ class Store:
     Attributes:
         folder: Where they are.
         most_bytes: That they may take together.
+        refused: Whether others can write to the folder: nothing is read, nothing is written.
     """
 
     def __init__(
@@ -67,7 +68,8 @@ class Store:
         self._say = say or (lambda _text: None)
         self._written = 0
         why = refused_folder(folder)
-        self._readable = self._writable = why is None
+        self.refused = why is not None
+        self._writable = not self.refused
         if why is not None:
             self._tell(why)
 
@@ -81,7 +83,7 @@ class Store:
 
     def find(self, key: str) -> Packed | None:
         """The entry of a key; None if there is none, or none that is whole."""
-        if not self._readable:
+        if self.refused:
             return None
         try:
             path = self.path(key)
