@@ -111,6 +111,8 @@ def compile_cfg(
     load_seconds = time.perf_counter() - started
     out = Path(out)
     cache = None if cache is None else Path(cache).absolute()
+    if cache is not None and Store(cache, say=lambda line: tell(line, None)).refused:
+        cache = None  # Said once, not by each batch.
     chosen = _chosen(spec, batches)
     report = CompileReport(out, (), 0, {}, {})
     left_over: list[str] = []
@@ -164,8 +166,8 @@ def compile_cfg(
             reason = next(iter(failed.values()))
             raise SceneError(f"none of {len(chosen)} batches can be built; the first: {reason}")
         output.close()
-    if cache is not None:
-        Store(cache, say=lambda line: tell(line, None)).tidy()
+    if cache is not None and any(report.made.values()):
+        Store(cache).tidy()
     return replace_(report, batches=tuple(made), unchanged=unchanged, strays=tuple(left_over))
 
 

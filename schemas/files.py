@@ -14,6 +14,8 @@ import re
 import secrets
 import shutil
 import socket
+import stat
+import sys
 import tempfile
 import tokenize
 import zlib
@@ -103,6 +105,44 @@ def digest_of_folder(folder: Path, suffixes: Collection[str] = ()) -> str:
         if not hidden and (not suffixes or path.suffix in suffixes):
             digest.update(f"{path.as_posix()} {sha256(folder / path)}\n".encode())
     return digest.hexdigest()
+
+
+def writers_besides(found: os.stat_result) -> str | None:
+    """Says who else than this process's user can write to a file or folder; None: nobody can."""
+    if sys.platform == "win32":
+        return None  # There the mode says nothing of others.
+    if found.st_uid != os.geteuid():
+        return "it belongs to another user"
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "others can write to it (chmod go-w takes that away)"
+    return None
+
+
+def refused_folder(folder: Path) -> str | None:
+    """Says why nothing that can hold code is to be read from a folder, or written to it.
+
+    None: it is this user's alone, or not there yet (``make_own_folder``). From a folder of this
+    user that a group can write to, as the usual umask of some systems makes them, that is taken away.
+    """
+    try:
+        found = folder.stat()
+        is_group = found.st_mode & stat.S_IWGRP and not found.st_mode & stat.S_IWOTH
+        if os.name == "posix" and found.st_uid == os.geteuid() and is_group:
+            folder.chmod(stat.S_IMODE(found.st_mode) & ~stat.S_IWGRP)
+        return writers_besides(folder.stat())
+    except OSError:
+        return None
+
+
+def make_own_folder(folder: Path) -> None:
+    """Makes a folder, and those above it that lack, that no other user can read or write.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    for each in (*reversed(folder.parents), folder):
+        if not each.is_dir():
+            each.mkdir(mode=0o700, exist_ok=True)
 
 
 @contextmanager

@@ -35,6 +35,8 @@ from threading import RLock, current_thread, get_ident, main_thread
 from types import BuiltinFunctionType, CodeType, FrameType, FunctionType, ModuleType
 from typing import Any, ClassVar
 
+from scenec.schemas.files import make_own_folder, refused_folder
+
 #: Compiled kernels that came with the package.
 SHIPPED = Path(__file__).resolve().parent / "compiled"
 _FEATURES_OF_V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
@@ -408,6 +410,17 @@ def user_folder() -> Path:
     return Path(home, "scenec", "kernels")
 
 
+def _own_folder() -> Path | None:
+    """``user_folder``; None, which is said once, where others could put code there."""
+    folder = user_folder()
+    if (why := refused_folder(folder)) is None:
+        return folder
+    from scenec.schemas.notice import tell
+
+    tell(f"kernels {folder}: {why}; they are compiled each time")
+    return None
+
+
 def _content(function: FunctionType, options: object = None) -> str:
     """As ``Kernel.content``."""
     digest = hashlib.sha256(repr(options).encode())
@@ -517,7 +530,7 @@ class _Kept:
         from numba.core.runtime import rtsys
 
         name = self._name(signature, context.codegen())
-        for folder in (SHIPPED, user_folder()):
+        for folder in filter(None, (SHIPPED, _own_folder())):
             try:
                 data = (folder / name).read_bytes()
             except OSError:
@@ -549,9 +562,11 @@ class _Kept:
         code = name, kind, (code, binding.parse_assembly("").as_bitcode())
         needed = tuple(each for each in referenced if each.consts or each is result.environment)
         data = dumps((code, *others, needed))
-        folder = user_folder()
+        folder = _own_folder()
+        if folder is None:
+            return
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_own_folder(folder)
             name = self._name(signature, result.codegen)
             path = folder / f".{name}-{os.getpid()}-{get_ident()}"
             path.write_bytes(hashlib.sha256(data).digest() + data)

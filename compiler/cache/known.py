@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Shorter ones are hashed each time: that is cheaper than to look them up.
-_LEAST_BYTES = 1024
+LEAST_BYTES = 1024
 
 
 def digest_of(data: bytes | memoryview) -> str:
@@ -63,9 +63,9 @@ class Known:
     def learn(self, value: NDArray[Any] | bytes, digest: str) -> None:
         """Takes a digest that was computed, or checked, elsewhere."""
         if isinstance(value, bytes):
-            if len(value) >= _LEAST_BYTES:
+            if len(value) >= LEAST_BYTES:
                 self._bytes[id(value)] = (value, digest)
-        elif value.nbytes >= _LEAST_BYTES:
+        elif value.nbytes >= LEAST_BYTES:
             if self._held is not None:
                 self._held.append(value)
             name, arrays = id(value), self._arrays

@@ -24,17 +24,11 @@ from typing import Any, Concatenate
 
 import numpy as np
 
+from scenec.compiler.cache.entry import packed, restored
 from scenec.compiler.cache.fingerprint import fingerprint
 from scenec.compiler.cache.known import Known
 from scenec.compiler.cache.store import FAULTS, Store
-from scenec.compiler.cache.structure import (
-    Describer,
-    NotPlainError,
-    foreign_class,
-    name_of_function,
-    restored,
-    text_of,
-)
+from scenec.compiler.cache.structure import Describer, NotPlainError, name_of_function, text_of
 from scenec.schemas.files import Stamp, stamp
 
 _log = logging.getLogger("scenec.incremental")
@@ -82,7 +76,7 @@ class Memo:
         entry = self._store.find(key)
         if entry is not None:
             try:
-                value = restored(entry.structure, entry.blob, describer.files, self._known)
+                value = restored(entry, describer.files, self._known)
             except FAULTS as error:
                 self._store.drop(key, str(error))
             else:
@@ -90,7 +84,7 @@ class Memo:
                 return value, True
         self.made[name] += 1
         value = function(**arguments)
-        self._keep(name, key, value, describer.files)
+        self._keep(name, key, value, describer)
         return value, False
 
     def key(
@@ -106,11 +100,10 @@ class Memo:
         text = f"{fingerprint()}\n{name_of_function(function)}\n{text_of(structure)}"
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def _keep(self, name: str, key: str, value: Any, files: dict[tuple[str, str], Path]) -> None:
-        describer = Describer(self._known, self._files)
+    def _keep(self, name: str, key: str, value: Any, describer: Describer) -> None:
         try:
-            structure = describer.describe(value)
-            changed = [p.name for p in files.values() if (p, stamp(p)) not in self._files]
+            kept = packed(value, describer)
+            changed = [p.name for p in describer.files.values() if (p, stamp(p)) not in self._files]
         except (NotPlainError, OSError) as error:
             _log.debug("%s: not kept: %s", name, error)
             return
@@ -118,11 +111,7 @@ class Memo:
             # The key is that of what they were.
             _log.debug("%s: not kept: %s has changed", name, changed[0])
             return
-        # Files that were not given could not be found again.
-        if foreign := foreign_class(structure):
-            _log.debug("%s: not kept: it holds a %s", name, foreign)
-        elif describer.files.keys() <= files.keys():
-            self._store.put(key, structure, describer.blobs)
+        self._store.put(key, kept)
 
     def changed(self) -> list[str]:
         """Arrays of steps that were changed after all: see ``Known.changed``."""

@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import logging
 import os
-import struct
+import pickle
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-from scenec.compiler.cache.entry import DamagedError, Entry, write_entry
+from scenec.compiler.cache.entry import DamagedError, Packed, read_entry, write_entry
+from scenec.compiler.cache.structure import NotPlainError
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.files import atomic, inside
+from scenec.schemas.files import atomic, inside, make_own_folder, refused_folder
 
 #: Environment variables: the folder (empty: none), and the most that it may hold.
 FOLDER_VARIABLE, MOST_VARIABLE = "SCENEC_CACHE", "SCENEC_CACHE_MAX"
@@ -35,8 +35,9 @@ _TAG_TEXT = (
 _LEFT_BEHIND_S = 3600.0
 _UNITS = {"": 0, "k": 10, "m": 20, "g": 30, "t": 40}
 #: What reading a file ends in that is none of ours, or not whole.
-FAULTS = (DamagedError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
-          MemoryError, RecursionError, ImportError, struct.error)  # fmt: skip
+FAULTS = (DamagedError, NotPlainError, pickle.UnpicklingError, EOFError, ValueError, LookupError,
+          TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError,
+          ImportError)  # fmt: skip
 _log = logging.getLogger("scenec.incremental")
 
 
@@ -46,6 +47,7 @@ class Store:
     Attributes:
         folder: Where they are.
         most_bytes: That they may take together.
+        refused: Whether others can write to the folder: nothing is read, nothing is written.
     """
 
     def __init__(
@@ -56,7 +58,7 @@ class Store:
         Args:
             folder: The folder.
             most_bytes: Bound; None takes that of the environment, or 4 GiB.
-            say: Called once, with a line of text, if nothing can be written.
+            say: Called once, with a line of text, if nothing can be read or written.
 
         Raises:
             ScenecError: The environment's bound is no size.
@@ -64,8 +66,12 @@ class Store:
         self.folder = folder
         self.most_bytes = most_of_environment() if most_bytes is None else most_bytes
         self._say = say or (lambda _text: None)
-        self._writable = True
         self._written = 0
+        why = refused_folder(folder)
+        self.refused = why is not None
+        self._writable = not self.refused
+        if why is not None:
+            self._tell(why)
 
     def path(self, key: str) -> Path:
         """Where the entry of a key is.
@@ -75,11 +81,13 @@ class Store:
         """
         return inside(self.folder, f"{_STEPS}/{key[:2]}/{key}{_SUFFIX}")
 
-    def find(self, key: str) -> Entry | None:
+    def find(self, key: str) -> Packed | None:
         """The entry of a key; None if there is none, or none that is whole."""
+        if self.refused:
+            return None
         try:
             path = self.path(key)
-            entry = Entry(path, key)
+            entry = read_entry(path, key)
         except FileNotFoundError:
             return None
         except (OSError, OutputError, *FAULTS) as error:
@@ -95,19 +103,19 @@ class Store:
         with suppress(OSError, OutputError):
             self.path(key).unlink(missing_ok=True)
 
-    def put(self, key: str, structure: Any, blobs: dict[str, Any]) -> None:
+    def put(self, key: str, value: Packed) -> None:
         """Keeps an entry; where nothing can be written, that is said once, and no more is tried."""
-        size = sum(len(b) if isinstance(b, bytes) else b.nbytes for b in blobs.values())
-        if not self._writable or size > self.most_bytes:
+        if not self._writable or value.size > self.most_bytes:
             return
         try:
-            with atomic(self.path(key)) as temporary:
-                self._written += write_entry(temporary, key, structure, blobs)
-        except OutputError as error:
+            path = self.path(key)
+            make_own_folder(path.parent)
+            with atomic(path) as temporary:
+                self._written += write_entry(temporary, key, value)
+        except (OSError, OutputError) as error:
             self._writable = False
-            cause = error.__cause__
-            reason = cause.strerror if isinstance(cause, OSError) and cause.strerror else str(error)
-            self._say(f"cache {self.folder}: {reason}; compiling goes on without keeping steps")
+            cause = error.__cause__ or error
+            self._tell((isinstance(cause, OSError) and cause.strerror) or str(error))
             return
         # Long runs write more than all that may be there.
         if self._written > self.most_bytes // 4:
@@ -115,7 +123,7 @@ class Store:
 
     def tidy(self) -> None:
         """Removes what was used longest ago until the rest fits, and what was left unfinished."""
-        if not self._written or not self._writable:
+        if not self._writable or not (self.folder / _STEPS).is_dir():
             return
         self._written = 0
         with suppress(OSError, OutputError):
@@ -137,6 +145,9 @@ class Store:
                 _log.debug("%s: dropped: longest unused", path)
                 path.unlink(missing_ok=True)
                 total -= size
+
+    def _tell(self, why: str) -> None:
+        self._say(f"cache {self.folder}: {why}; compiling goes on without keeping steps")
 
     def size(self) -> tuple[int, int]:
         """How many entries there are, and how many bytes they take."""

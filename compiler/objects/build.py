@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,7 +84,7 @@ def build_objects(
             else:
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
-                near = around.only(_strings_in(plan), plan.beyond_m)
+                near = around.only(_others(plan), plan.beyond_m)
                 levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
                 own |= facts_of_it
                 own["float32_error_max_m"] += _rounding_m(levels.scatter)
@@ -139,21 +139,10 @@ def _without_files(plan: ScatterPlan) -> ScatterPlan:
     return replace(plan, source=replace(plan.source, models=(), rules=()))
 
 
-def _strings_in(plan: ScatterPlan) -> set[str]:
-    """All strings in what a plan says of its surroundings: names of classes are among them."""
-    found: set[str] = set()
-    left: list[Any] = [plan.density, plan.where, plan.spacing]
-    while left:
-        part = left.pop()
-        if isinstance(part, str):
-            found.add(part)
-        elif is_dataclass(part):
-            left.extend(getattr(part, field.name) for field in fields(part))
-        elif isinstance(part, tuple | list):
-            left.extend(part)
-        elif isinstance(part, dict):
-            left.extend((*part.keys(), *part.values()))
-    return found
+def _others(plan: ScatterPlan) -> set[str]:
+    """Classes that a plan refers to: density and conditions by ``of``, as the cfg says it."""
+    found = {part.of for part in (plan.density, *plan.where) if hasattr(part, "of")}
+    return found | set(plan.spacing.of if plan.spacing else ())
 
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,10 @@ class Quantities:
         self.height = height
         self.samples = Samples.of(grid) if samples is None else samples
         self._known: dict[object, NDArray[np.float64]] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles grid and heights: the rest follows from them."""
+        return type(self), (self.grid, self.height)
 
     def once(self, key: object, make: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
         """What ``make`` gives, made at most once for a key."""

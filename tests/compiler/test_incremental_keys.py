@@ -15,19 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from scenec.compiler.cache.kinds import KINDS, PLAIN
-from scenec.compiler.cache.known import Known
+from scenec.compiler.cache.entry import packed, restored
+from scenec.compiler.cache.known import Known, digest_of
+from scenec.compiler.cache.memo import Memo, memoized, memoizing
 from scenec.compiler.cache.store import Store
-from scenec.compiler.cache.structure import (
-    Describer,
-    NotPlainError,
-    class_of,
-    fields_of,
-    foreign_class,
-    restored,
-    text_of,
-)
-from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.cache.structure import Describer, NotPlainError, text_of
 from scenec.compiler.scene.material import Picture
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -69,13 +61,10 @@ _VALUES = st.recursive(
 
 def _through_an_entry(value: Any, folder: Path) -> Any:
     store = Store(folder, 1 << 30)
-    describer = Describer(Known(), {})
-    structure = describer.describe(value)
-    assert foreign_class(structure) is None
-    store.put("ab" * 32, structure, describer.blobs)
+    store.put("ab" * 32, packed(value, Describer(Known(), {})))
     entry = store.find("ab" * 32)
     assert entry is not None
-    return restored(entry.structure, entry.blob, {}, Known())
+    return restored(entry, {}, Known())
 
 
 @given(_VALUES)
@@ -181,36 +170,69 @@ class _Foreign:
     x: int
 
 
-def test_entries_hold_classes_of_the_list_only(tmp_path):
-    for value in (Sampling(), [_Color.RED], {"a": Sampling}):
-        structure = Describer(Known(), {}).describe(value)
-        assert foreign_class(structure) is not None
-        with pytest.raises((ValueError, KeyError)):
-            restored(structure, lambda _: np.zeros(0, np.uint8), {}, Known())
+def test_entries_hold_data_of_this_package_only():
+    for value in (_Foreign(1), [_Color.RED], {"a": int}, Memo, Store.find, np.sin, object()):
+        with pytest.raises(NotPlainError):
+            packed(value, Describer(Known(), {}))
     for value in (_Foreign(1), {"a": int}):
         with pytest.raises(NotPlainError, match="of another package"):
             Describer(Known(), {}).describe(value)
-    for name in ("os:system", "builtins:eval", "pathlib:Path"):
-        with pytest.raises(ValueError, match=name):
-            restored(["c", name, "x"], lambda _: np.zeros(0, np.uint8), {}, Known())
 
 
-@pytest.mark.parametrize("name", sorted(KINDS | PLAIN.keys()))
-def test_every_class_of_the_list_is_there_and_made_of_its_fields(name):
-    kind = class_of(name)
-    assert fields_of(kind) is not None or issubclass(kind, Enum)
-
-
-def test_what_computes_things_once_is_one_again():
+def test_what_computes_things_once_is_one_again(tmp_path):
     height = np.arange(12.0).reshape(3, 4)
     quantities = Quantities(Grid((3.0, 2.0), (3, 4)), height)
-    describer = Describer(Known(), {})
-    structure = describer.describe([quantities, HeightField(quantities.grid, height), quantities])
-    blobs = {k: np.frombuffer(v.tobytes(), np.uint8) for k, v in describer.blobs.items()}
-    a, field, b = restored(structure, blobs.__getitem__, {}, Known())
+    quantities.once("twice", lambda: 2.0 * height)
+    value = [quantities, HeightField(quantities.grid, height), quantities]
+    a, field, b = _through_an_entry(value, tmp_path)
     assert a is b
     assert field.height is a.height
     assert np.array_equal(field.height, height)
+    assert np.array_equal(a.once("twice", lambda: 3.0 * height), 3.0 * height)
+
+
+def test_arrays_come_back_as_they_were_and_equal_ones_are_stored_once(tmp_path):
+    big = np.arange(4000.0)
+    fixed = big[:8].copy()
+    fixed.flags.writeable = False
+    value = [big, big.copy(), np.asfortranarray(big.reshape(40, 100)), big[::2], fixed]
+    found = _through_an_entry(value, tmp_path)
+    for a, b in zip(found, value, strict=True):
+        assert np.array_equal(a, b)
+        assert a.flags.writeable == b.flags.writeable
+        assert a.flags.aligned
+        assert a.flags.f_contiguous == b.flags.f_contiguous or not b.flags.c_contiguous
+    (entry,) = tmp_path.glob("steps/??/*.step")
+    assert entry.stat().st_size < 2.75 * big.nbytes
+
+
+def test_digests_of_what_is_restored_are_known():
+    """As an independent hash has them, and without a look at the content."""
+    value = [np.arange(400.0), np.asfortranarray(np.eye(40)[:, :20]), b"x" * 2000]
+    known = Known()
+    found = restored(packed(value, Describer(Known(), {})), {}, known)
+    expected = [value[0].tobytes(), value[1].tobytes("F"), value[2]]
+    found[0][:] = found[1][:] = 7.0
+    assert [known.digest(one) for one in found] == [digest_of(data) for data in expected]
+
+
+@memoized("named")
+def _named(path: Path) -> tuple[Path, int]:
+    return path, path.stat().st_size
+
+
+def test_an_input_file_that_was_moved_is_found_where_it_is(tmp_path):
+    (tmp_path / "a").mkdir()
+    first = tmp_path / "a" / "x.png"
+    first.write_bytes(b"1234")
+    memo = Memo(Store(tmp_path / "cache"))
+    with memoizing(memo):
+        assert _named(first) == (first, 4)
+        (tmp_path / "a").rename(tmp_path / "b")
+        assert _named(tmp_path / "b" / "x.png") == (tmp_path / "b" / "x.png", 4)
+    assert memo.taken == {"named": 1}
+    with pytest.raises(NotPlainError, match="was not among its inputs"):
+        packed([tmp_path / "b" / "x.png"], Describer(Known(), {}))
 
 
 def test_a_prototype_is_kept_with_all_that_it_is(tmp_path):

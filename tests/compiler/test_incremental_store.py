@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
+import pickle
 import shutil
 import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,16 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from killed import contents
+from killed import contents, killed_at_each_call
 
 from scenec.compiler.cache import store as store_module
-from scenec.compiler.cache.entry import _HEAD, MAGIC, _aligned
+from scenec.compiler.cache.entry import Packed, packed, restored, write_entry
 from scenec.compiler.cache.known import Known
 from scenec.compiler.cache.memo import Memo, memoized, memoized_file, memoizing
-from scenec.compiler.cache.store import Store, default_folder, parsed_size
-from scenec.compiler.cache.structure import Describer
+from scenec.compiler.cache.store import FAULTS, Store, default_folder, parsed_size
+from scenec.compiler.cache.structure import Describer, NotPlainError
+from scenec.compiler.terrain.grid import Grid
+from scenec.schemas import files
 from scenec.schemas.errors import ScenecError
 
 
@@ -114,8 +115,12 @@ def test_a_written_file_is_written_again_from_the_cache(tmp_path):
     assert memo.taken == {"file/x.txt": 1}
 
 
-def test_a_changed_array_is_found(tmp_path):
+@pytest.mark.parametrize("taken", [False, True])
+def test_a_changed_array_is_found_and_one_let_go_of_is_freed(tmp_path, taken):
     memo, x = Memo(Store(tmp_path)), np.arange(1000.0)
+    if taken:
+        with memoizing(Memo(Store(tmp_path))):
+            _scaled(x)
     with memoizing(memo):
         y = _scaled(x)[0]
     assert memo.changed() == []
@@ -135,10 +140,11 @@ _DAMAGES = {
     "cut in its head": lambda data: data[:20],
     "cut in its header": lambda data: data[:80],
     "cut in its arrays": lambda data: data[:-9],
-    "another magic number": lambda data: b"X" + data[1:],
+    "another hash": lambda data: bytes([data[0] ^ 1]) + data[1:],
+    "of the former format": lambda data: b"scenec step 1\r\n\0" + data,
     "a header of another hash": lambda data: data[:70] + bytes([data[70] ^ 1]) + data[71:],
     "an array of another hash": lambda data: data[:-5] + bytes([data[-5] ^ 4]) + data[-4:],
-    "a length beyond the file": lambda data: data[:48] + b"\xff" * 8 + data[56:],
+    "a length beyond the file": lambda data: data[:32] + b"\xff" * 8 + data[40:],
     "something else": lambda data: b"PK\x03\x04" * 500,
 }
 
@@ -159,46 +165,163 @@ def test_a_damaged_entry_is_dropped_and_made_again(tmp_path, damage, caplog):
     assert path.read_bytes() == whole
 
 
-def _sealed(whole: bytes, header: Any) -> bytes:
-    """An entry with another header, and the hash of that."""
-    arrays = whole[_aligned(_HEAD.size + _HEAD.unpack_from(whole)[2]) :]
-    text = json.dumps(header).encode()
-    head = _HEAD.pack(MAGIC, hashlib.blake2b(text, digest_size=32).digest(), len(text))
-    return (head + text).ljust(_aligned(_HEAD.size + len(text)), b"\0") + arrays
+class _Runs:
+    """What a pickle would do that somebody made for it."""
+
+    def __init__(self, function: Any, *given: Any) -> None:
+        self.made = function, given
+
+    def __reduce__(self) -> Any:
+        return self.made
 
 
-def _others(value: Any) -> Iterator[Any]:
-    """A JSON value with one part at a time that is something else, or is not there."""
-    yield from ("../../x", "q", "", -1, 1 << 80, 1e400, 0.5, None, True, [], ["c", "os:system"], {})
-    if isinstance(value, list):
-        for i, part in enumerate(value):
-            yield value[:i] + value[i + 1 :]
-            yield from ([*value[:i], other, *value[i + 1 :]] for other in _others(part))
-    elif isinstance(value, dict):
-        for key, part in value.items():
-            yield from ({**value, key: other} for other in _others(part))
+_FOREIGN = {
+    "os.system": lambda mark: _Runs(os.system, f"touch {mark}"),
+    "builtins.exec": lambda mark: _Runs(exec, f"open({str(mark)!r}, 'w')"),
+    "a function of ours": lambda mark: _Runs(files.write_json, mark, 1),
+    "a class of ours that does things": lambda mark: _Runs(Store, mark),
+    "another library's": lambda mark: _Runs(np.save, str(mark), 1),
+}
 
 
-def test_an_entry_that_anybody_may_have_written_is_taken_or_dropped_and_no_error(tmp_path):
-    @memoized("all kinds")
-    def step() -> Any:
-        return ([1.5, np.float32(2.0), b"x", "t", None], {"a": (3,)}, frozenset((4,)), np.eye(2))
+@pytest.mark.parametrize("what", _FOREIGN)
+def test_an_entry_that_somebody_made_runs_nothing_and_is_made_again(tmp_path, what, caplog):
+    with memoizing(Memo(Store(tmp_path / "cache"))):
+        _scaled(np.arange(5.0))
+    path = _only_entry(tmp_path / "cache")
+    value = _FOREIGN[what](tmp_path / "mark")
+    path.unlink()
+    write_entry(path, path.stem, Packed(pickle.dumps(value), [], {}))
+    memo = Memo(Store(tmp_path / "cache"))
+    with caplog.at_level("DEBUG", "scenec.incremental"), memoizing(memo):
+        _scaled(np.arange(5.0))
+    assert "is no data of this package" in caplog.text
+    assert memo.made == {"scaled/of 5": 1}
+    assert not list(tmp_path.glob("mark*"))
+    # What reads them writes none of these, either.
+    with pytest.raises(NotPlainError):
+        packed(value, Describer(Known(), {}))
 
-    def called() -> Any:
-        with memoizing(Memo(Store(tmp_path))):
-            return step()
 
-    called()
-    path = _only_entry(tmp_path)
-    whole = path.read_bytes()
-    header = json.loads(whole[_HEAD.size :][: _HEAD.unpack_from(whole)[2]])
-    assert _sealed(whole, header) == whole
-    dropped = 0
-    for other in _others(header):
-        path.write_bytes(_sealed(whole, other))
-        called()
-        dropped += path.read_bytes() == whole
-    assert dropped > 100
+def test_a_name_with_dots_leads_to_nothing_a_module_imports(tmp_path):
+    (tmp_path / "steps" / "ab").mkdir(parents=True)
+    for name in ("os.getpid", "getpid", "Path.home", "Path"):
+        opcodes = pickle.PROTO + b"\4cscenec.schemas.files\n" + name.encode() + b"\n)R."
+        key = "ab" * 32
+        store = Store(tmp_path)
+        write_entry(store.path(key), key, Packed(opcodes, [], {}))
+        entry = store.find(key)
+        with pytest.raises(NotPlainError, match="is no data"):
+            restored(entry, {}, Known())
+        store.drop(key, name)
+
+
+@given(st.data())
+@examples(60)
+def test_a_pickle_of_which_anything_was_changed_is_a_value_or_a_fault_that_is_caught(data):
+    value = ([1.5, np.float32(2.0), b"x", "t", None], {"a": (3,)}, frozenset((4,)), np.eye(2))
+    whole = packed((value, Grid((2.0, 3.0), (4, 5))), Describer(Known(), {}))
+    changed = bytearray(whole.pickled)
+    for _ in range(data.draw(st.integers(1, 3))):
+        changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
+    with suppress(*FAULTS):
+        restored(replace(whole, pickled=bytes(changed)), {}, Known())
+
+
+_PRIVATE = pytest.mark.skipif(os.name == "nt", reason="modes say nothing there")
+
+
+@_PRIVATE
+def test_a_folder_that_a_group_can_write_becomes_its_users_alone(tmp_path):
+    tmp_path.chmod(0o775)
+    with memoizing(Memo(Store(tmp_path))):
+        _scaled(np.arange(9.0))
+    assert tmp_path.stat().st_mode & 0o777 == 0o755
+    memo = Memo(Store(tmp_path))
+    with memoizing(memo):
+        _scaled(np.arange(9.0))
+    assert memo.taken
+
+
+@_PRIVATE
+@pytest.mark.parametrize("mode", [0o777, 0o757, 0o707])
+def test_a_folder_that_others_can_write_is_neither_read_nor_written_and_said_once(tmp_path, mode):
+    with memoizing(Memo(Store(tmp_path))):
+        _scaled(np.arange(9.0))
+    kept = contents(tmp_path)
+    tmp_path.chmod(mode)
+    said: list[str] = []
+    memo = Memo(Store(tmp_path, 0, said.append))
+    with memoizing(memo):
+        _scaled(np.arange(9.0))
+        _scaled(np.arange(8.0))
+    Store(tmp_path, 0).tidy()
+    assert not memo.taken
+    assert contents(tmp_path) == kept
+    assert said == [
+        f"cache {tmp_path}: others can write to it (chmod go-w takes that away); "
+        "compiling goes on without keeping steps"
+    ]
+    tmp_path.chmod(0o755)
+    memo = Memo(Store(tmp_path))
+    with memoizing(memo):
+        _scaled(np.arange(9.0))
+    assert memo.taken
+
+
+@_PRIVATE
+def test_a_folder_of_another_user_is_neither_read_nor_written(tmp_path, monkeypatch):
+    with memoizing(Memo(Store(tmp_path))):
+        _scaled(np.arange(9.0))
+    kept = contents(tmp_path)
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    said: list[str] = []
+    memo = Memo(Store(tmp_path, None, said.append))
+    with memoizing(memo):
+        _scaled(np.arange(9.0))
+    assert memo.made
+    assert contents(tmp_path) == kept
+    assert ["it belongs to another user" in line for line in said] == [True]
+
+
+@_PRIVATE
+def test_what_is_written_is_the_users_alone_whatever_the_umask(tmp_path):
+    before = os.umask(0)
+    try:
+        with memoizing(Memo(Store(tmp_path / "a" / "cache"))):
+            _scaled(np.arange(9.0))
+    finally:
+        os.umask(before)
+    path = _only_entry(tmp_path / "a" / "cache")
+    assert path.stat().st_mode & 0o777 == 0o600
+    above = [folder for folder in path.parents if folder.is_relative_to(tmp_path / "a")]
+    assert {folder.stat().st_mode & 0o777 for folder in above} == {0o700}
+    # One that others could have changed is made again.
+    path.chmod(0o666)
+    memo = Memo(Store(tmp_path / "a" / "cache"))
+    with memoizing(memo):
+        _scaled(np.arange(9.0))
+    assert memo.made
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_killed_at_any_call_a_process_leaves_a_whole_entry_or_none(tmp_path):
+    x = np.arange(9.0)
+
+    def act() -> None:
+        with memoizing(Memo(Store(tmp_path / "cache"))):
+            _scaled(x)
+
+    seen = set()
+    for _ in killed_at_each_call(act):
+        entries = list((tmp_path / "cache").glob("steps/??/*.step"))
+        entries = [path for path in entries if not path.name.startswith(".")]
+        seen.add(len(entries))
+        for path in entries:
+            assert Store(tmp_path / "cache").find(path.stem) is not None
+        shutil.rmtree(tmp_path / "cache", ignore_errors=True)
+    assert seen == {0, 1}
 
 
 def test_what_links_in_the_folder_lead_to_is_neither_read_nor_changed(tmp_path):
@@ -246,8 +369,7 @@ def _filled(folder: Path, count: int, most: int) -> Store:
     store = Store(folder, most)
     for i in range(count):
         key = f"{i:02x}" * 32
-        describer = Describer(Known(), {})
-        store.put(key, describer.describe(np.full(1000, float(i))), describer.blobs)
+        store.put(key, packed(np.full(1000, float(i)), Describer(Known(), {})))
         if store.path(key).exists():
             os.utime(store.path(key), ns=(i, i))
     return store
@@ -261,6 +383,12 @@ def test_the_longest_unused_entries_go_until_the_rest_fits(tmp_path):
     left = sorted(path.name[:2] for path in tmp_path.glob("steps/??/*.step"))
     assert left == ["00", "05", "06", "07"]
     assert store.size()[1] <= store.most_bytes
+
+
+def test_what_other_processes_wrote_is_bounded_too(tmp_path):
+    _filled(tmp_path, 8, 1 << 30)
+    Store(tmp_path, 4 * 8500).tidy()
+    assert 0 < Store(tmp_path).size()[1] <= 4 * 8500
 
 
 def test_a_long_run_tidies_on_its_way(tmp_path):

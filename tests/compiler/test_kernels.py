@@ -212,6 +212,30 @@ def test_where_nothing_can_be_written_kernels_compile_all_the_same(tmp_path: Pat
     assert run(tmp_path).endswith(" [False]")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="modes say nothing there")
+def test_a_folder_that_others_can_write_is_neither_read_nor_written_and_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    folder = tmp_path / "scenec"
+    assert Kernel(_twice, inline=False)(1.5) == 3.0
+    assert folder.stat().st_mode & 0o777 == 0o700
+    (kept,) = folder.iterdir()
+    # What is read from here would not be code.
+    kept.write_bytes(b"planted")
+    folder.chmod(0o777)
+    for _ in range(2):
+        assert Kernel(_twice, inline=False)(1.5) == 3.0
+    assert kept.read_bytes() == b"planted"
+    assert capfd.readouterr().err == (
+        f"kernels {folder}: others can write to it (chmod go-w takes that away); "
+        "they are compiled each time\n"
+    )
+    folder.chmod(0o700)
+    assert Kernel(_twice, inline=False)(1.5) == 3.0
+    assert kept.read_bytes() != b"planted"
+
+
 def test_what_came_with_the_package_is_taken_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
