@@ -73,8 +73,9 @@ bench: setup  ## Run every benchmark; each prints a table.
 	  echo "== $$name"; .venv/bin/python studies/benchmarks/$$name.py; \
 	done
 
-docs: setup  ## Generate docs/cfg.md from the schemas; the pages of errors and run times by measuring.
-	@set -e; for name in cfg_reference $(PAGES); do \
+docs: setup  ## Generate the cfg's schema and docs/cfg.md from its declarations; other pages by measuring.
+	@echo "== Writing what is made of the cfg's declarations"; .venv/bin/python -m tools.declarations
+	@set -e; for name in $(PAGES); do \
 	  echo "== Making docs: $$name"; .venv/bin/python studies/pages/$$name.py; \
 	done
 
