@@ -7,7 +7,7 @@ the ground's layers, where a place has to hold them all (``mesh.signed_bound``).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import given, key, keys_of, noise_key
+from scenec.compiler.kinds.declare import key, keys_of, noise_key
 from scenec.compiler.kinds.draw import draw_kind, draw_object
-from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_BATCH,
-    FRACTION_PER_BATCH,
     GAIN,
     LACUNARITY,
     LENGTH_PER_BATCH,
@@ -33,12 +31,9 @@ from scenec.compiler.kinds.forms import (
     WHOLE_PER_BATCH,
     file,
 )
-from scenec.compiler.kinds.node import Node
 from scenec.compiler.kinds.table import kind_of
 from scenec.compiler.noise.fractal import Fractal, fbm2
-from scenec.compiler.terrain.freshness import crater_freshness
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.craters import Craters, craters_laid, require_craters
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.kernels import kernel
@@ -327,52 +322,6 @@ class Flow(Quantity):
     def of_bound(bound: float) -> float:
         """Base-2 logarithm of an area above 0 in m^2."""
         return elementary.log(bound) / elementary.log(2.0)
-
-
-@dataclass(frozen=True)
-class Freshness(Quantity):
-    """Freshness of the ground that craters left, between two bounds in [0, 1].
-
-    A crater's is the part of its depth that wear has left; its ejecta cover all within the rim,
-    half at 2.3 radii and nothing beyond 5, the newest over the oldest. 0 where no crater
-    reaches. Later operators leave it as it is.
-    """
-
-    EXAMPLE: ClassVar = {"type": "crater_freshness", "min": 0.7, "softness": 0.2}
-
-    min: float | None = key(FRACTION_PER_BATCH, optional=True)
-    """Smallest freshness; left out, no bound."""
-    max: float | None = key(FRACTION_PER_BATCH, optional=True)
-    """Largest freshness; left out, no bound."""
-    softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
-    """Width over which it fades about a bound: half of it on either side. On the ground at least an
-    eighth of what changes over a spacing there."""
-    ragged: Ragged | None = key(RAGGED, optional=True)
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
-    """What was laid, in order, each with the conditions of its mask, which are taken on the relief
-    that is asked about."""
-
-    @staticmethod
-    def check(node: Node) -> Iterator[Finding]:
-        """Findings on the relief: only craters leave fresh ground; masks see those laid before."""
-        path = node.path
-        is_mask = path[0] == "terrain" and "relief" in path
-        of = path[: path.index("relief")] if is_mask else ("terrain",)
-        laid = node.whole().at(*of).each("relief", "*")
-        if is_mask:
-            laid = [one for one in laid if one.path < path[: len(one.path)]]
-        yield from require_craters(node, laid, " before this one" if is_mask else "")
-
-    def on(self, quantities: Quantities, held: Interval) -> NDArray:
-        """Freshness."""
-
-        def make() -> NDArray[np.float64]:
-            return crater_freshness(
-                quantities.grid,
-                [(c, product(mask, quantities) if mask else None) for c, mask in self.craters],
-            )
-
-        return quantities.once(("freshness", *self.craters), make)
 
 
 @dataclass(frozen=True)

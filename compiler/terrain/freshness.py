@@ -13,27 +13,83 @@ F + c (f - F): the newest lies over the oldest, and where no crater reaches F is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.declare import given, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, RAGGED
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.terrain.condition import Condition, Interval, Quantity, Ragged, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
 from scenec.compiler.terrain.operators.craters import (
     Bowls,
     Craters,
+    craters_laid,
     outline_directions,
+    require_craters,
     shown_on,
     uneven_distances,
     window,
 )
+from scenec.compiler.terrain.quantities import Quantities
 from scenec.schemas.kernels import kernel
 
 # ln 2 * 2.3^3: half is covered at 2.3 radii.
 _COVER = 0.6931471805599453 * 12.167
 _FADE = 4.0
+
+
+@dataclass(frozen=True)
+class Freshness(Quantity):
+    """Freshness of the ground that craters left, between two bounds in [0, 1].
+
+    A crater's is the part of its depth that wear has left; its ejecta cover all within the rim,
+    half at 2.3 radii and nothing beyond 5, the newest over the oldest. 0 where no crater
+    reaches. Later operators leave it as it is.
+    """
+
+    EXAMPLE: ClassVar = {"type": "crater_freshness", "min": 0.7, "softness": 0.2}
+
+    min: float | None = key(FRACTION_PER_BATCH, optional=True)
+    """Smallest freshness; left out, no bound."""
+    max: float | None = key(FRACTION_PER_BATCH, optional=True)
+    """Largest freshness; left out, no bound."""
+    softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
+    """Width over which it fades about a bound: half of it on either side. On the ground at least an
+    eighth of what changes over a spacing there."""
+    ragged: Ragged | None = key(RAGGED, optional=True)
+    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
+    """What was laid, in order, each with the conditions of its mask, which are taken on the relief
+    that is asked about."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Findings on the relief: only craters leave fresh ground; masks see those laid before."""
+        path = node.path
+        is_mask = path[0] == "terrain" and "relief" in path
+        of = path[: path.index("relief")] if is_mask else ("terrain",)
+        laid = node.whole().at(*of).each("relief", "*")
+        if is_mask:
+            laid = [one for one in laid if one.path < path[: len(one.path)]]
+        yield from require_craters(node, laid, " before this one" if is_mask else "")
+
+    def on(self, quantities: Quantities, held: Interval) -> NDArray:
+        """Freshness."""
+
+        def make() -> NDArray[np.float64]:
+            return crater_freshness(
+                quantities.grid,
+                [(c, product(mask, quantities) if mask else None) for c, mask in self.craters],
+            )
+
+        return quantities.once(("freshness", *self.craters), make)
 
 
 def crater_freshness(

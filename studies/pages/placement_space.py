@@ -20,12 +20,12 @@ from scenec.compiler.objects.density import (
     ImageDensity,
     NoiseDensity,
     PathDensity,
-    RingDensity,
     UniformDensity,
     WorleyDensity,
 )
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
+from scenec.compiler.objects.rings import RingDensity
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.condition import Interval, Slope
@@ -90,16 +90,23 @@ def _cases(
     gray[:8, :10] = 255
     Image.fromarray(gray).save(folder / "map.png")
     craters = Craters(
-        np.array([-9.0, 9.0]), np.array([3.0, -5.0]), np.array([9.0, 6.0]),
-        np.full(2, 0.2), np.full(2, 0.04), np.zeros(2), np.arange(2, dtype=np.uint64), 0.0,
-    )  # fmt: skip
+        np.array([-9.0, 9.0]),
+        np.array([3.0, -5.0]),
+        np.array([9.0, 6.0]),
+        np.full(2, 0.2),
+        np.full(2, 0.04),
+        np.zeros(2),
+        np.arange(2, dtype=np.uint64),
+        0.0,
+    )
     lines = WorleyDensity(key=3, scale_m=7.0, distance="f2-f1", sharpness=6.0, jitter=0.9)
     heaps = WorleyDensity(key=3, scale_m=6.0, distance="f1", sharpness=4.0, jitter=0.9)
     noise = NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=2.0)
     away = _away(x, y)
     band = (np.abs(away - 2.0) <= 0.7).astype(float)
-    there = Circles(np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]),
-                       np.array([3.0, 2.0, 1.0]))  # fmt: skip
+    there = Circles(
+        np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]), np.array([3.0, 2.0, 1.0])
+    )
     around.objects["boulders"] = there
     gentle = OnRelief(Interval(Slope(over_m=0.0), None, 8.0, 4.0))
     # As coarse as the grid, by the page's own account: at the middles of its cells.
@@ -110,17 +117,45 @@ def _cases(
         ("noise", noise, (), noise.at(*flat).reshape(x.shape)),
         ("worley f1", heaps, (), heaps.at(*flat).reshape(x.shape)),
         ("worley f2-f1", lines, (), lines.at(*flat).reshape(x.shape)),
-        ("image", ImageDensity(file=folder / "map.png"), (),
-         np.kron(gray[::-1].astype(float), np.ones((10, 10)))),
+        (
+            "image",
+            ImageDensity(file=folder / "map.png"),
+            (),
+            np.kron(gray[::-1].astype(float), np.ones((10, 10))),
+        ),
         ("clusters", ClusterDensity(*parents, 1.2, 0.0), (), thomas),
-        ("path, gaussian", PathDensity(file=path, law="gaussian", width_m=0.8, offset_m=0.0, background=0.0), (),
-         np.exp(-0.5 * (away / 0.8) ** 2)),
-        ("path, band", PathDensity(file=path, law="band", width_m=0.7, offset_m=2.0, background=0.2), (),
-         0.2 + 0.8 * band / band.mean()),
-        ("rings", RingDensity(craters=((craters, ()),), min_radii=1.0, max_radii=4.0, freshness=1.0, background=0.0), (), _rings(x, y, craters)),
-        ("around", AroundDensity(of="boulders", reach=1.5, inside=0.8, min_size_m=0.0, background=0.0), (), _skirts(x, y, there)),
+        (
+            "path, gaussian",
+            PathDensity(file=path, law="gaussian", width_m=0.8, offset_m=0.0, background=0.0),
+            (),
+            np.exp(-0.5 * (away / 0.8) ** 2),
+        ),
+        (
+            "path, band",
+            PathDensity(file=path, law="band", width_m=0.7, offset_m=2.0, background=0.2),
+            (),
+            0.2 + 0.8 * band / band.mean(),
+        ),
+        (
+            "rings",
+            RingDensity(
+                craters=((craters, ()),),
+                min_radii=1.0,
+                max_radii=4.0,
+                freshness=1.0,
+                background=0.0,
+            ),
+            (),
+            _rings(x, y, craters),
+        ),
+        (
+            "around",
+            AroundDensity(of="boulders", reach=1.5, inside=0.8, min_size_m=0.0, background=0.0),
+            (),
+            _skirts(x, y, there),
+        ),
         ("uniform, slope ≤ 8°", UniformDensity(), (gentle,), even),
-    ]  # fmt: skip
+    ]
 
 
 def _gentle(field: HeightField, x: NDArray, y: NDArray) -> NDArray[np.float64]:
@@ -161,8 +196,9 @@ def densities(page: Page) -> str:
         variant="fbm",
         offset=0.7,
     )
-    around = Surroundings(Surface(HeightField(grid, hills.apply(grid, np.zeros(grid.shape))[0])),
-                          _NOWHERE)  # fmt: skip
+    around = Surroundings(
+        Surface(HeightField(grid, hills.apply(grid, np.zeros(grid.shape))[0])), _NOWHERE
+    )
     n, shown = 100_000, 3000
     u = np.random.default_rng(1).random((n, 3))
     cases = _cases(page.scratch, around)
@@ -178,11 +214,18 @@ def densities(page: Page) -> str:
         chi, degrees = _chi_square(x, y, wanted)
         sigmas = (chi - degrees) / np.sqrt(2.0 * degrees)
         cell = places.lattice.dx
-        rows.append([name, f"{degrees}", f"{chi / degrees:.3f}", f"{sigmas:+.1f}", f"{cell:.3g}",
-                     f"{seconds:.4f}"])  # fmt: skip
+        rows.append(
+            [
+                name,
+                f"{degrees}",
+                f"{chi / degrees:.3f}",
+                f"{sigmas:+.1f}",
+                f"{cell:.3g}",
+                f"{seconds:.4f}",
+            ]
+        )
         axes.scatter(x[:shown], y[:shown], s=0.5, c="black", linewidths=0)
-        axes.set(title=name, xticks=[], yticks=[], aspect="equal",
-                 xlim=(-20, 20), ylim=(-16, 16))  # fmt: skip
+        axes.set(title=name, xticks=[], yticks=[], aspect="equal", xlim=(-20, 20), ylim=(-16, 16))
         axes.title.set_fontsize(9)
     # The last case's objects, held against its condition at their own places.
     astray = 100 * float((_gentle(around.surface.field, x, y) == 0.0).mean())
@@ -239,9 +282,12 @@ def apart(page: Page) -> str:
     laws: tuple[tuple[str, Any, float], ...] = (
         ("equal", 0.3, 0.25 * np.pi * 0.09),
         # The mean square of exponent 2.5 between 0.1 m and 2 m, by hand.
-        ("power law", {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 2},
-         0.25 * np.pi * (1.5 / 0.5) * (2**0.5 - 0.1**0.5) / (0.1**-1.5 - 2**-1.5)),
-    )  # fmt: skip
+        (
+            "power law",
+            {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 2},
+            0.25 * np.pi * (1.5 / 0.5) * (2**0.5 - 0.1**0.5) / (0.1**-1.5 - 2**-1.5),
+        ),
+    )
     rows = []
     for name, size, mean in laws:
         parts = (0.05, 0.2, 0.4) if page.fast else (0.05, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.547)
@@ -249,9 +295,14 @@ def apart(page: Page) -> str:
         for part in (*parts, *more):
             count = round(part * area / mean)
             thing = {
-                "count": count, "size_m": size, "apart": {}, "clearance_m": 0, "lod_px": 0,
-                "shortfall": "fewer", "subdivisions": 1,
-            }  # fmt: skip
+                "count": count,
+                "size_m": size,
+                "apart": {},
+                "clearance_m": 0,
+                "lod_px": 0,
+                "shortfall": "fewer",
+                "subdivisions": 1,
+            }
             stood = stand(cfg({"rocks": thing}, relief=(PLANE,)))
             (scatter,) = stood.objects
             assert isinstance(scatter, Scatter)
@@ -260,22 +311,40 @@ def apart(page: Page) -> str:
             worst = _worst(np.ascontiguousarray(x), np.ascontiguousarray(y), radii)
             asked = 0.25 * np.pi * (stood.plan.objects[0].scale ** 2).sum() / area
             covered = np.pi * (radii * radii).sum() / area
-            rows.append([
-                name, f"{asked:.3f}", f"{covered:.3f}", f"{count:,}", f"{scatter.count:,}",
-                f"{stood.facts['rocks'].get('tries_max', 0)}", f"{stood.seconds:.2f}",
-                f"{max(worst, 0.0):.1e}", f"{max(-worst, 0.0):.1e}",
-            ])  # fmt: skip
+            rows.append(
+                [
+                    name,
+                    f"{asked:.3f}",
+                    f"{covered:.3f}",
+                    f"{count:,}",
+                    f"{scatter.count:,}",
+                    f"{stood.facts['rocks'].get('tries_max', 0)}",
+                    f"{stood.seconds:.2f}",
+                    f"{max(worst, 0.0):.1e}",
+                    f"{max(-worst, 0.0):.1e}",
+                ]
+            )
     return (
         "## Without overlap: from few to as many as fit\n\n"
         f"Circles on {SIZE[0]:g} m × {SIZE[1]:g} m, dart throwing with up to 512 tries each, the "
-        "largest first, `\"shortfall\": \"fewer\"`: equal ones of 0.3 m, and diameters of a power "
+        'largest first, `"shortfall": "fewer"`: equal ones of 0.3 m, and diameters of a power '
         "law of exponent 2.5 from 0.1 m to 2 m. Coverage is the sum of the circles over the area. "
         "Random sequential adsorption of equal discs jams at 0.547 (Feder 1980), and approaches "
         "that only after endless tries. A law of sizes, the largest first, gets farther. The "
         "worst overlap and the least gap are measured by brute force over all pairs, from the "
         "stage's numbers, between the balls around the finished rocks.\n\n"
         + table(
-            ["sizes", "coverage asked", "got", "asked", "placed", "most tries", "s",
-             "worst overlap, m", "least gap, m"], rows,
+            [
+                "sizes",
+                "coverage asked",
+                "got",
+                "asked",
+                "placed",
+                "most tries",
+                "s",
+                "worst overlap, m",
+                "least gap, m",
+            ],
+            rows,
         )
-    )  # fmt: skip
+    )

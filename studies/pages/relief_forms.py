@@ -61,14 +61,22 @@ def gallery(page: Page) -> str:
     base = soft.apply(grid, np.zeros(grid.shape))[0]
     hills = rock.apply(grid, np.zeros(grid.shape))[0]
     pits = {
-        "min_diameter_m": 2.0, "max_diameter_m": 90.0, "density_per_m2": 0.0218 * 1.54,
-        "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.16, "rim_ratio": 0.04,
-        "degradation": 0.4, "irregularity": 0.1,
-    }  # fmt: skip
+        "min_diameter_m": 2.0,
+        "max_diameter_m": 90.0,
+        "density_per_m2": 0.0218 * 1.54,
+        "reference_diameter_m": 1.0,
+        "exponent": 2.0,
+        "depth_ratio": 0.16,
+        "rim_ratio": 0.04,
+        "degradation": 0.4,
+        "irregularity": 0.1,
+    }
     heaps = {
-        "count": 9, "wind_deg": 15.0, "repose_deg": 33.0,
+        "count": 9,
+        "wind_deg": 15.0,
+        "repose_deg": 33.0,
         "height_m": Distribution("log_uniform", "instance", False, 1.0, 4.0),
-    }  # fmt: skip
+    }
     (page.scratch / "path.csv").write_text(
         "x_m,y_m\n" + "\n".join(f"{x},{1.5 * np.sin(x / 2)}" for x in np.linspace(-7, 7, 60))
     )
@@ -139,8 +147,10 @@ def gallery(page: Page) -> str:
     close = Grid((2.0, 2.0), (n, n))
     boots = draw_footprints(
         {"walks": 1, "stride_m": 1.3, "length_m": 0.33, "depth_m": 0.025, "tread_m": 0.006},
-        streams, "f", close.size_m,
-    )  # fmt: skip
+        streams,
+        "f",
+        close.size_m,
+    )
     disk = Interval(FromPoint(x_m=0.0, y_m=0.0), None, 20.0, 6.0)
     panels: list[tuple[str, NDArray, Grid]] = [
         ("multifractal fbm", fractal("fbm", 0.7, 9.0), grid),
@@ -152,15 +162,23 @@ def gallery(page: Page) -> str:
         ("worley f1", Worley(3, 5.0, 30.0, "f1", 1.0, 2, 2.2, 0.4).apply(grid, base)[0], grid),
         ("worley f2-f1", cracks.apply(grid, base)[0], grid),
         ("polygons", ice.apply(wide, 0.4 * grain)[0], wide),
-        ("craters in equilibrium",
-         draw_kind("relief", {"type": "craters", **pits}, "c", Context(streams, (size, size))).apply(grid, base)[0], grid),
+        (
+            "craters in equilibrium",
+            draw_kind(
+                "relief", {"type": "craters", **pits}, "c", Context(streams, (size, size))
+            ).apply(grid, base)[0],
+            grid,
+        ),
         ("stream power, uplift, creep", rivers.apply(large, uplands)[0], large),
         ("ridged, steep", hills, grid),
         ("thermal: it slid to 33°", Thermal(33.0).apply(grid, hills)[0], grid),
         ("terraces", Terraces(4, 5.0, 0.3, 0.15, 0.8, 1.5, 60.0).apply(grid, hills)[0], grid),
         ("dunes", sand.apply(grid, 0.3 * base)[0], grid),
-        ("barchans", draw_barchans(heaps, streams, "b", (size, size)).apply(grid, 0.2 * base)[0],
-         grid),
+        (
+            "barchans",
+            draw_barchans(heaps, streams, "b", (size, size)).apply(grid, 0.2 * base)[0],
+            grid,
+        ),
         ("ripples", waves.apply(six, np.zeros(six.shape))[0], six),
         ("diffusion of ridged", Smooth(4.0).apply(grid, hills)[0], grid),
         ("tracks", rover.apply(small, ground)[0], small),
@@ -168,7 +186,7 @@ def gallery(page: Page) -> str:
         ("crust", Crust(3, 0.1, 1.5, 0.25).apply(six, 0.3 * ground)[0], six),
         ("masked: craters in a disk", Masked(fresh, (disk,)).apply(wide, grain)[0], wide),
         ("mare: craters, worn, and grain", lunar(grid, streams, pits), grid),
-    ]  # fmt: skip
+    ]
     columns, width = 4, n
     sheet = Image.new(
         "L", (columns * (width + 6) - 6, -(-len(panels) // columns) * (width + 24)), 255
@@ -221,10 +239,16 @@ def lunar(grid: Grid, streams: Streams, pits: dict) -> NDArray:
 def craters(page: Page) -> str:
     """Drawn counts beside the law, and the worn profiles."""
     cfg = {
-        "min_diameter_m": 1.0, "max_diameter_m": 64.0, "density_per_m2": 0.0218 * 1.54,
-        "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.2, "rim_ratio": 0.04,
-        "degradation": 0.4, "irregularity": 0.0,
-    }  # fmt: skip
+        "min_diameter_m": 1.0,
+        "max_diameter_m": 64.0,
+        "density_per_m2": 0.0218 * 1.54,
+        "reference_diameter_m": 1.0,
+        "exponent": 2.0,
+        "depth_ratio": 0.2,
+        "rim_ratio": 0.04,
+        "degradation": 0.4,
+        "irregularity": 0.0,
+    }
     bounds = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     seeds, size = 6 if page.fast else 60, 200.0
     rows = []
@@ -249,9 +273,15 @@ def craters(page: Page) -> str:
         for low, high in pairwise(bounds):
             inside = [int(((d >= low) & (d < high)).sum()) for d in diameters]
             expected = size * size * density * (low**-exponent - high**-exponent)
-            rows.append([f"{exponent:g}", f"{low:g} to {high:g}", f"{expected:.2f}",
-                         f"{np.mean(inside):.2f} ± {np.sqrt(expected / seeds):.2f}",
-                         f"{np.var(inside) / expected:.2f}"])  # fmt: skip
+            rows.append(
+                [
+                    f"{exponent:g}",
+                    f"{low:g} to {high:g}",
+                    f"{expected:.2f}",
+                    f"{np.mean(inside):.2f} ± {np.sqrt(expected / seeds):.2f}",
+                    f"{np.var(inside) / expected:.2f}",
+                ]
+            )
     left.set(xlabel="diameter, m", ylabel="larger ones per m²", title="Sizes drawn, and the law")
     profile = profile_table(1.0)
     x = (np.arange(profile.rim.shape[1]) + 0.5) * profile.step
@@ -269,8 +299,9 @@ def craters(page: Page) -> str:
         "over their mean (1 for a Poisson process). b = 2 is the equilibrium of small lunar "
         "craters, N(>D) = 0.0218 · 1.54 · D⁻² per m².\n\n"
         + table(["b", "diameters, m", "expected", "drawn", "variance / mean"], rows)
-        + "\n" + page.save(figure, "craters")
-    )  # fmt: skip
+        + "\n"
+        + page.save(figure, "craters")
+    )
 
 
 def shaded(

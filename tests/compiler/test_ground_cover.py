@@ -15,7 +15,8 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.mesh.cover import lay
-from scenec.compiler.terrain.condition import Freshness, Interval, Slope
+from scenec.compiler.terrain.condition import Interval, Slope
+from scenec.compiler.terrain.freshness import Freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import CfgError, SceneError

@@ -9,7 +9,6 @@ from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.terrain.condition import (
     Curvature,
     Flow,
-    Freshness,
     FromPoint,
     Height,
     Interval,
@@ -18,7 +17,7 @@ from scenec.compiler.terrain.condition import (
     soft_interval,
 )
 from scenec.compiler.terrain.flow import upslope_area
-from scenec.compiler.terrain.freshness import cover, crater_freshness
+from scenec.compiler.terrain.freshness import Freshness, cover, crater_freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.craters import Craters

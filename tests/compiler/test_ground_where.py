@@ -202,7 +202,7 @@ class Definition:
             value = value + rag.amplitude * fbm2_points(
                 np.uint64(rag.key), x, y, rag.scale_m, rag.octaves, 0.5, 2.0, 0.0
             )
-        return value  # fmt: skip
+        return value
 
     def holds(self, merge: Merge, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Whether points are the layer's: at threshold 1/2 bounds are bounds, whatever softness."""
@@ -224,10 +224,22 @@ def layers() -> tuple[Merge, ...]:
     return (
         where(Interval(Slope(over_m=0.0), 12.0, None, 4.0), Interval(Height(), None, 1.4, 0.2)),
         noisy,
-        where(Interval(Curvature(over_m=0.0), 0.1, None, 0.1, ragged=Ragged(key=3, amplitude=0.1, scale_m=4.0, octaves=2))),
-        where(Interval(FromPoint(x_m=2.0, y_m=-3.0), 4.0, 11.0, 1.0),
-              Interval(Noise(key=9, scale_m=6.0, octaves=2, lacunarity=2.0, gain=0.5), -0.1, None, 0.1)),
-    )  # fmt: skip
+        where(
+            Interval(
+                Curvature(over_m=0.0),
+                0.1,
+                None,
+                0.1,
+                ragged=Ragged(key=3, amplitude=0.1, scale_m=4.0, octaves=2),
+            )
+        ),
+        where(
+            Interval(FromPoint(x_m=2.0, y_m=-3.0), 4.0, 11.0, 1.0),
+            Interval(
+                Noise(key=9, scale_m=6.0, octaves=2, lacunarity=2.0, gain=0.5), -0.1, None, 0.1
+            ),
+        ),
+    )
 
 
 def test_labels_are_those_of_the_definition_away_from_the_lines():
@@ -254,18 +266,38 @@ def test_labels_are_those_of_the_definition_away_from_the_lines():
 
 
 _CONDITIONS = st.one_of(
-    st.builds(lambda low, span, soft: Interval(Height(), low, low + span, soft),
-              st.floats(-2, 2), st.floats(0, 2), st.sampled_from([0.0, 0.3, 5.0])),
-    st.builds(lambda low, soft, over: Interval(Slope(over_m=over), low, None, soft),
-              st.floats(0, 40), st.sampled_from([0.0, 5.0]), st.sampled_from([0.0, None, 3.0])),
-    st.builds(lambda high, over: Interval(Curvature(over_m=over), None, high, 0.1),
-              st.floats(-1, 1), st.sampled_from([0.0, None])),
+    st.builds(
+        lambda low, span, soft: Interval(Height(), low, low + span, soft),
+        st.floats(-2, 2),
+        st.floats(0, 2),
+        st.sampled_from([0.0, 0.3, 5.0]),
+    ),
+    st.builds(
+        lambda low, soft, over: Interval(Slope(over_m=over), low, None, soft),
+        st.floats(0, 40),
+        st.sampled_from([0.0, 5.0]),
+        st.sampled_from([0.0, None, 3.0]),
+    ),
+    st.builds(
+        lambda high, over: Interval(Curvature(over_m=over), None, high, 0.1),
+        st.floats(-1, 1),
+        st.sampled_from([0.0, None]),
+    ),
     st.builds(lambda low: Interval(Flow(), Flow.of_bound(low), None, 1.0), st.floats(0.01, 500)),
     st.builds(lambda r: Interval(FromPoint(x_m=1.0, y_m=1.0), r, None, 0.5), st.floats(0, 12)),
-    st.builds(lambda low: Interval(Noise(key=4, scale_m=5.0, octaves=3, lacunarity=2.0, gain=0.5), low, None, 0.1), st.floats(-1, 1)),
-    st.builds(lambda amplitude: Interval(Height(), 0.0, None, 0.0, Ragged(key=8, amplitude=amplitude, scale_m=3.0, octaves=2)),
-              st.floats(0, 3)),
-)  # fmt: skip
+    st.builds(
+        lambda low: Interval(
+            Noise(key=4, scale_m=5.0, octaves=3, lacunarity=2.0, gain=0.5), low, None, 0.1
+        ),
+        st.floats(-1, 1),
+    ),
+    st.builds(
+        lambda amplitude: Interval(
+            Height(), 0.0, None, 0.0, Ragged(key=8, amplitude=amplitude, scale_m=3.0, octaves=2)
+        ),
+        st.floats(0, 3),
+    ),
+)
 _LAYERS = st.lists(
     st.tuples(st.lists(_CONDITIONS, min_size=1, max_size=3), st.booleans(), st.floats(0.05, 0.95)),
     min_size=1,
@@ -327,10 +359,18 @@ def test_any_layers_on_any_ground_make_a_sound_mesh_with_one_label_a_face(drawn,
 def test_twelve_layers_of_conditions_make_a_sound_mesh():
     field = relief(spacing=0.4)
     merges = [
-        where(Interval(Height(), -0.6 + 0.1 * i, None, 0.05, Ragged(key=i, amplitude=0.2, scale_m=3.0, octaves=3)),
-              Interval(FromPoint(x_m=0.0, y_m=0.0), None, 19.0 - i, 1.0))
+        where(
+            Interval(
+                Height(),
+                -0.6 + 0.1 * i,
+                None,
+                0.05,
+                Ragged(key=i, amplitude=0.2, scale_m=3.0, octaves=3),
+            ),
+            Interval(FromPoint(x_m=0.0, y_m=0.0), None, 19.0 - i, 1.0),
+        )
         for i in range(12)
-    ]  # fmt: skip
+    ]
     _, points, faces, layer, _ = built(field, *merges)
     assert_sound(points, faces, field.grid.size_m)
     assert len(set(layer)) >= 8

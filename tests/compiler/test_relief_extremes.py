@@ -39,23 +39,44 @@ def operators(size: float, folder) -> list:
     """One of each, about as large as the terrain."""
     (folder / "path.csv").write_text(f"{-0.4 * size},0\n{0.1 * size},{0.2 * size}\n")
     pits = {
-        "min_diameter_m": 0.1 * size, "max_diameter_m": size, "density_per_m2": 10.0,
-        "reference_diameter_m": 0.1 * size, "exponent": 2.0, "depth_ratio": 0.2, "rim_ratio": 0.04,
-        "degradation": 1.0, "irregularity": 0.1,
-    }  # fmt: skip
+        "min_diameter_m": 0.1 * size,
+        "max_diameter_m": size,
+        "density_per_m2": 10.0,
+        "reference_diameter_m": 0.1 * size,
+        "exponent": 2.0,
+        "depth_ratio": 0.2,
+        "rim_ratio": 0.04,
+        "degradation": 1.0,
+        "irregularity": 0.1,
+    }
     pits["density_per_m2"] = 20.0 / (size * size)
     heaps = {"count": 5, "height_m": 0.03 * size, "wind_deg": 20.0, "repose_deg": 33.0}
     boots = {
-        "walks": 2, "stride_m": 0.9 * size, "length_m": 1.3 * size, "depth_m": 0.02 * size,
+        "walks": 2,
+        "stride_m": 0.9 * size,
+        "length_m": 1.3 * size,
+        "depth_m": 0.02 * size,
         "tread_m": 0.01 * size,
-    }  # fmt: skip
+    }
     streams = Streams(1, 0)
     return [
         Plane(size, (0.3, -1e6)),
-        Multifractal(key=1, amplitude_m=0.1 * size, scale_m=0.3 * size, octaves=24, lacunarity=2.0, gain=2.0, variant="hybrid", offset=0.7, distortion=2.0),
+        Multifractal(
+            key=1,
+            amplitude_m=0.1 * size,
+            scale_m=0.3 * size,
+            octaves=24,
+            lacunarity=2.0,
+            gain=2.0,
+            variant="hybrid",
+            offset=0.7,
+            distortion=2.0,
+        ),
         Worley(2, -size, 0.2 * size, "f2-f1", 1.0, 4, 2.0, 0.5),
         Polygons(2, 0.3 * size, 0.02 * size, 0.1 * size, 0.01 * size, 1.0),
-        draw_kind("relief", {"type": "craters", **pits}, "craters", Context(streams, (size, 0.7 * size))),
+        draw_kind(
+            "relief", {"type": "craters", **pits}, "craters", Context(streams, (size, 0.7 * size))
+        ),
         Dunes(3, 0.01 * size, 0.2 * size, 70.0, 33.0, 0.2),
         draw_barchans(heaps, streams, "barchans", (size, 0.7 * size)),
         Ripples(3, 0.004 * size, 0.12 * size, 70.0, 30.0, 0.2),
@@ -66,9 +87,16 @@ def operators(size: float, folder) -> list:
         Smooth(0.02 * size),
         Crust(5, 0.02 * size, 0.5 * size, 0.3),
         draw_footprints(boots, streams, "footprints", (size, 0.7 * size)),
-        Tracks(folder / "path.csv", 0.3 * size, 0.12 * size, 0.01 * size, 0.1 * size,
-               0.01 * size, "bars"),
-    ]  # fmt: skip
+        Tracks(
+            folder / "path.csv",
+            0.3 * size,
+            0.12 * size,
+            0.01 * size,
+            0.1 * size,
+            0.01 * size,
+            "bars",
+        ),
+    ]
 
 
 def grounds(grid: Grid) -> dict[str, np.ndarray]:
@@ -123,8 +151,20 @@ def test_every_operator_is_the_same_at_every_extent(size, tmp_path):
 
 
 #: Operators without a physical constant of their own, and whose draws do not depend on a scale.
-SCALE_FREE = ("multifractal", "worley", "polygons", "crust", "dunes", "barchans", "ripples",
-              "terraces", "thermal", "smooth", "tracks", "footprints")  # fmt: skip
+SCALE_FREE = (
+    "multifractal",
+    "worley",
+    "polygons",
+    "crust",
+    "dunes",
+    "barchans",
+    "ripples",
+    "terraces",
+    "thermal",
+    "smooth",
+    "tracks",
+    "footprints",
+)
 
 
 @pytest.mark.parametrize("size", EXTENTS)
@@ -152,9 +192,13 @@ def test_craters_that_would_take_hours_are_refused():
     n = 500_000
     grid = Grid.with_spacing((1e6, 1e6), 5e3)
     everywhere = Craters(
-        np.zeros(n), np.zeros(n), np.full(n, 1e6), *(np.full(n, 0.1) for _ in range(3)),
-        np.zeros(n, np.uint64), 0.1,
-    )  # fmt: skip
+        np.zeros(n),
+        np.zeros(n),
+        np.full(n, 1e6),
+        *(np.full(n, 0.1) for _ in range(3)),
+        np.zeros(n, np.uint64),
+        0.1,
+    )
     with pytest.raises(SceneError, match=r"500,000 craters reach over 2e\+10 samples"):
         everywhere.apply(grid, np.zeros(grid.shape))
 

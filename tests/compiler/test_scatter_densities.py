@@ -19,11 +19,11 @@ from scenec.compiler.objects.density import (
     ImageDensity,
     NoiseDensity,
     PathDensity,
-    RingDensity,
     WorleyDensity,
 )
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles, Lattice, nearest
+from scenec.compiler.objects.rings import RingDensity
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.schemas.errors import SceneError
 

@@ -1,0 +1,53 @@
+"""Draws what a part of a cfg names by ``type``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from scenec.compiler.distributions.resolve import resolve
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import Form, keys_of, made_of_context
+from scenec.compiler.kinds.forms import RAGGED, file
+from scenec.compiler.kinds.table import class_of, kind_of
+
+#: What a kind with a ``SCHEMA`` gets under these keys.
+_FOREIGN = {"file": file(""), "ragged": RAGGED}
+
+
+def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
+    """Returns what a node's ``type`` names, with its numbers drawn.
+
+    A kind's fields are its keys, and what it takes of the context (``declare.given``). What
+    computes is the kind itself, or what its ``draw`` returns.
+
+    Args:
+        choice: Of which it is, see ``table.CHOICES``.
+        node: Part of the cfg.
+        path: Where it stands: "terrain/relief/0".
+    """
+    context = dataclasses.replace(context, choice=choice)
+    kind = kind_of(choice, node["type"])
+    made = _made(kind, {k: v for k, v in node.items() if k != "type"}, path, context)
+    return made.draw(context.at(path)) if hasattr(made, "draw") else made
+
+
+def draw_object(name: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
+    """Returns an object of a cfg, by its name in ``table.CLASSES``, with its numbers drawn."""
+    return _made(class_of(name), node, path, context)
+
+
+def _made(kind: type[Any], node: Mapping[str, Any], path: str, context: Context) -> Any:
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in resolve(node, context.streams, path).items()
+    }
+    keys = keys_of(kind)
+    for key, value in values.items():
+        form = keys[key].form if key in keys else _FOREIGN.get(key, Form({}))
+        if value is not None and "x-file" in form.keywords:
+            values[key] = context.files[f"{path}/{key}"].path
+        elif value is not None and form.drawn:
+            values[key] = draw_object(form.drawn, value, f"{path}/{key}", context)
+    return kind(**values, **made_of_context(kind, context.at(path), values))
