@@ -122,7 +122,7 @@ def refused_folder(folder: Path) -> str | None:
     """Says why nothing that can hold code is to be read from a folder, or written to it.
 
     None: it is this user's alone, or not there yet (``make_own_folder``). A folder of this user
-    that a group can write to, as the usual umask of some systems makes it, becomes the user's alone.
+    that a group can write to, as the usual umask of some systems makes it, becomes its user's own.
     """
     try:
         found = folder.stat()
