@@ -450,11 +450,16 @@ def draw_condition(node: Mapping[str, Any], context: Context) -> Interval:
         next(key for key in node if key.partition("_")[0] == end)
         for end in ("min", "max", "softness")
     ]
-    drawn = resolve({key: node[key] for key in (*ends, "ragged")}, context.streams, path)
-    own = {key: value for key, value in node.items() if key in keys_of(kind) or key not in drawn}
-    low, high = (None if drawn[key] is None else kind.of_bound(drawn[key]) for key in ends[:2])
-    ragged = drawn["ragged"]
-    if ragged is not None:
-        ragged = draw_object("condition_ragged", ragged, f"{path}/ragged", context)
-    quantity = draw_kind(context.choice, own, path, context)
-    return Interval(quantity, low, high, drawn[ends[2]], ragged)
+    if keys_of(kind):
+        quantity = draw_kind(context.choice, node, path, context)
+        held = {key: getattr(quantity, key) for key in (*ends, "ragged")}
+    else:
+        # Another package's class has its own keys alone.
+        held = resolve({key: node[key] for key in (*ends, "ragged")}, context.streams, path)
+        own = {key: value for key, value in node.items() if key not in held}
+        quantity = draw_kind(context.choice, own, path, context)
+        if held["ragged"] is not None:
+            there = f"{path}/ragged"
+            held["ragged"] = draw_object("condition_ragged", held["ragged"], there, context)
+    low, high = (None if held[key] is None else kind.of_bound(held[key]) for key in ends[:2])
+    return Interval(quantity, low, high, held[ends[2]], held["ragged"])

@@ -159,7 +159,7 @@ def _page() -> Texts:
 
 
 def _streams(spec: Spec) -> str:
-    """Lists every stream that drawing asks for, in order, with what came of it."""
+    """Lists every stream that drawing asks for, whatever the order, with what came of it."""
     lines: list[str] = []
     uniforms, key = Streams.uniforms, Streams.key
 
@@ -176,11 +176,12 @@ def _streams(spec: Spec) -> str:
 
     with mock.patch.multiple(Streams, uniforms=asked_uniforms, key=asked_key):
         for seed in SEEDS:
-            lines.append(f"seed {seed}")
+            before = len(lines)
             try:
                 draw(spec, seed, 0, 0)
             except ScenecError as error:
                 lines.append(f"fault {error}")
+            lines[before:] = [f"seed {seed}", *sorted(lines[before:])]
     return "\n".join(lines)
 
 
