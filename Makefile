@@ -11,7 +11,7 @@ EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation blur coco cold estimate exposure \
   foliage hdf5 imaging incremental lenses memory mesh million prune relief \
-  sampling scatter tracks
+  sampling scatter throughput tracks
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 

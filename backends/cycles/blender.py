@@ -87,8 +87,8 @@ def choose_device(bpy: Any, device: str, works: Callable[[str], bool]) -> str:
         if name == "cpu" or not _select(preferences, GPU_KINDS[name]):
             continue
         what = (
-            f"cycles: Blender prepares its kernels for {name}; what compiles them, once, is the "
-            "driver: up to ten minutes on one core (docs/gpu.md)"
+            f"cycles: waits for Blender's kernels for {name}; where it brings none for the GPU, "
+            "its driver compiles them, once: some ten minutes of one core"
         )
         with contextlib.nullcontext() if name == "cpu" else waiting_for(what):
             fine = works(name)
