@@ -8,8 +8,8 @@ The demo (configs/jacksboro.json) as it is, 640×480, all that it asks for writt
 when the first worker had read the stage and started its renderer. ``in all`` counts from the first
 moment, with the start of workers and renderers; ``steady`` counts the second half of the frames,
 and so do CPU seconds (of all processes) and the GPU's. A phase's seconds are wall clock, the median
-of all frames; ``rest`` is a worker's time between frames. What a worker does once (``once``) is the
-median of the frames that did it.
+of all frames; ``rest`` is a worker's mean time in no phase, in the second half. What a worker does
+once (``once``) is the median of the frames that did it.
 """
 
 from __future__ import annotations
@@ -84,6 +84,11 @@ class Case:
         middle = self.done_s[len(self.done_s) // 2 - 1]
         found = [busy for when, busy, _ in self.gpu if middle <= when <= self.done_s[-1]]
         return statistics.fmean(found) / 100 if found and any(found) else None
+
+    def rest_s(self, workers: int) -> float:
+        """Seconds a frame of the second half that a worker spent in no phase."""
+        late = self.phases[len(self.phases) // 2 :]
+        return workers * self.steady_s - statistics.fmean(sum(of.values()) for of in late)
 
     def median(self, phase: str) -> float:
         """Seconds a frame; of what a worker does once, of the frames that did it."""
@@ -164,8 +169,7 @@ def main(study: Study) -> None:
             ["workers", *(f"{name}, s" for name in (*steady, "rest")),
              *(f"once: {name}, s" for name in phases if name in _START)],
             (
-                [workers, *(medians := [case.median(phase) for phase in steady]),
-                 workers * case.steady_s - sum(medians),
+                [workers, *map(case.median, steady), case.rest_s(workers),
                  *(case.median(phase) for phase in phases if phase in _START)]
                 for workers, case in cases.items()
             ),

@@ -39,6 +39,12 @@ def test_what_a_worker_does_once_is_told_of_the_frames_that_did_it():
     assert case(phases=phases).median("radiance") == pytest.approx(1.0)
 
 
+def test_the_rest_of_a_workers_time_is_what_no_phase_took():
+    late = case(phases=[*[{"radiance": 9.0}] * 4, *[{"radiance": 1.2, "write": 0.3}] * 4])
+    assert late.rest_s(1) == pytest.approx(1.0 - 1.5)
+    assert late.rest_s(2) == pytest.approx(2.0 - 1.5)
+
+
 def test_frames_a_second_are_bounded_by_cores_or_by_the_gpu():
     assert at_most(0.5, 0.0, 16) == pytest.approx(32.0)
     assert at_most(0.5, 0.1, 2) == pytest.approx(4.0)
