@@ -11,7 +11,7 @@ EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation blur coco cold estimate exposure \
   foliage hdf5 imaging incremental lenses memory mesh million prune relief \
-  sampling scatter tracks
+  sampling scatter throughput tracks
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 
@@ -116,11 +116,12 @@ lock: setup  ## Resolve pyproject.toml again into requirements.lock and requirem
 #: Devices that make gpu tries: backend:device.
 GPUS = mitsuba:cuda cycles:cuda cycles:optix pyrender:cuda
 
-gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, a table of frames.
+gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, tables of frames.
 	@.venv/bin/scenec doctor || true
 	@set -e; for of in $(GPUS); do echo "== Conformance of $${of%:*} on $${of#*:}"; \
 	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/test_$${of%:*}.py; done
-	@.venv/bin/python studies/benchmarks/gpu.py -o out/gpu.md
+	@set -e; mkdir -p out; for name in gpu throughput; do echo "== $$name"; \
+	  .venv/bin/python studies/benchmarks/$$name.py -o out/$$name.md; done
 
 wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Python and kind of CPU.
 	@echo "== Compiling the kernels of all cfgs that ship"

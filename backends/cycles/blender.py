@@ -86,7 +86,10 @@ def choose_device(bpy: Any, device: str, works: Callable[[str], bool]) -> str:
     for name in GPU_KINDS if device == "auto" else [device]:
         if name == "cpu" or not _select(preferences, GPU_KINDS[name]):
             continue
-        what = f"cycles: Blender compiles its kernels for {name}: some minutes on one core, once"
+        what = (
+            f"cycles: waits for Blender's kernels for {name}; where it brings none for the GPU, "
+            "its driver compiles them, once: some ten minutes of one core"
+        )
         with contextlib.nullcontext() if name == "cpu" else waiting_for(what):
             fine = works(name)
         if fine:

@@ -1,6 +1,7 @@
 """Every device that works here: first frame, steady frames, samples a second, memory.
 
-    python studies/benchmarks/gpu.py [--spp N] [--frames N] [--count N] [--cpu] [--fast] [-o FILE]
+    python studies/benchmarks/gpu.py [--backends A,B,...] [--spp N] [--frames N] [--count N] [--cpu]
+        [--fast] [-o FILE]
 
 The demo, and a million rocks, light alone. Frames of a GPU have to have the mean light of those of
 the CPU before their seconds are told. Memory of a GPU is what its driver says is taken, less what
@@ -13,7 +14,8 @@ import json
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -27,7 +29,7 @@ from scenec.backends.run.units import OfBackend
 from scenec.schemas.errors import BackendError
 from scenec.schemas.exr import read_exr
 from scenec.studies.benchmarks.million import cfg
-from scenec.studies.runner import ROOT, SCENEC, Cell, Study, command, run
+from scenec.studies.runner import ROOT, SCENEC, Cell, Study, command, names, run
 
 #: By which mean light may differ; noise of whole pictures is far below.
 _OFF = 2e-3
@@ -42,10 +44,10 @@ def works(backend: str, device: str) -> str:
     return ""
 
 
-def devices() -> tuple[list[tuple[str, str]], list[str]]:
-    """Backends and their devices that work here, the CPU's first; and why others do not."""
+def devices(backends: Sequence[str]) -> tuple[list[tuple[str, str]], list[str]]:
+    """Devices of backends that work here, the CPU's first; and why others do not."""
     found, lines = [], []
-    for backend in backend_names():
+    for backend in backends:
         try:
             there = backend_class(backend).devices
         except BackendError as error:
@@ -60,32 +62,41 @@ def devices() -> tuple[list[tuple[str, str]], list[str]]:
     return found, lines
 
 
-def gpu_mib() -> float:
-    """MiB that are taken of all GPUs; 0 where no driver tells."""
+def gpu_now() -> tuple[float, float]:
+    """Percent that the busiest GPU is busy, and MiB taken of all; zeros where no driver tells."""
     tool = shutil.which("nvidia-smi")
     if tool is None:
-        return 0.0
-    words = [tool, "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
+        return 0.0, 0.0
+    words = [tool, "--query-gpu=utilization.gpu,memory.used", "--format=csv,noheader,nounits"]
     said = subprocess.run(words, capture_output=True, text=True, check=False).stdout
-    return float(sum(float(line) for line in said.split() if line.replace(".", "").isdigit()))
+    rows = [line.split(",") for line in said.splitlines()]
+    # What a GPU does not tell it calls so: "[N/A]".
+    numbers = [[float(word) if word.strip().isdigit() else 0.0 for word in row] for row in rows]
+    return max((row[0] for row in numbers), default=0.0), sum(row[-1] for row in numbers)
 
 
 @contextmanager
-def watched() -> Iterator[list[float]]:
-    """Holds, in the end, the most that was taken of GPUs meanwhile, MiB above what was before."""
-    before, peak, done = gpu_mib(), [0.0], threading.Event()
+def watched() -> Iterator[list[tuple[float, float, float]]]:
+    """Fills a list meanwhile: when (``time.perf_counter``), percent that GPUs are busy, MiB."""
+    found, done = [(time.perf_counter(), *gpu_now())], threading.Event()
 
     def look() -> None:
         while not done.wait(0.2):
-            peak[0] = max(peak[0], gpu_mib() - before)
+            found.append((time.perf_counter(), *gpu_now()))
 
     watcher = threading.Thread(target=look, daemon=True)
     watcher.start()
     try:
-        yield peak
+        yield found
     finally:
         done.set()
         watcher.join()
+
+
+def most_gib(found: list[tuple[float, float, float]]) -> float:
+    """The most that was taken of GPUs, GiB above what was taken before."""
+    taken = [mib for _, _, mib in found]
+    return (max(taken) - taken[0]) / 1024
 
 
 def frames_of(out: Path, backend: str) -> list[dict]:
@@ -109,7 +120,7 @@ def measured(out: Path, backend: str, device: str, spp: int, frames: int) -> lis
     """Seconds, samples a second, and memory of a render, and its light."""
     shutil.rmtree(out / "batch_0000" / "frames", ignore_errors=True)
     words = ["render", out, "--backend", backend, "--device", device, "--passes", "rgb"]
-    with watched() as peak:
+    with watched() as taken:
         cost = command([*SCENEC, *words, "--spp", str(spp), "--samples", f"0:{frames}"])
     told = frames_of(out, backend)
     seconds = [sum(frame["seconds"].values()) for frame in told]
@@ -118,13 +129,13 @@ def measured(out: Path, backend: str, device: str, spp: int, frames: int) -> lis
     width, height = told[0]["resolution"]
     rate = width * height * spp / drawn / 1e6
     host = max(frame["peak_memory_gb"] or 0.0 for frame in told)
-    return [cost.wall_s, seconds[0], steady, rate, host, peak[0] / 1024, mean_light(out, backend)]
+    return [cost.wall_s, seconds[0], steady, rate, host, most_gib(taken), mean_light(out, backend)]
 
 
 def main(study: Study) -> None:
     """Prints what works, and the table."""
     options = study.options
-    found, lines = devices()
+    found, lines = devices(options.backends or backend_names())
     for line in lines:
         study.say(f"- {line}")
     if lines:
@@ -160,4 +171,4 @@ def main(study: Study) -> None:
 
 
 if __name__ == "__main__":
-    run(main, spp=64, frames=4, count=1_000_000, cpu=False)
+    run(main, backends=names, spp=64, frames=4, count=1_000_000, cpu=False)

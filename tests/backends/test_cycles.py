@@ -54,6 +54,8 @@ def test_the_sky_of_cycles_is_the_shared_lookup_in_every_direction(tmp_path, sha
         backend = loaded(ms.scene([ms.mesh(*ms.plane(1e-3))], lights=[dome]))
         built = backend._require_loaded()
         built.set_light(0)
+        # A GPU's texture units interpolate with weights of eight bits, in both directions.
+        off = 2e-3 if backend.device == "cpu" else np.ptp(sky.picture) / 2**8
         # The sky itself, as no picture of ours shows it.
         built.scene.render.film_transparent = False
         for target in ((1, 0, 0), (0.01, 0, 1), (0, 0.01, -1), (-1, 0.3, 0)):
@@ -66,8 +68,8 @@ def test_the_sky_of_cycles_is_the_shared_lookup_in_every_direction(tmp_path, sha
             seen = render.draw(backend._bpy, built.scene, [render.COMBINED])[0][..., :3]
             expected = lookup(sky, camera_rays(view).directions).reshape(seen.shape)
             # At a pole itself longitude, and with it the lookup, is undefined.
-            assert np.mean(np.abs(seen - expected) > 2e-3) < 1e-3
-            assert np.median(np.abs(seen - expected)) < 1e-4
+            assert np.mean(np.abs(seen - expected) > off) < 1e-3
+            assert np.median(np.abs(seen - expected)) < off / 20
 
 
 @pytest.mark.parametrize("suns", [0, 1])

@@ -49,7 +49,10 @@ def test_mitsubas_sky_is_the_shared_lookup_in_every_direction(tmp_path, rotation
     si = mi.SurfaceInteraction3f()
     si.wi = mi.Vector3f(np.ascontiguousarray(-directions.T, np.float32))
     theirs = np.array(emitter.eval(si)).T
-    np.testing.assert_allclose(theirs, lookup(sky, directions), rtol=2e-4, atol=2e-4)
+    # A GPU's texture units interpolate with weights of eight bits; rows of nodes differ by half.
+    on_gpu = mi.variant().startswith("cuda")
+    atol = 1.5 * np.ptp(sky.picture) / 2**9 if on_gpu else 2e-4
+    np.testing.assert_allclose(theirs, lookup(sky, directions), rtol=2e-4, atol=atol)
 
 
 @pytest.mark.parametrize("spp", [1, 2, 7, 24, 64, 1000])
