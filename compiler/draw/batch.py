@@ -14,7 +14,6 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
 from scenec.compiler.draw.light import draw_light
-from scenec.compiler.draw.materials import draw_materials
 from scenec.compiler.draw.models import draw_meshes, draw_placed
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
@@ -23,6 +22,7 @@ from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.materials.displacement import displacement_of
+from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.plan import HorizonPlan, TerrainPlan
@@ -70,7 +70,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     sky = cfg["light"]["sky"] or {}
-    materials = draw_materials(spec, streams)
+    materials = draw_materials(cfg, Context(streams, files=spec.files))
     terrain, setting = _terrain(spec, streams, materials)
     return Plan(
         name=cfg["name"],

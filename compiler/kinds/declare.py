@@ -147,10 +147,19 @@ def keys_of(kind: type[Any]) -> dict[str, Key]:
 
 
 def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
-    """Returns the schema of each key that a class itself declares, and whether it is required.
+    """Returns the schema of each key that a class declares, and whether it is required.
 
-    Keys of classes that it derives from are theirs.
+    Keys of classes that it derives from come first, unless they have a definition of their own
+    (``SHARED``).
     """
+    found: dict[str, tuple[dict[str, Any], bool]] = {}
+    for of in reversed(kind.__mro__):
+        if dataclasses.is_dataclass(of) and (of is kind or "SHARED" not in vars(of)):
+            found |= _declared(of)
+    return found
+
+
+def _declared(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
     texts, found = descriptions(kind), {}
     fields = {field.name: field for field in dataclasses.fields(kind)}
     # In their own order, also of a field that was there before.

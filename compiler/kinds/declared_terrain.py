@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.kinds.declare import Form, bounded, key
+from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.forms import (
     CONSTANT,
     COUNT,
@@ -20,6 +21,7 @@ from scenec.compiler.kinds.forms import (
     an,
     list_of,
 )
+from scenec.compiler.kinds.node import Node
 
 #: What is said of keys that the first layer cannot have.
 _OF_LATER = "the first layer is the base and covers all; only later layers have this key"
@@ -82,6 +84,25 @@ class GroundLayer:
     """Depth over which the height maps of the layer and of what lies below it decide which of the
     two is seen, as a share of the maps' range, so that stones stand out of sand; 0: the weights
     alone blend them. Labels never heed it."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """A finding where it blends by heights that neither it nor what it lies on has."""
+        span, cfg = node.span("height_blend"), node.whole()
+        if span is None or span[1] <= 0.0:
+            return
+        maps = [
+            cfg.at("materials", layer["material"], "maps")
+            for layer in cfg.each("terrain", "ground", "*")
+            if int(layer.path[-1]) <= int(node.path[-1])
+        ]
+        # What a folder holds is not known here.
+        if not any(key in m for m in maps for key in ("displacement", "procedural", "folder")):
+            yield node.fault(
+                "neither the layer's material nor one below it has heights: expected maps with "
+                "procedural, displacement or a folder that has one, or 0",
+                "height_blend",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -121,10 +121,13 @@ def _object(name: str) -> dict[str, Any]:
         of = next(type_ for type_, other in context.kinds.items() if other == name)
         first["type"] = {"description": context.each or context.of, "const": of}, True
         last = _shared(context, kind)
+    says = changes.get("DESCRIPTION") or description(kind)
+    if context is not None and context.says:
+        says += " " + context.says.format(kind)
     example = changes.get("EXAMPLE", own.get("EXAMPLE"))
     found = {
         "title": own.get("TITLE") or _title(name, context),
-        "description": changes.get("DESCRIPTION") or description(kind),
+        "description": says,
         **({} if example is None else {"examples": [example]}),
         **_keys(first, kind, last),
         **({"x-check": CLASSES[name]} if "check" in own else {}),

@@ -41,9 +41,9 @@ def of_conditions(kind: type[Any]) -> Keys:
 
 
 def of_surfaces(kind: type[Any]) -> Keys:
-    """Returns what is asked of another package's pictures, as of all."""
+    """Returns whether the relief becomes geometry; with a ``SCHEMA``, all that is asked of one."""
     if not hasattr(kind, "SCHEMA"):
-        return {}
+        return _optional(displacement=forms.SURFACE_DISPLACEMENT)
     return _optional(
         relief_m=forms.SURFACE_RELIEF_M,
         contrast=forms.SURFACE_CONTRAST,

@@ -26,6 +26,7 @@ class Choice:
         prefix: Of the titles of its kinds.
         kinds: By ``type``: the name in ``CLASSES``.
         group: Of the entry points by which other packages add kinds; "" without.
+        says: What each kind says after its description, of the class {0}.
         shared: Which function of ``shared`` says what keys each kind has after its own; "" none.
         keywords: More that JSON Schema says of it.
     """
@@ -37,6 +38,7 @@ class Choice:
     kinds: Mapping[str, str]
     group: str = ""
     each: str = ""
+    says: str = ""
     shared: str = ""
     keywords: Mapping[str, Any] = field(default_factory=dict)
 
@@ -221,6 +223,7 @@ CHOICES = {
         of="Kind of surface.",
         group="scenec.surfaces",
         shared="of_surfaces",
+        says="size_m, left out, is {0.SIZE_M:g} m.",
         prefix="Surface",
         kinds=kinds(
             "surface_",
@@ -292,10 +295,10 @@ CLASSES = {
     "light_mount_world": "kinds.declared_light:LightMountWorld",
     "light_sun": "kinds.declared_light:LightSun",
     "light_target": "kinds.declared_light:LightTarget",
-    "material": "kinds.declared_materials:Material",
-    "material_cells": "kinds.declared_materials:MaterialCells",
-    "material_far": "kinds.declared_materials:MaterialFar",
-    "material_maps": "kinds.declared_materials:MaterialMaps",
+    "material": "materials.material:MaterialKeys",
+    "material_cells": "materials.maps:CellsKeys",
+    "material_far": "materials.maps:FarKeys",
+    "material_maps": "materials.maps:MapsKeys",
     "model": "kinds.declared_objects:Model",
     "model_part": "kinds.declared_objects:ModelPart",
     "mount": "kinds.declared_cameras:Mount",
@@ -323,9 +326,9 @@ CLASSES = {
     "pose_rover": "kinds.declared_poses:PoseRover",
     "pose_sampling": "kinds.declared_poses:PoseSampling",
     "pose_track": "kinds.declared_poses:PoseTrack",
-    "reflectance_hapke": "kinds.declared_materials:ReflectanceHapke",
-    "reflectance_lambert": "kinds.declared_materials:ReflectanceLambert",
-    "reflectance_lommel_seeliger": "kinds.declared_materials:ReflectanceLommelSeeliger",
+    "reflectance_hapke": "materials.reflectance:Hapke",
+    "reflectance_lambert": "materials.reflectance:Lambert",
+    "reflectance_lommel_seeliger": "materials.reflectance:LommelSeeliger",
     "relief_barchans": "kinds.declared_relief:ReliefBarchans",
     "relief_craters": "terrain.operators.craters:CraterLaw",
     "relief_crust": "kinds.declared_relief:ReliefCrust",
@@ -357,18 +360,18 @@ CLASSES = {
     "sky_none": "kinds.declared_light:SkyNone",
     "sky_overcast": "kinds.declared_light:SkyOvercast",
     "sun": "kinds.declared_light:Sun",
-    "surface_basalt": "kinds.declared_surfaces:SurfaceBasalt",
-    "surface_breccia": "kinds.declared_surfaces:SurfaceBreccia",
-    "surface_granite": "kinds.declared_surfaces:SurfaceGranite",
-    "surface_gravel": "kinds.declared_surfaces:SurfaceGravel",
-    "surface_mud_cracks": "kinds.declared_surfaces:SurfaceMudCracks",
-    "surface_pavement": "kinds.declared_surfaces:SurfacePavement",
-    "surface_regolith": "kinds.declared_surfaces:SurfaceRegolith",
-    "surface_sand": "kinds.declared_surfaces:SurfaceSand",
-    "surface_sandstone": "kinds.declared_surfaces:SurfaceSandstone",
-    "surface_soil": "kinds.declared_surfaces:SurfaceSoil",
-    "surface_turf": "kinds.declared_surfaces:SurfaceTurf",
-    "surface_weathered": "kinds.declared_surfaces:SurfaceWeathered",
+    "surface_basalt": "materials.rocks:Basalt",
+    "surface_breccia": "materials.rocks:Breccia",
+    "surface_granite": "materials.rocks:Granite",
+    "surface_gravel": "materials.grounds:Gravel",
+    "surface_mud_cracks": "materials.grounds:MudCracks",
+    "surface_pavement": "materials.pavement:Pavement",
+    "surface_regolith": "materials.grounds:Regolith",
+    "surface_sand": "materials.grounds:Sand",
+    "surface_sandstone": "materials.rocks:Sandstone",
+    "surface_soil": "materials.grounds:Soil",
+    "surface_turf": "materials.turf:Turf",
+    "surface_weathered": "materials.rocks:Weathered",
     "terrain": "kinds.declared_terrain:Terrain",
     "terrain_horizon": "kinds.declared_terrain:TerrainHorizon",
     "terrain_mesh": "kinds.declared_terrain:TerrainMesh",

@@ -8,20 +8,23 @@ from typing import ClassVar
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH
 from scenec.compiler.materials.periodic import Plane
-from scenec.compiler.materials.surface import Surface
+from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
 
 
 @dataclass(frozen=True)
 class Sand(Surface):
-    """Grains, with faint ripples.
+    """Grains, with faint ripples."""
 
-    Attributes:
-        ripple_m: Wavelength of the ripples; 0: none.
-    """
+    EXAMPLE: ClassVar = {"type": "sand", "ripple_m": 0.08}
 
-    ripple_m: float
+    grain_m: float = key(GRAIN_M, default=0.0015)
+    """Width of a grain. A quarter of size_m at most; what is finer than the pixels fades."""
+    ripple_m: float = key(LENGTH_PER_BATCH, default=0.09, at_least=0, at_most=1_000_000)
+    """Wavelength of the ripples; 0: none."""
 
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.8
@@ -55,6 +58,12 @@ class Sand(Surface):
 @dataclass(frozen=True)
 class Gravel(Surface):
     """Rounded stones of three sizes, packed and overlapping, with grit between."""
+
+    EXAMPLE: ClassVar = {"type": "gravel", "displacement": True}
+
+    grain_m: float = key(GRAIN_M, default=0.03)
+    """Width of a stone of middle size. A quarter of size_m at most; what is finer than the pixels
+    fades."""
 
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.4
@@ -91,13 +100,15 @@ class Gravel(Surface):
 
 @dataclass(frozen=True)
 class MudCracks(Surface):
-    """Polygons of dried mud with curled rims between dark cracks.
+    """Polygons of dried mud with curled rims between dark cracks."""
 
-    Attributes:
-        gape: Width of the cracks in widths of a polygon.
-    """
+    EXAMPLE: ClassVar = {"type": "mud_cracks", "grain_m": 0.3}
+    TITLE: ClassVar = "Surface: mud_cracks"
 
-    gape: float
+    grain_m: float = key(GRAIN_M, default=0.2)
+    """Width of a polygon. A quarter of size_m at most; what is finer than the pixels fades."""
+    gape: float = key(FRACTION_PER_BATCH, default=0.06)
+    """Width of the cracks, in widths of a polygon."""
 
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 0.045
@@ -130,15 +141,17 @@ class MudCracks(Surface):
 
 @dataclass(frozen=True)
 class Regolith(Surface):
-    """Powder with small craters and fragments of all sizes.
+    """Powder with small craters and fragments of all sizes."""
 
-    Attributes:
-        craters: Share of the places for small craters that have one.
-        stones: Share of the places for fragments that have one.
-    """
+    EXAMPLE: ClassVar = {"type": "regolith"}
 
-    craters: float
-    stones: float
+    grain_m: float = key(GRAIN_M, default=0.04)
+    """Size of what is of middle size: the largest craters are three times as wide, the smallest
+    fragments a tenth. A quarter of size_m at most; what is finer than the pixels fades."""
+    craters: float = key(FRACTION_PER_BATCH, default=0.5)
+    """Share of the places for small craters that have one."""
+    stones: float = key(FRACTION_PER_BATCH, default=0.6)
+    """Share of the places for fragments that have one."""
 
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 0.2
@@ -176,13 +189,15 @@ class Regolith(Surface):
 
 @dataclass(frozen=True)
 class Soil(Surface):
-    """Crumbs and clods of earth, with bits of straw and bark.
+    """Crumbs and clods of earth, with bits of straw and bark."""
 
-    Attributes:
-        litter: Share of the places for bits of plants that have one.
-    """
+    EXAMPLE: ClassVar = {"type": "soil", "litter": 0.3}
 
-    litter: float
+    grain_m: float = key(GRAIN_M, default=0.02)
+    """Width of a clod of middle size. A quarter of size_m at most; what is finer than the pixels
+    fades."""
+    litter: float = key(FRACTION_PER_BATCH, default=0.3)
+    """Share of the places for bits of plants that have one."""
 
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.25

@@ -7,7 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenec.compiler.materials.surface import Surface
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH
+from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
 
 #: Cells of each size, in grains: as many stones' areas an octave, N(>D) ~ D^-2 as of rocks.
@@ -18,15 +20,19 @@ _CROWDED = 1.8
 
 @dataclass(frozen=True)
 class Pavement(Surface):
-    """Fines with granules and pebbles of all sizes, crowded here and rare there.
-
-    Attributes:
-        stones: Share of the places for stones that have one, on average.
-        darkness: How much darker than the fines stones are: 0 not at all, 1 black.
+    """A lag of stones: fines with granules and pebbles of all sizes, crowded here and rare there,
+    as many stones an octave of size as rocks have in nature (N(>D) ~ D^-2).
     """
 
-    stones: float
-    darkness: float
+    EXAMPLE: ClassVar = {"type": "pavement", "grain_m": 0.04, "darkness": 0.6}
+
+    grain_m: float = key(GRAIN_M, default=0.03)
+    """Width of what is of middle size: the largest stones are four times as wide, the smallest
+    granules a tenth. A quarter of size_m at most; what is finer than the pixels fades."""
+    stones: float = key(FRACTION_PER_BATCH, default=0.5)
+    """Share of the places for stones that have one, on average."""
+    darkness: float = key(FRACTION_PER_BATCH, default=0.5)
+    """How much darker than the fines stones are: 0 not at all, 1 black."""
 
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 1.0

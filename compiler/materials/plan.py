@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scenec.compiler.materials.surface import Surface
 from scenec.compiler.scene.material import Material
+
+if TYPE_CHECKING:
+    # A cfg is checked without what paints.
+    from scenec.compiler.materials.surface import Surface
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenec.compiler.materials.surface import Surface
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH
+from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
 
 
 @dataclass(frozen=True)
 class Granite(Surface):
-    """Interlocking crystals: feldspar, gray quartz, dark biotite in clusters."""
+    """Interlocking crystals: feldspar, gray quartz and dark biotite."""
+
+    EXAMPLE: ClassVar = {"type": "granite", "grain_m": 0.004}
+
+    grain_m: float = key(GRAIN_M, default=0.008)
+    """Width of a crystal. A quarter of size_m at most; what is finer than the pixels fades."""
 
     SIZE_M: ClassVar[float] = 0.6
     RELIEF: ClassVar[float] = 0.09
@@ -50,13 +57,15 @@ class Granite(Surface):
 
 @dataclass(frozen=True)
 class Basalt(Surface):
-    """Fine-grained, with gas bubbles cut open, pale laths and dust in the hollows.
+    """Fine-grained lava with gas bubbles cut open and dust in the hollows."""
 
-    Attributes:
-        vesicles: Share of the places for bubbles that have one.
-    """
+    EXAMPLE: ClassVar = {"type": "basalt", "vesicles": 0.4}
 
-    vesicles: float
+    grain_m: float = key(GRAIN_M, default=0.01)
+    """Width of a bubble of middle size. A quarter of size_m at most; what is finer than the pixels
+    fades."""
+    vesicles: float = key(FRACTION_PER_BATCH, default=0.5)
+    """Share of the places for bubbles that have one."""
 
     SIZE_M: ClassVar[float] = 0.6
     RELIEF: ClassVar[float] = 0.12
@@ -90,15 +99,18 @@ class Basalt(Surface):
 
 @dataclass(frozen=True)
 class Sandstone(Surface):
-    """Grains in faint beds, some harder than others, with rusty stains.
-
-    Attributes:
-        bedding: How much beds differ: 0 not at all.
-        bed_m: Thickness of the thickest beds.
+    """Grains in faint beds, some harder than others, with rusty stains; beds lie level in the
+    projection triplanar.
     """
 
-    bedding: float
-    bed_m: float
+    EXAMPLE: ClassVar = {"type": "sandstone", "bed_m": 0.05}
+
+    grain_m: float = key(GRAIN_M, default=0.0012)
+    """Width of a grain. A quarter of size_m at most; what is finer than the pixels fades."""
+    bedding: float = key(FRACTION_PER_BATCH, default=0.5)
+    """How much beds differ: 0 not at all."""
+    bed_m: float = key(GRAIN_M, default=0.15)
+    """Thickness of the thickest beds."""
 
     SIZE_M: ClassVar[float] = 1.0
     RELIEF: ClassVar[float] = 1.2
@@ -129,13 +141,15 @@ class Sandstone(Surface):
 
 @dataclass(frozen=True)
 class Breccia(Surface):
-    """Angular clasts of several sizes and rocks in a fine matrix.
+    """Angular pieces of several sizes and rocks in a fine matrix."""
 
-    Attributes:
-        clasts: Share of the places for clasts that have one.
-    """
+    EXAMPLE: ClassVar = {"type": "breccia"}
 
-    clasts: float
+    grain_m: float = key(GRAIN_M, default=0.05)
+    """Width of a piece of middle size. A quarter of size_m at most; what is finer than the pixels
+    fades."""
+    clasts: float = key(FRACTION_PER_BATCH, default=1)
+    """Share of the places for pieces that have one."""
 
     SIZE_M: ClassVar[float] = 1.2
     RELIEF: ClassVar[float] = 0.07
@@ -170,13 +184,14 @@ class Breccia(Surface):
 
 @dataclass(frozen=True)
 class Weathered(Surface):
-    """Any old rock: knobbly and cracked, with dark varnish in patches and dust in the hollows.
+    """Any old rock: knobbly and cracked, with dark varnish in patches and dust in the hollows."""
 
-    Attributes:
-        cracks: How much of its cracks is open.
-    """
+    EXAMPLE: ClassVar = {"type": "weathered", "contrast": 0.6}
 
-    cracks: float
+    grain_m: float = key(GRAIN_M, default=0.05)
+    """Width of a knob. A quarter of size_m at most; what is finer than the pixels fades."""
+    cracks: float = key(FRACTION_PER_BATCH, default=0.6)
+    """How much of its cracks is open."""
 
     SIZE_M: ClassVar[float] = 1.2
     RELIEF: ClassVar[float] = 0.1

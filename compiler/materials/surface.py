@@ -6,28 +6,30 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
+from scenec.compiler.kinds.declare import bounded, key, noise_key
+from scenec.compiler.kinds.forms import (
+    LENGTH_PER_BATCH,
+    SURFACE_CONTRAST,
+    SURFACE_RELIEF_M,
+    SURFACE_RESOLUTION,
+)
 from scenec.compiler.materials.tile import Look, Tile
 
+GRAIN_M = bounded(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class Surface(ABC):
-    """A kind of surface, with its cfg's keys as fields; each kind adds what it asks for.
+    """A kind of surface: each says what ``grain_m`` is of it, and adds what it asks for."""
 
-    Attributes:
-        key: Noise key.
-        grain_m: Width of what it consists of: crystals, stones, polygons.
-        relief_m: Root mean square of the relief's heights; None: as it is in nature.
-        contrast: How much colors differ: 0 not at all, 1 as in nature.
-        resolution: Pixels a side.
-        displacement: Whether the relief becomes geometry on the ground.
-    """
-
-    key: int
-    grain_m: float
-    relief_m: float | None
-    contrast: float
-    resolution: int
-    displacement: bool
+    grain_m: float = key(GRAIN_M)
+    """Width of what it consists of: crystals, stones, polygons."""
+    relief_m: float | None = key(SURFACE_RELIEF_M, optional=True)
+    contrast: float = key(SURFACE_CONTRAST)
+    resolution: int = key(SURFACE_RESOLUTION)
+    #: Whether the relief becomes geometry on the ground: the last key of each (``kinds.shared``).
+    displacement: bool = False
+    key: int = noise_key()
 
     #: Side of one repeat that suits the usual ``grain_m``, meters.
     SIZE_M: ClassVar[float]

@@ -7,8 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH
 from scenec.compiler.materials.periodic import Cells, Plane
-from scenec.compiler.materials.surface import Surface
+from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, mix, number, only, shade, step
 
 #: Green and dead blades, and the earth between, relative to the mean.
@@ -21,13 +23,17 @@ _GOLDEN = 0.618034
 
 @dataclass(frozen=True)
 class Turf(Surface):
-    """Tufts of short blades, seen from above: they lean out from their middles, over each other.
-
-    Attributes:
-        fresh: Share of the blades that are green.
+    """Tufts of short blades, green and dead, over earth: what grass grows out of, and grass itself
+    where it is far or short.
     """
 
-    fresh: float
+    EXAMPLE: ClassVar = {"type": "turf", "fresh": 0.3}
+
+    grain_m: float = key(GRAIN_M, default=0.06)
+    """Width of a tuft of middle size. A quarter of size_m at most; what is finer than the pixels
+    fades."""
+    fresh: float = key(FRACTION_PER_BATCH, default=0.6)
+    """Share of the blades that are green; more and less of them in patches."""
 
     SIZE_M: ClassVar[float] = 1.2
     RELIEF: ClassVar[float] = 0.16

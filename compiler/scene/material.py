@@ -85,7 +85,7 @@ class Reflectance:
     c: float
     opposition: float
     opposition_width: float
-    roughness_deg: float
+    roughness_deg: float = 0.0
 
 
 @dataclass(frozen=True)

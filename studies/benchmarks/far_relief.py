@@ -23,9 +23,8 @@ from PIL import Image
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.stage.scene import Lighting, Maps, RenderScene, Surface
 from scenec.backends.testing.scenes import affine, at_samples, look_at, mesh, plane, scene, sun
-from scenec.compiler.kinds.schema import load_schemas
+from scenec.compiler.kinds.table import kind_of
 from scenec.compiler.materials.heights import painted_look, relief_m
-from scenec.compiler.materials.kinds import SURFACES
 from scenec.studies.runner import Cell, Study, run
 
 KINDS = ("gravel", "soil", "regolith", "sand", "mud_cracks", "pavement", "turf")
@@ -41,9 +40,7 @@ APART_M, AWAY_M = 100.0, 400.0
 
 def relief(kind: str, texels: int) -> tuple[NDArray[np.float64], float]:
     """Heights of one repeat, [y, x], meters, and its side, as a cfg has them that says no more."""
-    schema = load_schemas()[f"#/$defs/surface_{kind}"]
-    keys = {k: p.get("default") for k, p in schema["properties"].items() if k != "type"}
-    made = SURFACES[kind](**{**keys, "key": 7, "resolution": texels})
+    made = kind_of("surface", kind)(key=7, resolution=texels)
     heights = np.asarray(painted_look(made, made.SIZE_M).height, np.float64)
     heights -= heights.mean()
     return heights * (

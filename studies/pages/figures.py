@@ -22,7 +22,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.kinds.table import CHOICES
 from scenec.datasets.colors import label_colors, paint_instances, paint_labels
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import Frame, read_frame
@@ -202,7 +202,7 @@ _COLORS = {
 def grounds(page: Page) -> list[list[Tile]]:
     """A level ground of each kind of surface, under a low sun."""
     tiles = []
-    for kind in sorted(SURFACES):
+    for kind in sorted(CHOICES["surface"].kinds):
         color = list(_COLORS.get(kind, (0.25, 0.24, 0.22)))
         maps = {"procedural": {"type": kind}, "cells": {}}
         cfg = {

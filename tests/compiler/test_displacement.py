@@ -21,8 +21,8 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.materials.displacement import Displacement, displacement_of, octaves_of
 from scenec.compiler.materials.finer import finer_normals
+from scenec.compiler.materials.grounds import Gravel
 from scenec.compiler.materials.heights import gray, surface_relief
-from scenec.compiler.materials.kinds import SURFACES
 from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.values import normal_picture, normals, unit
 from scenec.compiler.scene.material import Cells, Material, MaterialMaps
@@ -155,11 +155,11 @@ def test_normals_stay_where_relief_is_low_and_go_where_it_is_high():
 
 
 def test_procedural_relief_has_the_root_mean_square_asked_for():
-    made = SURFACES["gravel"](3, 0.05, 0.004, 1.0, 64, True)
+    made = Gravel(key=3, grain_m=0.05, relief_m=0.004, resolution=64, displacement=True)
     plane = surface_relief(made, 1.5)
     assert plane.std() == pytest.approx(0.004, rel=1e-4)
     assert abs(plane.mean()) < 1e-8
-    flat = SURFACES["gravel"](3, 0.05, 0.004, 1.0, 64, False)
+    flat = Gravel(key=3, grain_m=0.05, relief_m=0.004, resolution=64)
     assert displacement_of(plan(MaterialMaps(1.5, {}, "opengl"), procedural=flat)) is None
 
 
@@ -188,7 +188,7 @@ from pathlib import Path
 from scenec.compiler.scene.material import Cells, Material, MaterialMaps
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.plan import MaterialPlan, Sources
-from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.grounds import MudCracks
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)
 for cells in (None, Cells(0.7, 99)):
@@ -196,7 +196,9 @@ for cells in (None, Cells(0.7, 99)):
     material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
     for drawn in (
         MaterialPlan(material, sources=Sources(heights=Path(sys.argv[1]), heights_m=0.1)),
-        MaterialPlan(material, SURFACES["mud_cracks"](3, 0.1, None, 1.0, 64, True, 0.1)),
+        MaterialPlan(
+            material, MudCracks(key=3, grain_m=0.1, resolution=64, displacement=True, gape=0.1)
+        ),
     ):
         made = displacement_of(drawn)
         digest.update(made.at(x, x[::-1].copy()).tobytes())

@@ -16,7 +16,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import Footprint, footprints
-from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.grounds import Gravel
 from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.reduce import halvings, reduced
 from scenec.compiler.materials.values import color_picture, gray_picture, normal_picture, unit
@@ -256,8 +256,8 @@ def test_a_material_that_no_camera_sees_is_its_means():
         decode(read_pixels(files["roughness"].data), "roughness").mean(), abs=1e-5
     )
     assert len(found.left_out) == 3
-    dark, gravel = replace(material(), base_color=(0.3, 0.2, 0.1)), SURFACES["gravel"]
-    surface = gravel(1, 0.05, None, 1.0, 64, False)
+    dark = replace(material(), base_color=(0.3, 0.2, 0.1))
+    surface = Gravel(key=1, grain_m=0.05, resolution=64)
     unpainted = finished(dark, 0.0, procedural=surface).materials["m"]
     assert unpainted.maps is None
     assert unpainted.base_color == (0.3, 0.2, 0.1)
@@ -285,7 +285,7 @@ def test_what_is_seen_closely_stays_the_file_it_is(tmp_path):
 
 
 def test_a_picture_of_heights_is_made_where_a_blend_goes_by_it():
-    gravel = SURFACES["gravel"](1, 0.2, None, 1.0, 64, False)
+    gravel = Gravel(key=1, grain_m=0.2, resolution=64)
     without, painted = (
         finished(material(), 1e4, high, procedural=gravel).materials["m"] for high in (False, True)
     )

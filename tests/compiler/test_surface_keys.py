@@ -17,7 +17,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.batch import draw
-from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
 
@@ -58,7 +58,7 @@ def folder(tmp_path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("kind", sorted(SURFACES))
+@pytest.mark.parametrize("kind", sorted(CHOICES["surface"].kinds))
 def test_a_surface_has_the_numbers_that_its_keys_say(tmp_path, kind):
     cfg = keyed_cfg()
     cfg["materials"]["sand"]["maps"] = {"procedural": {"type": kind}}
@@ -66,7 +66,7 @@ def test_a_surface_has_the_numbers_that_its_keys_say(tmp_path, kind):
     del cfg["terrain"]["ground"][1]["height_blend"]
     spec = load(write_cfg(tmp_path, cfg))
     surface = draw(spec, 1, 0).materials["sand"].procedural
-    assert type(surface) is SURFACES[kind]
+    assert type(surface) is kind_of("surface", kind)
     given = resolve(spec.cfg["materials"]["sand"]["maps"]["procedural"], Streams(1, 0), "x")
     constant = {k: v for k, v in given.items() if isinstance(v, (int, float, str)) and k != "type"}
     assert constant == {key: getattr(surface, key) for key in constant}

@@ -19,8 +19,9 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
 from scenec.compiler.kinds.schema import describe, load_schemas
+from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.compiler.materials import periodic
-from scenec.compiler.materials.kinds import SURFACES
+from scenec.compiler.materials.grounds import Sand
 from scenec.compiler.materials.pictures import color_codes, normal_codes, with_pictures
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.surface import Surface
@@ -30,14 +31,12 @@ from scenec.compiler.scene.material import Material, MaterialMaps, Picture
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 
-KINDS = sorted(SURFACES)
+KINDS = sorted(CHOICES["surface"].kinds)
 
 
 def surface(kind: str, **change: float | None) -> Surface:
     """A kind as a cfg has it that says nothing of it, but for some keys."""
-    schema = load_schemas()[f"#/$defs/surface_{kind}"]
-    known = {k: p.get("default") for k, p in schema["properties"].items() if k != "type"}
-    return SURFACES[kind](**{"key": 7, **known, "resolution": 128, **change})
+    return kind_of("surface", kind)(**{"key": 7, "resolution": 128, **change})
 
 
 def painted(
@@ -119,7 +118,7 @@ def test_normals_are_those_of_the_heights():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slopes_of_the_pictures_add_up_to_heights_of_the_relief_asked_for(kind):
-    size, relief = SURFACES[kind].SIZE_M, 0.002
+    size, relief = kind_of("surface", kind).SIZE_M, 0.002
     look = surface(kind).paint(Tile(7, size, 128))
     height = look.height.astype(np.float64)
     height *= relief / height.std()
@@ -142,7 +141,7 @@ def test_a_surface_twice_as_large_with_grains_twice_as_large_has_the_same_pictur
         for key, value in vars(surface(kind)).items()
         if key.endswith("_m") and value is not None
     }
-    large, _ = painted(kind, size_m=2.0 * SURFACES[kind].SIZE_M, **lengths)
+    large, _ = painted(kind, size_m=2.0 * kind_of("surface", kind).SIZE_M, **lengths)
     assert small.maps.files == large.maps.files
 
 
@@ -285,7 +284,7 @@ def test_procedural_surfaces_reach_the_renderers_each_batch_with_its_own(tmp_pat
     np.testing.assert_allclose(mean * stone.base_color, (0.15, 0.12, 0.1), rtol=0.01)
     sand = next(s for s in scene.surfaces if s.path.endswith("sand"))
     assert sand.maps.projection == "above"
-    assert sand.maps.size_m == SURFACES["sand"].SIZE_M
+    assert sand.maps.size_m == Sand.SIZE_M
     report = json.loads((out / "batch_0000/report.json").read_text())
     assert report["surfaces"].keys() == {"sand", "stone"}
     of_batch = [hashes(out / name) for name in ("batch_0000", "batch_0001")]
@@ -366,5 +365,5 @@ def test_the_schema_of_a_kind_has_its_fields_and_its_size(kind):
     name = f"#/$defs/surface_{kind}"
     schema = load_schemas()[name]
     assert schema["properties"].keys() - {"type"} == vars(surface(kind)).keys() - {"key"}
-    assert f"is {SURFACES[kind].SIZE_M:g} m." in schema["description"]
+    assert f"is {kind_of('surface', kind).SIZE_M:g} m." in schema["description"]
     assert describe({"$ref": "#/$defs/surface"}, {"type": kind}).keywords["title"]

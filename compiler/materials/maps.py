@@ -1,0 +1,273 @@
+"""Declares the pictures of a material: which files, which kinds, how they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.finding import Path as Place
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    FRACTION_PER_BATCH,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    an,
+    file,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.materials.plan import Sources
+from scenec.compiler.scene.material import Cells, Far, MaterialMaps
+from scenec.schemas.maps import MAP_CHANNELS
+from scenec.schemas.spelling import shown
+
+if TYPE_CHECKING:
+    # A cfg is checked without what paints.
+    from scenec.compiler.materials.surface import Surface
+
+#: Keys that are files of pictures.
+_FILES = (
+    "base_color", "roughness", "gloss", "metallic", "normal", "ambient_occlusion", "displacement",
+    "emission",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellsKeys:
+    """Pictures laid in cells of a square lattice, each turned and shifted by chance and blended
+    into the next, so that they do not repeat.
+    """
+
+    EXAMPLE: ClassVar = {"size_m": 1.5}
+
+    size_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
+    """Side of the lattice; left out, size_m of the maps, so that hardly a cell shows one place of
+    the picture twice. Larger cells keep larger forms whole."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarKeys:
+    """The picture of colors once more, larger: colors c become c (1 + share (c_far / mean - 1)), so
+    that they vary over several scales.
+    """
+
+    EXAMPLE: ClassVar = {"factor": 7, "share": 0.5}
+
+    factor: float = key(PER_BATCH, default=7.3, at_least=1, at_most=1000)
+    """How much larger; not a whole number, or the two repeat together."""
+    share: float = key(FRACTION_PER_BATCH, default=0.5)
+    """How much of it shows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapsKeys:
+    """Pictures that vary a surface, laid over it in the world or by a mesh's texture coordinates:
+    made by the compiler (procedural), or from files: PNG, JPEG, TIFF (8 bits, or 16 bits gray) or
+    OpenEXR, relative to the cfg, or "package:NAME/path" in an installed Python package, where *
+    stands for any part of a name.
+    """
+
+    EXAMPLE: ClassVar = {"folder": "textures/gravel", "size_m": 1.2, "cells": {}}
+
+    projection: Literal["above", "triplanar", "uv"] | None = key(CHOICE, optional=True)
+    """Where the pictures lie: along the vertical (above), along the world's three axes, mixed by
+    the surface's normal (triplanar), or by the texture coordinates of a mesh from a file (uv). Left
+    out: triplanar for a material that objects have, else above."""
+    size_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
+    """Side of one repeat, of above and triplanar; required, but of procedural pictures, whose kinds
+    have their own."""
+    folder: Path | None = key(file("texture_set"), optional=True)
+    """A folder with a set of pictures, relative to the cfg or "package:NAME/path": which is what,
+    its files' names say, as ambientCG, Poly Haven, cgbookcase, 3dtextures, Quixel, textures.com and
+    OAISYS name theirs (Color, diff, albedo; rough, gloss; nor_gl, NormalDX; AO, disp, height,
+    metal, arm, emission ...). A key beside it takes the place of the file in it. What in it is not
+    understood is reported."""
+    resolution: Literal["seen", "as_is"] = key(CHOICE, default="seen")
+    """seen: a picture that has more texels than pixels wherever a camera of the batch sees it is
+    made smaller, by powers of two; one that no camera sees becomes its mean. as_is: files stay as
+    they are."""
+    procedural: Mapping[str, Any] | None = key(an("surface"), optional=True)
+    """Pictures that the compiler makes, another pattern in each batch. A file beside it takes the
+    place of one of them. Not with the projection uv."""
+    base_color: Path | None = key(file("map"), optional=True)
+    """Albedo: sRGB, or linear Rec.709 in OpenEXR."""
+    roughness: Path | None = key(file("map"), optional=True)
+    """Roughness, raw, in place of the number."""
+    gloss: Path | None = key(file("map"), optional=True)
+    """Gloss, raw: the roughness is 1 less it. Not together with roughness."""
+    metallic: Path | None = key(file("map"), optional=True)
+    """Metallic part, raw, in place of the number."""
+    normal: Path | None = key(file("map"), optional=True)
+    """Normals n = 2 rgb - 1, raw, x to the right in the picture."""
+    normal_convention: Literal["opengl", "directx"] = key(CHOICE, default="opengl")
+    """Where the normals' y points: up in the picture (opengl) or down (directx)."""
+    ambient_occlusion: Path | None = key(file("map"), optional=True)
+    """What of the sky small hollows see, raw: multiplies the albedo, at compile time."""
+    ambient_occlusion_strength: float = key(FRACTION_PER_BATCH, default=1)
+    """How much it does: albedo (1 - strength (1 - picture))."""
+    displacement: Path | None = key(file("heights"), optional=True)
+    """Heights, raw, about their mean: become geometry, with displacement_m, where a camera is near
+    enough to see them; and what height_blend of the ground's layers goes by. Of materials of the
+    ground, projected from above."""
+    displacement_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000
+    )
+    """Height of white above black in the picture of displacement, the key's or the folder's; left
+    out, it stays flat."""
+    emission: Path | None = key(file("map"), optional=True)
+    """Colors that multiply the material's emission: sRGB, or linear Rec.709 in OpenEXR."""
+    cells: Mapping[str, Any] | None = key(an("material_cells"), optional=True)
+    """Keeps pictures that are projected from above from repeating. {} takes the usual size; left
+    out, they repeat."""
+    far: Mapping[str, Any] | None = key(an("material_far"), optional=True)
+    """Varies the colors of pictures that are projected from above over a larger scale, too."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Findings between its keys, on its material and on who has that."""
+        pictures = (*_FILES, "folder", "procedural")
+        if not any(key in node for key in pictures):
+            yield node.fault(f"expected one of {', '.join(pictures)}, or more")
+        if node["projection"] == "uv":
+            yield from _check_uv(node)
+        elif "procedural" not in node and "size_m" not in node:
+            yield node.fault("expected the key size_m")
+        yield from _check_above(node)
+        yield from _check_sources(node)
+
+    def draw(
+        self, context: Context, *, worn: bool, glows: bool
+    ) -> tuple[MaterialMaps, Surface | None, Sources | None]:
+        """How pictures lie and which are shown as they are; what makes further ones; their sources.
+
+        Args:
+            worn: Whether objects have the material.
+            glows: Whether it gives off light, which a picture can vary.
+        """
+        # Imported here: a cfg without files is checked without what reads them.
+        from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
+
+        given = {kind: getattr(self, kind) for kind in _FILES if getattr(self, kind) is not None}
+        own, found, convention = frozenset(given), TextureSet({}, None, (), ()), None
+        unused: list[str] = []
+        if self.folder is not None:
+            found = read_texture_set(self.folder, own)
+            given |= {kind: self.folder / name for kind, name in found.files.items()}
+            convention = found.normal_convention if "normal" in found.files else None
+            unused += found.unused
+            if not glows and "emission" in found.files:
+                del given["emission"]
+                unused.append(found.files["emission"])
+        surface = None
+        if self.procedural is not None:
+            surface = draw_kind("surface", self.procedural, f"{context.path}/procedural", context)
+        size_m = self.size_m or (surface.SIZE_M if surface else 1.0)
+        cells = None
+        if self.cells is not None:
+            cells = Cells(self.cells["size_m"] or size_m, context.key("cells") >> 33)
+        maps = MaterialMaps(
+            size_m=size_m,
+            files={kind: given[kind] for kind in MAP_CHANNELS if kind in given},
+            normal_convention=convention or self.normal_convention,
+            projection=self.projection or ("triplanar" if worn else "above"),
+            cells=cells,
+            far=None if self.far is None else Far(**self.far),
+        )
+        sources = Sources(
+            gloss=given.get("gloss"),
+            occlusion=given.get("ambient_occlusion"),
+            occlusion_strength=self.ambient_occlusion_strength,
+            packed=given.get("packed"),
+            unpacked=found.unpacked(own),
+            heights=given.get("displacement"),
+            heights_m=self.displacement_m,
+            as_is=self.resolution == "as_is",
+            unused=tuple(unused),
+            unknown=found.unknown,
+        )
+        nothing = sources == Sources(occlusion_strength=sources.occlusion_strength)
+        return maps, surface, None if nothing else sources
+
+
+def users(cfg: Node, material: str) -> list[Node]:
+    """Returns the objects, and parts and coatings of them, that a cfg gives a material."""
+    objects = cfg.each("objects", "*")
+    more = (*cfg.each("objects", "*", "parts", "*"), *cfg.each("objects", "*", "coatings", "*"))
+    return [user for user in (*objects, *more) if user["material"] == material]
+
+
+def becomes_geometry(maps: Node) -> bool:
+    """Whether the relief of pictures is more than normals."""
+    return bool(maps["displacement_m"] or maps.at("procedural")["displacement"])
+
+
+def _check_uv(maps: Node) -> Iterator[Finding]:
+    if "procedural" in maps:
+        yield maps.key_fault(
+            "procedural pictures lie in the world: expected the projection triplanar or above",
+            "procedural",
+        )
+    if "size_m" in maps:
+        yield maps.key_fault(
+            "with the projection uv the mesh says how large the pictures are: take it away",
+            "size_m",
+        )
+    cfg, name = maps.whole(), str(maps.path[-2])
+    ground = (*cfg.each("terrain", "ground", "*"), *cfg.each("terrain", "horizon"))
+    flat = ["ground"] if any(layer["material"] == name for layer in ground) else []
+    if any(cfg.at(*user.path[:2])["type"] == "rocks" for user in users(cfg, name)):
+        flat.append("rocks")
+    if flat:
+        yield maps.fault(
+            f"{' and '.join(flat)} of this material have no texture coordinates: expected "
+            '"triplanar" or "above"',
+            "projection",
+        )
+
+
+def _check_above(maps: Node) -> Iterator[Finding]:
+    """Keys that only pictures projected from above know."""
+    given, projection = "projection" in maps, maps["projection"]
+    worn = bool(users(maps.whole(), str(maps.path[-2])))
+    if projection not in ("triplanar", "uv") if given else not worn:
+        return
+    keys: list[Place] = [(own,) for own in ("cells", "far") if own in maps]
+    keys += [("displacement_m",)] if maps["displacement_m"] else []
+    keys += [("procedural", "displacement")] if maps.at("procedural")["displacement"] else []
+    why = f"is {shown(projection)}" if given else "of a material of objects is triplanar"
+    for place in keys:
+        yield maps.key_fault(
+            f"{place[-1]} is for pictures that are projected from above, and the projection {why}: "
+            'expected "projection": "above", or take it away',
+            *place,
+        )
+
+
+def _check_sources(maps: Node) -> Iterator[Finding]:
+    """Keys that need others, or that say the same."""
+    if "gloss" in maps and "roughness" in maps:
+        yield maps.key_fault("gloss and roughness both say how rough it is: take one away", "gloss")
+    if "displacement" in maps and "displacement_m" not in maps:
+        yield maps.fault(
+            "displacement without displacement_m: expected how high white lies above black, 0 for "
+            "a flat ground whose layers blend by the picture"
+        )
+    for own, other in (
+        ("displacement_m", "displacement"),
+        ("ambient_occlusion_strength", "ambient_occlusion"),
+    ):
+        if own in maps and other not in maps and "folder" not in maps:
+            yield maps.key_fault(
+                f"{own} without a picture: expected the key {other} or folder, too", own
+            )
+    if "emission" in maps and "emission" not in maps.whole().at(*maps.path[:-1]):
+        yield maps.key_fault(
+            "the picture multiplies the material's emission, which is left out: expected the key "
+            "emission in the material, too",
+            "emission",
+        )
