@@ -38,7 +38,7 @@ def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> Compil
 
     spec = warn(spec or load(options.cfg, options.settings))
     from scenec.compiler.compile import compile_cfg
-    from scenec.compiler.terrain.operator import OPERATORS
+    from scenec.compiler.kinds.table import CHOICES
     from scenec.compiler.views.needed import Keep
 
     cache = cache_of(options)
@@ -95,7 +95,7 @@ def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> Compil
                 "keep cameras farther from it"
             )
         for place, entry in enumerate(facts["relief"]):
-            if entry["type"] not in OPERATORS:
+            if entry["type"] not in CHOICES["relief"].kinds:
                 # Of another package: it reports what it likes.
                 continue
             read = tuple(entry.get(key, rest) for key, rest in _HEIGHTS.items())

@@ -17,7 +17,6 @@ from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_objects import check_objects, check_parts
 from scenec.compiler.cfg.check_rigs import check_rigs
 from scenec.compiler.cfg.check_schema import check_schema
-from scenec.compiler.cfg.check_terrain import check_terrain
 from scenec.compiler.cfg.faults import locate
 from scenec.compiler.cfg.fill import Cfg, fill
 from scenec.compiler.cfg.slips import improbable
@@ -31,7 +30,7 @@ from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 
 #: What must hold between keys, beside what is checked of names and files.
-_CHECKS = (check_terrain, check_objects, check_light, check_rigs)
+_CHECKS = (check_objects, check_light, check_rigs)
 
 
 @dataclass(frozen=True)

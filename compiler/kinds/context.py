@@ -64,6 +64,13 @@ class Context:
         """Returns uniform numbers, [n, columns]; a larger n leaves the first rows as they are."""
         return self.streams.uniforms(f"{self.path}/{below}", n * columns).reshape(n, columns)
 
+    def label_ids(self, choice: Mapping[str, str]) -> dict[str, int]:
+        """Returns label ids of a choice of names, on every level; 0 where it chooses none."""
+        return {
+            level: table[choice[level]] if level in choice else 0
+            for level, table in self.label_table.items()
+        }
+
     def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""
         if node["layer"] is not None:

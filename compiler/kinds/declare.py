@@ -95,12 +95,22 @@ def key(
         more["x-sparse"] = True
     form = dataclasses.replace(form, keywords={**form.keywords, **more})
     needed = not (optional or sparse or "default" in form.keywords)
-    usual: dict[str, Any] = {} if needed else {"default": form.keywords.get("default")}
-    if isinstance(usual.get("default"), list):
-        usual["default"] = tuple(usual["default"])
-    elif isinstance(usual.get("default"), dict):
+    usual: dict[str, Any] = {} if needed else {"default": _filled(form.keywords)}
+    if isinstance(usual.get("default"), dict):
         del usual["default"]
     return dataclasses.field(metadata={_KEY: Key(name, form, needed)}, **usual)
+
+
+def _filled(keywords: Mapping[str, Any]) -> Any:
+    """Returns a default as a cfg in full has it: real numbers are floats, lists tuples."""
+    value = keywords.get("default")
+    if isinstance(value, list):
+        each = keywords.get("items", {})
+        return tuple(_filled({**each, "default": entry}) for entry in value)
+    is_real = "number" in keywords.get("type", ()) or (
+        keywords.get("$ref") == "#/$defs/number" and keywords.get("x-kind") != "integer"
+    )
+    return float(value) if is_real and isinstance(value, int) else value
 
 
 @dataclasses.dataclass(frozen=True)

@@ -126,11 +126,11 @@ def _object(name: str) -> dict[str, Any]:
         says += " " + context.says.format(kind)
     example = changes.get("EXAMPLE", own.get("EXAMPLE"))
     found = {
-        "title": own.get("TITLE") or _title(name, context),
+        "title": changes.get("TITLE") or own.get("TITLE") or _title(name, context),
         "description": says,
         **({} if example is None else {"examples": [example]}),
         **_keys(first, kind, last),
-        **({"x-check": CLASSES[name]} if "check" in own else {}),
+        **_check(CLASSES[name] if "check" in own else context.check if context else ""),
     }
     for key, change in changes.items():
         if key in found["properties"]:
@@ -143,6 +143,11 @@ def _object(name: str) -> dict[str, Any]:
     elif "SHARED" in own:
         found["x-shared"] = True
     return {**found, **own.get("KEYWORDS", {})}
+
+
+def _check(place: str) -> dict[str, str]:
+    """Returns the keyword that says whose check holds."""
+    return {"x-check": place} if place else {}
 
 
 def _shared(choice: Choice, kind: type[Any]) -> Keys:
@@ -165,7 +170,8 @@ def foreign(group: str, kind: type[Any]) -> dict[str, Any]:
     choice = next((choice for choice in CHOICES.values() if choice.group == group), None)
     if choice is not None:
         keys |= {name: keywords for name, (keywords, _) in _shared(choice, kind).items()}
-    return {**kind.SCHEMA, "properties": keys, "additionalProperties": False}
+    check = _check(choice.check if choice else "")
+    return {**kind.SCHEMA, "properties": keys, "additionalProperties": False, **check}
 
 
 def with_forms(schema: Any) -> Any:

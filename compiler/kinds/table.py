@@ -29,6 +29,7 @@ class Choice:
         says: What each kind says after its description, of the class {0}.
         shared: Which function of ``shared`` says what keys each kind has after its own; "" none.
         keywords: More that JSON Schema says of it.
+        check: Whose check holds for kinds that have none of their own, as in ``CLASSES``.
     """
 
     title: str
@@ -41,6 +42,7 @@ class Choice:
     says: str = ""
     shared: str = ""
     keywords: Mapping[str, Any] = field(default_factory=dict)
+    check: str = ""
 
 
 def kinds(prefix: str, names: str, **others: str) -> dict[str, str]:
@@ -48,6 +50,27 @@ def kinds(prefix: str, names: str, **others: str) -> dict[str, str]:
     return {name: prefix + name for name in names.split()} | others
 
 
+#: Relief operators: what declares each, within ``scenec.compiler``.
+_RELIEF = {
+    "plane": "terrain.sources.plane:Plane",
+    "dem": "terrain.sources.dem:Dem",
+    "mesh": "terrain.sources.mesh_base:MeshBase",
+    "multifractal": "terrain.operators.multifractal:Multifractal",
+    "worley": "terrain.operators.worley:Worley",
+    "polygons": "terrain.operators.polygons:Polygons",
+    "crust": "terrain.operators.crust:Crust",
+    "craters": "terrain.operators.craters:CraterLaw",
+    "dunes": "terrain.operators.dunes:Dunes",
+    "barchans": "terrain.operators.barchans:BarchanField",
+    "ripples": "terrain.operators.dunes:Ripples",
+    "terraces": "terrain.operators.terraces:Terraces",
+    "stream_power": "terrain.operators.stream_power:StreamPower",
+    "thermal": "terrain.operators.thermal:Thermal",
+    "diffusion": "terrain.operators.smooth:Diffusion",
+    "smooth": "terrain.operators.smooth:Smooth",
+    "tracks": "terrain.operators.tracks:Tracks",
+    "footprints": "terrain.operators.footprints:Walks",
+}
 CHOICES = {
     "density": Choice(
         title="Density",
@@ -97,6 +120,7 @@ CHOICES = {
         of="Kind of condition.",
         group="scenec.conditions",
         shared="of_conditions",
+        check="terrain.bounds:Bounds",
         prefix="Condition",
         kinds=kinds("condition_", "height slope curvature flow crater_freshness noise point path"),
     ),
@@ -144,6 +168,7 @@ CHOICES = {
         of="Kind of condition.",
         group="scenec.conditions",
         shared="of_conditions",
+        check="terrain.bounds:Bounds",
         prefix="Condition",
         kinds=kinds(
             "condition_",
@@ -189,11 +214,7 @@ CHOICES = {
         group="scenec.relief",
         shared="of_relief",
         prefix="Relief",
-        kinds=kinds(
-            "relief_",
-            "plane dem mesh multifractal worley polygons crust craters dunes barchans ripples "
-            "terraces stream_power thermal diffusion smooth tracks footprints",
-        ),
+        kinds=kinds("relief_", " ".join(_RELIEF)),
     ),
     "relief_mask": Choice(
         title="Relief mask",
@@ -202,6 +223,7 @@ CHOICES = {
         of="Kind of condition.",
         group="scenec.conditions",
         shared="of_conditions",
+        check="terrain.bounds:Bounds",
         prefix="Condition",
         kinds=kinds(
             "condition_",
@@ -234,6 +256,7 @@ CHOICES = {
 }
 #: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
 CLASSES = {
+    **{f"relief_{name}": place for name, place in _RELIEF.items()},
     "cfg": "cfg.whole:Cfg",
     "clouds_cirrus": "kinds.declared_light:CloudsCirrus",
     "clouds_cumulus": "kinds.declared_light:CloudsCumulus",
@@ -258,17 +281,17 @@ CLASSES = {
     "density_worley": "objects.density:WorleyDensity",
     "depth_camera_stereo": "kinds.declared_cameras:DepthCameraStereo",
     "depth_camera_time_of_flight": "kinds.declared_cameras:DepthCameraTimeOfFlight",
-    "displacement_crust": "kinds.declared_relief:DisplacementCrust",
+    "displacement_crust": "terrain.operators.crust:Crust",
     "displacement_multifractal": "terrain.operators.multifractal:Multifractal",
-    "displacement_terraces": "kinds.declared_relief:DisplacementTerraces",
-    "displacement_worley": "kinds.declared_relief:DisplacementWorley",
+    "displacement_terraces": "terrain.operators.terraces:Terraces",
+    "displacement_worley": "terrain.operators.worley:Worley",
     "exposure_auto": "kinds.declared_cameras:ExposureAuto",
     "exposure_fixed": "kinds.declared_cameras:ExposureFixed",
     "exposure_incident": "kinds.declared_cameras:ExposureIncident",
     "focus": "kinds.declared_cameras:Focus",
-    "ground_base": "kinds.declared_terrain:GroundBase",
-    "ground_layer": "kinds.declared_terrain:GroundLayer",
-    "ground_noise": "kinds.declared_terrain:GroundNoise",
+    "ground_base": "mesh.terrain:GroundBase",
+    "ground_layer": "mesh.terrain:GroundLayer",
+    "ground_noise": "mesh.terrain:GroundNoise",
     "imaging": "kinds.declared_cameras:Imaging",
     "imaging_bloom": "kinds.declared_cameras:ImagingBloom",
     "imaging_dark_current": "kinds.declared_cameras:ImagingDarkCurrent",
@@ -329,26 +352,8 @@ CLASSES = {
     "reflectance_hapke": "materials.reflectance:Hapke",
     "reflectance_lambert": "materials.reflectance:Lambert",
     "reflectance_lommel_seeliger": "materials.reflectance:LommelSeeliger",
-    "relief_barchans": "kinds.declared_relief:ReliefBarchans",
-    "relief_craters": "terrain.operators.craters:CraterLaw",
-    "relief_crust": "kinds.declared_relief:ReliefCrust",
-    "relief_dem": "kinds.declared_relief:ReliefDem",
-    "relief_diffusion": "kinds.declared_relief:ReliefDiffusion",
-    "relief_dunes": "kinds.declared_relief:ReliefDunes",
-    "relief_footprints": "kinds.declared_relief:ReliefFootprints",
-    "relief_mask_material": "mesh.cover:Showing",
-    "relief_mesh": "kinds.declared_relief:ReliefMesh",
-    "relief_mesh_roughness": "kinds.declared_relief:ReliefMeshRoughness",
-    "relief_multifractal": "terrain.operators.multifractal:Multifractal",
-    "relief_plane": "kinds.declared_relief:ReliefPlane",
-    "relief_polygons": "kinds.declared_relief:ReliefPolygons",
-    "relief_ripples": "kinds.declared_relief:ReliefRipples",
-    "relief_smooth": "kinds.declared_relief:ReliefSmooth",
-    "relief_stream_power": "kinds.declared_relief:ReliefStreamPower",
-    "relief_terraces": "kinds.declared_relief:ReliefTerraces",
-    "relief_thermal": "kinds.declared_relief:ReliefThermal",
-    "relief_tracks": "kinds.declared_relief:ReliefTracks",
-    "relief_worley": "kinds.declared_relief:ReliefWorley",
+    "relief_mask_material": "mesh.terrain:Showing",
+    "relief_mesh_roughness": "terrain.sources.mesh_base:Roughness",
     "rig": "kinds.declared_cameras:Rig",
     "sensor": "kinds.declared_cameras:Sensor",
     "shutter": "kinds.declared_cameras:Shutter",
@@ -372,10 +377,10 @@ CLASSES = {
     "surface_soil": "materials.grounds:Soil",
     "surface_turf": "materials.turf:Turf",
     "surface_weathered": "materials.rocks:Weathered",
-    "terrain": "kinds.declared_terrain:Terrain",
-    "terrain_horizon": "kinds.declared_terrain:TerrainHorizon",
-    "terrain_mesh": "kinds.declared_terrain:TerrainMesh",
-    "terrain_shade": "kinds.declared_terrain:TerrainShade",
+    "terrain": "mesh.terrain:Terrain",
+    "terrain_horizon": "mesh.terrain:TerrainHorizon",
+    "terrain_mesh": "mesh.mesh:Meshing",
+    "terrain_shade": "terrain.shade:Shade",
     "trigger": "kinds.declared_cameras:Trigger",
 }
 

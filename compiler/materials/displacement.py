@@ -7,22 +7,26 @@ texels' centers); the picture repeats, or lies in cells as its colors do
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.materials.heights import file_relief, stamp, surface_relief
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.resample import box
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.scene.material import Cells
-from scenec.compiler.terrain.detail import Spectrum
+from scenec.compiler.terrain.detail import Detail, Spectrum, Sum
 from scenec.schemas.cells import SIDE, STEPS, table
 from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import inlined, kernel
@@ -61,6 +65,28 @@ class Displacement:
     def _key(self) -> _Key:
         file = None if isinstance(self.made, Surface) else stamp(self.made[0])
         return self.made, self.size_m, file
+
+
+def draw_displacement(
+    nodes: Sequence[Mapping[str, Any]] | None, material: str, drawn: MaterialPlan, context: Context
+) -> Detail | None:
+    """Returns what a ground material adds to the relief, at any fineness; None: nothing.
+
+    Args:
+        nodes: Small reliefs of the cfg's material.
+        material: Its name.
+        drawn: Its pictures, whose relief may become geometry.
+        context: Of the batch.
+    """
+    path = f"materials/{material}/displacement"
+    parts: list[Detail] = [
+        draw_kind("displacement", node, f"{path}/{i}", context).everywhere()
+        for i, node in enumerate(nodes or ())
+    ]
+    pictured = displacement_of(drawn)
+    if pictured is not None:
+        parts.append(pictured)
+    return Sum(tuple(parts)) if parts else None
 
 
 def displacement_of(drawn: MaterialPlan) -> Displacement | None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import COUNT, TEXT
 from scenec.compiler.kinds.table import name_of
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.mesh.signed_bound import SignedBound, signed_bound
@@ -163,22 +161,6 @@ def _of_limit(merge: Merge, laid: SignedBound, value: NDArray[np.float64]) -> di
     if hasattr(condition.quantity, "over_m"):
         report["smoothed_over_m"] = laid.quantities.over(condition.quantity.over_m)
     return report
-
-
-@dataclass(frozen=True, kw_only=True)
-class Showing:
-    """Where a ground material shows, were the ground laid on the heights before the operator: with
-    the weight of its color.
-    """
-
-    EXAMPLE: ClassVar = {"type": "material", "material": "lava"}
-
-    TITLE: ClassVar = "Mask: material"
-    material: str = key(TEXT)
-    """Material of a ground layer; all layers of it count."""
-    layer: int | None = key(COUNT, optional=True, at_least=0, at_most=1000)
-    """The one layer that counts, where the material has more than one: its index in ground, 0 for
-    the base."""
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import count
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import CONSTANT, COUNT
 from scenec.compiler.mesh import adaptive
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.merge import Merge, label_index
@@ -32,19 +34,24 @@ _LEAP = 1e60
 
 @dataclass(frozen=True)
 class Meshing:
-    """How fine the mesh is.
-
-    Attributes:
-        tolerance_px: Error that may show in any view, pixels; None keeps the whole grid.
-        max_triangles: Budget before the cut; where it binds the tolerance is raised, and said.
-        unseen: Part that pixels count where no view shows the ground.
-        finest_m: Shortest leg that may be halved; None: a 32nd of the grid's spacing.
+    """Triangles are as large as they can be without an error of tolerance_px showing in any view of
+    the batch: of height, of the lines between labels, and of shading where legs of triangles are
+    longer than six times that. Near a camera they become finer than the grid.
     """
 
-    tolerance_px: float | None
-    max_triangles: int
-    unseen: float
-    finest_m: float | None = None
+    EXAMPLE: ClassVar = {"tolerance_px": 0.5, "max_triangles": 2_000_000}
+
+    tolerance_px: float | None = key(CONSTANT, default=0.5, at_least=0, at_most=1000, unit="px")
+    """Error that may show; 0 keeps every height sample."""
+    max_triangles: int = key(COUNT, default=8_000_000, at_least=2, at_most=1_000_000_000)
+    """Budget, before the mesh is cut along label lines; where it binds, the tolerance is raised and
+    the one reached is reported."""
+    unseen: float = key(CONSTANT, default=0.125, at_least=0, at_most=1)
+    """Part that a pixel counts where no view shows the ground, which may still cast shadows and
+    light into one."""
+    finest_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
+    """Shortest leg of a triangle that is still halved; left out, a 32nd of the terrain's spacing.
+    At spacing_m or above, nothing is finer than the grid."""
 
     def finest(self, spacing_m: float) -> float:
         """Shortest leg that may be halved, on a grid of a spacing, meters."""

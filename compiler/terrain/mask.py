@@ -6,52 +6,15 @@ bound; 1/2 at the bound. Conditions of one operator multiply.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.operator import ReliefOperator, applied
 from scenec.compiler.terrain.quantities import Quantities, Samples
-from scenec.schemas.errors import SceneError
-
-
-class ReliefOperator(Protocol):
-    """One step of the relief program: plain numbers, no randomness."""
-
-    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
-        """New heights, float64 [ny, nx], and what the step approximated (for report.json)."""
-        ...
-
-
-def applied(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -> Applied:
-    """Applies an operator to heights; checks another package's result against the contract.
-
-    Raises:
-        SceneError: It is not what an operator returns.
-    """
-    kind = type(operator)
-    if kind.__module__.startswith("scenec."):
-        return operator.apply(grid, height)
-    made: Any = operator.apply(grid, height.copy())
-    who = f"relief operator {kind.__module__}:{kind.__qualname__}: returned"
-    if not isinstance(made, tuple) or len(made) != 2 or not isinstance(made[1], dict):
-        raise SceneError(f"{who} {type(made).__name__}: expected heights and a dict")
-    heights, report = made
-    if not isinstance(heights, np.ndarray) or heights.shape != grid.shape:
-        found = list(heights.shape) if isinstance(heights, np.ndarray) else type(heights).__name__
-        raise SceneError(f"{who} heights {found}: expected an array {list(grid.shape)}")
-    if heights.dtype != np.float64 or not np.isfinite(heights).all():
-        fault = heights.dtype if heights.dtype != np.float64 else "that are not finite"
-        raise SceneError(f"{who} heights {fault}: expected finite ones, float64")
-    try:
-        json.dumps(report)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise SceneError(f"{who} for report.json what JSON cannot hold: {error}") from error
-    return heights, report
 
 
 @dataclass(frozen=True)
@@ -91,3 +54,8 @@ class Masked:
     ) -> NDArray[np.float64]:
         """The mask of given heights, in [0, 1]: float64 [ny, nx]."""
         return product(self.conditions, Quantities(grid, height, samples))
+
+
+def unmasked(operator: ReliefOperator) -> ReliefOperator:
+    """Returns what acts, behind a mask or not."""
+    return operator.operator if isinstance(operator, Masked) else operator

@@ -1,59 +1,47 @@
-"""Names relief operators as a cfg does."""
+"""Defines what a relief operator is, and holds those of other packages to it."""
 
 from __future__ import annotations
 
-from typing import Any
+import json
+from typing import Any, Protocol
 
-from scenec.compiler.kinds.table import name_of
-from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.mask import ReliefOperator as ReliefOperator
-from scenec.compiler.terrain.operators.barchans import Barchans
-from scenec.compiler.terrain.operators.craters import Craters
-from scenec.compiler.terrain.operators.crust import Crust
-from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
-from scenec.compiler.terrain.operators.footprints import Footprints
-from scenec.compiler.terrain.operators.multifractal import Multifractal
-from scenec.compiler.terrain.operators.polygons import Polygons
-from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
-from scenec.compiler.terrain.operators.stream_power import StreamPower
-from scenec.compiler.terrain.operators.terraces import Terraces
-from scenec.compiler.terrain.operators.thermal import Thermal
-from scenec.compiler.terrain.operators.tracks import Tracks
-from scenec.compiler.terrain.operators.worley import Worley
-from scenec.compiler.terrain.sources.dem import Dem
-from scenec.compiler.terrain.sources.mesh_base import MeshBase
-from scenec.compiler.terrain.sources.plane import Plane
-from scenec.schemas.plugins import Kinds
+import numpy as np
+from numpy.typing import NDArray
 
-#: Cfg ``type`` -> operator.
-OPERATORS: Kinds[type[Any]] = Kinds(
-    "scenec.relief",
-    {
-        "plane": Plane,
-        "dem": Dem,
-        "mesh": MeshBase,
-        "multifractal": Multifractal,
-        "worley": Worley,
-        "polygons": Polygons,
-        "crust": Crust,
-        "craters": Craters,
-        "dunes": Dunes,
-        "barchans": Barchans,
-        "ripples": Ripples,
-        "terraces": Terraces,
-        "stream_power": StreamPower,
-        "thermal": Thermal,
-        "diffusion": Diffusion,
-        "smooth": Smooth,
-        "tracks": Tracks,
-        "footprints": Footprints,
-    },
-)
+from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.schemas.errors import SceneError
 
 
-def operator_type(operator: ReliefOperator) -> str:
-    """The cfg's ``type`` of an operator, behind a mask or not."""
-    if isinstance(operator, Masked):
-        return operator_type(operator.operator)
-    own = (name for name, kind in OPERATORS.items() if kind is type(operator))
-    return next(own, "") or name_of("relief", type(operator))
+class ReliefOperator(Protocol):
+    """One step of the relief program: plain numbers, no randomness."""
+
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
+        """New heights, float64 [ny, nx], and what the step approximated (for report.json)."""
+        ...
+
+
+def applied(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -> Applied:
+    """Applies an operator to heights; checks another package's result against the contract.
+
+    Raises:
+        SceneError: It is not what an operator returns.
+    """
+    kind = type(operator)
+    if kind.__module__.startswith("scenec."):
+        return operator.apply(grid, height)
+    made: Any = operator.apply(grid, height.copy())
+    who = f"relief operator {kind.__module__}:{kind.__qualname__}: returned"
+    if not isinstance(made, tuple) or len(made) != 2 or not isinstance(made[1], dict):
+        raise SceneError(f"{who} {type(made).__name__}: expected heights and a dict")
+    heights, report = made
+    if not isinstance(heights, np.ndarray) or heights.shape != grid.shape:
+        found = list(heights.shape) if isinstance(heights, np.ndarray) else type(heights).__name__
+        raise SceneError(f"{who} heights {found}: expected an array {list(grid.shape)}")
+    if heights.dtype != np.float64 or not np.isfinite(heights).all():
+        fault = heights.dtype if heights.dtype != np.float64 else "that are not finite"
+        raise SceneError(f"{who} heights {fault}: expected finite ones, float64")
+    try:
+        json.dumps(report)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SceneError(f"{who} for report.json what JSON cannot hold: {error}") from error
+    return heights, report

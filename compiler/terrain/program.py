@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.kinds.table import name_of
 from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mask import Masked, applied
-from scenec.compiler.terrain.operator import ReliefOperator, operator_type
+from scenec.compiler.terrain.mask import Masked, unmasked
+from scenec.compiler.terrain.operator import ReliefOperator, applied
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
@@ -81,7 +82,7 @@ def run(
             if detail is not None:
                 details.append(detail)
             # A report of another package's cannot say of what type it is.
-            kind = {"type": operator_type(operator)}
+            kind = {"type": name_of("relief", type(unmasked(operator)))}
             steps.append({**kind, **report, **kind})
     if not np.isfinite(height).all():
         raise SceneError(
@@ -113,14 +114,13 @@ def _highest(details: Sequence[Detail], grid: Grid) -> float:
 
 def _adds(operator: ReliefOperator) -> bool:
     """Whether an operator adds to the heights whatever they are: detail then stays as it was."""
-    inner = operator.operator if isinstance(operator, Masked) else operator
-    return bool(getattr(inner, "adds", False))
+    return bool(getattr(unmasked(operator), "adds", False))
 
 
 def _detail(
     operator: ReliefOperator, grid: Grid, weight: NDArray[np.float64] | None
 ) -> Detail | None:
-    inner = operator.operator if isinstance(operator, Masked) else operator
+    inner = unmasked(operator)
     detail = inner.detail(grid) if isinstance(inner, Detailed) else None
     if detail is None or weight is None:
         return detail

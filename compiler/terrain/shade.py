@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import PER_BATCH, an, list_of
 from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.quantities import Quantities
@@ -14,15 +17,21 @@ from scenec.compiler.terrain.quantities import Quantities
 
 @dataclass(frozen=True)
 class Shade:
-    """Ground that is darker or lighter.
-
-    Attributes:
-        by: What is added to the albedo's variation, below 0 for darker ground.
-        where: Conditions; their weights multiply.
+    """Ground that is darker or lighter where conditions hold: coarse lag on crests, dust in
+    hollows, fresh soil on steep faces and in tracks. It crosses the borders of layers and has no
+    label.
     """
 
-    by: float
-    where: tuple[Condition, ...]
+    EXAMPLE: ClassVar = {
+        "by": -0.8,
+        "where": [{"type": "slope", "min_deg": 20, "softness_deg": 15}],
+    }
+
+    by: float = key(PER_BATCH, at_least=-2, at_most=2)
+    """Added to the v of the materials' variation, which stays within [-1, 1]: the albedo is
+    base_color (1 + variation v). Below 0 is darker."""
+    where: tuple[Condition, ...] = key(list_of(an("ground_where"), "One condition.", least=1))
+    """Conditions, whose weights multiply; taken at the grid's samples."""
 
 
 def shade(shades: Sequence[Shade], field: HeightField) -> HeightField | None:

@@ -21,8 +21,7 @@ from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operator import ReliefOperator
-from scenec.compiler.terrain.operators.barchans import draw_barchans
-from scenec.compiler.terrain.operators.drainage import SIDES
+from scenec.compiler.terrain.operators.barchans import BarchanField
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.smooth import Smooth
@@ -39,7 +38,7 @@ CRATERS = {
     "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.15, "rim_ratio": 0.04,
     "degradation": 0.4, "irregularity": 0.08,
 }  # fmt: skip
-BARCHANS = {"count": 200, "height_m": 6.0, "wind_deg": 20.0, "repose_deg": 33.0}
+BARCHANS = BarchanField(count=200, height_m=6.0, wind_deg=20.0)
 
 
 def fast_noise_lite(n: int, octaves: int) -> Callable[[], object] | None:
@@ -136,7 +135,10 @@ def rows(n: int, runs: int, folder: Path) -> Iterator[list[Cell]]:
     )
     yield row(f"fbm, warped by 2 octaves, {n}², 8 octaves", on(warped))
     for distance in ("f1", "f2-f1"):
-        yield row(f"worley {distance}, {n}²", on(Worley(1, 1.0, 64.0, distance, 1.0, 1, 2.0, 0.5)))
+        yield row(
+            f"worley {distance}, {n}²",
+            on(Worley(key=1, amplitude_m=1.0, scale_m=64.0, distance=distance)),
+        )
     hills = Multifractal(
         key=1,
         amplitude_m=60.0,
@@ -164,7 +166,7 @@ def rows(n: int, runs: int, folder: Path) -> Iterator[list[Cell]]:
     )
     valleys = valley.apply(half, np.zeros(half.shape))[0]
     for power, asked in ((1.0, "< fastscapelib's"), (1.5, "")):
-        river = StreamPower(2e-5, 0.5, power, 0.0, 0.0, 0.0, 1e5, 1, SIDES)
+        river = StreamPower(erodibility=2e-5, slope_exponent=power, duration_a=1e5, steps=1)
         name = f"n = {power:g}, {m}², one step"
         yield row(f"stream power, {name}", on(river, valleys, half), asked)
         ours = latest[-1]
@@ -176,16 +178,36 @@ def rows(n: int, runs: int, folder: Path) -> Iterator[list[Cell]]:
         "relief", {"type": "craters", **CRATERS}, "craters", Context(Streams(1, 0), grid.size_m)
     )
     yield row(f"{len(craters.x_m):,} craters of 3 to 300 m in equilibrium, {n}²", on(craters))
-    yield row(f"dunes, {n}²", on(Dunes(1, 4.0, 60.0, 20.0, 33.0, 0.3)))
-    yield row(f"ripples, {n}²", on(Ripples(1, 0.6, 10.0, 20.0, 28.0, 0.4)))
-    heaps = draw_barchans(BARCHANS, Streams(1, 0), "barchans", grid.size_m)
+    yield row(
+        f"dunes, {n}²",
+        on(
+            Dunes(key=1, height_m=4.0, wavelength_m=60.0, wind_deg=20.0, repose_deg=33.0, order=0.3)
+        ),
+    )
+    yield row(
+        f"ripples, {n}²",
+        on(
+            Ripples(
+                key=1, height_m=0.6, wavelength_m=10.0, wind_deg=20.0, repose_deg=28.0, order=0.4
+            )
+        ),
+    )
+    heaps = BARCHANS.draw(Context(Streams(1, 0), grid.size_m, path="barchans"))
     yield row(f"200 barchans, {n}²", on(heaps))
-    yield row(f"terraces, {n}²", on(Terraces(1, 6.0, 0.3, 0.2, 0.5, 2.0, 100.0), hills))
+    yield row(f"terraces, {n}²", on(Terraces(key=1, step_m=6.0, bend_m=2.0), hills))
     path = folder / "path.csv"
     x = np.linspace(-0.44, 0.44, 200) * grid.size_m[0]
     points = np.stack([x, 300.0 * np.sin(x / 200.0)], axis=1)
     np.savetxt(path, points, delimiter=",", header="x_m,y_m", comments="")
-    rover = Tracks(path, 20.0, 6.0, 0.5, 4.0, 0.2, "chevrons")
+    rover = Tracks(
+        file=path,
+        wheel_distance_m=20.0,
+        wheel_width_m=6.0,
+        depth_m=0.5,
+        grouser_spacing_m=4.0,
+        grouser_depth_m=0.2,
+        pattern="chevrons",
+    )
     yield row(f"tracks, 200 points, {n}²", on(rover, hills))
 
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.studies.ladder.base import Base
@@ -29,7 +28,9 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
         base: The scene.
         rungs: How many.
     """
-    found = [inner for inner in map(_inner, base.plan.terrain.relief) if isinstance(inner, Craters)]
+    found = [
+        inner for inner in map(unmasked, base.plan.terrain.relief) if isinstance(inner, Craters)
+    ]
     if not found:
         return "the relief has no craters"
     if isinstance(base.surface.field, MeshSurface):
@@ -93,10 +94,6 @@ def _made(
     """The craters on a grid, and bytes and triangles of what the stage has of them."""
     heights = _heights(found, grid)
     return heights, emitted(base, HeightField(grid, heights[0].field.height + lift))
-
-
-def _inner(operator: ReliefOperator) -> object:
-    return operator.operator if isinstance(operator, Masked) else operator
 
 
 def _heights(found: list[Craters], grid: Grid) -> tuple[Surface, int, int]:

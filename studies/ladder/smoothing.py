@@ -11,10 +11,10 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.table import name_of
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.operator import operator_type
+from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 from scenec.compiler.terrain.operators.thermal import Thermal
@@ -54,7 +54,7 @@ def smoothing(base: Base, rungs: int) -> list[Ladder] | str:
     places = [
         (place, inner)
         for place, operator in enumerate(terrain.relief)
-        for inner in [operator.operator if isinstance(operator, Masked) else operator]
+        for inner in [unmasked(operator)]
         if isinstance(inner, Smooth | Diffusion | Thermal | StreamPower) and _acts(inner)
     ]
     if not places:
@@ -129,7 +129,7 @@ def _in_space(base: Base, step: _Step, rungs: int) -> Ladder:
         rung = _rung(base, grid, height, operator.apply, truth[::every, ::every], border)
         found.append(replace(rung, value=max(grid.spacing_m), used=factor == 1.0))
     wide, high = window.size_m
-    kind = operator_type(operator)
+    kind = name_of("relief", type(operator))
     return Ladder(
         name="smoothing",
         what=f"terrain.spacing_m, of relief/{step.place} ({kind}) alone",

@@ -28,7 +28,14 @@ def rivers(page: Page) -> str:
     rows, scatter, deviations = [], {}, {}
     numbers = (1.0, 1e4) if page.fast else (1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4, 1e6)
     for m, n in ((0.5, 1.0), (0.4, 1.3)):
-        operator = StreamPower(k, m, n, 0.0, 0.0, uplift, 1e9, 100, SIDES)
+        operator = StreamPower(
+            erodibility=k,
+            area_exponent=m,
+            slope_exponent=n,
+            uplift_m_per_a=uplift,
+            duration_a=1e9,
+            steps=100,
+        )
         steady = operator.apply(grid, noise)[0]
         for number in numbers:
             run = replace(operator, duration_a=40 * number * limit, steps=40)

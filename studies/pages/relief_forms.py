@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,12 +17,11 @@ from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.condition import FromPoint, Interval
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
-from scenec.compiler.terrain.operators.barchans import draw_barchans
+from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.crust import Crust
-from scenec.compiler.terrain.operators.drainage import SIDES
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
-from scenec.compiler.terrain.operators.footprints import draw_footprints
+from scenec.compiler.terrain.operators.footprints import Walks
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.smooth import Smooth
@@ -61,17 +61,13 @@ def gallery(page: Page) -> str:
     base = soft.apply(grid, np.zeros(grid.shape))[0]
     hills = rock.apply(grid, np.zeros(grid.shape))[0]
     pits = {
-        "min_diameter_m": 2.0,
-        "max_diameter_m": 90.0,
-        "density_per_m2": 0.0218 * 1.54,
-        "reference_diameter_m": 1.0,
-        "exponent": 2.0,
-        "depth_ratio": 0.16,
-        "rim_ratio": 0.04,
-        "degradation": 0.4,
-        "irregularity": 0.1,
-    }
+        "type": "craters",
+        "min_diameter_m": 2.0, "max_diameter_m": 90.0, "density_per_m2": 0.0218 * 1.54,
+        "reference_diameter_m": 1.0, "exponent": 2.0, "depth_ratio": 0.16, "rim_ratio": 0.04,
+        "degradation": 0.4, "irregularity": 0.1,
+    }  # fmt: skip
     heaps = {
+        "type": "barchans",
         "count": 9,
         "wind_deg": 15.0,
         "repose_deg": 33.0,
@@ -103,7 +99,9 @@ def gallery(page: Page) -> str:
         offset=0.7,
     )
     uplands = upland.apply(large, np.zeros(large.shape))[0]
-    rivers = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.02, 5e-4, 6e5, 300, SIDES)
+    rivers = StreamPower(
+        erodibility=2e-5, diffusivity_m2_per_a=0.02, uplift_m_per_a=5e-4, duration_a=6e5, steps=300
+    )
     wide = Grid((60.0, 60.0), (n, n))
 
     def fractal(
@@ -122,12 +120,29 @@ def gallery(page: Page) -> str:
         )
         return operator.apply(grid, np.zeros(grid.shape))[0]
 
+    def scattered(path: str, node: dict[str, Any], size_m: float = size) -> ReliefOperator:
+        made: ReliefOperator = draw_kind("relief", node, path, Context(streams, (size_m, size_m)))
+        return made
+
     six = Grid((6.0, 6.0), (n, n))
-    cracks = Worley(3, 2.0, 16.0, "f2-f1", 0.8, 1, 2.0, 0.5)
-    ice = Polygons(3, 6.0, 0.3, 1.0, 0.06, 0.6)
-    sand = Dunes(8, 2.2, 24.0, 15.0, 33.0, 0.25)
-    waves = Ripples(8, 0.018, 0.24, 15.0, 28.0, 0.35)
-    rover = Tracks(page.scratch / "path.csv", 2.0, 0.4, 0.05, 0.18, 0.02, "chevrons")
+    cracks = Worley(key=3, amplitude_m=2.0, scale_m=16.0, distance="f2-f1", jitter=0.8)
+    lumps = Worley(key=3, amplitude_m=5.0, scale_m=30.0, octaves=2, lacunarity=2.2, gain=0.4)
+    ledges = Terraces(
+        key=4, step_m=5.0, tread_slope=0.15, irregularity=0.8, bend_m=1.5, bend_scale_m=60.0
+    )
+    plates = Crust(key=3, height_m=0.1, plate_m=1.5)
+    ice = Polygons(key=3, scale_m=6.0, depth_m=0.3, width_m=1.0, shoulder_m=0.06, irregularity=0.6)
+    sand = Dunes(key=8, height_m=2.2, wavelength_m=24.0, wind_deg=15.0, repose_deg=33.0, order=0.25)
+    waves = Ripples(
+        key=8, height_m=0.018, wavelength_m=0.24, wind_deg=15.0, repose_deg=28.0, order=0.35
+    )
+    rover = Tracks(
+        file=page.scratch / "path.csv",
+        depth_m=0.05,
+        grouser_spacing_m=0.18,
+        grouser_depth_m=0.02,
+        pattern="chevrons",
+    )
     grain = Multifractal(
         key=5,
         amplitude_m=0.4,
@@ -138,19 +153,9 @@ def gallery(page: Page) -> str:
         variant="fbm",
         offset=0.7,
     ).apply(wide, np.zeros(wide.shape))[0]
-    fresh = draw_kind(
-        "relief",
-        {"type": "craters", **{**pits, "degradation": 0.1, "density_per_m2": 0.2}},
-        "m",
-        Context(streams, (60.0, 60.0)),
-    )
+    fresh = scattered("m", {**pits, "degradation": 0.1, "density_per_m2": 0.2}, 60.0)
     close = Grid((2.0, 2.0), (n, n))
-    boots = draw_footprints(
-        {"walks": 1, "stride_m": 1.3, "length_m": 0.33, "depth_m": 0.025, "tread_m": 0.006},
-        streams,
-        "f",
-        close.size_m,
-    )
+    boots = Walks().draw(Context(streams, close.size_m, path="f"))
     disk = Interval(FromPoint(x_m=0.0, y_m=0.0), None, 20.0, 6.0)
     panels: list[tuple[str, NDArray, Grid]] = [
         ("multifractal fbm", fractal("fbm", 0.7, 9.0), grid),
@@ -159,31 +164,21 @@ def gallery(page: Page) -> str:
         ("ridged", fractal("ridged", 0.9, 10.0), grid),
         ("billow", fractal("billow", 0.7, 6.0), grid),
         ("fbm, warped", fractal("fbm", 0.7, 7.0, 0.5), grid),
-        ("worley f1", Worley(3, 5.0, 30.0, "f1", 1.0, 2, 2.2, 0.4).apply(grid, base)[0], grid),
+        ("worley f1", lumps.apply(grid, base)[0], grid),
         ("worley f2-f1", cracks.apply(grid, base)[0], grid),
         ("polygons", ice.apply(wide, 0.4 * grain)[0], wide),
-        (
-            "craters in equilibrium",
-            draw_kind(
-                "relief", {"type": "craters", **pits}, "c", Context(streams, (size, size))
-            ).apply(grid, base)[0],
-            grid,
-        ),
+        ("craters in equilibrium", scattered("c", pits).apply(grid, base)[0], grid),
         ("stream power, uplift, creep", rivers.apply(large, uplands)[0], large),
         ("ridged, steep", hills, grid),
         ("thermal: it slid to 33°", Thermal(33.0).apply(grid, hills)[0], grid),
-        ("terraces", Terraces(4, 5.0, 0.3, 0.15, 0.8, 1.5, 60.0).apply(grid, hills)[0], grid),
+        ("terraces", ledges.apply(grid, hills)[0], grid),
         ("dunes", sand.apply(grid, 0.3 * base)[0], grid),
-        (
-            "barchans",
-            draw_barchans(heaps, streams, "b", (size, size)).apply(grid, 0.2 * base)[0],
-            grid,
-        ),
+        ("barchans", scattered("b", heaps).apply(grid, 0.2 * base)[0], grid),
         ("ripples", waves.apply(six, np.zeros(six.shape))[0], six),
         ("diffusion of ridged", Smooth(4.0).apply(grid, hills)[0], grid),
         ("tracks", rover.apply(small, ground)[0], small),
         ("footprints", boots.apply(close, 0.2 * ground)[0], close),
-        ("crust", Crust(3, 0.1, 1.5, 0.25).apply(six, 0.3 * ground)[0], six),
+        ("crust", plates.apply(six, 0.3 * ground)[0], six),
         ("masked: craters in a disk", Masked(fresh, (disk,)).apply(wide, grain)[0], wide),
         ("mare: craters, worn, and grain", lunar(grid, streams, pits), grid),
     ]

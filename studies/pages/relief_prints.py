@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.crust import Crust
-from scenec.compiler.terrain.operators.footprints import Footprints, draw_footprints
+from scenec.compiler.terrain.operators.footprints import Footprints, Walks
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.studies.pages.relief_forms import shaded
 from scenec.studies.runner import Page, table, times
 
-_WALK = {"walks": 1, "stride_m": 1.3, "length_m": 0.33, "depth_m": 0.025, "tread_m": 0.006}
 _SPACINGS_M = (0.003, 0.007, 0.01, 0.02, 0.04, 0.08)
 
 
 def prints(page: Page) -> str:
     """Pictures of both, and their error against the spacing of a mesh's vertices."""
     one = Footprints(np.array([[0.0, 0.0, 1.0, 0.0, 1.0]]), 0.33, 0.025, 0.006, (1.0, 1.0))
-    crust = Crust(3, 0.02, 0.3, 0.25).everywhere()
+    crust = Crust(key=3, height_m=0.02, plate_m=0.3, missing=0.25).everywhere()
     _picture(page, crust)
     rows = []
     for spacing in _SPACINGS_M:
@@ -32,7 +32,7 @@ def prints(page: Page) -> str:
         broken = _error(crust, 4.0, spacing, 1 if page.fast else 4)
         rows.append([f"{1e3 * spacing:g}", f"{1e3 * pressed[0]:.2f}", f"{100 * pressed[1]:.2g}",
                      f"{1e3 * broken[0]:.2f}", f"{100 * broken[1]:.2g}"])  # fmt: skip
-    walks = draw_footprints({**_WALK, "walks": 3}, Streams(1, 0), "page", (80.0, 80.0))
+    walks = Walks(walks=3).draw(Context(Streams(1, 0), (80.0, 80.0), path="page"))
     x, y = np.random.default_rng(1).uniform(-40.0, 40.0, (2, 1 << (14 if page.fast else 20)))
     cost = [
         1e9 * times(partial(detail.at, x, y)).median / x.size
@@ -85,7 +85,7 @@ def _picture(page: Page, crust: Detail) -> None:
         variant="fbm",
         offset=0.7,
     )
-    walk = draw_footprints(_WALK, Streams(2, 0), "page", (6.0, 6.0)).everywhere()
+    walk = Walks().draw(Context(Streams(2, 0), (6.0, 6.0), path="page")).everywhere()
     sheet = Image.new("L", (3 * n + 12, n), 255)
     panels: list[tuple[Detail, float, float]] = [(walk, 4.0, 1.0), (walk, 1.2, 0.3),
                                                  (crust, 5.0, 0.5)]  # fmt: skip

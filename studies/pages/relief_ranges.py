@@ -38,7 +38,15 @@ def _noise(
 ) -> NDArray:
     scale = grid.size_m[0] / 3.0
     if variant in ("f1", "f2-f1"):
-        worley = Worley(3, amplitude, scale, variant, 1.0, octaves, lacunarity, gain)
+        worley = Worley(
+            key=3,
+            amplitude_m=amplitude,
+            scale_m=scale,
+            distance=variant,
+            octaves=octaves,
+            lacunarity=lacunarity,
+            gain=gain,
+        )
         return worley.apply(grid, np.zeros(grid.shape))[0]
     fractal = Multifractal(
         key=3,
@@ -227,7 +235,7 @@ def dems(page: Page) -> str:
     """Places on a planet, holes, single rows."""
     y, x = np.mgrid[:80, :100].astype(float)
     field = 30 * np.sin(0.11 * x) * np.cos(0.07 * y) + 0.4 * x
-    base = Dem(Path(), None, (1.0, 1.0), 1.0, 0.0, "north", (0.5, 0.5), None, "clamp", "fill")
+    base = Dem(file=Path(), pixel_m=(1.0, 1.0), edge="clamp", holes="fill")
     grid = Grid.with_spacing((60.0, 50.0), 0.5)
     rows = []
     pictures = []

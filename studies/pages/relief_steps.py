@@ -124,11 +124,12 @@ def cases(number: int) -> list[tuple[Grid, NDArray[np.float64], StreamPower]]:
             courant * size / n / (0.2 * size * size) ** m / years * slope ** (1 - exponent)
         )
         found.append((grid, hills.apply(grid, np.zeros(grid.shape))[0], StreamPower(
-            erodibility, m, exponent,
-            float(rng.choice([0.0, 20 * (size / n) ** 2])),
-            float(rng.choice([0.0, 1.0])) * (size / n * 3) ** 2 / years,
-            float(rng.choice([0.0, 1.0, 10.0])) * amplitude / years,
-            years, 1, [SIDES, ("south",), ("west", "north")][int(rng.integers(3))],
+            erodibility=erodibility, area_exponent=m, slope_exponent=exponent,
+            channel_area_m2=float(rng.choice([0.0, 20 * (size / n) ** 2])),
+            diffusivity_m2_per_a=float(rng.choice([0.0, 1.0])) * (size / n * 3) ** 2 / years,
+            uplift_m_per_a=float(rng.choice([0.0, 1.0, 10.0])) * amplitude / years,
+            duration_a=years, steps=1,
+            outlets=[SIDES, ("south",), ("west", "north")][int(rng.integers(3))],
         )))  # fmt: skip
     return found
 
@@ -189,7 +190,14 @@ def hillslopes(page: Page) -> str:
     rows = []
     for decade in (0, 5) if page.fast else range(-5, 6):
         years = 25.0 / 0.05 * 10.0**decade
-        operator = StreamPower(0.0, 0.5, 1.0, 0.0, 0.05, 1e-3, years, 1, ("west", "east"))
+        operator = StreamPower(
+            erodibility=0.0,
+            diffusivity_m2_per_a=0.05,
+            uplift_m_per_a=1e-3,
+            duration_a=years,
+            steps=1,
+            outlets=("west", "east"),
+        )
         start = time.process_time()
         off = operator.run(grid, parabola, 1)[0] - parabola
         spent = time.process_time() - start

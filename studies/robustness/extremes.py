@@ -247,7 +247,14 @@ def rivers(folder: Path, m: float, n: float) -> Found:
     noise = np.random.default_rng(2).normal(size=grid.shape)
     outlets = outlet_samples(grid.shape, SIDES)
     limit = dx / (k * drainage_area(drain(noise, outlets, dx, dx), dx * dx).max() ** m)
-    operator = StreamPower(k, m, n, 0.0, 0.0, uplift, 1e9, 100, SIDES)
+    operator = StreamPower(
+        erodibility=k,
+        area_exponent=m,
+        slope_exponent=n,
+        uplift_m_per_a=uplift,
+        duration_a=1e9,
+        steps=100,
+    )
     steady = operator.apply(grid, noise)[0]
     worst = 0.0
     for decade in range(-2, 9):
@@ -271,9 +278,14 @@ def hillslopes(folder: Path) -> Found:
     parabola = 0.01 * (100.0**2 - grid.x()[None, :] ** 2) + np.zeros(grid.shape)
     off = [
         np.abs(
-            StreamPower(0.0, 0.5, 1.0, 0.0, 0.05, 1e-3, 500 * 10.0**k, 1, ("west", "east")).run(
-                grid, parabola, 1
-            )[0]
+            StreamPower(
+                erodibility=0.0,
+                diffusivity_m2_per_a=0.05,
+                uplift_m_per_a=1e-3,
+                duration_a=500 * 10.0**k,
+                steps=1,
+                outlets=("west", "east"),
+            ).run(grid, parabola, 1)[0]
             - parabola
         ).max()
         for k in range(-5, 6)

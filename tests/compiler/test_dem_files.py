@@ -120,7 +120,7 @@ def test_heights_of_no_unit_over_axes_in_feet_are_not_guessed(tmp_path):
 def test_scale_offset_unit_and_band_are_applied_in_this_order_and_reported(tmp_path):
     samples = np.round((METERS / 0.3048 - 100.0) * 8.0).astype(np.int16)
     path = write(tmp_path / "a.tif", samples, unit="ft", scale=0.125, offset=100.0)
-    operator = Dem(path, None, None, 1.0, 0.0, "north", (0.5, 0.5), None, "error")
+    operator = Dem(file=path)
     height, report = operator.apply(GRID, np.zeros(GRID.shape))
     # Sample (4.5, 7.5) of the file lies at the middle; a row is a meter southward.
     middle = 50.0 + 7.5 + 10.0 * 5.5
@@ -401,7 +401,7 @@ def test_a_raster_whose_rows_run_north_is_read_so_or_refused(tmp_path, crs):
     path = write(
         tmp_path / "a.tif", METERS, crs=crs, transform=rasterio.Affine(1, 0, 500, 0, 1, 900)
     )
-    operator = Dem(path, None, (1.0, 1.0), 1.0, 0.0, "north", (0.5, 0.5), None, "error")
+    operator = Dem(file=path, pixel_m=(1.0, 1.0))
     with pytest.raises(SceneError, match='"first_row": "south"'):
         operator.apply(GRID, np.zeros(GRID.shape))
     height, _ = replace(operator, first_row="south").apply(GRID, np.zeros(GRID.shape))
@@ -411,7 +411,7 @@ def test_a_raster_whose_rows_run_north_is_read_so_or_refused(tmp_path, crs):
 
 def test_pixels_that_are_no_squares_keep_their_two_sizes(tmp_path):
     path = write(tmp_path / "a.tif", METERS, transform=rasterio.Affine(2, 0, 500, 0, -0.5, 900))
-    operator = Dem(path, None, None, 1.0, 0.0, "north", (0.5, 0.5), None, "error")
+    operator = Dem(file=path)
     height, _ = operator.apply(Grid.with_spacing((8.0, 4.0), 1.0), np.zeros((5, 9)))
     assert np.allclose(np.diff(height, axis=1), 0.5)
     assert np.allclose(np.diff(height, axis=0), -20.0)

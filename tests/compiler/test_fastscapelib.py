@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.drainage import SIDES
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 
 fastscapelib = pytest.importorskip("fastscapelib")
@@ -19,7 +18,14 @@ LAWS = [(0.5, 1.0), (0.4, 1.3), (0.5, 1.5)]
 
 
 def ours(m: float, n: float, uplift: float, step: float, steps: int) -> StreamPower:
-    return StreamPower(K, m, n, 0.0, 0.0, uplift, step * steps, steps, SIDES)
+    return StreamPower(
+        erodibility=K,
+        area_exponent=m,
+        slope_exponent=n,
+        uplift_m_per_a=uplift,
+        duration_a=step * steps,
+        steps=steps,
+    )
 
 
 def theirs(

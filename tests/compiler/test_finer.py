@@ -29,7 +29,7 @@ from scenec.compiler.terrain.sources.plane import Plane
 from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, views_of
 
 MERGES = (Merge(5, 3.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),)
-GRAINS = Worley(9, 0.03, 0.12, "f1", 1.0, 1, 2.0, 0.5).everywhere()
+GRAINS = Worley(key=9, amplitude_m=0.03, scale_m=0.12).everywhere()
 ROUGH = Multifractal(
     key=2,
     amplitude_m=1.2,
@@ -197,7 +197,15 @@ def test_parts_of_a_displacement_add_up():
 
 
 def test_ledges_of_a_material_are_the_operators_steps_at_any_point():
-    layers = Terraces(3, 0.3, 0.2, 0.1, 0.7, 0.5, 6.0)
+    layers = Terraces(
+        key=3,
+        step_m=0.3,
+        riser=0.2,
+        tread_slope=0.1,
+        irregularity=0.7,
+        bend_m=0.5,
+        bend_scale_m=6.0,
+    )
     grid = Grid((8.0, 6.0), (121, 161))
     height = ROUGH.apply(grid, np.zeros(grid.shape))[0]
     stepped = layers.apply(grid, height)[0]
@@ -213,7 +221,9 @@ def test_a_slope_with_ledges_is_treads_of_a_part_of_its_slope_between_steep_rise
 ):
     grid = Grid((12.0, 2.0), (21, 121))
     plane = HeightField(grid, slope * grid.points()[0].reshape(grid.shape))
-    layers = Terraces(3, 0.2, riser, tread, 0.0, 0.0, 1.0)
+    layers = Terraces(
+        key=3, step_m=0.2, riser=riser, tread_slope=tread, irregularity=0.0, bend_scale_m=1.0
+    )
     shelf = Surface(plane, (), (), (Sum((layers.everywhere(),)),))
     x = np.linspace(-5.0, 5.0, 200_001)
     height = shelf.height_at(x, np.zeros(x.size))
@@ -227,7 +237,9 @@ def test_a_slope_with_ledges_is_treads_of_a_part_of_its_slope_between_steep_rise
 
 
 def test_ledges_cut_what_stands_before_them_in_the_list():
-    steps = Terraces(3, 0.01, 0.05, 0.0, 0.0, 0.0, 1.0).everywhere()
+    steps = Terraces(
+        key=3, step_m=0.01, riser=0.05, tread_slope=0.0, irregularity=0.0, bend_scale_m=1.0
+    ).everywhere()
     x, y = np.random.default_rng(6).uniform(-9.0, 9.0, (2, 4000))
 
     def on_treads(parts: tuple) -> float:

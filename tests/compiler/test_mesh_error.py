@@ -59,7 +59,7 @@ def ground(kind: str, size_m: float, detail_m: float, variant: str, seed: int) -
         variant=variant,
         offset=0.7,
     ).detail(grid)
-    pits = Worley(9, -0.3 * detail_m, rng.uniform(0.04, 0.5), "f1", 1.0, 1, 2.0, 0.5)
+    pits = Worley(key=9, amplitude_m=-0.3 * detail_m, scale_m=rng.uniform(0.04, 0.5))
     return Surface(
         field,
         (Merge(5, 2.0, 3, 0.5, 2.0, 0.0, 8.0, 0.5),),

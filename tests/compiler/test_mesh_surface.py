@@ -261,7 +261,7 @@ def test_every_format_gives_the_same_tiles_to_the_bit(tmp_path):
     points, quads = shelter(16)
     for suffix in FORMATS:
         path = write(tmp_path / f"a.{suffix}", points, quads)
-        rough = Roughness(9, 0.1, 2.0, 4, 0.5)
+        rough = Roughness(key=9, amplitude_m=0.1, scale_m=2.0, octaves=4, gain=0.5)
         field = run([base(path, roughness=rough)], GRID).field
         made.append(build_tiles(Surface(field, (MERGE,)), 5)[0])
     for tiles in made[1:]:

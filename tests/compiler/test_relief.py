@@ -16,7 +16,7 @@ from scenec.compiler.terrain.sources.dem import Dem
 from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import SceneError
 
-DEM = Dem(Path(), None, (1.0, 1.0), 1.0, 0.0, "south", (0.5, 0.5), None, "clamp")
+DEM = Dem(file=Path(), pixel_m=(1.0, 1.0), first_row="south", edge="clamp")
 FRACTAL = Multifractal(
     key=7,
     amplitude_m=1.0,

@@ -11,17 +11,18 @@ from test_relief_masks import MASK, PROGRAM, write_program
 _HEIGHTS = """
 import hashlib, sys
 import numpy as np
+from scenec.compiler.kinds.table import name_of
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.cfg.load import load
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operator import operator_type
+from scenec.compiler.terrain.mask import unmasked
 plan = draw(load(sys.argv[1]), 11, 0).terrain
 grid = Grid.with_spacing(plan.size_m, plan.spacing_m)
 height = np.zeros(grid.shape)
 for operator in plan.relief:
     height, report = operator.apply(grid, height)
     content = height.tobytes() + repr(report).encode()
-    print(operator_type(operator), hashlib.sha256(content).hexdigest())
+    print(name_of("relief", type(unmasked(operator))), hashlib.sha256(content).hexdigest())
 """
 
 

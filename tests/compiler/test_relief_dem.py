@@ -22,7 +22,7 @@ from scenec.schemas.errors import CfgError, SceneError
 
 rasterio = pytest.importorskip("rasterio")
 
-DEM = Dem(Path(), None, (1.0, 1.0), 1.0, 0.0, "north", (0.5, 0.5), None, "clamp")
+DEM = Dem(file=Path(), pixel_m=(1.0, 1.0), edge="clamp")
 GRID = Grid.with_spacing((20.0, 16.0), 0.5)
 
 

@@ -17,7 +17,7 @@ from scenec.compiler.terrain.operators.stream_power import StreamPower, implicit
 from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.schemas.threads import at_most
 
-RIVERS = StreamPower(1e-5, 0.5, 1.0, 0.0, 0.0, 1e-3, 1e6, 20, SIDES)
+RIVERS = StreamPower(erodibility=1e-5, uplift_m_per_a=1e-3, duration_a=1e6, steps=20)
 REPOSE = np.tan(np.deg2rad(33.0))
 
 

@@ -10,21 +10,23 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.compiler.distributions.numbers import Distribution
+from scenec.compiler.distributions.numbers import Distribution, Number
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.barchans import Barchans, draw_barchans
+from scenec.compiler.terrain.operators.barchans import BarchanField, Barchans
 from scenec.compiler.terrain.operators.dunes import Dunes, Ripples
 from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.terraces import Terraces
 from scenec.schemas.errors import SceneError
 from scenec.schemas.threads import at_most
 
-DUNES = Dunes(5, 2.0, 30.0, 0.0, 33.0, 0.3)
-RIPPLES = Ripples(6, 0.012, 0.15, 0.0, 28.0, 0.4)
-LAYERS = Terraces(3, 4.0, 0.3, 0.2, 0.5, 1.0, 40.0)
+DUNES = Dunes(key=5, height_m=2.0, wavelength_m=30.0, wind_deg=0.0, repose_deg=33.0, order=0.3)
+RIPPLES = Ripples(
+    key=6, height_m=0.012, wavelength_m=0.15, wind_deg=0.0, repose_deg=28.0, order=0.4
+)
+LAYERS = Terraces(key=3, step_m=4.0, bend_m=1.0, bend_scale_m=40.0)
 GRID = Grid.with_spacing((300.0, 300.0), 1.0)
-BARCHANS = {"count": 40, "height_m": 2.0, "wind_deg": 0.0, "repose_deg": 33.0}
 
 
 def apply(operator, grid: Grid = GRID, height: np.ndarray | None = None) -> np.ndarray:
@@ -135,7 +137,14 @@ def test_bedforms_that_the_grid_cannot_show_are_left_out_and_impossible_ones_ref
 )
 def test_bedforms_are_finite_and_within_bounds_at_any_scale(height, order, wind, size, kind):
     grid = Grid.with_spacing((size, 0.6 * size), size / 40)
-    operator = kind(9, height * size / 5, size / 5, wind, 33.0 + 25 * height, order)
+    operator = kind(
+        key=9,
+        height_m=height * size / 5,
+        wavelength_m=size / 5,
+        wind_deg=wind,
+        repose_deg=33.0 + 25 * height,
+        order=order,
+    )
     out = apply(operator, grid)
     assert np.isfinite(out).all()
     assert out.min() >= -0.21 * height * size / 5
@@ -215,21 +224,21 @@ def test_barchans_too_small_for_the_grid_are_left_out_and_counted():
 
 
 def test_barchans_are_spread_evenly_and_more_of_them_leave_the_first_in_place():
-    few, many = (
-        draw_barchans({**BARCHANS, "count": n}, Streams(3, 0), "a", (400.0, 200.0))
-        for n in (400, 1000)
-    )
+    def drawn(seed: int = 3, height_m: Number = 2.0, count: int = 40) -> Barchans:
+        field = BarchanField(count=count, height_m=height_m)
+        return field.draw(Context(Streams(seed, 0), (400.0, 200.0), path="a"))
+
+    few, many = drawn(count=400), drawn(count=1000)
     for name in ("x_m", "y_m", "height_m", "horns"):
         assert np.array_equal(getattr(few, name), getattr(many, name)[:400])
     counts = np.histogram2d(few.x_m, few.y_m, bins=(10, 5), range=[[-200, 200], [-100, 100]])[0]
     assert counts.sum() == 400
     assert counts.min() >= 5
     assert counts.max() <= 11
-    other = draw_barchans(BARCHANS, Streams(4, 0), "a", (400.0, 200.0))
+    other = drawn(4)
     assert not np.isclose(other.x_m[0], few.x_m[0])
     spread = Distribution("uniform", "instance", False, 1.0, 3.0)
-    drawn = draw_barchans({**BARCHANS, "height_m": spread}, Streams(3, 0), "a", (400.0, 200.0))
-    assert np.ptp(drawn.height_m) > 1.0
+    assert np.ptp(drawn(height_m=spread).height_m) > 1.0
 
 
 # Terraces.
@@ -292,7 +301,21 @@ def test_bends_lift_the_layers():
 def test_polygons_are_level_between_troughs_and_shoulders_as_asked_for(irregularity):
     grid = Grid((60.0, 60.0), (601, 601))
     ground = np.full(grid.shape, 5.0)
-    relief = apply(Polygons(3, 6.0, 0.3, 0.5, 0.06, irregularity), grid, ground) - 5.0
+    relief = (
+        apply(
+            Polygons(
+                key=3,
+                scale_m=6.0,
+                depth_m=0.3,
+                width_m=0.5,
+                shoulder_m=0.06,
+                irregularity=irregularity,
+            ),
+            grid,
+            ground,
+        )
+        - 5.0
+    )
     assert relief.min() == pytest.approx(-0.3, abs=0.01)
     assert relief.max() == pytest.approx(0.06, abs=0.001)
     assert (np.abs(relief) < 1e-12).mean() > 0.1
@@ -301,7 +324,9 @@ def test_polygons_are_level_between_troughs_and_shoulders_as_asked_for(irregular
 
 
 def test_polygons_whose_troughs_the_grid_cannot_hold_are_none():
-    narrow = Polygons(3, 50.0, 1.0, 2.9, 0.1, 0.5)
+    narrow = Polygons(
+        key=3, scale_m=50.0, depth_m=1.0, width_m=2.9, shoulder_m=0.1, irregularity=0.5
+    )
     height, report = narrow.apply(GRID, np.ones(GRID.shape))
     assert report == {"below_grid": True}
     assert (height == 1.0).all()

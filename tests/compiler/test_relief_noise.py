@@ -38,7 +38,7 @@ FRACTAL = Multifractal(
     variant="fbm",
     offset=0.7,
 )
-CELLS = Worley(9, 2.0, 8.0, "f1", 1.0, 1, 2.0, 0.5)
+CELLS = Worley(key=9, amplitude_m=2.0, scale_m=8.0)
 GRID = Grid((60.0, 40.0), (41, 61))
 
 
@@ -204,7 +204,15 @@ def test_noise_is_finite_over_the_whole_range(
             distortion=distortion,
         )
     else:
-        operator = Worley(3, amplitude, size / 3, variant, 1.0, octaves, lacunarity, gain)
+        operator = Worley(
+            key=3,
+            amplitude_m=amplitude,
+            scale_m=size / 3,
+            distance=variant,
+            octaves=octaves,
+            lacunarity=lacunarity,
+            gain=gain,
+        )
     height = apply(operator, grid)
     assert np.isfinite(height).all()
     if amplitude == 0.0 or octaves == 0:

@@ -14,6 +14,7 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.batch import draw
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
@@ -26,7 +27,7 @@ from scenec.compiler.terrain.operators.footprints import (
     DISPLACED,
     RIBS,
     Footprints,
-    draw_footprints,
+    Walks,
 )
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
@@ -35,12 +36,11 @@ from scenec.compiler.views.resolution import pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.threads import at_most
 
-WALK = {"walks": 1, "stride_m": 1.3, "length_m": 0.33, "depth_m": 0.025, "tread_m": 0.006}
 SIZE = (30.0, 24.0)
 
 
 def walked(seed: int = 1, size: tuple[float, float] = SIZE, **change) -> Footprints:
-    return draw_footprints({**WALK, **change}, Streams(seed, 0), "terrain/relief/1", size)
+    return Walks(**change).draw(Context(Streams(seed, 0), size, path="terrain/relief/1"))
 
 
 def one_print(x: float = 0.0, y: float = 0.0, turn: float = 0.0, **change) -> Footprints:
@@ -212,19 +212,21 @@ def test_the_mesh_is_refined_where_prints_are_and_nowhere_else():
 
 # Crusts.
 
-CRUST = Crust(5, 0.02, 0.3, 0.25)
+CRUST = Crust(key=5, height_m=0.02, plate_m=0.3, missing=0.25)
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.1, 0.5, 0.8, 1.0])
 def test_the_share_of_missing_plates_is_the_one_asked_for(missing):
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-500.0, 500.0, (2, 40_000))
-    height = Crust(9, 0.02, 0.3, missing).everywhere().at(x, y)
+    height = Crust(key=9, height_m=0.02, plate_m=0.3, missing=missing).everywhere().at(x, y)
     assert (height == 0.0).mean() == pytest.approx(missing, abs=0.01 + 0.01 * (1.0 - missing))
 
 
 def test_plates_lie_about_as_high_as_the_crust_is_thick_between_cracks_to_the_soil():
-    height, _ = sampled(Crust(5, 0.02, 0.3, 0.0).everywhere(), 6.0, 1500)
+    height, _ = sampled(
+        Crust(key=5, height_m=0.02, plate_m=0.3, missing=0.0).everywhere(), 6.0, 1500
+    )
     assert np.median(height) == pytest.approx(0.02, rel=0.05)
     assert height.min() == pytest.approx(0.0, abs=2e-4)
     assert height.max() <= 0.06
@@ -262,7 +264,7 @@ def test_a_grid_with_a_sample_on_each_wall_holds_a_crust():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("plate", [5e-324, 1e-300, 1e-9, 1e-3, 1e9])
 def test_crusts_of_any_plates_are_finite(plate):
-    crust = Crust(5, 1e6, plate, 0.3)
+    crust = Crust(key=5, height_m=1e6, plate_m=plate, missing=0.3)
     x = np.linspace(-5e5, 5e5, 1001)
     found = crust.everywhere().at(x, -0.7 * x)
     assert np.isfinite(found).all()

@@ -473,7 +473,7 @@ def winds_of(relief: tuple[object, ...], **change) -> tuple[np.ndarray, np.ndarr
 @pytest.mark.parametrize("masked", [False, True])
 def test_one_facet_of_each_ventifact_looks_into_the_wind_of_the_relief(masked):
     # A wind to the west blows on what looks east.
-    dunes = Dunes(1, 0.5, 8.0, 180.0, 33.0, 0.0)
+    dunes = Dunes(key=1, height_m=0.5, wavelength_m=8.0, wind_deg=180.0, repose_deg=33.0, order=0.0)
     looks, yaw = winds_of((Masked(dunes, ()) if masked else dunes,))
     assert np.abs(looks).max() <= 30.0
     assert abs(looks.mean()) < 1.0

@@ -26,8 +26,10 @@ CHOICES = [
     for sides in itertools.combinations(SIDES, r)
 ]
 # Whose steps converge soon, and one whose catchments change hands under uplift.
-CALM = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.01, 0.0, 1e5, None, SIDES)
-RIVERS = StreamPower(2e-5, 0.5, 1.0, 0.0, 0.01, 1e-3, 1e6, 20, SIDES)
+CALM = StreamPower(erodibility=2e-5, diffusivity_m2_per_a=0.01, duration_a=1e5)
+RIVERS = StreamPower(
+    erodibility=2e-5, diffusivity_m2_per_a=0.01, uplift_m_per_a=1e-3, duration_a=1e6, steps=20
+)
 
 
 def hills(n: int = 65, size: float = 4000.0, seed: int = 1) -> tuple[Grid, np.ndarray]:

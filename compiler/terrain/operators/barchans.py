@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.distributions.numbers import draw_number
-from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.distributions.numbers import Number, draw_number
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    LENGTH_PER_INSTANCE,
+    WHOLE_PER_BATCH,
+    WIND_DEG,
+)
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.kernels import kernel
 
@@ -25,6 +31,49 @@ _HORNS = (7.0, 12.0)
 # The bay between the horns over the half width.
 _BAY = 0.6
 _FINEST = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarchanField:
+    """Single crescent dunes with horns downwind, added to what is there."""
+
+    EXAMPLE: ClassVar = {
+        "type": "barchans",
+        "count": 12,
+        "height_m": {"type": "uniform", "min": 0.5, "max": 2},
+        "wind_deg": 45,
+    }
+
+    count: int = key(WHOLE_PER_BATCH, at_least=0, at_most=100_000)
+    """Number of dunes."""
+    height_m: Number = key(LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
+    """Height of a dune; it is ten heights wide."""
+    wind_deg: float = key(WIND_DEG)
+    repose_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=15, at_most=60)
+    """Slope of the slip faces: the angle of repose."""
+
+    def draw(self, context: Context) -> Barchans:
+        """The dunes, spread evenly over the terrain.
+
+        Places are Roberts' two-dimensional low-discrepancy sequence with a drawn start: more dunes
+        leave the first where they were.
+        """
+        n = self.count
+        # 1 / rho and 1 / rho^2 with rho^3 = rho + 1.
+        steps = (0.7548776662466927, 0.5698402909980532)
+        start = context.uniforms("start", 1, 2)[0]
+        x, y = (
+            ((start[axis] + steps[axis] * np.arange(n)) % 1.0 - 0.5) * context.size_m[axis]
+            for axis in (0, 1)
+        )
+        return Barchans(
+            x_m=x,
+            y_m=y,
+            height_m=draw_number(self.height_m, context.streams, f"{context.path}/height_m", n),
+            horns=_HORNS[0] + (_HORNS[1] - _HORNS[0]) * context.uniforms("horns", n, 2),
+            wind_deg=self.wind_deg,
+            repose_deg=self.repose_deg,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +93,8 @@ class Barchans:
         wind_deg: Where the wind blows to: 0 is east (+x), 90 north (+y).
         repose_deg: Slope of the slip face.
     """
+
+    KIND: ClassVar = "barchans"
 
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
@@ -77,39 +128,6 @@ class Barchans:
             "covered_fraction": float((sand > 0.0).mean()),
             "volume_m3": float(sand.sum() * dx * dy),
         }
-
-
-def draw_barchans(
-    cfg: dict[str, Any], streams: Streams, path: str, size_m: tuple[float, float]
-) -> Barchans:
-    """The dunes of one operator, spread evenly over the terrain.
-
-    Places are Roberts' two-dimensional low-discrepancy sequence with a drawn start: more dunes
-    leave the first where they were.
-
-    Args:
-        cfg: The operator's part of the cfg.
-        streams: The batch's streams.
-        path: Where it stands in the cfg.
-        size_m: Extent of the terrain.
-    """
-    node = resolve(cfg, streams, path)
-    n = int(node["count"])
-    # 1 / rho and 1 / rho^2 with rho^3 = rho + 1.
-    steps = (0.7548776662466927, 0.5698402909980532)
-    start = streams.uniforms(f"{path}/start", 2)
-    x, y = (
-        ((start[axis] + steps[axis] * np.arange(n)) % 1.0 - 0.5) * size_m[axis] for axis in (0, 1)
-    )
-    return Barchans(
-        x_m=x,
-        y_m=y,
-        height_m=draw_number(cfg["height_m"], streams, f"{path}/height_m", n),
-        horns=_HORNS[0]
-        + (_HORNS[1] - _HORNS[0]) * streams.uniforms(f"{path}/horns", 2 * n).reshape(n, 2),
-        wind_deg=node["wind_deg"],
-        repose_deg=node["repose_deg"],
-    )
 
 
 @kernel

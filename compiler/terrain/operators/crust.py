@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.noise.lattice import hash2, mix, subkey
 from scenec.compiler.noise.worley import feature_point, worley2_cell
@@ -48,27 +50,34 @@ class Plates(NamedTuple):
 
 @dataclass(frozen=True)
 class Crust:
-    """Adds plates of a cemented crust, ``height_m`` above the loose soil.
+    """A cemented crust on loose soil (duricrust), broken into plates, added to what is there.
 
-    Plates are the cells of a cellular noise whose borders a noise bends, each with walls of its
-    own, so cracks reach down to the soil. A share of them is missing, in gaps of several plates.
-    The others lean a little; one in seven is loose, leans more, and its low side sinks into the
-    soil: no plate is higher than three times the crust. Walls are a sixteenth of a plate wide in
-    plan. A grid that has a sample on each holds the crust; otherwise it is detail, for meshes finer
-    than the grid, and the grid holds none.
+    As a displacement of a ground material it lies where that material does.
 
-    Attributes:
-        key: Noise key.
-        height_m: Thickness.
-        plate_m: Width of a plate.
-        missing: Share of plates that are gone, 0 to 1.
+    Note: Plates are the cells of a cellular noise whose borders a noise bends, each with walls of
+    its own, so cracks reach down to the soil. A share of them is missing, in gaps of several
+    plates. The others lean a little; one in seven is loose, leans more, and its low side sinks into
+    the soil: no plate is higher than three times the crust. Walls are a sixteenth of a plate wide
+    in plan. A grid that has a sample on each holds the crust; otherwise it is detail, for meshes
+    finer than the grid, and the grid holds none.
     """
 
-    key: int
-    height_m: float
-    plate_m: float
-    missing: float
+    EXAMPLE: ClassVar = {"type": "crust", "height_m": 0.02, "plate_m": 0.3}
 
+    height_m: float = key(LENGTH_PER_BATCH, default=0.02, above=0, at_most=1_000_000)
+    """Thickness: how high plates stand above the loose soil."""
+    plate_m: float = key(LENGTH_PER_BATCH, default=0.3, above=0, at_most=1_000_000_000)
+    """Width of a plate."""
+    missing: float = key(FRACTION_PER_BATCH, default=0.25)
+    """Share of the plates that are gone, in gaps of several."""
+    key: int = noise_key()
+
+    ELSEWHERE: ClassVar = {
+        "displacement_crust": {
+            "DESCRIPTION": "A cemented crust on loose soil (duricrust), broken into plates. It "
+            "ends where the layer does: a high sharpness of that makes a steep border.",
+        }
+    }
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, WIND_DEG
 from scenec.compiler.noise.lattice import subkey, subkeys
 from scenec.compiler.noise.octaves import Octaves, octave_at, tabulate
 from scenec.compiler.terrain.grid import Applied, Grid
@@ -31,28 +33,33 @@ _ACROSS = 6.0
 
 @dataclass(frozen=True)
 class Dunes:
-    """Adds crests across the wind: a gentle side to windward, a slip face at the angle of repose.
+    """Transverse dunes, added to what is there: long crests across the wind, gentle to windward,
+    with slip faces at the angle of repose.
 
-    The phase is that of a plane wave times a complex noise (phasor noise: Tricard et al. 2019):
-    phi = k . p + arg(order + n1(p) + i n2(p)). Where the noise is zero, crests end or fork: the
-    defects of real dune fields. Heights follow the distance of crests, H * |k| / |grad phi|, so
+    Note: The phase is that of a plane wave times a complex noise (phasor noise: Tricard et al.
+    2019): phi = k . p + arg(order + n1(p) + i n2(p)). Where the noise is zero, crests end or fork:
+    the defects of real dune fields. Heights follow the distance of crests, H * |k| / |grad phi|, so
     that slip faces keep their slope and heights vanish at defects.
-
-    Attributes:
-        key: Noise key.
-        height_m: H, of a crest at the mean wavelength.
-        wavelength_m: Mean distance of crests.
-        wind_deg: Where the wind blows to: 0 is east (+x), 90 north (+y).
-        repose_deg: Slope of the slip face.
-        order: How regular: 0 has the most defects, above 1 there are none, only winding crests.
     """
 
-    key: int
-    height_m: float
-    wavelength_m: float
-    wind_deg: float
-    repose_deg: float
-    order: float
+    EXAMPLE: ClassVar = {
+        "type": "dunes",
+        "height_m": 0.7,
+        "wavelength_m": 9,
+        "wind_deg": {"type": "uniform", "min": 20, "max": 70},
+        "order": 0.2,
+    }
+
+    height_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    """Height of a crest."""
+    wavelength_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    """Mean distance of crests. Below four spacings there are none."""
+    wind_deg: float = key(WIND_DEG)
+    repose_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=1, at_most=60)
+    """Slope of the slip faces: the angle of repose."""
+    order: float = key(PER_BATCH, default=0.3, at_least=0, at_most=100)
+    """How regular the crests are: at 0 they end and fork most often, above 1 they only wind."""
+    key: int = noise_key()
 
     #: Whether the lee is rounded at its brink and foot.
     rounded: ClassVar[bool] = False
@@ -119,8 +126,17 @@ class Dunes:
 
 @dataclass(frozen=True)
 class Ripples(Dunes):
-    """Adds wind ripples: ``Dunes`` with rounded lee sides, whose steepest slope is that given."""
+    """Wind ripples, added to what is there: like dunes, but round.
 
+    Note: their lee sides are rounded, and the steepest slope of these is that given.
+    """
+
+    EXAMPLE: ClassVar = {"type": "ripples", "height_m": 0.05, "wavelength_m": 0.7, "wind_deg": 45}
+
+    repose_deg: float = key(ANGLE_PER_BATCH, default=28, at_least=1, at_most=60)
+    """Steepest slope of the lee sides."""
+    order: float = key(PER_BATCH, default=0.4, at_least=0, at_most=100)
+    """How regular the crests are: at 0 they end and fork most often, above 1 they only wind."""
     rounded: ClassVar[bool] = True
 
 

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, WHOLE_PER_BATCH
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned
 from scenec.compiler.terrain.detail import Finer, Spectrum, finer, finer_than
@@ -61,6 +63,57 @@ class Sole(NamedTuple):
     rim: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class Walks:
+    """Prints of ribbed boots, of walks across the terrain, with rims of displaced soil, added to
+    what is there.
+    """
+
+    EXAMPLE: ClassVar = {"type": "footprints", "walks": 4, "depth_m": 0.03}
+
+    walks: int = key(WHOLE_PER_BATCH, default=1, at_least=0, at_most=10_000)
+    """Number of walks. Each crosses the terrain through a point of its inner half."""
+    stride_m: float = key(LENGTH_PER_BATCH, default=1.3, above=0, at_most=1_000_000)
+    """Distance between prints of the same foot; the other foot's are half way."""
+    length_m: float = key(LENGTH_PER_BATCH, default=0.33, above=0, at_most=1_000_000)
+    """Length of a sole; it is two fifths as wide. Grids with fewer than three samples a rib (16 on
+    a sole) show prints near cameras only, where the mesh is finer than they are."""
+    depth_m: float = key(LENGTH_PER_BATCH, default=0.025, at_least=0, at_most=1_000_000)
+    """How deep boots sink; prints scatter by three tenths of it."""
+    tread_m: float = key(LENGTH_PER_BATCH, default=0.006, at_least=0, at_most=1_000_000)
+    """Height of the ribs that soles leave; 0 for smooth soles."""
+
+    def draw(self, context: Context) -> Footprints:
+        """The prints of the walks, each across the terrain through a point of its inner half.
+
+        A walk's heading swings by a noise; steps are half a stride apart, to the left and to the
+        right of it in turn. More walks leave the first where they were.
+
+        Raises:
+            SceneError: There would be too many prints.
+        """
+        path, size_m = context.path, context.size_m
+        diagonal = math.sqrt(size_m[0] * size_m[0] + size_m[1] * size_m[1])
+        half = math.ceil(2.0 * diagonal / self.stride_m)
+        if self.walks * (2 * half + 1) > MAX_PRINTS:
+            raise SceneError(
+                f"{path}: {self.walks * (2 * half + 1):.3g} footprints are expected, at most "
+                f"{MAX_PRINTS:,} are taken; raise stride_m or lower walks"
+            )
+        lengths = (self.stride_m, self.length_m)
+        prints = [
+            _walk(context.streams, f"{path}/walk/{k}", size_m, lengths, half)
+            for k in range(self.walks)
+        ]
+        return Footprints(
+            prints=np.concatenate([np.zeros((0, 5)), *prints]),
+            length_m=self.length_m,
+            depth_m=self.depth_m,
+            tread_m=self.tread_m,
+            size_m=size_m,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Footprints:
     """Adds the prints of boots.
@@ -78,6 +131,8 @@ class Footprints:
         tread_m: Height of the ribs; 0 for smooth soles.
         size_m: Extent of the terrain.
     """
+
+    KIND: ClassVar = "footprints"
 
     prints: NDArray[np.float64]
     length_m: float
@@ -158,37 +213,6 @@ class FootprintsDetail:
         sole = self.sole
         sizes = np.array([2.0 * sole.half_width, sole.pitch])
         return Spectrum(sizes, np.array([0.5 * sole.depth + sole.rim, 0.5 * sole.tread]))
-
-
-def draw_footprints(
-    cfg: dict[str, Any], streams: Streams, path: str, size_m: tuple[float, float]
-) -> Footprints:
-    """The walks of one operator, each across the terrain through a point of its inner half.
-
-    A walk's heading swings by a noise; steps are half a stride apart, to the left and to the right
-    of it in turn. More walks leave the first where they were.
-
-    Raises:
-        SceneError: There would be too many prints.
-    """
-    node = resolve(cfg, streams, path)
-    walks, stride, length = int(node["walks"]), node["stride_m"], node["length_m"]
-    half = math.ceil(2.0 * math.sqrt(size_m[0] * size_m[0] + size_m[1] * size_m[1]) / stride)
-    if walks * (2 * half + 1) > MAX_PRINTS:
-        raise SceneError(
-            f"{path}: {walks * (2 * half + 1):.3g} footprints are expected, at most "
-            f"{MAX_PRINTS:,} are taken; raise stride_m or lower walks"
-        )
-    prints = [
-        _walk(streams, f"{path}/walk/{k}", size_m, (stride, length), half) for k in range(walks)
-    ]
-    return Footprints(
-        prints=np.concatenate([np.zeros((0, 5)), *prints]),
-        length_m=length,
-        depth_m=node["depth_m"],
-        tread_m=node["tread_m"],
-        size_m=size_m,
-    )
 
 
 def _walk(

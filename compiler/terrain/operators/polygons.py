@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.worley import Worley
@@ -23,28 +25,29 @@ _BEND, _BENDS = 0.15, 0.7
 
 @dataclass(frozen=True)
 class Polygons:
-    """Adds patterned ground (Mellon et al. 2008, J. Geophys. Res. 113, E00A23: Phoenix's site).
+    """Patterned ground, as over ice: polygons between troughs with raised shoulders, added to what
+    is there (Mellon et al. 2008).
 
-    Cracks run about half way between the points of a cellular noise. Distances to them are half of
-    what the second nearest point is farther away than the nearest, which is right beside a crack's
-    middle and too small at its corners, where troughs widen to pits as they do in nature. Troughs
-    narrower than three grid spacings leave none (reported).
-
-    Attributes:
-        key: Noise key.
-        scale_m: Width of a polygon.
-        depth_m: Of the troughs, below the ground around.
-        width_m: Of the troughs.
-        shoulder_m: Height of the shoulders beside them.
-        irregularity: How irregular the polygons are and their sides are bent, 0 to 1.
+    Note: J. Geophys. Res. 113, E00A23: Phoenix's site. Cracks run about half way between the points
+    of a cellular noise. Distances to them are half of what the second nearest point is farther away
+    than the nearest, which is right beside a crack's middle and too small at its corners, where
+    troughs widen to pits as they do in nature. Troughs narrower than three grid spacings leave none
+    (reported).
     """
 
-    key: int
-    scale_m: float
-    depth_m: float
-    width_m: float
-    shoulder_m: float
-    irregularity: float
+    EXAMPLE: ClassVar = {"type": "polygons", "scale_m": 5, "depth_m": 0.25, "width_m": 0.9}
+
+    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    """Width of a polygon."""
+    depth_m: float = key(LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=1_000_000)
+    """How deep the middles of the troughs are."""
+    width_m: float = key(LENGTH_PER_BATCH, default=0.8, above=0, at_most=1_000_000)
+    """Width of the troughs. Those narrower than three spacings are left out."""
+    shoulder_m: float = key(LENGTH_PER_BATCH, default=0.05, at_least=0, at_most=1_000_000)
+    """Height of the shoulders beside them."""
+    irregularity: float = key(FRACTION_PER_BATCH, default=0.6)
+    """How irregular the polygons are and their sides are bent."""
+    key: int = noise_key()
 
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
@@ -59,8 +62,13 @@ class Polygons:
             fbm2(self.key ^ turn, _BENDS * self.scale_m, 2, 0.35, 2.0, 0.0).at(x, y)
             for turn in (1, 2)
         ]
-        cells = Worley(self.key, 1.0, self.scale_m, "f2-f1", 0.4 + 0.6 * self.irregularity, 1,
-                       2.0, 0.5)  # fmt: skip
+        cells = Worley(
+            amplitude_m=1.0,
+            scale_m=self.scale_m,
+            distance="f2-f1",
+            jitter=0.4 + 0.6 * self.irregularity,
+            key=self.key,
+        )
         away = cells.cells(x + bent * moved[0], y + bent * moved[1], 0) * (0.5 * self.scale_m)
         form = (0.5 * self.width_m, self.depth_m, self.shoulder_m)
         relief = _profile(away, *form).reshape(grid.shape)

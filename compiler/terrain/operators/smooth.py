@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import cosines, elementary
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, PER_BATCH
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed
 
 
 @dataclass(frozen=True)
 class Smooth:
-    """Diffusion with insulated borders, in one step of any size.
+    """Smoothing by diffusion of what is there.
 
-    dh/dt = kappa * laplacian(h) until the heat kernel has the standard deviation ``length_m``
-    (kappa * t = length_m**2 / 2). The semi-discrete problem (5-point Laplacian) is solved exactly:
-    the DCT-II diagonalizes it, and mode k decays by exp(-kappa * t * (2 - 2 cos(pi k / N)) / dx^2)
-    (Strang 1999). So the mean is kept, no new extrema appear, and there is no step limit; against
-    continuous diffusion the error is second order in the spacing.
-
-    Attributes:
-        length_m: Standard deviation of the equivalent Gaussian, meters.
+    Note: Diffusion with insulated borders, in one step of any size: dh/dt = kappa * laplacian(h)
+    until the heat kernel has the standard deviation ``length_m`` (kappa * t = length_m**2 / 2). The
+    semi-discrete problem (5-point Laplacian) is solved exactly: the DCT-II diagonalizes it, and
+    mode k decays by exp(-kappa * t * (2 - 2 cos(pi k / N)) / dx^2) (Strang 1999). So the mean is
+    kept, no new extrema appear, and there is no step limit; against continuous diffusion the error
+    is second order in the spacing.
     """
 
-    length_m: float
+    EXAMPLE: ClassVar = {"type": "smooth", "length_m": 0.5}
+
+    length_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000)
+    """Standard deviation of the equivalent Gaussian."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Smoothed heights."""
@@ -38,17 +42,18 @@ class Smooth:
 
 @dataclass(frozen=True)
 class Diffusion:
-    """Hillslope diffusion: soil creep that rounds crests and fills hollows (Culling 1960).
+    """Hillslope diffusion of what is there: creep that rounds crests and fills hollows, ∂h/∂t =
+    κ∇²h with insulated borders. Exact for any duration; keeps the mean.
 
-    The same step as ``Smooth``, with length_m = sqrt(2 * kappa * t).
-
-    Attributes:
-        diffusivity_m2_per_a: kappa, square meters a year.
-        duration_a: t, years.
+    Note: Culling 1960. The same step as ``Smooth``, with length_m = sqrt(2 * kappa * t).
     """
 
-    diffusivity_m2_per_a: float
-    duration_a: float
+    EXAMPLE: ClassVar = {"type": "diffusion", "diffusivity_m2_per_a": 0.001, "duration_a": 500}
+
+    diffusivity_m2_per_a: float = key(PER_BATCH, at_least=0, at_most=1_000_000_000, unit="m²/a")
+    """Diffusivity κ: about 0.01 for soil on Earth, 5e-6 for lunar regolith."""
+    duration_a: float = key(PER_BATCH, at_least=0, at_most=100_000_000_000, unit="a")
+    """For how long."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Diffused heights."""

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import (
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    WHOLE_PER_BATCH,
+    list_of,
+    one_of,
+)
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.drainage import (
+    SIDES,
     Drainage,
     drain,
     drainage_area,
@@ -31,13 +40,15 @@ _NEWTON_STEPS = 60
 
 @dataclass(frozen=True)
 class StreamPower:
-    """dh/dt = U - K A^m S^n + D laplacian(h), A the drainage area, S the slope to the receiver.
+    """Hydraulic erosion of what is there: ∂h/∂t = U − K·A^m·S^n + D∇²h with A the drainage area and
+    S the slope. Implicit: any step is stable. Fills depressions.
 
-    Each step diffuses the hillslopes exactly (``Hillslopes``), finds where water runs, and solves
-    the equation of the rivers implicitly from the outlets upstream, O(n) (Braun and Willett 2013).
-    Heights then rise along every stream whatever the step: there is no step limit, and depressions
-    are filled as with sediment (reported), so that no pit is left. Without diffusion the steady
-    state, S = (U / (K A^m))^(1/n), does not depend on the step.
+    Note: S is the slope to the receiver. Each step diffuses the hillslopes exactly
+    (``Hillslopes``), finds where water runs, and solves the equation of the rivers implicitly from
+    the outlets upstream, O(n) (Braun and Willett 2013). Heights then rise along every stream
+    whatever the step: there is no step limit, and depressions are filled as with sediment
+    (reported), so that no pit is left. Without diffusion the steady state, S = (U / (K A^m))^(1/n),
+    does not depend on the step.
 
     Water runs to one of eight neighbors. Outlets keep their heights; other sides are insulated.
 
@@ -45,32 +56,46 @@ class StreamPower:
     heights converge with an order between 1/2 and 1 in the mean square: the estimate takes 1/2.
     Under uplift that lasts, catchments may fall to one river or another by a hair; then no number
     of steps converges there, and the estimate stays large. docs/relief.md counts how often it held.
-
-    Attributes:
-        erodibility: K, in m^(1 - 2 m) a year.
-        area_exponent: m.
-        slope_exponent: n.
-        channel_area_m2: Drainage area below which water does not cut (Montgomery and Dietrich
-            1988).
-        diffusivity_m2_per_a: D, square meters a year.
-        uplift_m_per_a: U.
-        duration_a: Years in all.
-        steps: Number of equal steps; with ``error_m``, at most so many (None: ``MOST_STEPS``).
-        outlets: Sides that water leaves by.
-        error_m: The error to aim at, root mean square, meters: steps are doubled until it is met.
-            None without steps: ``AIM`` of the change, in at most ``USUAL_STEPS``.
     """
 
-    erodibility: float
-    area_exponent: float
-    slope_exponent: float
-    channel_area_m2: float
-    diffusivity_m2_per_a: float
-    uplift_m_per_a: float
-    duration_a: float
-    steps: int | None
-    outlets: tuple[str, ...]
-    error_m: float | None = None
+    EXAMPLE: ClassVar = {
+        "type": "stream_power",
+        "erodibility": 5e-05,
+        "duration_a": 3000,
+        "diffusivity_m2_per_a": 0.0001,
+        "outlets": ["south"],
+    }
+
+    erodibility: float = key(PER_BATCH, at_least=0, at_most=1_000_000_000)
+    """K, in m^(1−2m) a year: 1e-7 for hard to 1e-4 for soft rock with the default exponents."""
+    duration_a: float = key(PER_BATCH, at_least=0, at_most=100_000_000_000, unit="a")
+    """For how long."""
+    steps: int | None = key(WHOLE_PER_BATCH, optional=True, at_least=1, at_most=100_000)
+    """Number of equal steps; in each, water finds its way anew. What they err is estimated and
+    reported. With error_m, so many at most (left out, 1024)."""
+    error_m: float | None = key(LENGTH_PER_BATCH, sparse=True, at_least=0, at_most=1_000_000_000)
+    """Error of the steps to aim at, root mean square over the terrain: their number is doubled
+    until the estimate is met. Where neither is given, 5 % of the change that the operator makes, in
+    at most 64 steps."""
+    area_exponent: float = key(PER_BATCH, default=0.5, at_least=0, at_most=2)
+    """m, of the drainage area."""
+    slope_exponent: float = key(PER_BATCH, default=1, at_least=0.2, at_most=5)
+    """n, of the slope."""
+    channel_area_m2: float = key(
+        PER_BATCH, default=0, at_least=0, at_most=1_000_000_000_000, unit="m²"
+    )
+    """Drainage area from which on water cuts; with a diffusivity, slopes above it stay round."""
+    diffusivity_m2_per_a: float = key(
+        PER_BATCH, default=0, at_least=0, at_most=1_000_000_000, unit="m²/a"
+    )
+    """D, of the hillslopes."""
+    uplift_m_per_a: float = key(PER_BATCH, default=0, at_least=0, at_most=1_000_000, unit="m/a")
+    """U, everywhere but at the outlets."""
+    outlets: tuple[str, ...] = key(
+        list_of(one_of(*SIDES), "One side.", least=1, unique=True),
+        default=list(SIDES),
+    )
+    """Sides of the terrain that water leaves by, and whose heights stay."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Eroded heights."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2, unit
 from scenec.compiler.terrain.detail import Spectrum
@@ -23,29 +26,38 @@ _OCTAVES = 4
 
 @dataclass(frozen=True)
 class Terraces:
-    """Maps heights by a staircase: treads that keep a part of their slope, and steep risers.
+    """Cuts what is there into steps, as layered rock weathers.
+
+    Note: maps heights by a staircase: treads that keep a part of their slope, and steep risers.
 
     Layer boundaries lie about ``step_m`` apart, each off by up to ``irregularity`` of half a step,
     and are bent up and down by a noise. The map rises with the height, so that crests stay crests,
     and no height changes by more than a layer.
-
-    Attributes:
-        key: Noise key.
-        step_m: Mean thickness of a layer.
-        riser: Part of a layer's thickness that is steep.
-        tread_slope: Part of the slope that treads keep: 1 leaves everything as it is.
-        irregularity: How uneven the layers' thicknesses are, 0 to 1.
-        bend_m: How far layers bend up and down.
-        bend_scale_m: Size of the bends.
     """
 
-    key: int
-    step_m: float
-    riser: float
-    tread_slope: float
-    irregularity: float
-    bend_m: float
-    bend_scale_m: float
+    EXAMPLE: ClassVar = {"type": "terraces", "step_m": 0.3, "riser": 0.75, "irregularity": 0.8}
+
+    step_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    """Mean thickness of a layer."""
+    riser: float = key(PER_BATCH, default=0.3, above=0, at_most=1)
+    """Part of a layer's thickness that is steep."""
+    tread_slope: float = key(FRACTION_PER_BATCH, default=0.2)
+    """Part of their slope that the treads between the steep parts keep; 1 changes nothing."""
+    irregularity: float = key(FRACTION_PER_BATCH, default=0.5)
+    """How uneven the thicknesses of layers are."""
+    bend_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
+    """How far layers bend up and down."""
+    bend_scale_m: float = key(LENGTH_PER_BATCH, default=100, above=0, at_most=1_000_000_000)
+    """Size of the bends."""
+    key: int = noise_key()
+
+    ELSEWHERE: ClassVar = {
+        "displacement_terraces": {
+            "DESCRIPTION": "Cuts the ground, with what stands before it in the list, into steps, "
+            "as layered rock weathers: level ledges as sharp as the mesh is fine.",
+            "EXAMPLE": {"type": "terraces", "step_m": 0.08, "riser": 0.2, "irregularity": 0.8},
+        }
+    }
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Terraced heights."""

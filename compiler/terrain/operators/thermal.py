@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import cosines, elementary
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed, halving_error
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
@@ -24,7 +26,10 @@ _CHUNK = 64
 
 @dataclass(frozen=True)
 class Thermal:
-    """The surface nearest to the heights, in the mean square, that is nowhere too steep.
+    """Slopes steeper than the angle of repose slide until they hold, at once and to the end: cliffs
+    become ramps, steep cones flatter ones. Keeps the mean.
+
+    Note: The surface nearest to the heights, in the mean square, that is nowhere too steep.
 
     This is what a pile of sand comes to when it slides at once (Prigozhin 1996: one implicit step,
     of any length, of the sandpile's equation): a cliff becomes a straight ramp about its middle, a
@@ -32,16 +37,17 @@ class Thermal:
 
     Two triangles of each cell are held to the angle. The constrained problem is split (alternating
     directions, Boyd et al. 2011) into a Poisson-like one, solved exactly by the DCT-II, and a
-    pointwise one; coarser grids give the start. A fixed number of iterations leaves slopes that
-    are a little too steep at creases, and moves what is far from any slide by about a thousandth of
-    its drop. What they err is estimated from half as many, and reported beside the last one's
-    change. The field's sides are insulated.
-
-    Attributes:
-        angle_deg: The angle of repose: the steepest slope that holds.
+    pointwise one; coarser grids give the start. A fixed number of iterations leaves slopes that are
+    a little too steep at creases, and moves what is far from any slide by about a thousandth of its
+    drop. What they err is estimated from half as many, and reported beside the last one's change.
+    The field's sides are insulated.
     """
 
-    angle_deg: float
+    EXAMPLE: ClassVar = {"type": "thermal", "angle_deg": 32}
+    TITLE: ClassVar = "Relief: thermal erosion"
+
+    angle_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=1, at_most=89)
+    """The angle of repose."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights after the slides."""

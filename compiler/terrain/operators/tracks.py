@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.polyline import read_polyline
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import CHOICE, LENGTH_PER_BATCH, file
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.smooth import diffuse
 from scenec.compiler.terrain.polyline import project
@@ -48,31 +50,39 @@ class Wheels(NamedTuple):
 
 @dataclass(frozen=True)
 class Tracks:
-    """Presses the wheels of a rover into the relief along a path.
+    """Wheel tracks of a rover along a given path, pressed into what is there.
 
-    The floor of a rut is the ground smoothed over half a wheel's width, ``depth_m`` lower; its
-    walls rise over a tenth of the width; beside it stand berms with half of what was displaced.
+    Note: The floor of a rut is the ground smoothed over half a wheel's width, ``depth_m`` lower;
+    its walls rise over a tenth of the width; beside it stand berms with half of what was displaced.
     Grousers press bars or chevrons into the floor. Only samples under tracks are changed. Wheels
     narrower than three grid spacings leave none, grousers closer than three none of their own
     (reported).
-
-    Attributes:
-        file: CSV of the path of the rover's middle: columns x_m, y_m.
-        wheel_distance_m: Between the middles of left and right wheels.
-        wheel_width_m: Width of a wheel.
-        depth_m: Sinkage.
-        grouser_spacing_m: Distance of grousers along the track.
-        grouser_depth_m: How much deeper they press; 0 for smooth wheels.
-        pattern: Straight bars or chevrons that point ahead.
     """
 
-    file: Path
-    wheel_distance_m: float
-    wheel_width_m: float
-    depth_m: float
-    grouser_spacing_m: float
-    grouser_depth_m: float
-    pattern: Literal["bars", "chevrons"]
+    EXAMPLE: ClassVar = {
+        "type": "tracks",
+        "file": "track.csv",
+        "wheel_distance_m": 1.7,
+        "wheel_width_m": 0.4,
+        "depth_m": 0.03,
+    }
+
+    file: Path = key(file("polyline"))
+    """CSV of the path of the rover's middle, columns x_m and y_m: relative to the cfg, or
+    "package:NAME/path"."""
+    wheel_distance_m: float = key(LENGTH_PER_BATCH, default=2, above=0, at_most=1000)
+    """Between the middles of the left and the right wheels."""
+    wheel_width_m: float = key(LENGTH_PER_BATCH, default=0.4, above=0, at_most=1000)
+    """Width of a wheel. Wheels narrower than three spacings leave no track."""
+    depth_m: float = key(LENGTH_PER_BATCH, default=0.04, at_least=0, at_most=1000)
+    """How deep wheels sink."""
+    grouser_spacing_m: float = key(LENGTH_PER_BATCH, default=0.12, above=0, at_most=1000)
+    """Distance of grousers along the track. Closer than three spacings they leave none of their
+    own."""
+    grouser_depth_m: float = key(LENGTH_PER_BATCH, default=0.012, at_least=0, at_most=1000)
+    """How much deeper grousers press; 0 for smooth wheels."""
+    pattern: Literal["bars", "chevrons"] = key(CHOICE, default="bars")
+    """Straight bars across the track, or chevrons."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights with tracks.

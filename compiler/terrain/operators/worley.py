@@ -8,6 +8,15 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    FRACTION_PER_BATCH,
+    GAIN,
+    LACUNARITY,
+    LENGTH_PER_BATCH,
+    WHOLE_PER_BATCH,
+)
 from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.octaves import BLOCK, next_octave
 from scenec.compiler.noise.worley import blocks2_points, worley2_points
@@ -24,34 +33,49 @@ _SPANS = (0.75, 0.75, 0.4)
 
 @dataclass(frozen=True)
 class Worley:
-    """Adds cellular relief (Worley 1996): amplitude_m * sum of gain**o * F(octave o).
+    """Cellular relief, added to what is there: bumps, pits or polygons around scattered points
+    (Worley 1996).
+
+    Note: amplitude_m * sum of gain**o * F(octave o).
 
     F is the distance to the nearest feature point (``f1``: cones that meet in ridges) or what the
     second nearest is farther away (``f2-f1``: plateaus between grooves), in cells. It is 0 at the
     points, or on the cells' borders, and at most 1.6. Or F is the height of the highest of angular
     blocks, one a cell (``blocks``), 0 between them. Octaves finer than two grid spacings are
     ``detail`` (counted in the report).
-
-    Attributes:
-        key: Noise key.
-        amplitude_m: Factor on all of it, meters; below 0 for pits and ridges.
-        scale_m: Width of a cell, meters.
-        distance: Which distance, or blocks.
-        jitter: How far feature points are from a square lattice, 0 to 1.
-        octaves: Number of octaves at most.
-        lacunarity: Ratio of successive frequencies.
-        gain: Ratio of successive amplitudes.
     """
 
-    key: int
-    amplitude_m: float
-    scale_m: float
-    distance: Literal["f1", "f2-f1", "blocks"]
-    jitter: float
-    octaves: int
-    lacunarity: float
-    gain: float
+    EXAMPLE: ClassVar = {"type": "worley", "amplitude_m": 0.4, "scale_m": 3, "distance": "f2-f1"}
+    TITLE: ClassVar = "Relief: Worley"
 
+    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
+    """Height a cell's width away from a feature point (f1) or a border (f2-f1), or of a block as
+    high as a cell is wide; below 0 for pits and ridges."""
+    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    """Width of a cell."""
+    distance: Literal["f1", "f2-f1", "blocks"] = key(CHOICE, default="f1")
+    """f1: distance to the nearest feature point; f2-f1: how much farther the second nearest is,
+    which is 0 on the cells' borders. blocks: no distance, but the height of the highest of angular
+    blocks with sloping sides and tilted tops, one a cell, and 0 between them: rubble, the clinker
+    of lava."""
+    jitter: float = key(FRACTION_PER_BATCH, default=1)
+    """How far feature points are from a square lattice: 0 on it, 1 anywhere in their cells."""
+    octaves: int = key(WHOLE_PER_BATCH, default=1, at_least=0, at_most=24)
+    """Number of octaves at most; those finer than the spacing can show are left out."""
+    lacunarity: float = key(LACUNARITY)
+    gain: float = key(GAIN)
+    key: int = noise_key()
+
+    #: As a relief of a material, at any fineness.
+    ELSEWHERE: ClassVar = {
+        "displacement_worley": {
+            "TITLE": "Displacement: Worley",
+            "DESCRIPTION": "Cellular relief: grains, pits or cracks around scattered points "
+            "(Worley 1996).",
+            "EXAMPLE": {"type": "worley", "amplitude_m": -0.012, "scale_m": 0.05},
+            "octaves": {"description": "Number of octaves."},
+        }
+    }
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
 

@@ -11,6 +11,18 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.dem_file import read_dem
 from scenec.compiler.assets.geotiff import GeoReference
+from scenec.compiler.kinds.declare import Form, bounded, key
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    CONSTANT,
+    COUNT,
+    FRACTION_PER_BATCH,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    WORDS,
+    file,
+    list_of,
+)
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import SceneError
@@ -19,45 +31,93 @@ from scenec.schemas.threads import over_threads
 
 # Holes are filled from what lies within so many pixels of the terrain.
 _FILL_MARGIN = 256
+_PIXEL = bounded(LENGTH_PER_BATCH, above=0, at_most=1_000_000).but(
+    description="Size along one axis."
+)
+_HEIGHT = bounded(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
 
 
 @dataclass(frozen=True)
 class Dem:
-    """A DEM laid over the terrain, at a scale of one's choice, interpolated smoothly.
+    """A measured height field, laid over the terrain at a scale of one's choice.
 
-    Interpolation is bicubic (Catmull-Rom): it passes through the samples and is C1. Where the file
-    says where on a planet it lies, that is reported, and heights do not depend on it by one bit.
+    A base.
 
-    Attributes:
-        file: ``.npz``, ``.npy``, GeoTIFF, or a gray picture.
-        array: Member of an ``.npz``; None takes the only two-dimensional one.
-        pixel_m: Size that a pixel gets, in x and y, meters; None takes that of a GeoTIFF whose axes
-            are lengths.
-        height_scale: Factor on the file's heights.
-        height_offset_m: Added after scaling, meters; None puts the mean at 0.
-        first_row: Whether the file's first row is the northern or the southern one.
-        center: Fraction of the DEM's width and height that lies at the terrain's center.
-        nodata: Value that marks holes, besides NaN and what the file itself declares.
-        edge: What happens where the terrain is larger than the DEM.
-        holes: What happens where there is no data: an error, or a membrane over the hole.
-        height_range_m: Heights of black and of white, for pictures.
-        band: Of a GeoTIFF, from 1; None takes its only one.
-        unit_m: Meters per unit of the file's heights; None takes what it says itself.
+    Note: Interpolation is bicubic (Catmull-Rom): it passes through the samples and is C1. Where the
+    file says where on a planet it lies, that is reported, and heights do not depend on it by one
+    bit.
     """
 
-    file: Path
-    array: str | None
-    pixel_m: tuple[float, float] | None
-    height_scale: float
-    height_offset_m: float | None
-    first_row: Literal["north", "south"]
-    center: tuple[float, float]
-    nodata: float | None
-    edge: Literal["error", "clamp"]
-    holes: Literal["error", "fill"] = "error"
-    height_range_m: tuple[float, float] | None = None
-    band: int | None = None
-    unit_m: float | None = None
+    EXAMPLE: ClassVar = {
+        "type": "dem",
+        "file": "package:matplotlib/mpl-data/sample_data/jacksboro_fault_dem.npz",
+        "array": "elevation",
+        "pixel_m": [0.25, 0.31],
+        "height_scale": 0.006,
+    }
+    TITLE: ClassVar = "Relief: DEM"
+
+    file: Path = key(file("dem"))
+    """A .npz or .npy file, a GeoTIFF that lies upright in its coordinates, or a gray picture of 8
+    or 16 bits: relative to the cfg, or "package:NAME/path" in an installed Python package, where *
+    stands for any part of a name."""
+    array: str | None = key(WORDS, optional=True)
+    """Member of an .npz file; left out, its only two-dimensional one."""
+    pixel_m: float | tuple[float, float] | None = key(
+        Form(
+            {
+                "type": ["number", "object", "array"],
+                "if": {"type": "array"},
+                "then": {"minItems": 2, "maxItems": 2, "items": _PIXEL.keywords},
+                "else": {**_PIXEL.keywords, "description": "Size along both axes."},
+            }
+        ),
+        optional=True,
+        unit="m",
+    )
+    """Size that a pixel gets: one number, or [x, y]. Left out, that of a GeoTIFF whose coordinates
+    are lengths."""
+    height_scale: float = key(PER_BATCH, default=1, at_least=-1_000_000_000, at_most=1_000_000_000)
+    """Factor on the file's heights."""
+    height_offset_m: float | None = key(
+        Form(
+            {
+                "type": ["number", "object", "null"],
+                "if": {"type": ["number", "object"]},
+                "then": _HEIGHT.but(description="Added to the scaled heights.").keywords,
+            }
+        ),
+        default=0,
+        unit="m",
+    )
+    """Added to the scaled heights; null puts their mean at 0."""
+    first_row: Literal["north", "south"] = key(CHOICE, default="north")
+    """Whether the file's first row is its northern or its southern one."""
+    center: tuple[float, float] = key(
+        list_of(FRACTION_PER_BATCH, "Fraction along one axis.", least=2, most=2), default=[0.5, 0.5]
+    )
+    """Which point of the DEM lies at the terrain's center, as fractions of its width (from the
+    west) and height (from the south)."""
+    nodata: float | None = key(Form({"type": ["number", "null"]}), optional=True)
+    """Value in the file that marks holes, besides NaN and what the file itself declares. Values
+    that look like an undeclared mark (-32768, -9999 …, far from all other heights) are refused
+    without it, and 0 far from all other samples is warned of; null says that they are heights."""
+    band: int | None = key(COUNT, optional=True, at_least=1, at_most=65_535)
+    """Band of a GeoTIFF that holds the heights, counted from 1. Left out, its only one, not
+    counting alpha."""
+    unit_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
+    """Meters per unit of the file's heights. Left out, what a GeoTIFF says (m, km, ft, us-ft …, of
+    its band or its vertical axis), else 1. Its own scale and offset are applied before."""
+    edge: Literal["error", "clamp"] = key(CHOICE, default="error")
+    """What happens where the terrain is larger than the DEM: an error, or the border's heights go
+    on."""
+    holes: Literal["error", "fill"] = key(CHOICE, default="error")
+    """What happens where there is no data under the terrain: an error, or a membrane stretched over
+    the hole (Laplace's equation)."""
+    height_range_m: tuple[float, float] | None = key(
+        list_of(_HEIGHT, "Height.", least=2, most=2), optional=True, unit="m"
+    )
+    """For pictures: heights of black and of white."""
 
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
@@ -77,6 +137,8 @@ class Dem:
         pixel = self.pixel_m or (dem.reference.pixel_m() if dem.reference else None)
         if pixel is None:
             raise SceneError(f"{self.file.name}: does not say its pixels' size: give pixel_m")
+        if not isinstance(pixel, tuple):
+            pixel = pixel, pixel
         if dem.reference and dem.reference.first_row() != self.first_row:
             raise SceneError(
                 f"{self.file.name}: its georeference puts the first row in the "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -11,6 +12,22 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model, read_model
 from scenec.compiler.geometry import affine
+from scenec.compiler.kinds.declare import bounded, key, noise_key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    CONSTANT,
+    GAIN,
+    LENGTH_PER_BATCH,
+    NOISE_SCALE_M,
+    PER_BATCH,
+    WHOLE_PER_BATCH,
+    WORDS,
+    an,
+    file,
+    list_of,
+)
+from scenec.compiler.kinds.node import Node
 from scenec.compiler.terrain.grid import Applied, Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
@@ -24,48 +41,109 @@ DEFAULT_TRIANGLES = 8_000_000
 
 @dataclass(frozen=True)
 class Roughness:
-    """Displacement along the normals, see ``mesh_surface.roughened``."""
+    """Displacement along the surface's normals by three-dimensional fBm.
 
-    key: int
-    amplitude_m: float
-    scale_m: float
-    octaves: int
-    gain: float
+    Note: see ``mesh_surface.roughened``.
+    """
+
+    EXAMPLE: ClassVar = {"amplitude_m": 0.02, "scale_m": 0.5}
+    TITLE: ClassVar = "Relief: mesh, roughness"
+
+    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000)
+    """Of the first octave. Where it is larger than the surface's radius of curvature, the surface
+    can cross itself."""
+    scale_m: float = key(NOISE_SCALE_M)
+    octaves: int = key(WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
+    """Number of octaves at most; those finer than two edges of the mesh are left out. Each is half
+    the size of the one before."""
+    gain: float = key(GAIN)
+    key: int = noise_key()
 
 
 @dataclass(frozen=True)
 class MeshBase:
-    """A mesh laid on the terrain: scaled, turned, then moved.
-
-    Attributes:
-        file: OBJ, PLY, glTF or USD, see ``read_model``.
-        surface: "mesh": the ground is the mesh, overhangs included; "heights": what is seen of it
-            from above, sampled on the grid.
-        part: One of the file's meshes, or a name above some of them; None takes all.
-        unit_m: Meters per unit of the file; None takes what it says itself.
-        up: Its upward axis; None takes what it says itself.
-        scale: Factor on its size.
-        rotation_deg: Turn about the vertical, counterclockwise seen from above.
-        place: "center" puts the middle of its extent in plan on the terrain's center; "keep" leaves
-            its coordinates.
-        position_m: Moved by, afterwards.
-        holes: What happens where there is no mesh under the terrain: an error, or a membrane.
-        roughness: Of its surface; None leaves it smooth. Of "mesh" only.
+    """A mesh from a file: the ground itself, overhangs and caves included, or what is seen of it
+    from above. A base. It is scaled, turned, then moved.
     """
 
-    file: Path
-    surface: Literal["mesh", "heights"]
-    part: str | None
-    unit_m: float | None
-    up: str | None
-    scale: float
-    rotation_deg: float
-    place: Literal["center", "keep"]
-    position_m: tuple[float, float, float]
-    holes: Literal["error", "fill"]
-    roughness: Roughness | None = None
+    EXAMPLE: ClassVar = {"type": "mesh", "file": "photogrammetry.obj", "unit_m": 1, "up": "z"}
+
+    file: Path = key(file("mesh"))
+    """A .obj, .ply, .stl, .off, .glb, .gltf, .usd, .usda, .usdc or .usdz file; what a model looks
+    like is not read, buffers beside a .gltf are: relative to the cfg, or "package:NAME/path" in an
+    installed Python package, where * stands for any part of a name."""
+    surface: Literal["mesh", "heights"] = key(CHOICE, default="mesh")
+    """What becomes of it. mesh: its triangles are the ground, halved until no edge is longer than
+    the spacing; relief after it moves them up and down, and objects lie on every floor. heights:
+    its topmost surface, sampled on the grid; what is under an overhang is lost, and reported."""
+    part: str | None = key(WORDS, optional=True)
+    """One of the file's meshes: a name, or a path down to it; what stands under that name comes
+    along. Left out, all of them."""
+    unit_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
+    """Meters per unit of the file. Left out, what the file says: 1 in glTF, metersPerUnit in USD;
+    OBJ, PLY, STL and OFF say nothing."""
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = key(CHOICE, optional=True)
+    """The file's upward axis. Left out, what the file says: y in glTF, upAxis in USD; OBJ, PLY, STL
+    and OFF say nothing."""
+    scale: float = key(PER_BATCH, default=1, above=0, at_most=1_000_000_000)
+    """Factor on its size."""
+    rotation_deg: float = key(PER_BATCH, default=0, at_least=-360, at_most=360, unit="deg")
+    """Turn about the vertical, counterclockwise seen from above."""
+    place: Literal["center", "keep"] = key(CHOICE, default="center")
+    """center: the middle of its extent in plan lies at the terrain's center. keep: its coordinates
+    are the terrain's."""
+    position_m: tuple[float, float, float] = key(
+        list_of(
+            bounded(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000),
+            "Along one axis.",
+            least=3,
+            most=3,
+        ),
+        default=[0, 0, 0],
+        unit="m",
+    )
+    """Moved by this: x, y, z."""
+    holes: Literal["error", "fill"] = key(CHOICE, default="error")
+    """What happens where there is no mesh over or under the terrain: an error; or fill: heights
+    become a membrane there (Laplace's equation). Where surface is mesh, the ground has a hole there
+    all the same."""
+    roughness: Roughness | None = key(an("relief_mesh_roughness", drawn=True), optional=True)
+    """Moves the surface along its normals, on walls and ceilings too. Where surface is mesh only.
+    """
+
+    #: What a mask is of it.
+    ELSEWHERE: ClassVar = {
+        "relief_mesh": {
+            "mask": {
+                "description": "Where the operator acts: conditions whose product is the mask. "
+                "Left out, everywhere. Where surface is heights only."
+            }
+        }
+    }
     #: Its own heights come on top of those before it.
     adds: ClassVar[bool] = True
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields what does not go with a mesh that is kept, and with one that becomes heights."""
+        if node["surface"] == "mesh":
+            if node.path[-1] != 0:
+                yield node.fault(
+                    'a mesh can be kept by the first operator only: expected "surface": "heights"',
+                    *(("surface",) if "surface" in node else ()),
+                )
+            if "mask" in node:
+                yield node.key_fault(
+                    "a mask blends heights, and the mesh is kept as it is: take it away, or say "
+                    '"surface": "heights"',
+                    "mask",
+                )
+        elif "roughness" in node and node["surface"] == "heights":
+            yield node.key_fault(
+                "roughness moves a mesh along its normals, and heights have none: take it away "
+                'and add another operator, or say "surface": "mesh"',
+                "roughness",
+            )
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus those of the topmost surface.

@@ -8,20 +8,36 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.kinds.declare import bounded, key
+from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, PER_BATCH, list_of
 from scenec.compiler.terrain.grid import Applied, Grid
 
 
 @dataclass(frozen=True)
 class Plane:
-    """z = height_m + slope[0] * x + slope[1] * y.
+    """A flat or inclined plane.
 
-    Attributes:
-        height_m: Height at the terrain's center.
-        slope: dz/dx and dz/dy.
+    A base.
+
+    Note: z = height_m + slope[0] * x + slope[1] * y.
     """
 
-    height_m: float
-    slope: tuple[float, float]
+    EXAMPLE: ClassVar = {"type": "plane", "slope": [0.05, 0]}
+
+    height_m: float = key(
+        LENGTH_PER_BATCH, default=0, at_least=-1_000_000_000, at_most=1_000_000_000
+    )
+    """Height at the terrain's center."""
+    slope: tuple[float, float] = key(
+        list_of(
+            bounded(PER_BATCH, at_least=-1_000_000, at_most=1_000_000),
+            "Rise over run along one axis.",
+            least=2,
+            most=2,
+        ),
+        default=[0, 0],
+    )
+    """dz/dx and dz/dy."""
 
     #: Adds to the heights whatever they are (``program``).
     adds: ClassVar[bool] = True
