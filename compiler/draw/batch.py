@@ -45,8 +45,8 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     sky = cfg["light"]["sky"] or {}
-    materials = draw_materials(cfg, Context(streams, files=spec.files))
     context = Context(streams, files=spec.files, label_table=cfg["labels"])
+    materials = draw_materials(cfg, context)
     lying = [layer["material"] for layer in cfg["terrain"]["ground"]]
     displacements = (
         draw_displacement(cfg["materials"][name]["displacement"], name, materials[name], context)
