@@ -14,10 +14,8 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
 from scenec.compiler.draw.light import draw_light
-from scenec.compiler.draw.models import draw_meshes, draw_placed
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
@@ -26,11 +24,9 @@ from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.plan import HorizonPlan, TerrainPlan
-from scenec.compiler.objects.placed import PlacedPlan
-from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.ground import GroundLayer
-from scenec.compiler.scene.labels import Labels
+from scenec.compiler.scene.labels import label_ids
 from scenec.compiler.terrain.detail import Detail, Sum
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import OPERATORS, ReliefOperator
@@ -46,12 +42,6 @@ _SCATTERED: dict[str, Callable[..., ReliefOperator]] = {
 }
 #: Samples across the relief of a horizon that says nothing of them.
 HORIZON_SAMPLES = 256
-#: How each kind of objects is drawn.
-_CLASSES: dict[str, Callable[..., ScatterPlan | PlacedPlan]] = {
-    "rocks": draw_rocks,
-    "meshes": draw_meshes,
-    "placed": draw_placed,
-}
 
 
 def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
@@ -77,28 +67,20 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
         batch=batch,
         samples=samples,
         label_table=cfg["labels"],
-        sky_labels=label_ids(cfg, sky.get("labels") or {}),
+        sky_labels=label_ids(cfg["labels"], sky.get("labels") or {}),
         sky_labels_below={
             level: cfg["labels"][level][name] for level, name in sky.get("labels_below", {}).items()
         },
         materials=materials,
         terrain=terrain,
         objects=tuple(
-            _CLASSES[node["type"]](name, node, label_ids(cfg, node["labels"]), setting)
+            draw_kind("objects", node, f"objects/{name}", setting)
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
         light=draw_light(spec, streams, samples),
         rigs=tuple(_rig(spec, name, setting) for name in cfg["rigs"]),
     )
-
-
-def label_ids(cfg: Cfg, choice: dict[str, str]) -> Labels:
-    """Label ids of a choice of names, on every level; 0 where it chooses none."""
-    return {
-        level: table[choice[level]] if level in choice else 0
-        for level, table in cfg["labels"].items()
-    }
 
 
 def _terrain(
@@ -110,7 +92,7 @@ def _terrain(
     layers = tuple(
         GroundLayer(
             layer["material"],
-            label_ids(spec.cfg, layer["labels"]),
+            label_ids(spec.cfg["labels"], layer["labels"]),
             # The base lies over nothing.
             layer.get("height_blend", 0.0),
         )
@@ -163,7 +145,7 @@ def _horizon(spec: Spec, setting: Context) -> HorizonPlan:
         node["spacing_m"] or max(east, north) / HORIZON_SAMPLES,
         node["blend_m"],
         relief,
-        GroundLayer(node["material"], label_ids(spec.cfg, node["labels"])),
+        GroundLayer(node["material"], label_ids(spec.cfg["labels"], node["labels"])),
     )
 
 

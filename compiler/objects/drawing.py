@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2, pick
-from scenec.compiler.distributions.numbers import Distribution, draw_number
-from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.distributions.numbers import Distribution, Number, draw_number
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.objects.conditions import (
@@ -21,150 +20,125 @@ from scenec.compiler.objects.conditions import (
     OnRelief,
     PlacementCondition,
 )
-from scenec.compiler.objects.feet import FilletPlan
-from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan, Spacing
-from scenec.compiler.scene.labels import Labels
+from scenec.compiler.objects.families.shape import Turn
+from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan
+from scenec.compiler.objects.scattered import Scattered
+from scenec.compiler.scene.labels import label_ids
 from scenec.compiler.terrain.condition import draw_condition
 from scenec.schemas.errors import SceneError
 
 #: Objects of one class at most.
 MOST_OBJECTS = 100_000_000
 
-Orientation = Literal["random", "upright", "normal"]
-#: Of prototypes, int32 [n], and uniform numbers, [n, 3]: turns about the vertical, in whole ones.
-Turn = Callable[[NDArray[np.int32], NDArray[np.float64]], NDArray[np.float64]]
-
 
 def draw_scattered(
-    name: str,
-    cfg: Mapping[str, Any],
-    node: Mapping[str, Any],
-    labels: Labels,
-    setting: Context,
+    law: Scattered,
+    context: Context,
     *,
+    material: str | None,
     source: RockShapes | ModelSource,
     weights: Sequence[float],
-    orientation: Orientation,
+    orientation: Literal["random", "upright", "normal"],
     size_key: str,
     turn: Turn | None = None,
 ) -> ScatterPlan:
-    """The plan of one class.
+    """Returns what is drawn of a class of scattered objects, whatever its prototypes are.
 
     Args:
-        cfg: Its part of the cfg; the keys of ``objects_scattered.schema.json`` are read.
+        law: What the cfg says of it.
         orientation: Where the cfg gives none.
-        size_key: The key of the cfg that gives each instance's scale.
+        size_key: The key that gives each instance's scale.
         turn: How instances stand that are not turned at random; None: in all directions alike.
 
     Raises:
         SceneError: There would be too many objects.
     """
-    path, streams = f"objects/{name}", setting.streams
-    beyond: float = node["beyond_m"] or 0.0
+    path, streams = context.path, context.streams
+    beyond = law.beyond_m or 0.0
     where: tuple[PlacementCondition, ...] = ()
     if beyond:
-        where = (OffTerrain((0.5 * setting.size_m[0], 0.5 * setting.size_m[1])),)
-        wide, deep = (size + 2.0 * beyond for size in setting.size_m)
-        setting = replace(setting, size_m=(wide, deep))
-    count = _count(path, cfg, node, streams, size_key)
-    n = _most(path, count, setting)
-    turned = cfg["orientation"] or orientation
+        where = (OffTerrain((0.5 * context.size_m[0], 0.5 * context.size_m[1])),)
+        wide, deep = (size + 2.0 * beyond for size in context.size_m)
+        context = replace(context, size_m=(wide, deep))
+    size: Number = getattr(law, size_key)
+    count = _count(law, size, context)
+    n = _most(count, context)
+
+    def each(key: str, number: Number) -> NDArray[np.float64]:
+        return draw_number(number, streams, f"{path}/{key}", n).astype(np.float64)
+
+    turned = law.orientation or orientation
     prototype = pick(streams.uniforms(f"{path}/prototype", n), weights).astype(np.int32)
-    u = uniforms(streams, f"{path}/orientation", n, 3)
+    u = context.uniforms("orientation", n, 3)
     if turned == "random":
         orientations = _random_turns(u)
     else:
         orientations = _spins(u[:, 0] if turn is None else turn(prototype, u))
-    if cfg["lean_deg"] is not None:
-        lean = draw_number(cfg["lean_deg"], streams, f"{path}/lean_deg", n)
+    if law.lean_deg is not None:
+        lean = each("lean_deg", law.lean_deg)
         orientations = _leaned(orientations, lean, streams.uniforms(f"{path}/lean_side", n))
-    apart = node["apart"]
     return ScatterPlan(
-        name=name,
-        material=cfg["material"],
-        labels=labels,
-        instances=cfg["instances"],
+        name=path.rpartition("/")[2],
+        material=material,
+        labels=label_ids(context.label_table, law.labels),
+        instances=law.instances,
         source=source,
         count=count,
-        density=draw_kind("density", node["density"], f"{path}/density", setting),
+        density=draw_kind("density", law.density, f"{path}/density", context),
         where=(
             *where,
-            *(
-                _place(condition, f"{path}/where/{i}", setting)
-                for i, condition in enumerate(node["where"])
-            ),
+            *(_place(own, f"{path}/where/{i}", context) for i, own in enumerate(law.where)),
         ),
-        spacing=apart and Spacing(apart["gap_m"], apart["radius"], tuple(apart["of"] or (name,))),
-        fewer=cfg["shortfall"] == "fewer",
-        clearance_m=cfg["clearance_m"],
-        place_key=streams.key(f"{path}/place"),
-        position_u=uniforms(streams, f"{path}/position", n, 3),
+        spacing=law.apart,
+        fewer=law.shortfall == "fewer",
+        clearance_m=law.clearance_m,
+        place_key=context.key("place"),
+        position_u=context.uniforms("position", n, 3),
         prototype=prototype,
         orientations=orientations,
         align=turned == "normal",
-        scale=draw_number(cfg[size_key], streams, f"{path}/{size_key}", n).astype(np.float64),
-        embed=draw_number(cfg["embed"], streams, f"{path}/embed", n).astype(np.float64),
+        scale=each(size_key, size),
+        embed=each("embed", law.embed),
         variation=2.0 * streams.uniforms(f"{path}/variation", n) - 1.0,
-        lod_px=cfg["lod_px"],
+        lod_px=law.lod_px,
         beyond_m=beyond,
-        fillet=_fillet(cfg.get("fillet"), f"{path}/fillet", streams, n),
     )
 
 
-def _fillet(
-    cfg: Mapping[str, Any] | None, path: str, streams: Streams, n: int
-) -> FilletPlan | None:
-    if cfg is None:
-        return None
-    height, reach = (
-        draw_number(cfg[key], streams, f"{path}/{key}", n).astype(np.float64)
-        for key in ("height", "reach")
-    )
-    return FilletPlan(height, reach, streams.key(path))
-
-
-def uniforms(streams: Streams, path: str, n: int, columns: int) -> NDArray[np.float64]:
-    """[n, columns]; a larger n leaves the first rows as they are."""
-    return streams.uniforms(path, n * columns).reshape(n, columns)
-
-
-def _count(
-    path: str, cfg: Mapping[str, Any], node: Mapping[str, Any], streams: Streams, size_key: str
-) -> Count:
-    if node["count"] is not None:
-        return Count(int(node["count"]), None, 0.0)
-    rounding = float(streams.uniforms(f"{path}/count_rounding", 1)[0])
-    per_m2 = node["per_m2"]
+def _count(law: Scattered, size: Number, context: Context) -> Count:
+    if law.count is not None:
+        return Count(int(law.count), None, 0.0)
+    rounding = float(context.streams.uniforms(f"{context.path}/count_rounding", 1)[0])
+    per_m2 = law.per_m2
     if per_m2 is None:
-        size = cfg[size_key]
         assert isinstance(size, Distribution)
         per_m2 = golombek_rapp_per_m2(size.min, size.max, size.shape)
     return Count(None, float(per_m2), rounding)
 
 
-def _most(path: str, count: Count, setting: Context) -> int:
+def _most(count: Count, context: Context) -> int:
     """How many there can be: ``where`` only takes some away."""
     most = count.exact
     if most is None:
         assert count.per_m2 is not None
-        expected = count.per_m2 * setting.size_m[0] * setting.size_m[1]
+        expected = count.per_m2 * context.size_m[0] * context.size_m[1]
         if not expected <= MOST_OBJECTS:
             raise SceneError(
-                f"{path}: {count.per_m2:.3g} per m^2 on {setting.size_m[0]:g} m by "
-                f"{setting.size_m[1]:g} m are {expected:.3g} objects, at most {MOST_OBJECTS:,} are "
+                f"{context.path}: {count.per_m2:.3g} per m^2 on {context.size_m[0]:g} m by "
+                f"{context.size_m[1]:g} m are {expected:.3g} objects, at most {MOST_OBJECTS:,} are "
                 "taken; lower per_m2, or raise the smallest size"
             )
         most = int(expected + count.rounding_u)
     return most
 
 
-def _place(node: Mapping[str, Any], path: str, setting: Context) -> PlacementCondition:
+def _place(node: Mapping[str, Any], path: str, context: Context) -> PlacementCondition:
     if node["type"] == "material":
-        return OnMaterial(setting.layers_of(node))
+        return OnMaterial(context.layers_of(node))
     if node["type"] in ("camera", "object"):
-        made: PlacementCondition = draw_kind("objects_where", node, path, setting)
+        made: PlacementCondition = draw_kind("objects_where", node, path, context)
         return made
-    return OnRelief(draw_condition(node, replace(setting, path=path, choice="objects_where")))
+    return OnRelief(draw_condition(node, replace(context, path=path, choice="objects_where")))
 
 
 def _random_turns(u: NDArray[np.float64]) -> NDArray[np.float64]:
