@@ -143,7 +143,7 @@ def _without_files(plan: ScatterPlan) -> ScatterPlan:
 def _others(plan: ScatterPlan) -> set[str]:
     """Classes that a plan refers to: density and conditions by ``of``, as the cfg says it."""
     found = {part.of for part in (plan.density, *plan.where) if hasattr(part, "of")}
-    return found | set(plan.spacing.of if plan.spacing else ())
+    return found | set((plan.spacing and plan.spacing.of) or ())
 
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:

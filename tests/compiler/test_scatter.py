@@ -12,7 +12,7 @@ from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
-from scenec.compiler.objects.families.shape import Common, Shape
+from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.families.weathered import Weathered
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
@@ -24,8 +24,8 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 
 def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: int = 3) -> Shape:
-    common = Common(seed, bumpiness, (1.0, 0.8, 0.6), level)
-    return Weathered.of("rock", Streams(seed, 0), 1.0 - angularity, common)
+    drawn = Weathered.draw("rock", Streams(seed, 0), 1.0 - angularity)
+    return Weathered(seed, bumpiness, (1.0, 0.8, 0.6), level, drawn)
 
 
 def relief() -> HeightField:

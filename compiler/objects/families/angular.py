@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
     Usual,
     block,
@@ -133,9 +132,9 @@ class Angular(Carved[_Drawn]):
         """As of ``Carved``."""
         return self._whole
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
         tilt = unit_vectors(u[:, :2])
         joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
@@ -149,7 +148,7 @@ class Angular(Carved[_Drawn]):
         tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
         # What broke last has not darkened yet.
         tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
-        drawn = _Drawn(
+        return _Drawn(
             normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
             distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
             chips=w,
@@ -157,4 +156,3 @@ class Angular(Carved[_Drawn]):
             tones=tones,
             width=wear * _WIDEST,
         )
-        return cls(*common, drawn)

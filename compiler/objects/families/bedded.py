@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
-from scenec.compiler.objects.families.shape import Carved, Common, Usual, block, rough, sampling
+from scenec.compiler.objects.families.shape import Carved, Usual, block, rough, sampling
 from scenec.schemas.kernels import kernel
 
 _MOST_SIDES = 6
@@ -96,9 +96,9 @@ class Bedded(Carved[_Drawn]):
         """Where the planes meet."""
         return self.drawn.normals, self.drawn.distances
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         count, first, dip, toward = streams.uniforms(f"{path}/joints", 4)
         sides = 4 + int(count * (_MOST_SIDES - 3))
         u = streams.uniforms(f"{path}/sides", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
@@ -121,7 +121,7 @@ class Bedded(Carved[_Drawn]):
         # Blocks end where hard beds do.
         soft = np.concatenate([[0.3 * w[0, 1]], w[1:-1, 1], [0.3 * w[-1, 1]]])
         cross = np.where(w[:, 3] < 0.4, 1.2, 0.0)
-        drawn = _Drawn(
+        return _Drawn(
             normals=normals,
             distances=np.concatenate([[0.66, 0.66], 0.76 + 0.24 * u[:, 2]]),
             up=up,
@@ -138,4 +138,3 @@ class Bedded(Carved[_Drawn]):
             ),
             width=wear * _WIDEST,
         )
-        return cls(*common, drawn)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
     Usual,
     ball_along,
@@ -107,9 +106,9 @@ class Breccia(Carved[_Drawn]):
             clasts=rock.clasts[shown], faces=rock.faces[shown], reaches=rock.reaches[shown]
         )
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
         v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
         w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)
@@ -118,7 +117,7 @@ class Breccia(Carved[_Drawn]):
         # Most are paler than the matrix, some darker.
         tone = np.where(v[:, 5] < 0.7, 0.15 + 0.9 * v[:, 5], -2.6 * (v[:, 5] - 0.68))
         deep = 0.1 + 0.5 * v[:, 3]
-        drawn = _Drawn(
+        return _Drawn(
             normals=unit_vectors(u[:, :2]),
             distances=0.66 + 0.34 * u[:, 2],
             clasts=np.concatenate(
@@ -128,4 +127,3 @@ class Breccia(Carved[_Drawn]):
             reaches=(0.5 + 0.4 * w[:, 2]).reshape(_CLASTS, _FACES),
             width=0.05 + 0.55 * wear,
         )
-        return cls(*common, drawn)

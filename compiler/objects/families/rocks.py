@@ -23,7 +23,7 @@ from scenec.compiler.kinds.forms import (
 )
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.kinds.table import loaded
-from scenec.compiler.objects.families.shape import Common, Shape
+from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.scattered import Scattered
 from scenec.schemas.plugins import load_kind
 from scenec.schemas.spelling import shown
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from scenec.compiler.objects.feet import Fillet
     from scenec.compiler.objects.plan import ScatterPlan
 
-#: Families of this package: each is the class of that name in a module of that name, with ``of``,
-#: which draws one.
+#: Families of this package: each is the ``Carved`` of that name in a module of that name.
 FAMILIES = (
     "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
 )  # fmt: skip
@@ -182,15 +181,12 @@ class Rocks(Scattered):
         u = streams.uniforms(f"{path}/axes", 2)
         middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
         low = 1.0 - flatness * (0.75 + 0.5 * u[1])
-        common = Common(
-            streams.key(path),
-            self.bumpiness,
-            (1.0, middle, min(max(low, 0.05), middle)),
-            int(self.subdivisions),
-        )
-        made: Shape = (
-            family.of(path, streams, wear, common)
-            if self.family in FAMILIES
-            else family(*common, **self.added)
+        ours = self.family in FAMILIES
+        made: Shape = family(
+            key=streams.key(path),
+            bumpiness=self.bumpiness,
+            axes=(1.0, middle, min(max(low, 0.05), middle)),
+            subdivisions=int(self.subdivisions),
+            **({"drawn": family.draw(path, streams, wear)} if ours else self.added),
         )
         return made

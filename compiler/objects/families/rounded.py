@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Usual,
     block,
     rough,
@@ -73,17 +72,16 @@ class Rounded(Carved[_Drawn]):
     noises = ((0.9, 2), (5.0, 3), (11.0, 1))
     USUAL = Usual(0.22, 0.45, 0.7)
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
         turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
         c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]
-        drawn = _Drawn(
+        return _Drawn(
             normals=unit_vectors(u[:, :2]),
             distances=0.72 + 0.25 * u[:, 2],
             # Flat to the ground, like what water has laid down.
             frame=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
             wear=wear,
         )
-        return cls(*common, drawn)

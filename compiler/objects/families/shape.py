@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.noise.lattice import subkeys
 from scenec.schemas.kernels import Kernel, inlined, kernel
@@ -33,10 +34,6 @@ class Usual(NamedTuple):
     elongation: float
     flatness: float
     wear: float
-
-
-#: What is drawn of a rock of any family: the fields of ``Shape``, in order.
-type Common = tuple[int, float, tuple[float, float, float], int]
 
 
 @dataclass(frozen=True)
@@ -111,6 +108,15 @@ class Carved[T: tuple[Any, ...]](Shape):
     drawn: T
     sample: ClassVar[Kernel]
     noises: ClassVar[tuple[tuple[float, int], ...]]
+
+    @staticmethod
+    @abstractmethod
+    def draw(path: str, streams: Streams, wear: float) -> T:
+        """Returns what is drawn of one from the streams of a path.
+
+        Args:
+            wear: From 0, freshly broken, to 1.
+        """
 
     def surface(
         self, directions: NDArray[np.float64], spacing: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
     Usual,
     block,
@@ -99,9 +98,9 @@ class Slab(Carved[_Drawn]):
         """As of ``Carved``, with room of its own."""
         return self.drawn._replace(in_layer=self.drawn.distances.copy())
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         count, first = streams.uniforms(f"{path}/sides", 2)
         sides = 5 + int(count * (_MOST_SIDES - 4))
         u = streams.uniforms(f"{path}/outline", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
@@ -118,7 +117,7 @@ class Slab(Carved[_Drawn]):
         thick = np.cumsum(0.35 + w)
         stands = streams.uniforms(f"{path}/steps", _LAYERS * (_MOST_SIDES + 2))
         stands = stands.reshape(_LAYERS, -1)[:, : sides + 2]
-        drawn = _Drawn(
+        return _Drawn(
             normals=normals,
             distances=np.concatenate([[_HALF_HEIGHT] * 2, 0.78 + 0.22 * u[:, 2]]),
             in_layer=np.zeros(0),
@@ -128,4 +127,3 @@ class Slab(Carved[_Drawn]):
             tones=1.2 * streams.uniforms(f"{path}/tones", _LAYERS) - 0.6,
             width=wear * _WIDEST,
         )
-        return cls(*common, drawn)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from scenec.compiler.kinds.context import Context
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Shape,
     Turn,
     Usual,
@@ -24,7 +23,6 @@ from scenec.compiler.objects.families.shape import (
     smooth_max,
     unit_vectors,
 )
-from scenec.compiler.terrain.mask import Masked
 from scenec.schemas.kernels import kernel
 
 _PLANES = 11
@@ -117,9 +115,9 @@ class Ventifact(Carved[_Drawn]):
         angles = [elementary.atan2(*each) for each in zip(y.tolist(), x.tolist(), strict=True)]
         return np.array(angles) / (2.0 * elementary.PI)
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         u = streams.uniforms(f"{path}/body", 3 * _PLANES).reshape(_PLANES, 3)
         count, first = streams.uniforms(f"{path}/wind", 2)
         # Most are dreikanter, with three edges.
@@ -133,7 +131,7 @@ class Ventifact(Carved[_Drawn]):
         normals = np.stack([low * c, low * s, high], axis=1)
         along = np.stack([-high * c, -high * s, low], axis=1)
         across = np.stack([-s, c, np.zeros(facets)], axis=1)
-        drawn = _Drawn(
+        return _Drawn(
             facets=normals,
             reaches=0.42 + 0.2 * v[:, 2],
             normals=unit_vectors(u[:, :2]),
@@ -142,7 +140,6 @@ class Ventifact(Carved[_Drawn]):
             steepness=v[:, 1],
             wear=wear,
         )
-        return cls(*common, drawn)
 
     @classmethod
     def turn(cls, shapes: Sequence[Shape], context: Context) -> Turn:
@@ -150,6 +147,9 @@ class Ventifact(Carved[_Drawn]):
 
         All of a batch have one wind: that of the relief, if it has one, or one of their own.
         """
+        # Imported here: cfgs are checked without.
+        from scenec.compiler.terrain.mask import Masked
+
         operators = (o.operator if isinstance(o, Masked) else o for o in context.relief)
         winds = (getattr(operator, "wind_deg", None) for operator in operators)
         to_deg = next((wind for wind in winds if wind is not None), None)

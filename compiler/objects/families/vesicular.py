@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
     Usual,
     ball_along,
@@ -108,16 +107,16 @@ class Vesicular(Carved[_Drawn]):
         fine = fine._replace(waves=min(fine.waves, 2), grains=0)
         return self.drawn._replace(bubbles=_balls(np.uint64(self.key), self.drawn, fine))
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
         v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
         # Numbers fall with the size's square: as much of the surface to every size.
         steep = 1.0 / (_SMALLEST * _SMALLEST)
         flat = 1.0 / (_LARGEST * _LARGEST)
         size = 1.0 / np.sqrt(steep + v[:, 2] * (flat - steep))
-        drawn = _Drawn(
+        return _Drawn(
             normals=unit_vectors(u[:, :2]),
             distances=0.66 + 0.34 * u[:, 2],
             bubbles=np.concatenate(
@@ -125,4 +124,3 @@ class Vesicular(Carved[_Drawn]):
             ),
             width=0.05 + 0.55 * wear,
         )
-        return cls(*common, drawn)

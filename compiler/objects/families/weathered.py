@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
     Usual,
     bowl,
@@ -108,22 +107,19 @@ class Weathered(Carved[_Drawn]):
         rock = self.drawn
         return rock._replace(scars=bowls(rock.normals, rock.distances, rock.scars))
 
-    @classmethod
-    def of(cls, path: str, streams: Streams, wear: float, common: Common) -> Self:
-        """Draws one from the streams of a path; wear is from 0, freshly broken, to 1."""
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
         u = streams.uniforms(f"{path}/joints", 18).reshape(6, 3)
         v = streams.uniforms(f"{path}/planes", 3 * _FRACTURES).reshape(_FRACTURES, 3)
         joints = np.concatenate([np.eye(3), -np.eye(3)]) + 0.45 * unit_vectors(u[:, :2])
         joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
         s = streams.uniforms(f"{path}/spalls", 4 * _SPALLS).reshape(_SPALLS, 4)
-        return cls(
-            *common,
-            _Drawn(
-                normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
-                distances=np.concatenate([0.62 + 0.3 * u[:, 2], 0.66 + 0.3 * v[:, 2]]),
-                scars=np.concatenate(
-                    [unit_vectors(s[:, :2]), 0.4 + 0.9 * s[:, 2:3], 0.02 + 0.07 * s[:, 3:]], axis=1
-                ),
-                width=_NARROWEST + _WIDEST * wear,
+        return _Drawn(
+            normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
+            distances=np.concatenate([0.62 + 0.3 * u[:, 2], 0.66 + 0.3 * v[:, 2]]),
+            scars=np.concatenate(
+                [unit_vectors(s[:, :2]), 0.4 + 0.9 * s[:, 2:3], 0.02 + 0.07 * s[:, 3:]], axis=1
             ),
+            width=_NARROWEST + _WIDEST * wear,
         )
