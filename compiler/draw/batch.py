@@ -8,7 +8,6 @@ from typing import Any
 
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.plan import RigPlan
-from scenec.compiler.cfg.fill import Cfg
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
