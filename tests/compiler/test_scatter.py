@@ -95,7 +95,7 @@ def test_a_uniform_density_needs_no_cells_and_places_as_equal_cells_would():
 
     u = np.random.default_rng(5).random((5000, 3))
     quick = place(relief(), UniformDensity(), u, "rocks")
-    cells = place(relief(), Even(1, 1.0, 1, 1.0), u, "rocks")
+    cells = place(relief(), Even(scale_m=1.0, contrast=1.0, octaves=1, key=1), u, "rocks")
     assert np.array_equal(quick[0], cells[0])
     assert np.array_equal(quick[1], cells[1])
 
