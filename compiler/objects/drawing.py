@@ -14,12 +14,7 @@ from scenec.compiler.distributions.laws import golombek_rapp_per_m2, pick
 from scenec.compiler.distributions.numbers import Distribution, Number, draw_number
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.objects.conditions import (
-    OffTerrain,
-    OnMaterial,
-    OnRelief,
-    PlacementCondition,
-)
+from scenec.compiler.objects.conditions import OffTerrain, OnMaterial, OnRelief, PlacementCondition
 from scenec.compiler.objects.families.shape import Turn
 from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan
 from scenec.compiler.objects.scattered import Scattered
@@ -61,8 +56,7 @@ def draw_scattered(
         wide, deep = (size + 2.0 * beyond for size in context.size_m)
         context = replace(context, size_m=(wide, deep))
     size: Number = getattr(law, size_key)
-    count = _count(law, size, context)
-    n = _most(count, context)
+    count, n = _counted(law, size, context)
 
     def each(key: str, number: Number) -> NDArray[np.float64]:
         return draw_number(number, streams, f"{path}/{key}", n).astype(np.float64)
@@ -105,31 +99,23 @@ def draw_scattered(
     )
 
 
-def _count(law: Scattered, size: Number, context: Context) -> Count:
+def _counted(law: Scattered, size: Number, context: Context) -> tuple[Count, int]:
+    """How many there are, and how many there can be: ``where`` only takes some away."""
     if law.count is not None:
-        return Count(int(law.count), None, 0.0)
+        return Count(int(law.count), None, 0.0), int(law.count)
     rounding = float(context.streams.uniforms(f"{context.path}/count_rounding", 1)[0])
     per_m2 = law.per_m2
     if per_m2 is None:
         assert isinstance(size, Distribution)
         per_m2 = golombek_rapp_per_m2(size.min, size.max, size.shape)
-    return Count(None, float(per_m2), rounding)
-
-
-def _most(count: Count, context: Context) -> int:
-    """How many there can be: ``where`` only takes some away."""
-    most = count.exact
-    if most is None:
-        assert count.per_m2 is not None
-        expected = count.per_m2 * context.size_m[0] * context.size_m[1]
-        if not expected <= MOST_OBJECTS:
-            raise SceneError(
-                f"{context.path}: {count.per_m2:.3g} per m^2 on {context.size_m[0]:g} m by "
-                f"{context.size_m[1]:g} m are {expected:.3g} objects, at most {MOST_OBJECTS:,} are "
-                "taken; lower per_m2, or raise the smallest size"
-            )
-        most = int(expected + count.rounding_u)
-    return most
+    expected = per_m2 * context.size_m[0] * context.size_m[1]
+    if not expected <= MOST_OBJECTS:
+        raise SceneError(
+            f"{context.path}: {per_m2:.3g} per m^2 on {context.size_m[0]:g} m by "
+            f"{context.size_m[1]:g} m are {expected:.3g} objects, at most {MOST_OBJECTS:,} are "
+            "taken; lower per_m2, or raise the smallest size"
+        )
+    return Count(None, float(per_m2), rounding), int(expected + rounding)
 
 
 def _place(node: Mapping[str, Any], path: str, context: Context) -> PlacementCondition:

@@ -73,11 +73,8 @@ class ScatterPlan:
         material, labels, instances: As in ``Scatter``.
         source: What the prototypes are made of.
         count: How many there are.
-        density: How many lie in one place compared with another.
-        where: Conditions that the density is multiplied with.
-        spacing: What is kept between objects, or None.
+        density, where, spacing, clearance_m, lod_px: As of ``Scattered``, drawn.
         fewer: Whether those that find no place are left out; else they are an error.
-        clearance_m: Between cameras and balls around objects; below 0, how far inside they may be.
         place_key: Of the hash that gives an instance its further candidate places.
         position_u: Uniform numbers that pick the first candidate, float64 [n, 3].
         prototype: int32 [n].
@@ -86,7 +83,6 @@ class ScatterPlan:
         scale: Factor on the prototype, float64 [n]: for rocks the diameter in meters.
         embed: Part of the height below ground, float64 [n].
         variation: Albedo variation, float64 [n], in [-1, 1].
-        lod_px: Largest error of a level of detail, in pixels of the nearest view.
         fillet: Fines heaped about their feet, or None.
         beyond_m: How far beyond the terrain's border they lie, on the land; 0: on the terrain.
     """
