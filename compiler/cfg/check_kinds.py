@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
+from scenec.compiler.kinds.context import InputFile
 from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
 
 
-def check_kinds(fields: Iterable[Field], cfg: Node) -> Iterator[Finding]:
+def check_kinds(
+    fields: Iterable[Field], cfg: Node, files: Mapping[str, InputFile] | None = None
+) -> Iterator[Finding]:
     """Yields what the ``check`` of each declared object finds; only their modules are imported.
 
     Args:
         fields: All places of the cfg; the keyword "x-check" says which class has a check.
         cfg: The whole.
+        files: Those that nothing is wrong with, by path: asked is then ``check_files``, of classes
+            that have it.
     """
     for field in fields:
         if "x-check" in field.keywords and (node := cfg.at(*field.path)):
-            yield from loaded(field.keywords["x-check"]).check(node)
+            kind = loaded(field.keywords["x-check"])
+            if files is None:
+                yield from kind.check(node)
+            elif hasattr(kind, "check_files"):
+                yield from kind.check_files(node, files)

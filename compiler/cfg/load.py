@@ -14,7 +14,6 @@ from scenec.compiler.cfg.check_kinds import check_kinds
 from scenec.compiler.cfg.check_light import check_light
 from scenec.compiler.cfg.check_names import check_names
 from scenec.compiler.cfg.check_numbers import check_number
-from scenec.compiler.cfg.check_objects import check_objects, check_parts
 from scenec.compiler.cfg.check_rigs import check_rigs
 from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.faults import locate
@@ -30,7 +29,7 @@ from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 
 #: What must hold between keys, beside what is checked of names and files.
-_CHECKS = (check_objects, check_light, check_rigs)
+_CHECKS = (check_light, check_rigs)
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     folder = folder_of(path)
     files, file_findings = check_files(fields, cfg, folder)
     findings += [finding for finding in file_findings if not finding.is_warning]
-    findings += check_parts(cfg, files)
+    findings += check_kinds(fields, cfg, files)
     faults = locate(findings, document)
     if faults:
         raise CfgError(faults)

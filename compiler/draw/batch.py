@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.light import draw_light
-from scenec.compiler.draw.models import draw_meshes, draw_placed
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.materials.displacement import draw_displacement
 from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.mesh.ground import draw_terrain
-from scenec.compiler.objects.placed import PlacedPlan
-from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.plan import Plan
-
-#: How each kind of objects is drawn.
-_CLASSES: dict[str, Callable[..., ScatterPlan | PlacedPlan]] = {
-    "rocks": draw_rocks,
-    "meshes": draw_meshes,
-    "placed": draw_placed,
-}
 
 
 def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
@@ -65,7 +53,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
         materials=materials,
         terrain=terrain,
         objects=tuple(
-            _CLASSES[node["type"]](name, node, setting.label_ids(node["labels"]), setting)
+            draw_kind("objects", node, f"objects/{name}", setting)
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],

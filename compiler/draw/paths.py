@@ -21,7 +21,6 @@ from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import per_sample, resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.of_keys import of_keys
-from scenec.compiler.draw.scatter import uniforms
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import matrices
 from scenec.compiler.kinds.context import Context
@@ -118,11 +117,11 @@ def draw_motion(cfg: dict[str, Any], path: str, setting: Context) -> Motion:
     waypoints = np.array(given, np.float64) if given is not None else np.empty((0, 2))
     if kind == "rover":
         count = 0 if len(waypoints) else goals
-        u = uniforms(streams, f"{path}/goals", count * _GOAL_TRIES, 2)
+        u = streams.uniforms(f"{path}/goals", 2 * count * _GOAL_TRIES).reshape(-1, 2)
         return Rover(waypoints, u.reshape(count, _GOAL_TRIES, 2), **node, sampling=sampling)
     margin = node.pop("margin")
     if not len(waypoints):
-        u = uniforms(streams, f"{path}/goals", goals, 2)
+        u = streams.uniforms(f"{path}/goals", 2 * goals).reshape(-1, 2)
         return Mav(waypoints, (u - 0.5) * (1.0 - 2.0 * margin), **node, sampling=sampling)
     return Mav(waypoints, np.empty((0, 2)), **node, sampling=sampling)
 

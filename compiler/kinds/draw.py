@@ -39,15 +39,18 @@ def draw_object(name: str, node: Mapping[str, Any], path: str, context: Context)
 
 
 def _made(kind: type[Any], node: Mapping[str, Any], path: str, context: Context) -> Any:
+    keys, drawn = keys_of(kind), resolve(node, context.streams, path)
+    added = {}
+    if "x-kinds" in vars(kind).get("KEYWORDS", {}):
+        # What another package's kind, which one of the keys names, adds to them.
+        added = {"added": {key: drawn.pop(key) for key in [*drawn] if key not in keys}}
     values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value
-        for key, value in resolve(node, context.streams, path).items()
+        key: tuple(value) if isinstance(value, list) else value for key, value in drawn.items()
     }
-    keys = keys_of(kind)
     for key, value in values.items():
         form = keys[key].form if key in keys else _FOREIGN.get(key, Form({}))
         if value is not None and "x-file" in form.keywords:
             values[key] = context.files[f"{path}/{key}"].path
         elif value is not None and form.drawn:
             values[key] = draw_object(form.drawn, value, f"{path}/{key}", context)
-    return kind(**values, **made_of_context(kind, context.at(path), values))
+    return kind(**values, **added, **made_of_context(kind, context.at(path), values))

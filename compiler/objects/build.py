@@ -18,8 +18,9 @@ from scenec.compiler.objects.coatings import coat
 from scenec.compiler.objects.feet import heap
 from scenec.compiler.objects.foliage import foliage_chain
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
+from scenec.compiler.objects.models import ModelFile
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
-from scenec.compiler.objects.plan import ModelPlan, ModelSource, ScatterPlan
+from scenec.compiler.objects.plan import ModelSource, ScatterPlan
 from scenec.compiler.objects.prototypes import Looks, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.objects.scatter import scatter
@@ -142,7 +143,7 @@ def _without_files(plan: ScatterPlan) -> ScatterPlan:
 def _others(plan: ScatterPlan) -> set[str]:
     """Classes that a plan refers to: density and conditions by ``of``, as the cfg says it."""
     found = {part.of for part in (plan.density, *plan.where) if hasattr(part, "of")}
-    return found | set(plan.spacing.of if plan.spacing else ())
+    return found | set((plan.spacing and plan.spacing.of) or ())
 
 
 def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:
@@ -178,7 +179,7 @@ def _prototypes(
     return tuple(found)
 
 
-def _prim_name(index: int, model: ModelPlan) -> str:
+def _prim_name(index: int, model: ModelFile) -> str:
     stem = re.sub(r"\W", "_", model.file.stem, flags=re.ASCII)
     return f"model_{index:02d}_{stem}"
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.icosphere import EDGE
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, TEXT
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.objects import Coating, Prototype
@@ -27,27 +30,30 @@ _RAGGED = 0.9
 _WAVES = 7.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CoatingPlan:
-    """One layer on all stones of a class, as they rest.
+    """A material on rocks as they rest: on what faces up, in hollows, and next to the ground.
 
-    Attributes:
-        material: Name.
-        tops: Share of what faces up that it covers, but for ridges, which wind and rain sweep.
-        max_slope_deg: Steepest slope that it lies on.
-        hollows: Share of what it covers in hollows, however steep, unless they face down.
-        foot: Share of what it covers next to the ground.
-        foot_height: How far up from the ground that reaches, in parts of a stone's height.
-        key: Of the noise that makes its borders ragged.
+    Labels do not heed it.
     """
 
-    material: str
-    tops: float
-    max_slope_deg: float
-    hollows: float
-    foot: float
-    foot_height: float
-    key: int
+    EXAMPLE: ClassVar = {"material": "dust", "tops": 0.7, "foot_height": 0.2}
+
+    TITLE: ClassVar = "Objects: rocks: coating"
+    material: str = key(TEXT)
+    """Name of a material."""
+    tops: float = key(FRACTION_PER_BATCH, default=0.8)
+    """Share of what faces up that it covers; ridges stay bare."""
+    max_slope_deg: float = key(PER_BATCH, default=35, at_least=0, at_most=180, unit="deg")
+    """Steepest slope that it lies on; it thins out over 12 degrees to either side."""
+    hollows: float = key(FRACTION_PER_BATCH, default=0.6)
+    """Share that it covers of hollows, unless they face down."""
+    foot: float = key(FRACTION_PER_BATCH, default=1)
+    """Share that it covers of a rock next to the ground, where the mean embed of its class puts
+    that."""
+    foot_height: float = key(PER_BATCH, default=0.15, at_least=0.01, at_most=1)
+    """How far up from the ground the foot reaches, in parts of a rock's height."""
+    key: int = noise_key()
 
 
 def coat(chains: Sequence[Chain], plans: Sequence[CoatingPlan], embed: float) -> tuple[Chain, ...]:

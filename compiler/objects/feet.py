@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.distributions.numbers import Number, draw_number
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import FRACTION_PER_INSTANCE, PER_INSTANCE
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.bodies import Bodies, vertices_of
@@ -27,6 +32,42 @@ _OF_EXPOSED = 0.3
 _APART = 7.31
 #: Points about a stone that its ground is leveled by, and how far from its middle in its radii.
 _POINTS, _AROUND = 8, 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fillet:
+    """A ramp of the ground about a rock's foot: highest where it meets the rock, level where it
+    ends, higher and longer on some sides than on others (by up to 70 %). It is detail of the
+    ground's mesh, as fine as cameras see it, and keeps the ground's material and labels. Rocks stay
+    where they are, a little deeper in the ground, and of what stands out of it no more than 30 %
+    counts as the height; classes after them are seated on it, poses of cameras do not heed it.
+    Where the fillets of a class overlap, the highest counts. Rocks have none that is lower than
+    twice the mesh's tolerance_px in the nearest view, and none where the terrain is a mesh, where
+    its mesh is the plain grid (terrain.mesh.tolerance_px 0), or without cameras.
+    """
+
+    EXAMPLE: ClassVar = {"height": {"type": "uniform", "min": 0.04, "max": 0.1}, "reach": 0.4}
+
+    TITLE: ClassVar = "Objects: rocks: fillet"
+    height: Number = key(
+        FRACTION_PER_INSTANCE, default={"type": "uniform", "min": 0.04, "max": 0.12}
+    )
+    """Height where it meets the rock, in parts of the rock's size."""
+    reach: Number = key(
+        PER_INSTANCE,
+        default={"type": "uniform", "min": 0.25, "max": 0.6},
+        at_least=0.01,
+        at_most=10,
+    )
+    """How far from the rock it ends, in parts of the rock's size."""
+
+    def draw(self, context: Context, n: int) -> FilletPlan:
+        """Returns the fillets of n stones."""
+        height, reach = (
+            draw_number(number, context.streams, f"{context.path}/{name}", n).astype(np.float64)
+            for name, number in (("height", self.height), ("reach", self.reach))
+        )
+        return FilletPlan(height, reach, context.key())
 
 
 @dataclass(frozen=True)

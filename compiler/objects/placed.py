@@ -11,7 +11,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.rotations import upright_to
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.plan import ModelPlan, PartRule
+from scenec.compiler.objects.models import ModelFile, PartRule
 from scenec.compiler.scene.labels import Labels
 from scenec.compiler.scene.objects import Placed, Prototype
 from scenec.schemas.errors import SceneError
@@ -84,7 +84,7 @@ class PlacedPlan:
     material: str | None
     labels: Labels
     instances: bool
-    models: tuple[ModelPlan, ...]
+    models: tuple[ModelFile, ...]
     rules: tuple[PartRule, ...]
     model: NDArray[np.int32]
     ids: NDArray[np.int64]

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import Origin
 from scenec.compiler.objects.coatings import CoatingPlan
 from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.feet import FilletPlan
+from scenec.compiler.objects.models import ModelFile, PartRule
+from scenec.compiler.objects.scattered import Spacing
 from scenec.compiler.scene.labels import Labels
 
 
@@ -34,37 +34,6 @@ class RockShapes:
 
 
 @dataclass(frozen=True)
-class PartRule:
-    """What the cfg says of one part of a class's models.
-
-    Attributes:
-        name: Of a part, of what stands above it, or of a material of the file.
-        material: The cfg's material that it gets, or None.
-        labels: Label ids, on the levels where they differ from the class's.
-    """
-
-    name: str
-    material: str | None
-    labels: Labels
-
-
-@dataclass(frozen=True)
-class ModelPlan:
-    """One model of a class.
-
-    Attributes:
-        unit_m, up, part: See ``assets.model.read_model``.
-        origin: See ``assets.model.finish_model``.
-    """
-
-    file: Path
-    unit_m: float | None
-    up: str | None
-    part: str | None
-    origin: Origin
-
-
-@dataclass(frozen=True)
 class ModelSource:
     """Models from files, in meters: a scale is a factor.
 
@@ -75,7 +44,7 @@ class ModelSource:
             their origin.
     """
 
-    models: tuple[ModelPlan, ...]
+    models: tuple[ModelFile, ...]
     rules: tuple[PartRule, ...]
     variation: float
     touch: bool
@@ -97,21 +66,6 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Spacing:
-    """Poisson-disk spacing: distances that are kept in plan.
-
-    Attributes:
-        gap_m: Between circles.
-        radius: A circle's, in radii of the ball around its object.
-        of: Names of the classes that are kept away from; the own one may be among them.
-    """
-
-    gap_m: float
-    radius: float
-    of: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class ScatterPlan:
     """One class of scattered objects; n instances at most, see ``Count``.
 
@@ -119,11 +73,8 @@ class ScatterPlan:
         material, labels, instances: As in ``Scatter``.
         source: What the prototypes are made of.
         count: How many there are.
-        density: How many lie in one place compared with another.
-        where: Conditions that the density is multiplied with.
-        spacing: What is kept between objects, or None.
+        density, where, spacing, clearance_m, lod_px: As of ``Scattered``, drawn.
         fewer: Whether those that find no place are left out; else they are an error.
-        clearance_m: Between cameras and balls around objects; below 0, how far inside they may be.
         place_key: Of the hash that gives an instance its further candidate places.
         position_u: Uniform numbers that pick the first candidate, float64 [n, 3].
         prototype: int32 [n].
@@ -132,7 +83,6 @@ class ScatterPlan:
         scale: Factor on the prototype, float64 [n]: for rocks the diameter in meters.
         embed: Part of the height below ground, float64 [n].
         variation: Albedo variation, float64 [n], in [-1, 1].
-        lod_px: Largest error of a level of detail, in pixels of the nearest view.
         fillet: Fines heaped about their feet, or None.
         beyond_m: How far beyond the terrain's border they lie, on the land; 0: on the terrain.
     """

@@ -15,8 +15,9 @@ from scenec.compiler.assets.parts import is_of
 from scenec.compiler.geometry.rounding import rounding_of
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.objects.corners import corner_normals, split
+from scenec.compiler.objects.models import PartRule
 from scenec.compiler.objects.placed import PlacedPlan
-from scenec.compiler.objects.plan import ModelSource, PartRule, ScatterPlan
+from scenec.compiler.objects.plan import ModelSource, ScatterPlan
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.compiler.scene.objects import MeshPart, Prototype
 from scenec.schemas.errors import SceneError

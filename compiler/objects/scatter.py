@@ -15,8 +15,9 @@ from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
 from scenec.compiler.objects.placement import Placement, seating_report
-from scenec.compiler.objects.plan import Count, ScatterPlan, Spacing
+from scenec.compiler.objects.plan import Count, ScatterPlan
 from scenec.compiler.objects.rocks import Chain
+from scenec.compiler.objects.scattered import Spacing
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.objects import Prototype, Scatter
@@ -161,12 +162,13 @@ class _Scattering:
         """The try that each takes, none before its first; -1 where there is no place."""
         assert self._candidates is not None
         laid = self._around.objects
-        others = [laid[name] for name in spacing.of if name in laid]
+        of = spacing.of or (self.plan.name,)
+        others = [laid[name] for name in of if name in laid]
         disks = Disks(len(first) + sum(len(other.x) for other in others))
         for other in others:
             disks.add(other.x, other.y, spacing.radius * other.radius + 0.5 * spacing.gap_m)
         order = np.argsort(-self._reach, kind="stable")
-        own, key = self.plan.name in spacing.of, self.plan.place_key
+        own, key = self.plan.name in of, self.plan.place_key
         tries = np.empty(len(first), np.int64)
         tries[order] = disks.scatter(self._candidates, self._u, key, order, self._reach, first, own)
         return tries

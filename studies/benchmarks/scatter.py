@@ -16,8 +16,8 @@ import numpy as np
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
@@ -74,7 +74,7 @@ def measure(count: int, subdivisions: int, name: str) -> tuple[float, ...]:
     def once(n: int) -> tuple[float, ...]:
         cfg = rocks(n, subdivisions, CASES[name])
         clock = [time.perf_counter()]
-        plan = draw_rocks("rocks", cfg, {}, setting)
+        plan = draw_kind("objects", cfg, "objects/rocks", setting)
         clock.append(time.perf_counter())
         chains = build_chains(plan.source.shapes, coarser=False)
         clock.append(time.perf_counter())

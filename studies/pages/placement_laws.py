@@ -14,8 +14,8 @@ from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.distributions.numbers import draw_number
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.studies.pages.placement_field import number
 from scenec.studies.runner import Page, table
 
@@ -152,7 +152,7 @@ def _numbers_of_rocks(page: Page) -> str:
         terrain = {"size_m": [side, side], "spacing_m": 1, "relief": [], "ground": [{}]}
         content = {"terrain": terrain, "objects": {"rocks": thing}, "materials": {}, "rigs": {}}
         filled = fill(content)["objects"]["rocks"]
-        plan = draw_rocks("rocks", filled, {}, Context(Streams(5, 0), (side, side)))
+        plan = draw_kind("objects", filled, "objects/rocks", Context(Streams(5, 0), (side, side)))
         row = [f"{k:g}"]
         for i, low in enumerate((0.1, 0.5)):
             exact, ours = _by_quadrature(low, k), golombek_rapp_per_m2(low, 50.0, k)

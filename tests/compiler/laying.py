@@ -13,8 +13,8 @@ from small import small_cfg
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.kinds.context import Context, InputFile
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.rocks import build_chains
@@ -60,7 +60,9 @@ def plan(
 ) -> ScatterPlan:
     """What is drawn for one class of rocks."""
     filled = copy.deepcopy(_filled(name, json.dumps(change)))
-    return draw_rocks(name, filled, {}, Context(Streams(seed, 0), SIZE, files or {}))
+    context = Context(Streams(seed, 0), SIZE, files or {})
+    drawn: ScatterPlan = draw_kind("objects", filled, f"objects/{name}", context)
+    return drawn
 
 
 @cache

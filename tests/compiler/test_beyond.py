@@ -13,13 +13,13 @@ from scenec.backends.annotation.annotate import annotate
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build, build_land, build_surface
-from scenec.compiler.cfg.check_objects import LEAST_BEYOND
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw.batch import draw
 from scenec.compiler.estimate import needs_of
 from scenec.compiler.objects.conditions import OffTerrain
 from scenec.compiler.objects.lattice import Lattice
+from scenec.compiler.objects.scattered import LEAST_BEYOND
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError
 

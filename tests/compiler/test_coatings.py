@@ -13,21 +13,24 @@ from scenec.compiler.cfg.fill import fill
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.objects.coatings import CoatingPlan, coat
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.errors import CfgError
 
-NOTHING = CoatingPlan("dust", 0.0, 35.0, 0.0, 0.0, 0.15, 7)
+NOTHING = CoatingPlan(
+    material="dust", tops=0.0, max_slope_deg=35.0, hollows=0.0, foot=0.0, foot_height=0.15, key=7
+)
 
 
 @pytest.fixture(scope="module")
 def stones() -> tuple[Chain, ...]:
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"family": "vesicular", "prototypes": 3, "subdivisions": 5}
-    plan = draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Context(Streams(1, 0)))
+    rocks = fill(cfg)["objects"]["rocks"]
+    plan = draw_kind("objects", rocks, "objects/rocks", Context(Streams(1, 0)))
     return build_chains(plan.source.shapes)
 
 

@@ -16,9 +16,9 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.models import quaternion_of
 from scenec.compiler.geometry.rotations import upright_to
 from scenec.compiler.objects.placed import PoseKeys, slerp
+from scenec.compiler.objects.poses import quaternion_of
 from scenec.schemas.errors import CfgError, SceneError
 
 #: A table: a top of 1 m by 1 m at 0.8 m, and a leg; meters, Z up.

@@ -14,11 +14,13 @@ from small import small_cfg
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere
 from scenec.compiler.geometry.normals import faces_of_vertices
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import own_keys
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.objects.creases import along_creases
+from scenec.compiler.objects.families.rocks import Rocks, family_of
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.plan import ScatterPlan
@@ -35,10 +37,14 @@ FAMILIES = (
 )  # fmt: skip
 
 
+def drawn(cfg: dict, context: Context, name: str = "rocks") -> ScatterPlan:
+    return draw_kind("objects", fill(cfg)["objects"][name], f"objects/{name}", context)
+
+
 def plan(seed: int = 1, **change) -> ScatterPlan:
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"prototypes": 6, "subdivisions": 3, "count": 40} | change
-    return draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, Context(Streams(seed, 0)))
+    return drawn(cfg, Context(Streams(seed, 0)))
 
 
 def shapes(family: str, seed: int = 1, **change) -> tuple[Shape, ...]:
@@ -444,6 +450,22 @@ def test_another_family_leaves_everything_but_the_shapes():
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
 
+def test_a_size_that_is_drawn_once_a_batch_is_that_of_every_rock():
+    law = {"type": "uniform", "min": 0.1, "max": 0.5}
+    alike, each = (plan(size_m=law | {"per": per}).scale for per in ("batch", "instance"))
+    assert len(set(alike)) == 1
+    assert len(set(each)) == len(each)
+    assert alike[0] == each[0]
+
+
+@pytest.mark.parametrize("key", ["elongation", "flatness", "wear"])
+def test_what_a_family_has_where_the_cfg_says_nothing_is_what_its_key_says_of_it(key):
+    said = own_keys(Rocks)[key][0]["description"]
+    for family in FAMILIES:
+        usual = f"{family} {getattr(family_of(family).USUAL, key):g}"
+        assert (usual in said) == (key != "wear" or family != "weathered")
+
+
 def test_slabs_lie_unless_told_otherwise():
     assert plan(family="slab").align
     assert not plan(family="slab", orientation="random").align
@@ -455,7 +477,7 @@ def winds_of(relief: tuple[object, ...], **change) -> tuple[np.ndarray, np.ndarr
     cfg = small_cfg()
     cfg["objects"]["rocks"] |= {"family": "ventifact", "count": 3000, "prototypes": 12} | change
     setting = Context(Streams(3, 0), relief=relief)
-    made = draw_rocks("rocks", fill(cfg)["objects"]["rocks"], {}, setting)
+    made = drawn(cfg, setting)
     x, y, z, w = made.orientations.T
     assert np.allclose(x, 0.0)
     assert np.allclose(y, 0.0)
@@ -487,7 +509,7 @@ def test_ventifacts_of_a_batch_without_a_windy_relief_share_a_wind():
     for name in ("rocks", "stones"):
         cfg = small_cfg()
         cfg["objects"][name] = cfg["objects"]["rocks"] | {"family": "ventifact", "count": 500}
-        made = draw_rocks(name, fill(cfg)["objects"][name], {}, Context(Streams(3, 0)))
+        made = drawn(cfg, Context(Streams(3, 0)), name)
         z, w = made.orientations[:, 2], made.orientations[:, 3]
         turns = np.arctan2(2 * w * z, w * w - z * z)
         bearings = [shape.bearings() * 2 * np.pi for shape in made.source.shapes]

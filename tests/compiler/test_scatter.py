@@ -13,7 +13,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.families.shape import Shape
-from scenec.compiler.objects.families.weathered import draw_weathered
+from scenec.compiler.objects.families.weathered import Weathered
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
 from scenec.compiler.objects.rocks import build_prototypes
@@ -24,8 +24,8 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 
 def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: int = 3) -> Shape:
-    common = (seed, bumpiness, (1.0, 0.8, 0.6), level)
-    return draw_weathered("rock", Streams(seed, 0), 1.0 - angularity, common)
+    drawn = Weathered.draw("rock", Streams(seed, 0), 1.0 - angularity)
+    return Weathered(seed, bumpiness, (1.0, 0.8, 0.6), level, drawn)
 
 
 def relief() -> HeightField:
@@ -95,7 +95,7 @@ def test_a_uniform_density_needs_no_cells_and_places_as_equal_cells_would():
 
     u = np.random.default_rng(5).random((5000, 3))
     quick = place(relief(), UniformDensity(), u, "rocks")
-    cells = place(relief(), Even(key=1, scale_m=1.0, octaves=1, contrast=1.0), u, "rocks")
+    cells = place(relief(), Even(scale_m=1.0, contrast=1.0, octaves=1, key=1), u, "rocks")
     assert np.array_equal(quick[0], cells[0])
     assert np.array_equal(quick[1], cells[1])
 

@@ -13,8 +13,8 @@ from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
+    Usual,
     block,
     bowl,
     bowls,
@@ -110,6 +110,7 @@ class Angular(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.3, 2), (5.0, 4))
+    USUAL = Usual(0.29, 0.5, 0.1)
 
     @cached_property
     def _whole(self) -> _Drawn:
@@ -131,28 +132,27 @@ class Angular(Carved[_Drawn]):
         """As of ``Carved``."""
         return self._whole
 
-
-def draw_angular(path: str, streams: Streams, wear: float, common: Common) -> Angular:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
-    tilt = unit_vectors(u[:, :2])
-    joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-    joints = joints + 0.4 * tilt
-    joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
-    v = streams.uniforms(f"{path}/cuts", 3 * _CUTS).reshape(_CUTS, 3)
-    w = streams.uniforms(f"{path}/chips", 7 * _CHIPS).reshape(_CHIPS, 7)
-    s = streams.uniforms(f"{path}/scars", 4 * _SCARS).reshape(_SCARS, 4)
-    scar = unit_vectors(s[:, :2])
-    bowl = 0.5 + 0.9 * s[:, 2]
-    tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
-    # What broke last has not darkened yet.
-    tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
-    drawn = _Drawn(
-        normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
-        distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
-        chips=w,
-        scars=np.concatenate([scar, bowl[:, None], 0.01 + 0.05 * s[:, 3:]], axis=1),
-        tones=tones,
-        width=wear * _WIDEST,
-    )
-    return Angular(*common, drawn)
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
+        tilt = unit_vectors(u[:, :2])
+        joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+        joints = joints + 0.4 * tilt
+        joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
+        v = streams.uniforms(f"{path}/cuts", 3 * _CUTS).reshape(_CUTS, 3)
+        w = streams.uniforms(f"{path}/chips", 7 * _CHIPS).reshape(_CHIPS, 7)
+        s = streams.uniforms(f"{path}/scars", 4 * _SCARS).reshape(_SCARS, 4)
+        scar = unit_vectors(s[:, :2])
+        bowl = 0.5 + 0.9 * s[:, 2]
+        tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
+        # What broke last has not darkened yet.
+        tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
+        return _Drawn(
+            normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
+            distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
+            chips=w,
+            scars=np.concatenate([scar, bowl[:, None], 0.01 + 0.05 * s[:, 3:]], axis=1),
+            tones=tones,
+            width=wear * _WIDEST,
+        )

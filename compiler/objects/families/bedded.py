@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
-from scenec.compiler.objects.families.shape import Carved, Common, block, rough, sampling
+from scenec.compiler.objects.families.shape import Carved, Usual, block, rough, sampling
 from scenec.schemas.kernels import kernel
 
 _MOST_SIDES = 6
@@ -89,51 +89,52 @@ class Bedded(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.3, 3), (5.0, 4), (9.0, 2))
+    USUAL = Usual(0.25, 0.45, 0.35)
+    LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where the planes meet."""
         return self.drawn.normals, self.drawn.distances
 
-
-def draw_bedded(path: str, streams: Streams, wear: float, common: Common) -> Bedded:
-    """Draws one."""
-    count, first, dip, toward = streams.uniforms(f"{path}/joints", 4)
-    sides = 4 + int(count * (_MOST_SIDES - 3))
-    u = streams.uniforms(f"{path}/sides", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
-    bearing = 2.0 * elementary.PI * (first + (np.arange(sides) + 0.6 * (u[:, 0] - 0.5)) / sides)
-    c, s = elementary.cos_array(bearing), elementary.sin_array(bearing)
-    ends = 0.3 * (streams.uniforms(f"{path}/ends", 4) - 0.5)
-    normals = np.concatenate([
-        [[ends[0], ends[1], 1.0], [ends[2], ends[3], -1.0]],
-        np.stack([c, s, 0.5 * (u[:, 1] - 0.4)], axis=1),
-    ])  # fmt: skip
-    normals /= np.sqrt((normals * normals).sum(axis=1))[:, None]
-    # Most blocks lie on their bedding, more or less.
-    angle = 2.0 * elementary.PI * toward
-    lean = 0.35 * dip * dip
-    up = np.array([lean * elementary.cos(angle), lean * elementary.sin(angle), 1.0])
-    up /= np.sqrt((up * up).sum())
-    w = streams.uniforms(f"{path}/beds", 6 * _BEDS).reshape(_BEDS, 6)
-    # Many thin beds, a few thick ones; most differ little, some soft ones far.
-    thick = np.cumsum(0.12 + 1.9 * w[:, 0] * w[:, 0] * w[:, 0])
-    # Blocks end where hard beds do.
-    soft = np.concatenate([[0.3 * w[0, 1]], w[1:-1, 1], [0.3 * w[-1, 1]]])
-    cross = np.where(w[:, 3] < 0.4, 1.2, 0.0)
-    drawn = _Drawn(
-        normals=normals,
-        distances=np.concatenate([[0.66, 0.66], 0.76 + 0.24 * u[:, 2]]),
-        up=up,
-        bounds=0.72 * (2.0 * thick[:-1] / thick[-1] - 1.0),
-        beds=np.stack(
-            [
-                0.22 * soft * soft * soft,
-                1.1 * w[:, 2] - 0.55,
-                0.3 + 0.7 * soft,
-                cross * (w[:, 4] - 0.5),
-                cross * (w[:, 5] - 0.5),
-            ],
-            axis=1,
-        ),
-        width=wear * _WIDEST,
-    )
-    return Bedded(*common, drawn)
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        count, first, dip, toward = streams.uniforms(f"{path}/joints", 4)
+        sides = 4 + int(count * (_MOST_SIDES - 3))
+        u = streams.uniforms(f"{path}/sides", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
+        bearing = 2.0 * elementary.PI * (first + (np.arange(sides) + 0.6 * (u[:, 0] - 0.5)) / sides)
+        c, s = elementary.cos_array(bearing), elementary.sin_array(bearing)
+        ends = 0.3 * (streams.uniforms(f"{path}/ends", 4) - 0.5)
+        normals = np.concatenate([
+            [[ends[0], ends[1], 1.0], [ends[2], ends[3], -1.0]],
+            np.stack([c, s, 0.5 * (u[:, 1] - 0.4)], axis=1),
+        ])  # fmt: skip
+        normals /= np.sqrt((normals * normals).sum(axis=1))[:, None]
+        # Most blocks lie on their bedding, more or less.
+        angle = 2.0 * elementary.PI * toward
+        lean = 0.35 * dip * dip
+        up = np.array([lean * elementary.cos(angle), lean * elementary.sin(angle), 1.0])
+        up /= np.sqrt((up * up).sum())
+        w = streams.uniforms(f"{path}/beds", 6 * _BEDS).reshape(_BEDS, 6)
+        # Many thin beds, a few thick ones; most differ little, some soft ones far.
+        thick = np.cumsum(0.12 + 1.9 * w[:, 0] * w[:, 0] * w[:, 0])
+        # Blocks end where hard beds do.
+        soft = np.concatenate([[0.3 * w[0, 1]], w[1:-1, 1], [0.3 * w[-1, 1]]])
+        cross = np.where(w[:, 3] < 0.4, 1.2, 0.0)
+        return _Drawn(
+            normals=normals,
+            distances=np.concatenate([[0.66, 0.66], 0.76 + 0.24 * u[:, 2]]),
+            up=up,
+            bounds=0.72 * (2.0 * thick[:-1] / thick[-1] - 1.0),
+            beds=np.stack(
+                [
+                    0.22 * soft * soft * soft,
+                    1.1 * w[:, 2] - 0.55,
+                    0.3 + 0.7 * soft,
+                    cross * (w[:, 4] - 0.5),
+                    cross * (w[:, 5] - 0.5),
+                ],
+                axis=1,
+            ),
+            width=wear * _WIDEST,
+        )

@@ -11,8 +11,8 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
+    Usual,
     ball_along,
     block,
     rough,
@@ -96,6 +96,7 @@ class Breccia(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.4, 3), (6.0, 4))
+    USUAL = Usual(0.22, 0.4, 0.4)
 
     def seen(self, fine: Fine) -> _Drawn:
         """As of ``Carved``, with the clasts that the mesh can show."""
@@ -105,25 +106,24 @@ class Breccia(Carved[_Drawn]):
             clasts=rock.clasts[shown], faces=rock.faces[shown], reaches=rock.reaches[shown]
         )
 
-
-def draw_breccia(path: str, streams: Streams, wear: float, common: Common) -> Breccia:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
-    v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
-    w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)
-    # Numbers fall with the size: a few large ones have most of the surface.
-    size = 1.0 / (1.0 / _SMALLEST + v[:, 2] * (1.0 / _LARGEST - 1.0 / _SMALLEST))
-    # Most are paler than the matrix, some darker.
-    tone = np.where(v[:, 5] < 0.7, 0.15 + 0.9 * v[:, 5], -2.6 * (v[:, 5] - 0.68))
-    deep = 0.1 + 0.5 * v[:, 3]
-    drawn = _Drawn(
-        normals=unit_vectors(u[:, :2]),
-        distances=0.66 + 0.34 * u[:, 2],
-        clasts=np.concatenate(
-            [unit_vectors(v[:, :2]), np.stack([size, deep, v[:, 4], tone], axis=1)], axis=1
-        ),
-        faces=unit_vectors(w[:, :2]).reshape(_CLASTS, _FACES, 3),
-        reaches=(0.5 + 0.4 * w[:, 2]).reshape(_CLASTS, _FACES),
-        width=0.05 + 0.55 * wear,
-    )
-    return Breccia(*common, drawn)
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
+        v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
+        w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)
+        # Numbers fall with the size: a few large ones have most of the surface.
+        size = 1.0 / (1.0 / _SMALLEST + v[:, 2] * (1.0 / _LARGEST - 1.0 / _SMALLEST))
+        # Most are paler than the matrix, some darker.
+        tone = np.where(v[:, 5] < 0.7, 0.15 + 0.9 * v[:, 5], -2.6 * (v[:, 5] - 0.68))
+        deep = 0.1 + 0.5 * v[:, 3]
+        return _Drawn(
+            normals=unit_vectors(u[:, :2]),
+            distances=0.66 + 0.34 * u[:, 2],
+            clasts=np.concatenate(
+                [unit_vectors(v[:, :2]), np.stack([size, deep, v[:, 4], tone], axis=1)], axis=1
+            ),
+            faces=unit_vectors(w[:, :2]).reshape(_CLASTS, _FACES, 3),
+            reaches=(0.5 + 0.4 * w[:, 2]).reshape(_CLASTS, _FACES),
+            width=0.05 + 0.55 * wear,
+        )

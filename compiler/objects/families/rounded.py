@@ -12,7 +12,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
+    Usual,
     block,
     rough,
     sampling,
@@ -70,18 +70,18 @@ class Rounded(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((0.9, 2), (5.0, 3), (11.0, 1))
+    USUAL = Usual(0.22, 0.45, 0.7)
 
-
-def draw_rounded(path: str, streams: Streams, wear: float, common: Common) -> Rounded:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
-    turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
-    c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]
-    drawn = _Drawn(
-        normals=unit_vectors(u[:, :2]),
-        distances=0.72 + 0.25 * u[:, 2],
-        # Flat to the ground, like what water has laid down.
-        frame=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
-        wear=wear,
-    )
-    return Rounded(*common, drawn)
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
+        turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
+        c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]
+        return _Drawn(
+            normals=unit_vectors(u[:, :2]),
+            distances=0.72 + 0.25 * u[:, 2],
+            # Flat to the ground, like what water has laid down.
+            frame=np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]),
+            wear=wear,
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,15 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.noise.lattice import subkeys
 from scenec.schemas.kernels import Kernel, inlined, kernel
 
 #: However bumpy, a surface stays this far from the center that it is star-shaped about.
 LEAST = 0.25
 
+#: Of prototypes, int32 [n], and uniform numbers, [n, 3]: turns about the vertical, in whole ones.
+Turn = Callable[[NDArray[np.int32], NDArray[np.float64]], NDArray[np.float64]]
 
-#: What is drawn of a rock of any family: the fields of ``Shape``, in order.
-type Common = tuple[int, float, tuple[float, float, float], int]
+
+class Usual(NamedTuple):
+    """What rocks of a family have where the cfg says nothing.
+
+    Fragments have axes of about 2 : sqrt(2) : 1, whatever broke them (Michikami et al. 2010 on
+    Itokawa, Eros and in the laboratory; 2022 on Ryugu). What rolls loses its corners before its
+    proportions; slabs come from between bedding planes; the rest is judgment.
+    """
+
+    elongation: float
+    flatness: float
+    wear: float
 
 
 @dataclass(frozen=True)
@@ -37,6 +52,16 @@ class Shape(ABC):
     bumpiness: float
     axes: tuple[float, float, float]
     subdivisions: int
+    USUAL: ClassVar[Usual] = Usual(0.25, 0.4, 0.3)
+    #: The key that says how worn they are: wear or angularity.
+    READS: ClassVar[str] = "wear"
+    #: Whether they lie as they have formed or broken, where the cfg does not say otherwise.
+    LIES: ClassVar[bool] = False
+
+    @classmethod
+    def turn(cls, shapes: Sequence[Shape], context: Context) -> Turn | None:
+        """Returns how those of a class stand that are not turned at random; None: in any way."""
+        return None
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Unit normals [p, 3] and distances [p] of the planes that meet in sharp edges."""
@@ -83,6 +108,15 @@ class Carved[T: tuple[Any, ...]](Shape):
     drawn: T
     sample: ClassVar[Kernel]
     noises: ClassVar[tuple[tuple[float, int], ...]]
+
+    @staticmethod
+    @abstractmethod
+    def draw(path: str, streams: Streams, wear: float) -> T:
+        """Returns what is drawn of one from the streams of a path.
+
+        Args:
+            wear: From 0, freshly broken, to 1.
+        """
 
     def surface(
         self, directions: NDArray[np.float64], spacing: float

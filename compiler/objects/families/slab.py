@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
-from scenec.compiler.objects.families.shape import Carved, Common, Fine, block, rough, sampling
+from scenec.compiler.objects.families.shape import (
+    Carved,
+    Fine,
+    Usual,
+    block,
+    rough,
+    sampling,
+)
 from scenec.schemas.kernels import kernel
 
 _MOST_SIDES = 8
@@ -80,6 +87,8 @@ class Slab(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.4, 3), (4.5, 4))
+    USUAL = Usual(0.25, 0.8, 0.15)
+    LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where the planes meet."""
@@ -89,32 +98,32 @@ class Slab(Carved[_Drawn]):
         """As of ``Carved``, with room of its own."""
         return self.drawn._replace(in_layer=self.drawn.distances.copy())
 
-
-def draw_slab(path: str, streams: Streams, wear: float, common: Common) -> Slab:
-    """Draws one."""
-    count, first = streams.uniforms(f"{path}/sides", 2)
-    sides = 5 + int(count * (_MOST_SIDES - 4))
-    u = streams.uniforms(f"{path}/outline", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
-    bearing = 2.0 * elementary.PI * (first + (np.arange(sides) + 0.75 * (u[:, 0] - 0.5)) / sides)
-    normals = np.stack(
-        [elementary.cos_array(bearing), elementary.sin_array(bearing), 0.5 * (u[:, 1] - 0.5)],
-        axis=1,
-    )
-    ends = 0.08 * (streams.uniforms(f"{path}/ends", 4) - 0.5)
-    normals = np.concatenate([[[ends[0], ends[1], 1.0], [ends[2], ends[3], -1.0]], normals])
-    normals /= np.sqrt((normals * normals).sum(axis=1))[:, None]
-    w = streams.uniforms(f"{path}/layers", _LAYERS)
-    thick = np.cumsum(0.35 + w)
-    stands = streams.uniforms(f"{path}/steps", _LAYERS * (_MOST_SIDES + 2))
-    stands = stands.reshape(_LAYERS, -1)[:, : sides + 2]
-    drawn = _Drawn(
-        normals=normals,
-        distances=np.concatenate([[_HALF_HEIGHT] * 2, 0.78 + 0.22 * u[:, 2]]),
-        in_layer=np.zeros(0),
-        bedding=_HALF_HEIGHT * (2.0 * thick[:-1] / thick[-1] - 1.0),
-        # Most layers break nearly flush, a few far back.
-        steps=0.22 * stands * stands * stands,
-        tones=1.2 * streams.uniforms(f"{path}/tones", _LAYERS) - 0.6,
-        width=wear * _WIDEST,
-    )
-    return Slab(*common, drawn)
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        count, first = streams.uniforms(f"{path}/sides", 2)
+        sides = 5 + int(count * (_MOST_SIDES - 4))
+        u = streams.uniforms(f"{path}/outline", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
+        turn = first + (np.arange(sides) + 0.75 * (u[:, 0] - 0.5)) / sides
+        bearing = 2.0 * elementary.PI * turn
+        normals = np.stack(
+            [elementary.cos_array(bearing), elementary.sin_array(bearing), 0.5 * (u[:, 1] - 0.5)],
+            axis=1,
+        )
+        ends = 0.08 * (streams.uniforms(f"{path}/ends", 4) - 0.5)
+        normals = np.concatenate([[[ends[0], ends[1], 1.0], [ends[2], ends[3], -1.0]], normals])
+        normals /= np.sqrt((normals * normals).sum(axis=1))[:, None]
+        w = streams.uniforms(f"{path}/layers", _LAYERS)
+        thick = np.cumsum(0.35 + w)
+        stands = streams.uniforms(f"{path}/steps", _LAYERS * (_MOST_SIDES + 2))
+        stands = stands.reshape(_LAYERS, -1)[:, : sides + 2]
+        return _Drawn(
+            normals=normals,
+            distances=np.concatenate([[_HALF_HEIGHT] * 2, 0.78 + 0.22 * u[:, 2]]),
+            in_layer=np.zeros(0),
+            bedding=_HALF_HEIGHT * (2.0 * thick[:-1] / thick[-1] - 1.0),
+            # Most layers break nearly flush, a few far back.
+            steps=0.22 * stands * stands * stands,
+            tones=1.2 * streams.uniforms(f"{path}/tones", _LAYERS) - 0.6,
+            width=wear * _WIDEST,
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,10 +10,13 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
+    Shape,
+    Turn,
+    Usual,
     block,
     rough,
     sampling,
@@ -25,6 +29,8 @@ _PLANES = 11
 _MOST_FACETS = 4
 #: Inverse radii over which the wear of a keel reaches at wear 1.
 _WIDEST = 0.5
+#: How far from the wind a facet looks at most, in whole turns (30 degrees).
+_ASTRAY = 1.0 / 12.0
 
 
 class _Drawn(NamedTuple):
@@ -91,6 +97,8 @@ class Ventifact(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.2, 3), (6.0, 4), (8.0, 3))
+    USUAL = Usual(0.28, 0.5, 0.12)
+    LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where facets meet each other and the body."""
@@ -107,29 +115,53 @@ class Ventifact(Carved[_Drawn]):
         angles = [elementary.atan2(*each) for each in zip(y.tolist(), x.tolist(), strict=True)]
         return np.array(angles) / (2.0 * elementary.PI)
 
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        u = streams.uniforms(f"{path}/body", 3 * _PLANES).reshape(_PLANES, 3)
+        count, first = streams.uniforms(f"{path}/wind", 2)
+        # Most are dreikanter, with three edges.
+        facets = 2 + int(count > 0.3) + int(count > 0.8)
+        v = streams.uniforms(f"{path}/facets", 4 * _MOST_FACETS).reshape(_MOST_FACETS, 4)[:facets]
+        turn = first + (np.arange(facets) + 0.6 * (v[:, 0] - 0.5)) / facets
+        bearing = 2.0 * elementary.PI * turn
+        tilt = elementary.PI / 180.0 * (25.0 + 40.0 * v[:, 1])
+        c, s = elementary.cos_array(bearing), elementary.sin_array(bearing)
+        low, high = elementary.sin_array(tilt), elementary.cos_array(tilt)
+        normals = np.stack([low * c, low * s, high], axis=1)
+        along = np.stack([-high * c, -high * s, low], axis=1)
+        across = np.stack([-s, c, np.zeros(facets)], axis=1)
+        return _Drawn(
+            facets=normals,
+            reaches=0.42 + 0.2 * v[:, 2],
+            normals=unit_vectors(u[:, :2]),
+            distances=0.72 + 0.28 * u[:, 2],
+            frames=np.stack([along, across], axis=1),
+            steepness=v[:, 1],
+            wear=wear,
+        )
 
-def draw_ventifact(path: str, streams: Streams, wear: float, common: Common) -> Ventifact:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/body", 3 * _PLANES).reshape(_PLANES, 3)
-    count, first = streams.uniforms(f"{path}/wind", 2)
-    # Most are dreikanter, with three edges.
-    facets = 2 + int(count > 0.3) + int(count > 0.8)
-    v = streams.uniforms(f"{path}/facets", 4 * _MOST_FACETS).reshape(_MOST_FACETS, 4)[:facets]
-    turn = first + (np.arange(facets) + 0.6 * (v[:, 0] - 0.5)) / facets
-    bearing = 2.0 * elementary.PI * turn
-    tilt = elementary.PI / 180.0 * (25.0 + 40.0 * v[:, 1])
-    c, s = elementary.cos_array(bearing), elementary.sin_array(bearing)
-    low, high = elementary.sin_array(tilt), elementary.cos_array(tilt)
-    normals = np.stack([low * c, low * s, high], axis=1)
-    along = np.stack([-high * c, -high * s, low], axis=1)
-    across = np.stack([-s, c, np.zeros(facets)], axis=1)
-    drawn = _Drawn(
-        facets=normals,
-        reaches=0.42 + 0.2 * v[:, 2],
-        normals=unit_vectors(u[:, :2]),
-        distances=0.72 + 0.28 * u[:, 2],
-        frames=np.stack([along, across], axis=1),
-        steepness=v[:, 1],
-        wear=wear,
-    )
-    return Ventifact(*common, drawn)
+    @classmethod
+    def turn(cls, shapes: Sequence[Shape], context: Context) -> Turn:
+        """Turns each ventifact so that one of its facets looks into the wind, more or less.
+
+        All of a batch have one wind: that of the relief, if it has one, or one of their own.
+        """
+        # Imported here: cfgs are checked without.
+        from scenec.compiler.terrain.mask import Masked
+
+        operators = (o.operator if isinstance(o, Masked) else o for o in context.relief)
+        winds = (getattr(operator, "wind_deg", None) for operator in operators)
+        to_deg = next((wind for wind in winds if wind is not None), None)
+        to = to_deg / 360.0 if to_deg is not None else context.streams.uniforms("wind", 1)[0]
+        looks = [shape.bearings() for shape in shapes if isinstance(shape, cls)]
+        counts = np.array([len(each) for each in looks])
+        padded = np.array([np.resize(each, counts.max()) for each in looks])
+
+        def turned(prototype: NDArray[np.int32], u: NDArray[np.float64]) -> NDArray[np.float64]:
+            facet = (u[:, 1] * counts[prototype]).astype(np.int64)
+            astray = _ASTRAY * (u[:, 0] + u[:, 2] - 1.0)
+            turns: NDArray[np.float64] = to + 0.5 + astray - padded[prototype, facet]
+            return turns - np.floor(turns)
+
+        return turned

@@ -12,8 +12,8 @@ from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
+    Usual,
     ball_along,
     block,
     rough,
@@ -100,27 +100,27 @@ class Vesicular(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.5, 3), (6.0, 4))
+    USUAL = Usual(0.2, 0.35, 0.4)
 
     def seen(self, fine: Fine) -> _Drawn:
         """As of ``Carved``, its bubbles where coarse relief alone leaves them."""
         fine = fine._replace(waves=min(fine.waves, 2), grains=0)
         return self.drawn._replace(bubbles=_balls(np.uint64(self.key), self.drawn, fine))
 
-
-def draw_vesicular(path: str, streams: Streams, wear: float, common: Common) -> Vesicular:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
-    v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
-    # Numbers fall with the size's square: as much of the surface to every size.
-    steep = 1.0 / (_SMALLEST * _SMALLEST)
-    flat = 1.0 / (_LARGEST * _LARGEST)
-    size = 1.0 / np.sqrt(steep + v[:, 2] * (flat - steep))
-    drawn = _Drawn(
-        normals=unit_vectors(u[:, :2]),
-        distances=0.66 + 0.34 * u[:, 2],
-        bubbles=np.concatenate(
-            [unit_vectors(v[:, :2]), size[:, None], 0.15 + 0.55 * v[:, 3:]], axis=1
-        ),
-        width=0.05 + 0.55 * wear,
-    )
-    return Vesicular(*common, drawn)
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
+        v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
+        # Numbers fall with the size's square: as much of the surface to every size.
+        steep = 1.0 / (_SMALLEST * _SMALLEST)
+        flat = 1.0 / (_LARGEST * _LARGEST)
+        size = 1.0 / np.sqrt(steep + v[:, 2] * (flat - steep))
+        return _Drawn(
+            normals=unit_vectors(u[:, :2]),
+            distances=0.66 + 0.34 * u[:, 2],
+            bubbles=np.concatenate(
+                [unit_vectors(v[:, :2]), size[:, None], 0.15 + 0.55 * v[:, 3:]], axis=1
+            ),
+            width=0.05 + 0.55 * wear,
+        )

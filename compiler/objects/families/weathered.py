@@ -11,8 +11,8 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
 from scenec.compiler.objects.families.shape import (
     Carved,
-    Common,
     Fine,
+    Usual,
     bowl,
     bowls,
     rough,
@@ -94,6 +94,9 @@ class Weathered(Carved[_Drawn]):
 
     sample = sampling(_at)
     noises = ((1.3, 2), (5.0, 3), (10.0, 1))
+    #: Its wear is what angularity leaves.
+    USUAL = Usual(0.18, 0.4, 0.4)
+    READS = "angularity"
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where the planes meet."""
@@ -104,22 +107,19 @@ class Weathered(Carved[_Drawn]):
         rock = self.drawn
         return rock._replace(scars=bowls(rock.normals, rock.distances, rock.scars))
 
-
-def draw_weathered(path: str, streams: Streams, wear: float, common: Common) -> Weathered:
-    """Draws one."""
-    u = streams.uniforms(f"{path}/joints", 18).reshape(6, 3)
-    v = streams.uniforms(f"{path}/planes", 3 * _FRACTURES).reshape(_FRACTURES, 3)
-    joints = np.concatenate([np.eye(3), -np.eye(3)]) + 0.45 * unit_vectors(u[:, :2])
-    joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
-    s = streams.uniforms(f"{path}/spalls", 4 * _SPALLS).reshape(_SPALLS, 4)
-    return Weathered(
-        *common,
-        _Drawn(
+    @staticmethod
+    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
+        """As of ``Carved``."""
+        u = streams.uniforms(f"{path}/joints", 18).reshape(6, 3)
+        v = streams.uniforms(f"{path}/planes", 3 * _FRACTURES).reshape(_FRACTURES, 3)
+        joints = np.concatenate([np.eye(3), -np.eye(3)]) + 0.45 * unit_vectors(u[:, :2])
+        joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
+        s = streams.uniforms(f"{path}/spalls", 4 * _SPALLS).reshape(_SPALLS, 4)
+        return _Drawn(
             normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
             distances=np.concatenate([0.62 + 0.3 * u[:, 2], 0.66 + 0.3 * v[:, 2]]),
             scars=np.concatenate(
                 [unit_vectors(s[:, :2]), 0.4 + 0.9 * s[:, 2:3], 0.02 + 0.07 * s[:, 3:]], axis=1
             ),
             width=_NARROWEST + _WIDEST * wear,
-        ),
-    )
+        )

@@ -1,0 +1,192 @@
+"""Declares classes of procedural rocks, and draws their shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import Form, key
+from scenec.compiler.kinds.draw import draw_object
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    FRACTION_PER_BATCH,
+    LENGTH_PER_INSTANCE,
+    PER_BATCH,
+    TEXT,
+    WHOLE_PER_BATCH,
+    an,
+    list_of,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds.table import loaded
+from scenec.compiler.objects.families.shape import Shape
+from scenec.compiler.objects.scattered import Scattered
+from scenec.schemas.plugins import load_kind
+from scenec.schemas.spelling import shown
+
+if TYPE_CHECKING:
+    from scenec.compiler.objects.feet import Fillet
+    from scenec.compiler.objects.plan import ScatterPlan
+
+#: Families of this package: each is the ``Carved`` of that name in a module of that name.
+FAMILIES = (
+    "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
+)  # fmt: skip
+
+
+def family_of(name: str) -> type[Any]:
+    """Returns the class of a family; another package's where it is no own one.
+
+    Raises:
+        ScenecError: No package offers it, or what it offers is no kind.
+    """
+    if name not in FAMILIES:
+        return load_kind("scenec.rocks", name)
+    found: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}")
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rocks(Scattered):
+    """Procedural rocks scattered over the terrain."""
+
+    EXAMPLE: ClassVar = {
+        "type": "rocks",
+        "count": 2000,
+        "material": "basalt",
+        "labels": {"class": "rock"},
+        "family": "angular",
+        "size_m": {"type": "log_uniform", "min": 0.05, "max": 0.8},
+    }
+
+    KEYWORDS: ClassVar = {"x-kinds": "family"}
+
+    material: str = key(TEXT)
+    """Name of a material."""
+    family: str = key(Form({"x-open": "scenec.rocks", "enum": list(FAMILIES)}), default="weathered")
+    """Kind of rock. weathered: worn blocks with spalls and pits, by angularity. angular: broken
+    along planes, corners chipped, faces of fresh breaks lighter. rounded: cobbles. slab: layered
+    plates with stepped sides, which lie flat unless orientation says otherwise. vesicular: basalt
+    with bubbles, darker inside. ventifact: faces that blown sand has cut, meeting in keels; one
+    face of each looks into the wind of the relief's dunes, barchans or ripples, or else into one
+    that is drawn for the batch. bedded: blocks of layered rock, soft beds weathered back. breccia:
+    angular pieces in a matrix that has weathered back. Ventifacts and bedded blocks stand upright
+    on the ground unless orientation says otherwise."""
+    prototypes: int = key(WHOLE_PER_BATCH, default=6, at_least=1, at_most=64)
+    """Number of different shapes."""
+    subdivisions: int = key(WHOLE_PER_BATCH, default=3, at_least=1, at_most=6)
+    """Subdivisions of a shape's icosahedron: 20 * 4^n triangles at the finest level."""
+    size_m: Number = key(LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
+    """Diameter of a rock."""
+    elongation: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=0.9)
+    """How much narrower than long a rock is: 1 - b/a, on average over the shapes. Left out, it is
+    that of the family: weathered 0.18, angular 0.29, rounded 0.22, slab 0.25, vesicular 0.2,
+    ventifact 0.28, bedded 0.25, breccia 0.22."""
+    flatness: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=0.9)
+    """How much lower than long a rock is: 1 - c/a, on average over the shapes. Left out, it is that
+    of the family: weathered 0.4, angular 0.5, rounded 0.45, slab 0.8, vesicular 0.35, ventifact
+    0.5, bedded 0.45, breccia 0.4."""
+    angularity: float = key(FRACTION_PER_BATCH, default=0.6)
+    """From rounded (0) to broken along flat faces (1); of the family weathered only."""
+    wear: float | None = key(FRACTION_PER_BATCH, optional=True)
+    """How far edges are worn off: 0 is freshly broken; of all families but weathered. Left out, it
+    is that of the family: angular 0.1, rounded 0.7, slab 0.15, vesicular 0.4, ventifact 0.12,
+    bedded 0.35, breccia 0.4."""
+    bumpiness: float = key(FRACTION_PER_BATCH, default=0.3)
+    """Height of the small relief on a rock; 0 is smooth."""
+    coatings: tuple[Mapping[str, Any], ...] = key(
+        list_of(an("objects_rocks_coating"), "One coating.", most=8), default=[]
+    )
+    """What lies on the rocks, the lowest first: dust, snow, moss, a wet foot. Rocks turned at
+    random have none, for they have no top in common."""
+    fillet: Fillet | None = key(an("objects_rocks_fillet", drawn=True), optional=True)
+    """Fines heaped about the feet of the rocks; left out, there are none."""
+    added: Mapping[str, Any] = field(default_factory=dict)
+    """Keys that another package's family has."""
+
+    @staticmethod
+    def check(node: Node, hint: str | None = "") -> Iterator[Finding]:
+        """Yields findings between its keys, as of ``Scattered``, and with its family's."""
+        family = family_of(node["family"]) if node["family"] in FAMILIES else None
+        if family:
+            (other,) = {"wear", "angularity"} - {family.READS}
+            if other in node:
+                yield node.key_fault(
+                    f"rocks of the family {shown(node['family'])} have no {other}: expected "
+                    f"{family.READS}",
+                    other,
+                )
+        turned = node["orientation"] or ("normal" if family and family.LIES else "random")
+        if turned == "random":
+            lacks = {"coatings": "top that a coating could lie on", "lean_deg": "axis that leans"}
+            for own, what in lacks.items():
+                if own in node:
+                    yield node.key_fault(
+                        f"what is turned at random has no {what}: expected the orientation "
+                        '"upright" or "normal"',
+                        own,
+                    )
+        size = node.entries.get("size_m")
+        law = size if isinstance(size, dict) else {}
+        tells = law.get("type") == "golombek_rapp" and law.get("per", "instance") == "instance"
+        hint = ', or a size_m of the type "golombek_rapp", which says how many there are'
+        yield from Scattered.check(node, None if tells else hint)
+
+    def draw(self, context: Context) -> ScatterPlan:
+        """Returns what is drawn of the class.
+
+        Raises:
+            SceneError: There would be too many rocks.
+        """
+        # Imported here: cfgs are checked without.
+        from scenec.compiler.objects.drawing import draw_scattered
+        from scenec.compiler.objects.plan import RockShapes
+
+        path, family = context.path, family_of(self.family)
+        shapes = tuple(
+            self._shape(family, f"{path}/prototypes/{i}", context.streams)
+            for i in range(int(self.prototypes))
+        )
+        coatings = tuple(
+            draw_object("objects_rocks_coating", own, f"{path}/coatings/{i}", context)
+            for i, own in enumerate(self.coatings)
+        )
+        plan = draw_scattered(
+            self,
+            context,
+            material=self.material,
+            source=RockShapes(shapes, coatings),
+            weights=[1.0] * len(shapes),
+            orientation="normal" if family.LIES else "random",
+            size_key="size_m",
+            turn=family.turn(shapes, context),
+        )
+        if self.fillet is None:
+            return plan
+        fillet = self.fillet.draw(context.at(f"{path}/fillet"), len(plan.scale))
+        return replace(plan, fillet=fillet)
+
+    def _shape(self, family: type[Any], path: str, streams: Streams) -> Shape:
+        own = self.elongation, self.flatness, self.wear
+        elongation, flatness, wear = (
+            usual if said is None else said for said, usual in zip(own, family.USUAL, strict=True)
+        )
+        if family.READS == "angularity":
+            wear = 1.0 - self.angularity
+        # Axes b <= a by elongation, c <= b by flatness: their means are as asked.
+        u = streams.uniforms(f"{path}/axes", 2)
+        middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
+        low = 1.0 - flatness * (0.75 + 0.5 * u[1])
+        ours = self.family in FAMILIES
+        made: Shape = family(
+            key=streams.key(path),
+            bumpiness=self.bumpiness,
+            axes=(1.0, middle, min(max(low, 0.05), middle)),
+            subdivisions=int(self.subdivisions),
+            **({"drawn": family.draw(path, streams, wear)} if ours else self.added),
+        )
+        return made

@@ -1,0 +1,194 @@
+"""Declares single objects at given poses, and draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets.pose_table import PoseTable, read_poses
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import bounded, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    COUNT,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    TRUTH,
+    an,
+    file,
+    list_of,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.objects.models import (
+    MATERIAL,
+    MODELS,
+    PARTS,
+    check_parts,
+    draw_models,
+    draw_rules,
+)
+
+if TYPE_CHECKING:
+    from scenec.compiler.objects.placed import PlacedPlan
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectPose:
+    """Where one object is."""
+
+    EXAMPLE: ClassVar = {"x_m": 0, "y_m": 4, "rotation_deg": [0, 0, 30]}
+
+    TITLE: ClassVar = "Pose of an object"
+    x_m: float = key(LENGTH_PER_BATCH, at_least=-1000000000.0, at_most=1000000000.0)
+    """East."""
+    y_m: float = key(LENGTH_PER_BATCH, at_least=-1000000000.0, at_most=1000000000.0)
+    """North."""
+    z_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-1000000000.0, at_most=1000000000.0)
+    """Height of the object's origin, see heights."""
+    rotation_deg: Any = key(
+        list_of(
+            bounded(PER_BATCH, at_least=-360, at_most=360, unit="deg"),
+            "About one axis.",
+            least=3,
+            most=3,
+        ),
+        default=[0, 0, 0],
+        unit="deg",
+    )
+    """Turns about the world's x, y and z, in that order; the last is counterclockwise seen from
+    above."""
+    scale: float = key(PER_BATCH, default=1, above=0, at_most=1_000_000)
+    """Factor on its size."""
+    model: int = key(COUNT, default=0, at_least=0, at_most=999)
+    """Which of the models: its index, from 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Single objects at given poses: a lander, a target, a calibration board.
+
+    Their poses may change with time.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "placed",
+        "models": [{"file": "lander.glb"}],
+        "labels": {"class": "lander"},
+        "poses": [{"x_m": 0, "y_m": 4}],
+        "orientation": "normal",
+    }
+
+    models: tuple[Mapping[str, Any], ...] = key(MODELS)
+    material: str | None = key(MATERIAL, optional=True)
+    parts: Mapping[str, Any] = key(PARTS, default={})
+    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    """The objects' label on every level."""
+    instances: bool = key(TRUTH, default=True)
+    """Whether each object has an instance id."""
+    poses: tuple[Mapping[str, Any], ...] | None = key(
+        list_of(an("object_pose"), "One object.", least=1, most=100000), optional=True
+    )
+    """Where the objects are, one entry each; or give file."""
+    file: Path | None = key(file("poses"), optional=True)
+    """A CSV file of poses whose header names its columns: x_m, y_m; z_m (else 0); qw, qx, qy, qz
+    (else not turned); scale (else 1); model (index into models, else 0); id (the object's local
+    instance id, from 1); time_s. Rows of one id are one object at several times, between which it
+    moves; without id, rows with time_s are one object and rows without are copies. Relative to the
+    cfg."""
+    heights: Literal["ground", "world"] = key(CHOICE, default="ground")
+    """What heights are over: the ground below the object's origin, or the world's zero."""
+    orientation: Literal["upright", "normal"] = key(CHOICE, default="upright")
+    """upright: as the pose says; normal: the pose's turn, then tilted with the ground under the
+    object."""
+
+    check_files = staticmethod(check_parts)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields findings between its keys."""
+        yield from node.both("poses", "file", "where objects are")
+        if "poses" not in node and "file" not in node:
+            yield node.fault('expected the key "poses" or the key "file"')
+        count = len(node.at("models").entries)
+        for pose in node.each("poses", "*"):
+            if count and pose["model"] is not None and pose["model"] >= count:
+                yield pose.fault(
+                    f"{pose['model']}: expected an index into models, at most {count - 1}", "model"
+                )
+
+    def draw(self, context: Context) -> PlacedPlan:
+        """Returns what is drawn of the class.
+
+        Raises:
+            SceneError: The file of poses cannot be read.
+        """
+        # Imported here: cfgs are checked without.
+        from scenec.compiler.objects.placed import PlacedPlan, PoseKeys
+
+        if self.file is not None:
+            poses = read_poses(self.file, len(self.models))
+        else:
+            poses = _listed(self.poses or ())
+        ids, first = np.unique(poses.id, return_index=True)
+        columns = poses.time_s, poses.position_m, poses.quaternion, poses.scale
+        bounds = [*first.tolist(), len(poses.id)]
+        return PlacedPlan(
+            name=context.path.rpartition("/")[2],
+            material=self.material,
+            labels=context.label_ids(self.labels),
+            instances=self.instances,
+            models=draw_models(self.models, context),
+            rules=draw_rules(self.parts, context),
+            model=poses.model[first].astype(np.int32),
+            ids=ids,
+            keys=tuple(PoseKeys(*(own[a:b] for own in columns)) for a, b in pairwise(bounds)),
+            on_ground=self.heights == "ground",
+            along_normal=self.orientation == "normal",
+            variation=0.0,
+        )
+
+
+def _listed(nodes: Sequence[Mapping[str, Any]]) -> PoseTable:
+    count = len(nodes)
+    return PoseTable(
+        id=np.arange(1, count + 1),
+        time_s=np.zeros(count),
+        position_m=np.array([[node[key] for key in ("x_m", "y_m", "z_m")] for node in nodes]),
+        quaternion=np.array([quaternion_of(node["rotation_deg"]) for node in nodes]),
+        scale=np.array([float(node["scale"]) for node in nodes]),
+        model=np.array([node["model"] for node in nodes], np.int64),
+    )
+
+
+def quaternion_of(degrees: Sequence[float]) -> NDArray[np.float64]:
+    """Turns about x, y, z in turn (fixed axes) as a unit quaternion (w, x, y, z), [4]."""
+    out = np.array([1.0, 0.0, 0.0, 0.0])
+    for axis, angle in enumerate(degrees):
+        half = 0.5 * angle * elementary.PI / 180.0
+        s = elementary.sin(half)
+        turn = np.array([elementary.cos(half), 0.0, 0.0, 0.0])
+        turn[1 + axis] = s
+        out = multiplied(turn, out)
+    return out
+
+
+def multiplied(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The product of two quaternions (w, x, y, z): the turn b, then a, [4]."""
+    w, x, y, z = a
+    v, i, j, k = b
+    return np.array(
+        [
+            w * v - x * i - y * j - z * k,
+            w * i + x * v + y * k - z * j,
+            w * j - x * k + y * v + z * i,
+            w * k + x * j - y * i + z * v,
+        ]
+    )
