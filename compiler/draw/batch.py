@@ -18,9 +18,8 @@ from scenec.compiler.draw.models import draw_meshes, draw_placed
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
 from scenec.compiler.draw.rocks import draw_rocks
-from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds.draw import draw_kind, draw_object
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.materials.plan import MaterialPlan
@@ -117,7 +116,10 @@ def _terrain(
         for layer in node["ground"]
     )
     size_m = (node["size_m"][0], node["size_m"][1])
-    setting = Context(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
+    samples = int(spec.cfg["samples"])
+    setting = Context(
+        streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"], samples=samples
+    )
     relief: tuple[ReliefOperator, ...] = ()
     for i, operator in enumerate(cfg["relief"]):
         relief = (*relief, _relief(operator, f"terrain/relief/{i}", setting))
@@ -221,12 +223,14 @@ def _rig(spec: Spec, name: str, setting: Context) -> RigPlan:
         pose = draw_random_target(cfg["pose"], path, streams, samples)
     else:
         pose = draw_motion(cfg["pose"], path, setting)
-    sensors = tuple(
-        draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
-        for sensor, node in cfg["sensors"].items()
-    )
-    lidars = tuple(
-        draw_lidar(lidar, node, f"rigs/{name}/lidars/{lidar}", streams)
-        for lidar, node in cfg.get("lidars", {}).items()
-    )
+    sensors = _carried("sensor", cfg["sensors"], f"rigs/{name}/sensors", setting)
+    lidars = _carried("lidar", cfg.get("lidars", {}), f"rigs/{name}/lidars", setting)
     return RigPlan(name, pose, sensors, lidars, cfg.get("allow_below", False))
+
+
+def _carried(kind: str, nodes: Mapping[str, Any], path: str, setting: Context) -> tuple[Any, ...]:
+    """Sensors or lidars of a rig, drawn."""
+    return tuple(
+        draw_object(kind, node, f"{path}/{name}", setting).draw(setting.at(f"{path}/{name}"))
+        for name, node in nodes.items()
+    )

@@ -1,4 +1,4 @@
-"""Makes lenses from a cfg's numbers, and finds whether they are sound and how far they see.
+"""Finds whether lenses are sound, and how far they see.
 
 The formulas are those of ``scenec.schemas.lens``, here with elementary functions of our own.
 """
@@ -6,9 +6,7 @@ The formulas are those of ``scenec.schemas.lens``, here with elementary function
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +14,6 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.lens import (
     BROWN_CONRADY,
-    COEFFICIENTS,
     EQUIRECTANGULAR,
     KANNALA_BRANDT,
     Functions,
@@ -47,15 +44,6 @@ def _atan2(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64
 
 #: What the compiler computes with.
 FUNCTIONS = Functions(elementary.sin_array, elementary.cos_array, _atan2)
-
-
-def make_lens(cfg: Mapping[str, Any] | None) -> Lens | None:
-    """A lens from its part of the cfg, drawn; None: a pinhole."""
-    if cfg is None:
-        return None
-    model = cfg["type"]
-    angle = cfg.get("max_angle_deg", 180.0) * _RADIANS
-    return Lens(model, tuple(float(cfg[name]) for name in COEFFICIENTS[model]), min(angle, math.pi))
 
 
 def lens_intrinsics(

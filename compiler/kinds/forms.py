@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from scenec.compiler.kinds.declare import Form, bounded
+from scenec.schemas.passes import PASSES
 
 #: What references to definitions begin with.
 DEFS = "#/$defs/"
@@ -184,27 +185,4 @@ SURFACE_DISPLACEMENT = TRUTH.but(
         "than the mesh."
     ),
 )
-OUTPUT = Form(
-    {
-        "x-open": "scenec.passes",
-        "enum": [
-            "rgb",
-            "label",
-            "instance",
-            "depth",
-            "range",
-            "normal",
-            "position",
-            "face",
-            "amodal",
-            "flow",
-            "scene_flow",
-            "occlusion",
-            "flow_backward",
-            "occlusion_backward",
-            "disparity",
-            "disparity_occlusion",
-            "depth_measured",
-        ],
-    }
-).but(description="One channel.")
+OUTPUT = one_of(*PASSES).but(x_open="scenec.passes", description="One channel.")
