@@ -34,6 +34,10 @@ from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
 from scenec.schemas.spelling import shown
 
+_ROW = list_of(
+    bounded(PER_BATCH, at_least=-10, at_most=10), "Of red, green or blue light.", count=3
+)
+
 
 @dataclass(frozen=True)
 class ImagingPlan:
@@ -74,7 +78,7 @@ class Imaging:
     pixel_um: float = key(PER_BATCH, default=3.45, at_least=0.1, at_most=1000, unit="µm")
     """Side of a pixel."""
     quantum_efficiency: Any = key(
-        list_of(bounded(PER_BATCH, above=0, at_most=1), "One color.", least=3, most=3),
+        list_of(bounded(PER_BATCH, above=0, at_most=1), "One color.", count=3),
         default=[0.5, 0.6, 0.5],
     )
     """Electrons a photon in 600-700, 500-600 and 400-500 nm: red, green, blue."""
@@ -103,24 +107,11 @@ class Imaging:
     or column have none."""
     demosaic: str = key(one_of(*formulas.DEMOSAICS), default="malvar")
     """How missing colors are guessed: Malvar, He and Cutler 2004, or the mean of the nearest."""
-    color_matrix: Any | None = key(
-        list_of(
-            list_of(
-                bounded(PER_BATCH, at_least=-10, at_most=10),
-                "Of red, green or blue light.",
-                least=3,
-                most=3,
-            ),
-            "One color of pixels.",
-            least=3,
-            most=3,
-        ),
-        optional=True,
-    )
+    color_matrix: Any | None = key(list_of(_ROW, "One color of pixels.", count=3), optional=True)
     """What red, green and blue pixels see of linear Rec.709, a row each; the picture undoes it,
     which makes noise larger. Left out, they see Rec.709."""
     white_balance: Any = key(
-        list_of(bounded(PER_BATCH, above=0, at_most=100), "Red, green or blue.", least=3, most=3),
+        list_of(bounded(PER_BATCH, above=0, at_most=100), "Red, green or blue.", count=3),
         default=[1, 1, 1],
     )
     """Factors on top of those that show white light as white."""
@@ -189,7 +180,7 @@ class Metered:
 
     def of(self, imaging: formulas.Imaging) -> formulas.Imaging:
         """Returns a sensor's parameters with this exposure."""
-        return replace(imaging, time_range_s=self.time_range_s, iso_range=self.iso_range)
+        return replace(imaging, **vars(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,9 +240,8 @@ class Auto:
 
     def of(self, imaging: formulas.Imaging) -> formulas.Imaging:
         """Returns a sensor's parameters with this exposure."""
-        percentile = imaging.percentile if self.percentile is None else self.percentile
-        imaging = replace(imaging, rule="auto", target=self.target, percentile=percentile)
-        return Metered(time_range_s=self.time_range_s, iso_range=self.iso_range).of(imaging)
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(imaging, rule="auto", **own)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,7 +255,7 @@ class Vignetting:
     power: int = key(COUNT, default=4, at_least=0, at_most=8)
     """4 is a thin lens's; wide lenses are made to have less."""
     polynomial: Any = key(
-        list_of(bounded(PER_BATCH, at_least=-10, at_most=10), "A coefficient.", least=3, most=3),
+        list_of(bounded(PER_BATCH, at_least=-10, at_most=10), "A coefficient.", count=3),
         default=[0, 0, 0],
     )
     """a, b, c."""

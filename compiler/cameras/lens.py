@@ -1,4 +1,4 @@
-"""Declares lenses: how the picture is bent."""
+"""Declares how light is led to a picture: lenses, and what is in focus."""
 
 from __future__ import annotations
 
@@ -7,23 +7,27 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.imaging import ImagingPlan
+from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import key, keys_of
 from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, PER_BATCH
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_SAMPLE, PER_BATCH, PER_SAMPLE
 from scenec.compiler.kinds.node import Node
-from scenec.compiler.kinds.table import kind_of
+from scenec.compiler.kinds.table import kind_of, name_of
+from scenec.compiler.scene import rig
 from scenec.schemas import lens
 from scenec.schemas.correspondence import PARTNER
-from scenec.schemas.lens import BROWN_CONRADY, COEFFICIENTS, EQUIRECTANGULAR, KANNALA_BRANDT
+from scenec.schemas.errors import SceneError
+from scenec.schemas.lens import COEFFICIENTS, EQUIRECTANGULAR
 
 
 class Lens:
     """What lenses have in common."""
-
-    #: As in ``schemas.lens``.
-    MODEL: ClassVar[str]
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -44,9 +48,10 @@ class Lens:
 
     def made(self) -> lens.Lens:
         """Returns what computes."""
-        numbers = tuple(float(getattr(self, name)) for name in COEFFICIENTS[self.MODEL])
+        model = name_of("lens", type(self))
+        numbers = tuple(float(getattr(self, name)) for name in COEFFICIENTS[model])
         angle = getattr(self, "max_angle_deg", 180.0) * (elementary.PI / 180.0)
-        return lens.Lens(self.MODEL, numbers, min(angle, math.pi))
+        return lens.Lens(model, numbers, min(angle, math.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +65,6 @@ class BrownConrady(Lens):
     EXAMPLE: ClassVar = {"type": "brown_conrady", "k1": -0.28, "k2": 0.07, "p1": 0.0002}
 
     TITLE: ClassVar = "Lens: brown_conrady"
-    MODEL: ClassVar = BROWN_CONRADY
 
     k1: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^2 above the fraction line."""
@@ -91,7 +95,6 @@ class KannalaBrandt(Lens):
     EXAMPLE: ClassVar = {"type": "kannala_brandt", "k1": -0.01, "max_angle_deg": 95}
 
     TITLE: ClassVar = "Lens: kannala_brandt"
-    MODEL: ClassVar = KANNALA_BRANDT
 
     k1: float = key(PER_BATCH, default=0, at_least=-1000, at_most=1000)
     """Coefficient of t^3."""
@@ -116,7 +119,6 @@ class Equirectangular(Lens):
     """
 
     EXAMPLE: ClassVar = {"type": "equirectangular"}
-    MODEL: ClassVar = EQUIRECTANGULAR
 
 
 def _fold(sensor: Node, node: Node) -> str | None:
@@ -139,3 +141,71 @@ def _fold(sensor: Node, node: Node) -> str | None:
     if isinstance(intrinsics, str):
         return intrinsics
     return find_fault(made, intrinsics, tuple(size))
+
+
+#: What a focus says that imaging says by a key of its own.
+_OF_IMAGING = {"f_number": "f_number", "focal_length_mm": "pixel_um"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Focus:
+    """A lens of finite aperture: rgb is sharp at one distance and blurred before and behind it.
+
+    Field of view and annotation stay those of the pinhole in the aperture's middle. Not with
+    lens.
+    """
+
+    EXAMPLE: ClassVar = {"distance_m": 4, "f_number": 2.8, "focal_length_mm": 35}
+
+    distance_m: Number = key(LENGTH_PER_SAMPLE, above=0, at_most=1_000_000_000)
+    """Distance along the optical axis of the plane that is sharp; beyond the focal length."""
+    f_number: Number | None = key(PER_SAMPLE, optional=True, at_least=0.5, at_most=1000)
+    """Focal length over diameter of the aperture. With imaging its f_number stands for it; without,
+    it must be given."""
+    focal_length_mm: float | None = key(
+        PER_BATCH, optional=True, above=0, at_most=1_000_000, unit="mm"
+    )
+    """Focal length. With imaging it follows from pixel_um and the field of view; without, it must
+    be given."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds a lens beside it, and what imaging says, too, or does not say."""
+        sensor = node.whole().at(*node.path[:-1])
+        if "lens" in sensor:
+            yield node.key_fault("a bent picture has no aperture here: take focus or lens away")
+        for name, other in _OF_IMAGING.items():
+            if "imaging" in sensor and name in node:
+                yield node.key_fault(
+                    f"imaging/{other} says it already: take it away here, and give it there", name
+                )
+            elif "imaging" not in sensor and name not in node:
+                yield node.fault(
+                    f"expected the key {name}: there is no imaging, whose {other} would say it"
+                )
+
+    def draw(self, context: Context, focal_px: float, imaging: ImagingPlan | None) -> rig.Focus:
+        """Returns the aperture.
+
+        With imaging, f-number and size of pixels are its own; the focal length is that of pixels of
+        this size that see what ``focal_px``, fx, says.
+
+        Raises:
+            SceneError: It is to focus nearer than its focal length.
+        """
+        distance = context.per_sample(self.distance_m, "distance_m")
+        if imaging is None:
+            assert self.f_number is not None
+            assert self.focal_length_mm is not None
+            f_number = context.per_sample(self.f_number, "f_number")
+            length = self.focal_length_mm * 1e-3
+        else:
+            f_number = np.array([one.f_number for one in imaging.samples], np.float64)
+            length = focal_px * imaging.samples[0].pixel_um * 1e-6
+        nearest = float(distance.min())
+        if nearest <= length:
+            raise SceneError(
+                f"{context.path}/distance_m: {nearest:g} m is not beyond the focal length, "
+                f"{length * 1e3:g} mm"
+            )
+        return rig.Focus(distance, f_number, length)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.arithmetic import elementary
@@ -34,9 +34,9 @@ from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
-    from scenec.compiler.cameras import shutter
-    from scenec.compiler.cameras.focus import Focus
+    from scenec.compiler.cameras.exposure import Shutter as Opening
     from scenec.compiler.cameras.imaging import Imaging, ImagingPlan
+    from scenec.compiler.cameras.lens import Focus
     from scenec.compiler.scene import rig
 
 
@@ -92,31 +92,20 @@ class Sensor:
 
     KEYWORDS: ClassVar = {
         "if": {
-            "properties": {
-                "lens": {
-                    "properties": {"type": {"enum": ["kannala_brandt", "equirectangular"]}},
-                    "required": ["type"],
-                }
-            },
+            "properties": {"lens": {
+                "properties": {"type": {"enum": ["kannala_brandt", "equirectangular"]}},
+                "required": ["type"],
+            }},
             "required": ["lens"],
         },
-        "else": {
-            "properties": {
-                "fov_deg": {
-                    **ANGLE_PER_BATCH.keywords,
-                    "description": "Horizontal field of view, with square pixels and a centered "
-                    "principal point.",
-                    "exclusiveMinimum": 0,
-                    "exclusiveMaximum": 180,
-                }
-            }
-        },
-    }
+        "else": {"properties": {"fov_deg": bounded(ANGLE_PER_BATCH, above=0, below=180).but(
+            description="Horizontal field of view, with square pixels and a centered principal "
+            "point.",
+        ).keywords}},
+    }  # fmt: skip
 
     resolution: tuple[int, int] = key(
-        list_of(
-            bounded(COUNT, at_least=1, at_most=65_535), "Pixels along one axis.", least=2, most=2
-        ),
+        list_of(bounded(COUNT, at_least=1, at_most=65_535), "Pixels along one axis.", count=2),
         unit="px",
     )
     """Width and height of the picture."""
@@ -140,7 +129,7 @@ class Sensor:
     """What other packages do to the picture after all else, in order; rgb stays as it is."""
     focus: Focus | None = key(an("focus", drawn=True), sparse=True)
     """What is sharp, and how shallow; left out, everything is sharp."""
-    shutter: shutter.Shutter | None = key(an("shutter", drawn=True), sparse=True)
+    shutter: Opening | None = key(an("shutter", drawn=True), sparse=True)
     """When each row is exposed: motion blur and rolling shutter; left out, the whole picture is of
     one instant."""
     trigger: Trigger | None = key(an("trigger", drawn=True), sparse=True)
@@ -196,7 +185,7 @@ class Sensor:
             outputs=self.outputs,
             exposure_per=exposure.per,
             partner=self.partner,
-            trigger=(1, 0) if self.trigger is None else (self.trigger.every, self.trigger.first),
+            trigger=astuple(self.trigger or Trigger()),
             depth_camera=depth,
             lens=lens,
             # Light alone is blurred.
@@ -211,8 +200,7 @@ class Sensor:
     def _intrinsics(self, lens: Lens | None, path: str) -> Five:
         width, height = self.resolution
         if self.intrinsics is not None:
-            k = self.intrinsics
-            return k.fx, k.fy, k.cx, k.cy, k.skew
+            return astuple(self.intrinsics)
         if lens is not None:
             found = lens_intrinsics(lens, (width, height), self.fov_deg)
             if isinstance(found, str):

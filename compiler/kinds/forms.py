@@ -45,7 +45,7 @@ def file(kind: str) -> Form:
 
 def list_of(
     form: Form, text: str = "", *, least: int | None = None, most: int | None = None,
-    unique: bool = False,
+    count: int | None = None, unique: bool = False,
 ) -> Form:  # fmt: skip
     """Returns the form of a list.
 
@@ -53,10 +53,11 @@ def list_of(
         form: Of each entry.
         text: What an entry is.
         least, most: How many there are.
+        count: The same, if there is one number only.
         unique: Whether none stands twice.
     """
     each = {**({"description": text} if text else {}), **form.keywords}
-    found = {"type": "array", "minItems": least, "maxItems": most, "items": each}
+    found = {"type": "array", "minItems": count or least, "maxItems": count or most, "items": each}
     if unique:
         found["uniqueItems"] = True
     return Form({name: value for name, value in found.items() if value is not None})

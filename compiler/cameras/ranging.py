@@ -1,9 +1,9 @@
-"""Declares lidars."""
+"""Declares what measures distances: depth cameras and lidars."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -18,12 +18,79 @@ from scenec.compiler.kinds.forms import (
     COUNT,
     FRACTION_PER_BATCH,
     LENGTH_PER_BATCH,
+    PER_BATCH,
     an,
     list_of,
 )
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.scene import rig
+from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.spelling import shown
+
+_RANGE_M = list_of(bounded(CONSTANT, at_least=0, at_most=1e9, unit="m"), "A bound.", count=2)
+_DISTANCE = bounded(CONSTANT, at_least=0, at_most=1_000_000_000, unit="m")
+_UPWARD = bounded(CONSTANT, at_least=-90, at_most=90, unit="°")
+_AROUND = bounded(CONSTANT, at_least=-720, at_most=720, unit="°")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stereo:
+    """Depth from a pair: the sensor's camera and another one to the right.
+
+    No answer where the other one does not see the point.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "stereo",
+        "baseline_m": 0.055,
+        "noise_px": 0.1,
+        "step_px": 0.125,
+        "range_m": [0.4, 10],
+    }
+
+    TITLE: ClassVar = "Stereo depth"
+    baseline_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000.0)
+    """Distance of the two cameras."""
+    noise_px: float = key(PER_BATCH, default=0.2, at_least=0, at_most=1000, unit="px")
+    """Standard deviation of disparities."""
+    step_px: float = key(PER_BATCH, default=0.0625, at_least=0, at_most=1000, unit="px")
+    """Disparities are multiples of it; 0: any number."""
+    range_m: tuple[float, float] = key(_RANGE_M, default=[0.3, 50])
+    """Nearest and farthest depth that is answered."""
+
+    def draw(self, context: Context) -> DepthCamera:
+        """Returns what measures."""
+        return DepthCamera(StereoDepth(**vars(self)), context.key("noise"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeOfFlight:
+    """Depth from the phase of modulated light, in sunlight: noise grows with the square of the
+    range and with slant.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "time_of_flight",
+        "noise_m": 0.005,
+        "ambiguity_m": 7.5,
+        "range_m": [0.3, 6],
+    }
+
+    TITLE: ClassVar = "Time-of-flight depth"
+    noise_m: float = key(LENGTH_PER_BATCH, default=0.01, at_least=0, at_most=1000)
+    """Standard deviation of ranges at at_m, of a surface that faces the camera."""
+    at_m: float = key(LENGTH_PER_BATCH, default=2, above=0, at_most=1000000.0)
+    """Range of that."""
+    ambiguity_m: float = key(LENGTH_PER_BATCH, default=15, above=0, at_most=1000000000.0)
+    """Ranges are told modulo this, c / (2 f): 15 m at 10 MHz."""
+    blur_px: float = key(PER_BATCH, default=0.4, at_least=0, at_most=16, unit="px")
+    """Standard deviation of the spot that a pixel gathers light from; at outlines ranges mix."""
+    range_m: tuple[float, float] = key(_RANGE_M, default=[0.1, 15])
+    """Nearest and farthest range that is answered."""
+
+    def draw(self, context: Context) -> DepthCamera:
+        """Returns what measures."""
+        return DepthCamera(TimeOfFlightDepth(**vars(self)), context.key("noise"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,37 +133,21 @@ class Lidar:
     beams: int | None = key(COUNT, optional=True, at_least=1, at_most=65_536)
     """Number of beams, evenly spaced over elevation_deg."""
     elevation_deg: tuple[float, float] = key(
-        list_of(bounded(CONSTANT, at_least=-90, at_most=90, unit="°"), "Upward.", least=2, most=2),
-        default=[15, -15],
+        list_of(_UPWARD, "Upward.", count=2), default=[15, -15]
     )
     """Elevations of the first and the last beam."""
     elevations_deg: tuple[float, ...] | None = key(
-        list_of(
-            bounded(CONSTANT, at_least=-90, at_most=90, unit="°"), "Upward.", least=1, most=65536
-        ),
-        optional=True,
+        list_of(_UPWARD, "Upward.", least=1, most=65536), optional=True
     )
     """Elevation of each beam."""
     azimuths: int = key(COUNT, at_least=1, at_most=1_048_576)
     """Directions of each beam in a scan, evenly spaced over azimuth_deg."""
     azimuth_deg: tuple[float, float] = key(
-        list_of(
-            bounded(CONSTANT, at_least=-720, at_most=720, unit="°"),
-            "Counterclockwise from above.",
-            least=2,
-            most=2,
-        ),
-        default=[180, -180],
+        list_of(_AROUND, "Counterclockwise from above.", count=2), default=[180, -180]
     )
     """First azimuth, and where the next scan would begin; 0 is ahead, 90 left."""
     range_m: tuple[float, float] = key(
-        list_of(
-            bounded(CONSTANT, at_least=0, at_most=1_000_000_000, unit="m"),
-            "Along the beam.",
-            least=2,
-            most=2,
-        ),
-        default=[0.5, 120],
+        list_of(_DISTANCE, "Along the beam.", count=2), default=[0.5, 120]
     )
     """Nearest and farthest range that is answered."""
     noise: LidarNoise = key(an("lidar_noise", drawn=True), default={})
@@ -137,5 +188,5 @@ class Lidar:
             range_m=self.range_m,
             noise=rig.LidarNoise(**vars(self.noise)),
             noise_key=context.key("noise/key"),
-            trigger=(self.trigger.every, self.trigger.first),
+            trigger=astuple(self.trigger),
         )
