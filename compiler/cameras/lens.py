@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.imaging import ImagingPlan
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics
+from scenec.compiler.geometry.lenses import sound_intrinsics
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import key, keys_of
 from scenec.compiler.kinds.finding import Finding
@@ -127,20 +127,18 @@ def _fold(sensor: Node, node: Node) -> str | None:
     numbers = {name: node.constant(name) for name in keys_of(kind) if name in node}
     if None in (size, *numbers.values()):
         return None
-    made = kind(**numbers).made()
-    fov, given = sensor.constant("fov_deg"), sensor.at("intrinsics")
+    made, given = kind(**numbers).made(), sensor.at("intrinsics")
+    fov = sensor.constant("fov_deg")
+    five: Any = None
     if "intrinsics" in sensor:
-        fx, fy, cx, cy = map(given.constant, ("fx", "fy", "cx", "cy"))
         skew = given.constant("skew") if "skew" in given else 0.0
-        if fx is None or fy is None or cx is None or cy is None or skew is None:
+        five = (*map(given.constant, ("fx", "fy", "cx", "cy")), skew)
+        if None in five:
             return None
-        return find_fault(made, (fx, fy, cx, cy, skew), tuple(size))
-    if fov is None and ("fov_deg" in sensor or made.model != EQUIRECTANGULAR):
+    elif fov is None and ("fov_deg" in sensor or made.model != EQUIRECTANGULAR):
         return None
-    intrinsics = lens_intrinsics(made, tuple(size), fov)
-    if isinstance(intrinsics, str):
-        return intrinsics
-    return find_fault(made, intrinsics, tuple(size))
+    found = sound_intrinsics(made, tuple(size), fov, five)
+    return found if isinstance(found, str) else None
 
 
 #: What a focus says that imaging says by a key of its own.

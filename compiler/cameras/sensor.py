@@ -7,28 +7,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.mount import Mount, Trigger
-from scenec.compiler.geometry.lenses import Intrinsics as Five
-from scenec.compiler.geometry.lenses import find_fault, lens_intrinsics
+from scenec.compiler.geometry.lenses import sound_intrinsics
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import bounded, key
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    COUNT,
-    OUTPUT,
-    PER_BATCH,
-    TEXT,
-    an,
-    list_of,
-)
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, COUNT, OUTPUT, PER_BATCH, TEXT, an, list_of
 from scenec.compiler.kinds.node import Node
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import SceneError
-from scenec.schemas.lens import EQUIRECTANGULAR, Lens
+from scenec.schemas.lens import EQUIRECTANGULAR
 from scenec.schemas.plugins import origin
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import nearest, shown
@@ -94,14 +84,14 @@ class Sensor:
         "if": {
             "properties": {"lens": {
                 "properties": {"type": {"enum": ["kannala_brandt", "equirectangular"]}},
-                "required": ["type"],
+                "required": ["type"]
             }},
-            "required": ["lens"],
+            "required": ["lens"]
         },
         "else": {"properties": {"fov_deg": bounded(ANGLE_PER_BATCH, above=0, below=180).but(
             description="Horizontal field of view, with square pixels and a centered principal "
-            "point.",
-        ).keywords}},
+            "point."
+        ).keywords}}
     }  # fmt: skip
 
     resolution: tuple[int, int] = key(
@@ -163,10 +153,10 @@ class Sensor:
         lens = focus = depth = imaging = opened = None
         if self.lens is not None:
             lens = draw_kind("lens", self.lens, f"{path}/lens", context).made()
-        intrinsics = self._intrinsics(lens, path)
-        fault = find_fault(lens, intrinsics, self.resolution)
-        if fault is not None:
-            raise SceneError(f"{path}/lens: {fault}")
+        given = None if self.intrinsics is None else astuple(self.intrinsics)
+        intrinsics = sound_intrinsics(lens, self.resolution, self.fov_deg, given)
+        if isinstance(intrinsics, str):
+            raise SceneError(f"{path}/lens: {intrinsics}")
         exposure = draw_kind("exposure", self.exposure, f"{path}/exposure", context)
         if self.imaging is not None:
             imaging = self.imaging.draw(context.at(f"{path}/imaging"))
@@ -196,20 +186,6 @@ class Sensor:
             ),
         )
         return SensorPlan(sensor, exposure.METERED, imaging, opened)
-
-    def _intrinsics(self, lens: Lens | None, path: str) -> Five:
-        width, height = self.resolution
-        if self.intrinsics is not None:
-            return astuple(self.intrinsics)
-        if lens is not None:
-            found = lens_intrinsics(lens, (width, height), self.fov_deg)
-            if isinstance(found, str):
-                raise SceneError(f"{path}/lens: {found}")
-            return found
-        assert self.fov_deg is not None
-        half = self.fov_deg * elementary.PI / 360.0
-        focal = 0.5 * width * elementary.cos(half) / elementary.sin(half)
-        return focal, focal, 0.5 * width, 0.5 * height, 0.0
 
 
 def _effect(node: Mapping[str, Any], context: Context) -> str:
