@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.enclosed import require_open
-from scenec.compiler.cameras.imaging import expose
 from scenec.compiler.cameras.paths.motion import Bodies, bodies_of
-from scenec.compiler.cameras.rigs import build_rigs, memoized_rigs
+from scenec.compiler.cameras.rigs import build_rigs, expose, memoized_rigs
 from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.lamps import build_lamps, meter_lamps

@@ -16,14 +16,7 @@ STEREO, TIME_OF_FLIGHT = "stereo", "time_of_flight"
 
 @dataclass(frozen=True)
 class StereoDepth:
-    """Depth from a pair of cameras.
-
-    Attributes:
-        baseline_m: To the other camera, along +x of the picture.
-        noise_px: Standard deviation of disparities.
-        step_px: Disparities are multiples of it; 0: any number.
-        range_m: Nearest and farthest depth that is answered.
-    """
+    """Depth from a pair of cameras; fields are the cfg's keys."""
 
     baseline_m: float
     noise_px: float
@@ -33,15 +26,7 @@ class StereoDepth:
 
 @dataclass(frozen=True)
 class TimeOfFlightDepth:
-    """Depth from the phase of modulated light.
-
-    Attributes:
-        noise_m: Standard deviation of ranges at ``at_m``, of a surface that faces the camera.
-        at_m: See there.
-        ambiguity_m: Ranges are told modulo this: c / (2 f) of a modulation frequency f.
-        blur_px: Standard deviation of the spot that a pixel gathers light from; 0: its center.
-        range_m: Nearest and farthest range that is answered.
-    """
+    """Depth from the phase of modulated light; fields are the cfg's keys."""
 
     noise_m: float
     at_m: float

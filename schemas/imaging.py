@@ -42,6 +42,8 @@ SUBSAMPLINGS = ("4:4:4", "4:2:2", "4:2:0")
 class Imaging:
     """A sensor's parameters at one sample; the stage has an attribute for each (``attribute``).
 
+    What is not listed is as the key of a cfg's ``imaging`` that has its name.
+
     Attributes:
         pattern_seed: Key of what is the same in all its pictures (fixed pattern, defects), 64 bits.
         noise_seed: Key of the batch's noise, 64 bits.
@@ -49,35 +51,20 @@ class Imaging:
             "metered" (from the exposure that renderers find for the camera).
         time_s, iso: Exposure time in seconds and speed; 0 but with "fixed".
         time_range_s, iso_range: What the others choose from: the time first, then the speed.
-        target: What "auto" makes the mean (or percentile) of luminance look like; white is 1.
         percentile: Which percentile that is; negative: the logarithmic mean of what is lit.
-        f_number: Focal length over aperture.
         headroom: Stops between a value of 1 and the brightest that a picture shows.
-        pixel_um: Side of a pixel.
-        quantum_efficiency: Electrons a photon, red, green, blue.
         color_matrix: Row-major: what red, green and blue pixels see of linear Rec.709.
-        white_balance: Factors on what makes white look white.
-        full_well_e: Electrons that a pixel holds.
-        bits: Of the converter.
-        black_level: Number that it gives for no electrons.
-        shot_noise: Whether electrons come one by one.
-        read_noise_e: Standard deviation, electrons.
         dark_current_e_s: Electrons that come without light, a second.
-        prnu: Standard deviation of pixels' sensitivity.
-        dsnu_e: Standard deviation of pixels' offset, electrons.
         hot: Share of pixels with additional dark current, exponentially distributed ...
         hot_rate_e_s: ... around this, electrons a second.
         dead: Share of pixels that see nothing.
         mosaic: Colors of the first 2 x 2 pixels; "none": each pixel sees all three.
-        demosaic: How the other two are guessed.
         vignetting_power: n in cos(angle to the axis)^n.
         vignetting_polynomial: a, b, c in 1 + a r^2 + b r^4 + c r^6, r = 1 in the farthest corner.
         bloom: Share of the light that is spread ...
         bloom_sigma_px: ... by Gaussians of this, 3 times this and 9 times this standard deviation.
         jpeg_quality: 1 to 100; 0: no JPEG.
         jpeg_subsampling: Of its colors.
-        clean: Whether the picture without noise is written, too.
-        raw: Whether the converter's numbers are written, too.
     """
 
     pattern_seed: int = 0

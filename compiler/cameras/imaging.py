@@ -1,161 +1,415 @@
-"""Draws what sensors make of light, and finds exposures for the light there is."""
+"""Declares what sensors make of light, and draws it."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any, ClassVar, Literal
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.plan import ImagingPlan, RigPlan
+from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import bounded, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    COUNT,
+    FRACTION_PER_BATCH,
+    ISO_RANGE,
+    PER_BATCH,
+    PER_SAMPLE,
+    TIME_RANGE_S,
+    TRUTH,
+    an,
+    list_of,
+    one_of,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds.table import kind_of
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError
-from scenec.schemas.imaging import Imaging
+from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
+from scenec.schemas.spelling import shown
 
-#: Keys of a cfg's imaging that are fields.
-_AS_GIVEN = (
-    "f_number", "pixel_um", "full_well_e", "bits", "black_level", "shot_noise", "read_noise_e",
-    "prnu", "dsnu_e", "mosaic", "demosaic", "clean", "raw",
-)  # fmt: skip
+_ROW = list_of(
+    bounded(PER_BATCH, at_least=-10, at_most=10), "Of red, green or blue light.", count=3
+)
 
 
-def draw_imaging(
-    cfg: dict[str, Any] | None, streams: Streams, path: str, samples: int
-) -> ImagingPlan | None:
-    """Draw a sensor's ``imaging``.
+@dataclass(frozen=True)
+class ImagingPlan:
+    """A sensor's parameters as drawn.
 
-    Raises:
-        SceneError: Drawn numbers do not go together.
+    Attributes:
+        samples: At each sample. Of metered ones time and speed are still missing, and what they
+            have to be between is there.
+        metered: Whether they follow the sensor's exposure.
     """
-    if cfg is None:
-        return None
-    # A sensor is one thing through all batches: its pattern is drawn for the first.
-    pattern = Streams(streams.seed, 0).key(f"{path}/pattern")
-    noise = streams.key(f"{path}/noise")
-    made = tuple(
-        _at_sample(resolve(cfg, streams, path, sample=i), pattern, noise) for i in range(samples)
+
+    samples: tuple[formulas.Imaging, ...]
+    metered: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imaging:
+    """What the sensor makes of the light: its picture is then 000000.png, with a real camera's
+    optics, noise and processing; rgb stays clean linear radiance. The defaults are typical of an
+    industrial camera with pixels of 3.45 µm. A stage is left out by 0 or null.
+    """
+
+    EXAMPLE: ClassVar = {
+        "clean": True,
+        "read_noise_e": 4,
+        "vignetting": {},
+        "bloom": {},
+        "jpeg": {"quality": 90},
+    }
+
+    exposure: Mapping[str, Any] = key(an("imaging_exposure"), default={"type": "metered"})
+    """Exposure time and speed."""
+    f_number: Number = key(PER_SAMPLE, default=4, at_least=0.5, at_most=1000)
+    """Focal length over aperture."""
+    headroom_stops: float = key(PER_BATCH, default=1, at_least=-8, at_most=16, unit="EV")
+    """Stops between a value of 1 (what sensor.exposure shows as 1) and the brightest that is told
+    apart; more keeps highlights, and shows more noise."""
+    pixel_um: float = key(PER_BATCH, default=3.45, at_least=0.1, at_most=1000, unit="µm")
+    """Side of a pixel."""
+    quantum_efficiency: Any = key(
+        list_of(bounded(PER_BATCH, above=0, at_most=1), "One color.", count=3),
+        default=[0.5, 0.6, 0.5],
     )
-    for imaging in made:
-        # Metered ones have their time and speed only when there is light.
-        faults = formulas.faults(dataclasses.replace(imaging, time_s=1.0, iso=1.0))
-        low_high = imaging.time_range_s, imaging.iso_range
-        if any(low > high for low, high in low_high):
-            faults.append(f"ranges {low_high}: expected the smaller one first")
-        if faults:
-            raise SceneError(f"{path}: {faults[0]}")
-    return ImagingPlan(made, cfg["exposure"]["type"] == "metered")
+    """Electrons a photon in 600-700, 500-600 and 400-500 nm: red, green, blue."""
+    full_well_e: float = key(
+        PER_BATCH, default=10_500, at_least=1, at_most=1_000_000_000, unit="e-"
+    )
+    """Electrons that a pixel holds."""
+    bits: int = key(COUNT, default=12, at_least=8, at_most=16)
+    """Of the converter."""
+    black_level: int = key(COUNT, default=64, at_least=0, at_most=65_534, unit="DN")
+    """Number that the converter gives for no electrons."""
+    shot_noise: bool = key(TRUTH, default=True)
+    """Whether electrons come one by one (Poisson)."""
+    read_noise_e: float = key(PER_BATCH, default=2.3, at_least=0, at_most=1_000_000, unit="e-")
+    """Standard deviation of what reading adds."""
+    dark_current: Mapping[str, Any] = key(an("imaging_dark_current"), default={})
+    """Electrons without light."""
+    prnu: float = key(FRACTION_PER_BATCH, default=0.006)
+    """Standard deviation of the pixels' sensitivity (photo response non-uniformity), relative."""
+    dsnu_e: float = key(PER_BATCH, default=0.6, at_least=0, at_most=1_000_000, unit="e-")
+    """Standard deviation of the pixels' offset (dark signal non-uniformity)."""
+    defects: Mapping[str, Any] = key(an("imaging_defects"), default={})
+    """Hot and dead pixels."""
+    mosaic: Literal["rggb", "bggr", "grbg", "gbrg", "none"] = key(CHOICE, default="rggb")
+    """Colors of the first two rows of pixels; none: each pixel sees all three. Pictures of one row
+    or column have none."""
+    demosaic: str = key(one_of(*formulas.DEMOSAICS), default="malvar")
+    """How missing colors are guessed: Malvar, He and Cutler 2004, or the mean of the nearest."""
+    color_matrix: Any | None = key(list_of(_ROW, "One color of pixels.", count=3), optional=True)
+    """What red, green and blue pixels see of linear Rec.709, a row each; the picture undoes it,
+    which makes noise larger. Left out, they see Rec.709."""
+    white_balance: Any = key(
+        list_of(bounded(PER_BATCH, above=0, at_most=100), "Red, green or blue.", count=3),
+        default=[1, 1, 1],
+    )
+    """Factors on top of those that show white light as white."""
+    vignetting: Mapping[str, Any] | None = key(an("imaging_vignetting"), optional=True)
+    """How the picture darkens towards its corners; left out, it does not."""
+    bloom: Mapping[str, Any] | None = key(an("imaging_bloom"), optional=True)
+    """Light that lens and glass scatter; left out, none."""
+    jpeg: Mapping[str, Any] | None = key(an("imaging_jpeg"), optional=True)
+    """Compression that the picture has gone through; left out, none."""
+    clean: bool = key(TRUTH, default=False)
+    """Also write 000000.clean.png: same light, optics and exposure, without noise, fixed pattern,
+    defects, mosaic, rounding and JPEG."""
+    raw: bool = key(TRUTH, default=False)
+    """Also write 000000.raw.png: the converter's numbers behind the mosaic, 16 bits."""
 
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds what does not go together, and with the sensor."""
+        yield from _check_numbers(node)
+        yield from _check_matrix(node)
 
-def expose(rigs: tuple[Rig, ...], plans: Sequence[RigPlan]) -> tuple[Rig, ...]:
-    """The rigs, with imaging of sensors that make pictures; exposures say what those show."""
-    out = []
-    for rig, plan in zip(rigs, plans, strict=True):
-        sensors = tuple(
-            _exposed(sensor, drawn.imaging)
-            if drawn.imaging is not None and "rgb" in sensor.outputs
-            else sensor
-            for sensor, drawn in zip(rig.sensors, plan.sensors, strict=True)
+    def draw(self, context: Context) -> ImagingPlan:
+        """Returns its parameters at each sample.
+
+        Raises:
+            SceneError: Drawn numbers do not go together.
+        """
+        # A sensor is one thing through all batches: its pattern is drawn for the first.
+        pattern = Streams(context.streams.seed, 0).key(f"{context.path}/pattern")
+        noise = context.key("noise")
+        made = tuple(
+            _at_sample(resolve(vars(self), context.streams, context.path, sample=i), pattern, noise)
+            for i in range(context.samples)
         )
-        out.append(dataclasses.replace(rig, sensors=sensors))
-    return tuple(out)
+        for imaging in made:
+            # Metered ones have their time and speed only when there is light.
+            faults = formulas.faults(replace(imaging, time_s=1.0, iso=1.0))
+            low_high = imaging.time_range_s, imaging.iso_range
+            if any(low > high for low, high in low_high):
+                faults.append(f"ranges {low_high}: expected the smaller one first")
+            if faults:
+                raise SceneError(f"{context.path}: {faults[0]}")
+        return ImagingPlan(made, self.exposure["type"] == "metered")
 
 
-def _at_sample(cfg: dict[str, Any], pattern: int, noise: int) -> Imaging:
-    exposure, dark, defects = cfg["exposure"], cfg["dark_current"], cfg["defects"]
+@dataclass(frozen=True, kw_only=True)
+class Metered:
+    """Shows what sensor.exposure says, by time and speed: the lowest speed while the time is long
+    enough, then more speed. Where the limits bind, the picture is darker or brighter.
+    """
+
+    EXAMPLE: ClassVar = {"type": "metered"}
+
+    time_range_s: tuple[float, float] = key(TIME_RANGE_S)
+    iso_range: tuple[float, float] = key(ISO_RANGE)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds ranges that end before they begin."""
+        for name in ("time_range_s", "iso_range"):
+            low, high = map(node.at(name).span, (0, 1))
+            if low and high and low[1] > high[0]:
+                yield node.fault(
+                    f"{low[1]:g} is above {high[0]:g}: expected the smaller one first", name
+                )
+
+    def of(self, imaging: formulas.Imaging) -> formulas.Imaging:
+        """Returns a sensor's parameters with this exposure."""
+        return replace(imaging, **vars(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manual:
+    """As given; sensor.exposure has no say."""
+
+    EXAMPLE: ClassVar = {"type": "manual", "time_s": 0.002, "iso": 100}
+
+    time_s: float = key(PER_SAMPLE, above=0, at_most=1_000_000, unit="s")
+    """Exposure time."""
+    iso: float | None = key(PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000)
+    """ISO speed (ISO 12232, saturation-based): 78 / iso lux seconds make the largest number. Below
+    the base speed (in sidecars), where pixels are full before, highlights clip sooner. Either this
+    or gain_e."""
+    gain_e: float | None = key(
+        PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000, unit="e-/DN"
+    )
+    """Electrons that make one step of the converter, in place of iso."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds an exposure of the sensor beside it, and two speeds or none."""
+        yield from _check_alone(node)
+        if ("iso" in node) == ("gain_e" in node):
+            yield node.fault("expected either the key iso or the key gain_e")
+
+    def of(self, imaging: formulas.Imaging) -> formulas.Imaging:
+        """Returns a sensor's parameters with this exposure."""
+        iso = self.iso
+        if iso is None:
+            assert self.gain_e is not None
+            iso = formulas.iso_of_gain(imaging, self.gain_e)
+        return replace(imaging, time_s=self.time_s, iso=iso)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Auto:
+    """From each picture alone, whatever is rendered before it: the logarithmic mean of the
+    luminance of what is lit, or a percentile of all, is shown as target (in steps of 1/64 EV). Time
+    first, then speed; without light the longest. sensor.exposure has no say.
+    """
+
+    EXAMPLE: ClassVar = {"type": "auto", "target": 0.18}
+
+    target: float = key(PER_BATCH, default=0.18, above=0, at_most=1000)
+    """What it is shown as; white is 1."""
+    percentile: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=100, unit="%")
+    """Percentile of luminance that is metered; left out, the logarithmic mean."""
+    time_range_s: tuple[float, float] = key(TIME_RANGE_S)
+    iso_range: tuple[float, float] = key(ISO_RANGE)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds an exposure of the sensor beside it, and ranges that end before they begin."""
+        yield from _check_alone(node)
+        yield from Metered.check(node)
+
+    def of(self, imaging: formulas.Imaging) -> formulas.Imaging:
+        """Returns a sensor's parameters with this exposure."""
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(imaging, rule="auto", **own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vignetting:
+    """cos(t)^power · (1 + a r² + b r⁴ + c r⁶), t the angle to the axis, r = 1 in the corner
+    farthest from the principal point.
+    """
+
+    EXAMPLE: ClassVar = {"power": 4}
+
+    power: int = key(COUNT, default=4, at_least=0, at_most=8)
+    """4 is a thin lens's; wide lenses are made to have less."""
+    polynomial: Any = key(
+        list_of(bounded(PER_BATCH, at_least=-10, at_most=10), "A coefficient.", count=3),
+        default=[0, 0, 0],
+    )
+    """a, b, c."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bloom:
+    """A share of the light is spread by three Gaussians (60, 30 and 10 % by radius_px, 3 and 9
+    times that); its sum stays.
+    """
+
+    EXAMPLE: ClassVar = {"share": 0.02, "radius_px": 6}
+
+    share: float = key(FRACTION_PER_BATCH, default=0.02)
+    """Share of the light."""
+    radius_px: float = key(PER_BATCH, default=8, at_least=0.5, at_most=10_000, unit="px")
+    """Standard deviation of the narrowest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jpeg:
+    """The picture is compressed and decoded; it is stored without further loss."""
+
+    EXAMPLE: ClassVar = {"quality": 90}
+
+    TITLE: ClassVar = "Imaging: JPEG"
+    quality: int = key(COUNT, default=90, at_least=1, at_most=100)
+    """As libjpeg has it."""
+    subsampling: str = key(one_of(*formulas.SUBSAMPLINGS), default="4:2:0")
+    """Of colors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkCurrent:
+    """Electrons that heat sets free."""
+
+    EXAMPLE: ClassVar = {"rate_e_s": 2, "temperature_c": 35}
+
+    rate_e_s: float = key(PER_BATCH, default=2, at_least=0, at_most=1_000_000_000, unit="e-/s")
+    """At the reference temperature, a second."""
+    reference_c: float = key(PER_BATCH, default=25, at_least=-273, at_most=1000, unit="°C")
+    """Reference temperature."""
+    doubling_c: float = key(PER_BATCH, default=7, at_least=0.1, at_most=1000, unit="K")
+    """It doubles every so many degrees."""
+    temperature_c: Number = key(PER_SAMPLE, default=25, at_least=-273, at_most=1000, unit="°C")
+    """Of the sensor; hot pixels follow it, too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Defects:
+    """Pixels that are the same in all pictures of the sensor."""
+
+    EXAMPLE: ClassVar = {"hot": 0.0001, "dead": 5e-05}
+
+    hot: float = key(PER_BATCH, default=0.0001, at_least=0, at_most=0.5)
+    """Share of pixels with more dark current."""
+    hot_rate_e_s: float = key(
+        PER_BATCH, default=500, at_least=0, at_most=1_000_000_000, unit="e-/s"
+    )
+    """What it is more on average (exponentially distributed), at the reference temperature."""
+    dead: float = key(PER_BATCH, default=1e-05, at_least=0, at_most=0.5)
+    """Share of pixels that see nothing."""
+
+
+def _at_sample(cfg: Mapping[str, Any], pattern: int, noise: int) -> formulas.Imaging:
+    dark, defects = cfg["dark_current"], cfg["defects"]
     warmer = (dark["temperature_c"] - dark["reference_c"]) / dark["doubling_c"]
     # Within what a double holds; hotter than that all pixels are full anyway.
-    heat = _two_to(min(max(warmer, -100.0), 60.0))
-    vignetting = cfg["vignetting"] or {"power": 0, "polynomial": [0.0, 0.0, 0.0]}
-    bloom = cfg["bloom"] or {"share": 0.0, "radius_px": 0.0}
-    jpeg = cfg["jpeg"] or {"quality": 0, "subsampling": Imaging.jpeg_subsampling}
-    matrix = cfg["color_matrix"]
-    imaging = Imaging(
-        **{key: cfg[key] for key in _AS_GIVEN},
-        pattern_seed=pattern,
-        noise_seed=noise,
-        headroom=cfg["headroom_stops"],
-        quantum_efficiency=_three(cfg["quantum_efficiency"]),
-        color_matrix=(
-            Imaging.color_matrix if matrix is None else tuple(k for row in matrix for k in row)
-        ),
-        white_balance=_three(cfg["white_balance"]),
-        dark_current_e_s=min(dark["rate_e_s"] * heat, 1e11),
-        hot=defects["hot"],
-        hot_rate_e_s=min(defects["hot_rate_e_s"] * heat, 1e11),
-        dead=defects["dead"],
-        vignetting_power=vignetting["power"],
-        vignetting_polynomial=_three(vignetting["polynomial"]),
-        bloom=bloom["share"],
-        bloom_sigma_px=bloom["radius_px"],
-        jpeg_quality=jpeg["quality"],
-        jpeg_subsampling=jpeg["subsampling"],
-    )
-    if exposure["type"] == "manual":
-        iso = exposure["iso"]
-        if iso is None:
-            iso = formulas.iso_of_gain(imaging, exposure["gain_e"])
-        return dataclasses.replace(imaging, time_s=exposure["time_s"], iso=iso)
-    (shortest, longest), (lowest, highest) = exposure["time_range_s"], exposure["iso_range"]
-    imaging = dataclasses.replace(
-        imaging, time_range_s=(shortest, longest), iso_range=(lowest, highest)
-    )
-    if exposure["type"] == "metered":
-        return imaging
-    percentile = exposure["percentile"]
-    return dataclasses.replace(
-        imaging,
-        rule="auto",
-        target=exposure["target"],
-        percentile=Imaging.percentile if percentile is None else percentile,
-    )
+    heat = two_to(min(max(warmer, -100.0), 60.0))
+    own: dict[str, Any] = {
+        "pattern_seed": pattern,
+        "noise_seed": noise,
+        "headroom": cfg["headroom_stops"],
+        "quantum_efficiency": tuple(cfg["quantum_efficiency"]),
+        "white_balance": tuple(cfg["white_balance"]),
+        "dark_current_e_s": min(dark["rate_e_s"] * heat, 1e11),
+        "hot": defects["hot"],
+        "hot_rate_e_s": min(defects["hot_rate_e_s"] * heat, 1e11),
+        "dead": defects["dead"],
+    }
+    if (matrix := cfg["color_matrix"]) is not None:
+        own["color_matrix"] = tuple(chain(*matrix))
+    if (vignetting := cfg["vignetting"]) is not None:
+        own["vignetting_power"] = vignetting["power"]
+        own["vignetting_polynomial"] = tuple(vignetting["polynomial"])
+    if (bloom := cfg["bloom"]) is not None:
+        own |= {"bloom": bloom["share"], "bloom_sigma_px": bloom["radius_px"]}
+    if (jpeg := cfg["jpeg"]) is not None:
+        own |= {"jpeg_quality": jpeg["quality"], "jpeg_subsampling": jpeg["subsampling"]}
+    # The other fields are keys by name.
+    given = {name: cfg[name] for name in formulas.TYPES if cfg.get(name) is not None}
+    exposure = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in cfg["exposure"].items()
+        if name != "type"
+    }
+    kind = kind_of("imaging_exposure", cfg["exposure"]["type"])
+    made: formulas.Imaging = kind(**exposure).of(formulas.Imaging(**{**given, **own}))
+    return made
 
 
-def _exposed(sensor: Sensor, plan: ImagingPlan) -> Sensor:
-    samples = plan.samples
-    if plan.metered and sensor.exposure_per is not None:
-        # Time and speed follow the exposure that renderers find.
-        samples = tuple(dataclasses.replace(imaging, rule="metered") for imaging in samples)
-        return dataclasses.replace(sensor, imaging=samples)
-    if plan.metered:
-        samples = tuple(
-            _metered(imaging, float(ev))
-            for imaging, ev in zip(samples, sensor.exposure_ev, strict=True)
-        )
-    ev = sensor.exposure_ev
-    if all(imaging.rule == "fixed" for imaging in samples):
-        ev = np.array([_shown_ev(imaging) for imaging in samples])
-    # Manual ones, and those that meter each picture, have an exposure of their own.
-    return dataclasses.replace(sensor, imaging=samples, exposure_ev=ev, exposure_per=None)
-
-
-def _metered(imaging: Imaging, ev: float) -> Imaging:
-    time_s, iso = formulas.time_and_iso(
-        _two_to(ev),
-        imaging.f_number,
-        _two_to(imaging.headroom),
-        imaging.time_range_s,
-        imaging.iso_range,
-    )
-    none = Imaging.time_range_s
-    return dataclasses.replace(imaging, time_s=time_s, iso=iso, time_range_s=none, iso_range=none)
-
-
-def _shown_ev(imaging: Imaging) -> float:
-    white = _two_to(imaging.headroom)
-    shown = formulas.shown_per_value(imaging.f_number, imaging.time_s, imaging.iso, white)
-    return float(elementary.log(shown) / elementary.log(2.0))
-
-
-def _two_to(x: float) -> float:
+def two_to(x: float) -> float:
+    """2**x, of the compiler's own elementary functions."""
     return float(elementary.exp(x * elementary.log(2.0)))
 
 
-def _three(values: list[float] | NDArray[np.float64]) -> tuple[float, float, float]:
-    a, b, c = values
-    return float(a), float(b), float(c)
+def _check_alone(exposure: Node) -> Iterator[Finding]:
+    sensor = exposure.whole().at(*exposure.path[:-2])
+    if "exposure" in sensor:
+        yield sensor.key_fault(
+            f'nothing reads it beside an imaging/exposure of type "{exposure["type"]}": take it '
+            'away, or make that "metered"',
+            "exposure",
+        )
+
+
+def _check_numbers(imaging: Node) -> Iterator[Finding]:
+    bits, black = imaging["bits"], imaging["black_level"]
+    sides = imaging.whole().at(*imaging.path[:-1])["resolution"] or ()
+    if bits is not None and black is not None and black >= 2**bits - 1:
+        yield imaging.fault(
+            f"a black level of {black} leaves no numbers of {bits} bits: expected less than "
+            f"{2**bits - 1}",
+            "black_level" if "black_level" in imaging else "bits",
+        )
+    if "jpeg" in imaging and max(sides, default=0) > MAX_JPEG_SIDE:
+        yield imaging.fault(
+            f"a JPEG has at most {MAX_JPEG_SIDE} pixels a side, this sensor {max(sides)}: take it "
+            "away",
+            "jpeg",
+        )
+    if imaging["raw"] and (1 in sides or imaging["mosaic"] == "none"):
+        yield imaging.fault(
+            "raw numbers are those behind a mosaic, and there is none: take it away", "raw"
+        )
+
+
+def _check_matrix(imaging: Node) -> Iterator[Finding]:
+    matrix = imaging.at("color_matrix")
+    # Drawn ones are looked at when they are drawn.
+    numbers = [row.constant(column) for row in matrix.each("*") for column in range(3)]
+    known = tuple(number for number in numbers if number is not None)
+    if len(known) != 9:
+        return
+    for row in range(3):
+        total = sum(known[3 * row : 3 * row + 3])
+        if total < MIN_WHITE:
+            yield matrix.fault(
+                f"adds up to {total:g}, so white light looks black to such pixels: expected more "
+                f"than {MIN_WHITE:g}",
+                row,
+            )
+    if abs(determinant(known)) < MIN_DETERMINANT:
+        yield matrix.fault(
+            f"{shown(imaging['color_matrix'])} cannot be inverted: expected colors that can be "
+            "told apart"
+        )

@@ -1,46 +1,41 @@
-"""Defines what was drawn of rigs and their sensors: a part of the Plan."""
+"""Declares rigs, and what was drawn of one: a part of the Plan."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from scenec.compiler.cameras.paths.motion import Motion
-from scenec.compiler.scene.rig import Lidar, Sensor
-from scenec.schemas.imaging import Imaging
-from scenec.schemas.shutter import Shutter
+from scenec.compiler.cameras.sensor import SensorPlan
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import TRUTH, an, named
+from scenec.compiler.scene.rig import Lidar
 
 
-@dataclass(frozen=True)
-class ImagingPlan:
-    """A sensor's parameters as drawn.
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """A body that moves through the scene with sensors mounted on it.
 
-    Attributes:
-        samples: At each sample. Of metered ones time and speed are still missing, and what they
-            have to be between is there.
-        metered: Whether they follow the sensor's exposure.
+    Its frame is that of a camera that looks ahead: x right, y down, z forward.
     """
 
-    samples: tuple[Imaging, ...]
-    metered: bool
+    EXAMPLE: ClassVar = {
+        "pose": {"type": "orbit", "radius_m": 8, "height_m": 2},
+        "sensors": {"front": {"resolution": [640, 480], "fov_deg": 65}},
+    }
 
-
-@dataclass(frozen=True)
-class SensorPlan:
-    """A sensor, but for what depends on light and motion.
-
-    Attributes:
-        sensor: Without imaging and shutter; its exposure is absolute, or relative to the incident
-            light's if ``metered``. An automatic one is metered, too: what it is before there are
-            pictures.
-        metered: Whether the exposure follows the light.
-        imaging: What it makes of light, or None.
-        shutter: At each sample, or None.
-    """
-
-    sensor: Sensor
-    metered: bool
-    imaging: ImagingPlan | None = None
-    shutter: tuple[Shutter, ...] | None = None
+    pose: Mapping[str, Any] = key(an("pose"))
+    """Where the rig is in each sample."""
+    sensors: Mapping[str, Any] = key(named(an("sensor"), "One sensor.", by="sensor", least=1))
+    """Sensors by name."""
+    lidars: Mapping[str, Any] = key(
+        named(an("lidar"), "One lidar.", by="lidar", least=1), sparse=True
+    )
+    """Lidars by name."""
+    allow_below: bool = key(TRUTH, default=False, sparse=True)
+    """Whether its sensors may be below the ground, inside of objects or off the terrain. Otherwise
+    a sensor that is there at any sample, or while its shutter is open, is an error of compile."""
 
 
 @dataclass(frozen=True)

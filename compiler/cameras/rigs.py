@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.cameras.imaging import ImagingPlan, two_to
 from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import Around, Bodies
-from scenec.compiler.cameras.plan import RigPlan, SensorPlan
+from scenec.compiler.cameras.plan import RigPlan
+from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.schemas import imaging as formulas
+from scenec.schemas.imaging import Imaging
 
 
 def build_rigs(
@@ -62,3 +67,53 @@ def _exposed(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor
     elif plan.metered:
         ev = ev + incident_exposure(irradiance)
     return replace(plan.sensor, exposure_ev=ev)
+
+
+def expose(rigs: tuple[Rig, ...], plans: Sequence[RigPlan]) -> tuple[Rig, ...]:
+    """The rigs, with imaging of sensors that make pictures; exposures say what those show."""
+    out = []
+    for rig, plan in zip(rigs, plans, strict=True):
+        sensors = tuple(
+            _pictured(sensor, drawn.imaging)
+            if drawn.imaging is not None and "rgb" in sensor.outputs
+            else sensor
+            for sensor, drawn in zip(rig.sensors, plan.sensors, strict=True)
+        )
+        out.append(replace(rig, sensors=sensors))
+    return tuple(out)
+
+
+def _pictured(sensor: Sensor, plan: ImagingPlan) -> Sensor:
+    samples = plan.samples
+    if plan.metered and sensor.exposure_per is not None:
+        # Time and speed follow the exposure that renderers find.
+        samples = tuple(replace(imaging, rule="metered") for imaging in samples)
+        return replace(sensor, imaging=samples)
+    if plan.metered:
+        samples = tuple(
+            _metered(imaging, float(ev))
+            for imaging, ev in zip(samples, sensor.exposure_ev, strict=True)
+        )
+    ev = sensor.exposure_ev
+    if all(imaging.rule == "fixed" for imaging in samples):
+        ev = np.array([_shown_ev(imaging) for imaging in samples])
+    # Manual ones, and those that meter each picture, have an exposure of their own.
+    return replace(sensor, imaging=samples, exposure_ev=ev, exposure_per=None)
+
+
+def _metered(imaging: Imaging, ev: float) -> Imaging:
+    time_s, iso = formulas.time_and_iso(
+        two_to(ev),
+        imaging.f_number,
+        two_to(imaging.headroom),
+        imaging.time_range_s,
+        imaging.iso_range,
+    )
+    none = Imaging.time_range_s
+    return replace(imaging, time_s=time_s, iso=iso, time_range_s=none, iso_range=none)
+
+
+def _shown_ev(imaging: Imaging) -> float:
+    white = two_to(imaging.headroom)
+    shown = formulas.shown_per_value(imaging.f_number, imaging.time_s, imaging.iso, white)
+    return float(elementary.log(shown) / elementary.log(2.0))

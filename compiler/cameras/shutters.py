@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import Around, Built, Motion, Way
-from scenec.compiler.cameras.plan import SensorPlan
+from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import composed

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
-from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds.draw import draw_kind, draw_object
 from scenec.compiler.materials.displacement import draw_displacement
 from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.mesh.ground import draw_terrain
@@ -33,7 +35,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
     streams = Streams(seed, batch, attempt)
     cfg, samples = spec.cfg, int(spec.cfg["samples"])
     sky = cfg["light"]["sky"] or {}
-    context = Context(streams, files=spec.files, label_table=cfg["labels"])
+    context = Context(streams, files=spec.files, label_table=cfg["labels"], samples=samples)
     materials = draw_materials(cfg, context)
     lying = [layer["material"] for layer in cfg["terrain"]["ground"]]
     displacements = (
@@ -74,12 +76,14 @@ def _rig(spec: Spec, name: str, setting: Context) -> RigPlan:
         pose = draw_random_target(cfg["pose"], path, streams, samples)
     else:
         pose = draw_motion(cfg["pose"], path, setting)
-    sensors = tuple(
-        draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
-        for sensor, node in cfg["sensors"].items()
-    )
-    lidars = tuple(
-        draw_lidar(lidar, node, f"rigs/{name}/lidars/{lidar}", streams)
-        for lidar, node in cfg.get("lidars", {}).items()
-    )
+    sensors = _carried("sensor", cfg["sensors"], f"rigs/{name}/sensors", setting)
+    lidars = _carried("lidar", cfg.get("lidars", {}), f"rigs/{name}/lidars", setting)
     return RigPlan(name, pose, sensors, lidars, cfg.get("allow_below", False))
+
+
+def _carried(kind: str, nodes: Mapping[str, Any], path: str, setting: Context) -> tuple[Any, ...]:
+    """Sensors or lidars of a rig, drawn."""
+    return tuple(
+        draw_object(kind, node, f"{path}/{name}", setting).draw(setting.at(f"{path}/{name}"))
+        for name, node in nodes.items()
+    )

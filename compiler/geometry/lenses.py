@@ -1,4 +1,4 @@
-"""Makes lenses from a cfg's numbers, and finds whether they are sound and how far they see.
+"""Finds whether lenses are sound, and how far they see.
 
 The formulas are those of ``scenec.schemas.lens``, here with elementary functions of our own.
 """
@@ -6,9 +6,7 @@ The formulas are those of ``scenec.schemas.lens``, here with elementary function
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +14,6 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.lens import (
     BROWN_CONRADY,
-    COEFFICIENTS,
     EQUIRECTANGULAR,
     KANNALA_BRANDT,
     Functions,
@@ -49,17 +46,20 @@ def _atan2(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64
 FUNCTIONS = Functions(elementary.sin_array, elementary.cos_array, _atan2)
 
 
-def make_lens(cfg: Mapping[str, Any] | None) -> Lens | None:
-    """A lens from its part of the cfg, drawn; None: a pinhole."""
-    if cfg is None:
-        return None
-    model = cfg["type"]
-    angle = cfg.get("max_angle_deg", 180.0) * _RADIANS
-    return Lens(model, tuple(float(cfg[name]) for name in COEFFICIENTS[model]), min(angle, math.pi))
+def sound_intrinsics(
+    lens: Lens | None,
+    resolution: tuple[int, int],
+    fov_deg: float | None,
+    given: Intrinsics | None = None,
+) -> Intrinsics | str:
+    """Intrinsics as given, or of a field of view; or why a lens cannot have such a picture."""
+    found = given or lens_intrinsics(lens, resolution, fov_deg)
+    fault = None if isinstance(found, str) else find_fault(lens, found, resolution)
+    return fault or found
 
 
 def lens_intrinsics(
-    lens: Lens, resolution: tuple[int, int], fov_deg: float | None
+    lens: Lens | None, resolution: tuple[int, int], fov_deg: float | None
 ) -> Intrinsics | str:
     """Intrinsics of square pixels around a field of view; of the whole sphere without one.
 
@@ -73,6 +73,10 @@ def lens_intrinsics(
     middle = 0.5 * width, 0.5 * height
     if fov_deg is None:
         return width / (2.0 * elementary.PI), height / elementary.PI, *middle, 0.0
+    if lens is None:
+        half = fov_deg * elementary.PI / 360.0
+        focal = middle[0] * elementary.cos(half) / elementary.sin(half)
+        return focal, focal, *middle, 0.0
     half = 0.5 * fov_deg * _RADIANS
     if lens.model == EQUIRECTANGULAR:
         return (middle[0] / half, middle[0] / half, *middle, 0.0)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
 
 
@@ -40,6 +42,7 @@ class Context:
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.
         path: Of what is drawn: "terrain/relief/0".
+        samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
     """
 
@@ -50,6 +53,7 @@ class Context:
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     path: str = ""
+    samples: int = 1
     choice: str = ""
 
     def at(self, path: str) -> Context:
@@ -70,6 +74,10 @@ class Context:
             level: table[choice[level]] if level in choice else 0
             for level, table in self.label_table.items()
         }
+
+    def per_sample(self, number: Number, below: str) -> NDArray[np.float64]:
+        """Returns a number of what is drawn at each sample, float64 [s]."""
+        return per_sample(number, self.streams, f"{self.path}/{below}", self.samples)
 
     def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from scenec.compiler.kinds.declare import Form, bounded
+from scenec.schemas.passes import PASSES
 
 #: What references to definitions begin with.
 DEFS = "#/$defs/"
@@ -44,7 +45,7 @@ def file(kind: str) -> Form:
 
 def list_of(
     form: Form, text: str = "", *, least: int | None = None, most: int | None = None,
-    unique: bool = False,
+    count: int | None = None, unique: bool = False,
 ) -> Form:  # fmt: skip
     """Returns the form of a list.
 
@@ -52,10 +53,11 @@ def list_of(
         form: Of each entry.
         text: What an entry is.
         least, most: How many there are.
+        count: The same, if there is one number only.
         unique: Whether none stands twice.
     """
     each = {**({"description": text} if text else {}), **form.keywords}
-    found = {"type": "array", "minItems": least, "maxItems": most, "items": each}
+    found = {"type": "array", "minItems": count or least, "maxItems": count or most, "items": each}
     if unique:
         found["uniqueItems"] = True
     return Form({name: value for name, value in found.items() if value is not None})
@@ -123,22 +125,21 @@ NOISE_SCALE_M = bounded(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000).but(
     description="Size of the largest features."
 )
 TIME_RANGE_S = list_of(
-    bounded(PER_BATCH, above=0, at_most=1000000.0, unit="s"), "One end.", least=2, most=2
+    bounded(PER_BATCH, above=0, at_most=1000000.0, unit="s"), "One end.", count=2
 ).but(default=[2e-05, 0.03], description="Shortest and longest exposure time.")
-ISO_RANGE = list_of(
-    bounded(PER_BATCH, above=0, at_most=1000000000.0), "One end.", least=2, most=2
-).but(default=[200, 6400], description="Lowest and highest speed.")
+ISO_RANGE = list_of(bounded(PER_BATCH, above=0, at_most=1000000000.0), "One end.", count=2).but(
+    default=[200, 6400], description="Lowest and highest speed."
+)
 SUN_ELEVATION_DEG = bounded(ANGLE_PER_SAMPLE, at_least=-90, at_most=90).but(
     default=45, description="Angle above the horizon."
 )
 MOUNT_POSITION_M = list_of(
     bounded(LENGTH_PER_BATCH, at_least=-1_000_000, at_most=1_000_000),
     "Along one axis.",
-    least=3,
-    most=3,
+    count=3,
 ).but(default=[0, 0, 0], description="Position: right, down, forward.")
 MOUNT_ROTATION_DEG = list_of(
-    bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000), "About one axis.", least=3, most=3
+    bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000), "About one axis.", count=3
 ).but(default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis.")
 POINT_M = list_of(
     bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000),
@@ -184,27 +185,4 @@ SURFACE_DISPLACEMENT = TRUTH.but(
         "than the mesh."
     ),
 )
-OUTPUT = Form(
-    {
-        "x-open": "scenec.passes",
-        "enum": [
-            "rgb",
-            "label",
-            "instance",
-            "depth",
-            "range",
-            "normal",
-            "position",
-            "face",
-            "amodal",
-            "flow",
-            "scene_flow",
-            "occlusion",
-            "flow_backward",
-            "occlusion_backward",
-            "disparity",
-            "disparity_occlusion",
-            "depth_measured",
-        ],
-    }
-).but(description="One channel.")
+OUTPUT = one_of(*PASSES).but(x_open="scenec.passes", description="One channel.")

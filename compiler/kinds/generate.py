@@ -130,7 +130,7 @@ def _object(name: str) -> dict[str, Any]:
         "description": says,
         **({} if example is None else {"examples": [example]}),
         **_keys(first, kind, last),
-        **_check(CLASSES[name] if "check" in own else context.check if context else ""),
+        **_check(CLASSES[name] if hasattr(kind, "check") else context.check if context else ""),
     }
     for key, change in changes.items():
         if key in found["properties"]:

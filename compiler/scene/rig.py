@@ -101,13 +101,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class LidarNoise:
-    """What is wrong with a lidar's answers.
-
-    Attributes:
-        range_m, range_ratio: Standard deviations of ranges, meters and as a share of the range.
-        angle_deg: Of azimuth and of elevation.
-        dropout: Share of answers lost.
-    """
+    """What is wrong with a lidar's answers; fields are the cfg's keys."""
 
     range_m: float
     range_ratio: float

@@ -16,13 +16,17 @@ from pxr import Sdf, Usd, UsdGeom
 
 from scenec.backends.run.render import render
 from scenec.backends.stage.cameras import read_imaging
-from scenec.compiler.cameras.imaging import draw_imaging, expose
-from scenec.compiler.cameras.plan import ImagingPlan, RigPlan, SensorPlan
+from scenec.compiler.cameras.imaging import ImagingPlan
+from scenec.compiler.cameras.plan import RigPlan
+from scenec.compiler.cameras.rigs import expose
+from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.emit.cameras import write_imaging
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.draw import draw_object
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError
@@ -50,8 +54,12 @@ def loaded(folder: Path, imaging: Any) -> Any:
 
 
 def drawn(folder: Path, imaging: Any, seed: int = 1, batch: int = 0) -> ImagingPlan:
-    made = draw_imaging(loaded(folder, imaging), Streams(seed, batch), PATH, 3)
-    assert made is not None
+    return drawn_at(PATH, loaded(folder, imaging), Streams(seed, batch))
+
+
+def drawn_at(path: str, filled: Any, streams: Streams) -> ImagingPlan:
+    context = Context(streams, samples=3, path=path)
+    made: ImagingPlan = draw_object("imaging", filled, path, context).draw(context)
     return made
 
 
@@ -70,7 +78,6 @@ def test_a_cfg_without_imaging_is_what_it_was(tmp_path: Path) -> None:
     assert loaded(tmp_path, None) is None
     spec = load(small.write_cfg(tmp_path, cfg(None)))
     assert "imaging" not in json.dumps(spec.cfg, default=str)
-    assert draw_imaging(None, Streams(1, 0), PATH, 3) is None
 
 
 def test_an_empty_imaging_is_a_camera_with_all_its_noise(tmp_path: Path) -> None:
@@ -93,8 +100,7 @@ def test_patterns_belong_to_the_sensor_and_noise_to_the_batch(tmp_path: Path) ->
     seeded = drawn(tmp_path, {}, seed=2).samples[0]
     assert seeded.pattern_seed != first.pattern_seed
     filled = loaded(tmp_path, {})
-    elsewhere = draw_imaging(filled, Streams(1, 0), PATH.replace("front", "left"), 3)
-    assert elsewhere is not None
+    elsewhere = drawn_at(PATH.replace("front", "left"), filled, Streams(1, 0))
     assert elsewhere.samples[0].pattern_seed != first.pattern_seed
 
 

@@ -13,7 +13,8 @@ from small import small_cfg, write_cfg
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cameras.paths.random_target import RandomTarget
-from scenec.compiler.cameras.plan import RigPlan, SensorPlan
+from scenec.compiler.cameras.plan import RigPlan
+from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.light.build import Light, without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance

@@ -16,19 +16,20 @@ from scipy.spatial.transform import Rotation
 from shutter_cfgs import ORBIT, SHUTTER, cfg
 
 from scenec.compiler.assets.tracks import Stamped
+from scenec.compiler.cameras.lens import Equirectangular, KannalaBrandt
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
 from scenec.compiler.cameras.paths.motion import Around, Way
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
-from scenec.compiler.cameras.plan import RigPlan, SensorPlan
+from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.rigs import build_rigs
+from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import ERROR_PX, way_of
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw.batch import draw
-from scenec.compiler.geometry.lenses import make_lens
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -36,7 +37,7 @@ from scenec.compiler.views.frustum import MOVING, in_view, views_of_all
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.left_out import read_left_out
-from scenec.schemas.lens import directions, to_plane
+from scenec.schemas.lens import Lens, directions, to_plane
 from scenec.schemas.shutter import Shutter, between
 
 SENSOR = Sensor(
@@ -306,12 +307,11 @@ def test_a_pair_that_rolls_differently_is_none(tmp_path: Path) -> None:
 
 # Views that pruning goes by ----------------------------------------------------------------------
 
-LENSES: dict[str, Any] = {
+LENSES: dict[str, Lens | None] = {
     "pinhole": None,
-    "kannala_brandt": {"type": "kannala_brandt", "k1": 0, "k2": 0, "k3": 0, "k4": 0,
-                       "max_angle_deg": 70},
-    "equirectangular": {"type": "equirectangular"},
-}  # fmt: skip
+    "kannala_brandt": KannalaBrandt(max_angle_deg=70).made(),
+    "equirectangular": Equirectangular().made(),
+}
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -327,7 +327,7 @@ def test_all_that_is_seen_at_any_time_is_in_a_view(lens: str, spin: float) -> No
     poses[:, :3, :3] = turn.as_matrix()
     poses[:, :3, 3] = 0.3 * np.stack([times, np.sin(3.0 * times), times * times], axis=1)
     opened = OpenShutter((Shutter(0.0, 2.0),), times, poses[None])
-    made = make_lens(LENSES[lens])
+    made = LENSES[lens]
     intrinsics = (60.0, 62.0, 50.0, 41.0, 0.7) if made is None else (50.0, 50.0, 48.0, 40.0, 0.0)
     sensor = Sensor("s", (96, 80), intrinsics, np.eye(4), np.zeros(1), ("rgb",), lens=made,
                     shutter=opened)  # fmt: skip

@@ -1,0 +1,128 @@
+"""Declares how much light makes a picture, and when: exposures and shutters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.cameras.imaging import ImagingPlan
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import CHOICE, PER_BATCH, PER_SAMPLE
+from scenec.compiler.kinds.node import Node
+from scenec.schemas import shutter
+
+
+class Exposure:
+    """What exposures have in common."""
+
+    #: The key that says how bright it is, and whether that is on top of what the light says.
+    EV: ClassVar = ""
+    METERED: ClassVar = True
+    #: What renderers find one exposure for; None: they find none.
+    per: Literal["batch", "sample"] | None = None
+
+    def at_samples(self, context: Context) -> NDArray[np.float64]:
+        """Returns what radiance is multiplied by at each sample, EV, float64 [s]."""
+        return context.per_sample(getattr(self, self.EV, 0.0), self.EV)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Auto(Exposure):
+    """As a camera's own meter finds it, from what the camera sees: the mean luminance of surfaces
+    is shown as 0.18, unless the brightest hundredth of them would then be shown above 1. Where more
+    than a twentieth of all that is seen, sky included, would be shown above 1, as against the
+    light, it is half of those stops less, three at most; the sun's disc never counts. The same in
+    all backends, whichever frames are rendered; each frame's sidecar states it.
+    """
+
+    EXAMPLE: ClassVar = {"type": "auto", "per": "sample"}
+
+    per: Literal["batch", "sample"] = key(CHOICE, default="batch")
+    """What has one exposure: the batch, so that a sequence does not flicker (a dark sample among
+    bright ones stays dark), or each sample."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Incident(Exposure):
+    """Follows the light that falls on the scene, as an incident light meter does: that of suns and
+    sky on level ground, and that of lamps on a surface that faces them where the middle of the
+    picture meets the ground, or the first lit place below that. Where no light arrives, radiance is
+    shown as it is (EV 0 and the offset).
+    """
+
+    EXAMPLE: ClassVar = {"type": "incident", "ev_offset": 0.5}
+
+    EV: ClassVar = "ev_offset"
+
+    ev_offset: Number = key(PER_SAMPLE, default=0, at_least=-64, at_most=64, unit="EV")
+    """Correction; +1 is twice as bright."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fixed(Exposure):
+    """The same for all light."""
+
+    EXAMPLE: ClassVar = {"type": "fixed", "ev": -8}
+
+    EV: ClassVar = "ev"
+    METERED: ClassVar = False
+
+    ev: Number = key(PER_SAMPLE, at_least=-64, at_most=64, unit="EV")
+    """Radiance times 2^ev is shown."""
+
+
+#: Poses that come one by one, at no time.
+_STILL = ("random", "random_target")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shutter:
+    """When the rows of a picture are exposed, while the rig goes on moving: motion blur, and a
+    rolling shutter's slant. A sample's pose and time are those of the middle of the picture in the
+    middle of its exposure. Before a motion begins and after it ends the rig stands still. Only on
+    rigs that move over time: not beside random poses.
+    """
+
+    EXAMPLE: ClassVar = {"exposure_s": 0.01, "readout_s": 0.02, "direction": "down"}
+
+    exposure_s: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=1000, unit="s")
+    """How long each row is exposed; 0: an instant. Left out, the time_s of imaging's manual
+    exposure."""
+    readout_s: float = key(PER_BATCH, default=0, at_least=0, at_most=1000, unit="s")
+    """How much later the last row's border is exposed than the first row's; 0: all rows at once (a
+    global shutter)."""
+    direction: Literal["down", "up"] = key(CHOICE, default="down")
+    """Whether the top row is exposed first, or the lowest."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds a rig that stands still, and that nothing says how long it is open."""
+        cfg, sensor = node.whole(), node.path[:-1]
+        pose = cfg.at(*sensor[:-2], "pose")["type"]
+        if pose in _STILL:
+            yield node.key_fault(
+                f'poses of the type "{pose}" are of no time, so nothing moves while a shutter '
+                "is open: take it away, or let the rig move (track, orbit, lawn_mower, rover, mav, "
+                "descent)"
+            )
+        exposure = cfg.at(*sensor, "imaging", "exposure")
+        if "exposure_s" not in node and exposure["type"] != "manual":
+            yield node.fault(
+                'expected the key exposure_s: nothing but an imaging/exposure of type "manual" '
+                "says it otherwise"
+            )
+
+    def at_samples(self, samples: int, imaging: ImagingPlan | None) -> tuple[shutter.Shutter, ...]:
+        """Returns it at each sample; without a time of its own it has the imaging's."""
+        upward = self.direction == "up"
+        if self.exposure_s is not None:
+            return (shutter.Shutter(self.exposure_s, self.readout_s, upward),) * samples
+        assert imaging is not None
+        return tuple(shutter.Shutter(one.time_s, self.readout_s, upward) for one in imaging.samples)

@@ -1,0 +1,192 @@
+"""Declares what measures distances: depth cameras and lidars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from scenec.compiler.cameras.mount import Mount, Trigger
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import bounded, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    CONSTANT,
+    COUNT,
+    FRACTION_PER_BATCH,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    an,
+    list_of,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.scene import rig
+from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
+from scenec.schemas.spelling import shown
+
+_RANGE_M = list_of(bounded(CONSTANT, at_least=0, at_most=1e9, unit="m"), "A bound.", count=2)
+_DISTANCE = bounded(CONSTANT, at_least=0, at_most=1_000_000_000, unit="m")
+_UPWARD = bounded(CONSTANT, at_least=-90, at_most=90, unit="°")
+_AROUND = bounded(CONSTANT, at_least=-720, at_most=720, unit="°")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stereo:
+    """Depth from a pair: the sensor's camera and another one to the right.
+
+    No answer where the other one does not see the point.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "stereo",
+        "baseline_m": 0.055,
+        "noise_px": 0.1,
+        "step_px": 0.125,
+        "range_m": [0.4, 10],
+    }
+
+    TITLE: ClassVar = "Stereo depth"
+    baseline_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000.0)
+    """Distance of the two cameras."""
+    noise_px: float = key(PER_BATCH, default=0.2, at_least=0, at_most=1000, unit="px")
+    """Standard deviation of disparities."""
+    step_px: float = key(PER_BATCH, default=0.0625, at_least=0, at_most=1000, unit="px")
+    """Disparities are multiples of it; 0: any number."""
+    range_m: tuple[float, float] = key(_RANGE_M, default=[0.3, 50])
+    """Nearest and farthest depth that is answered."""
+
+    def draw(self, context: Context) -> DepthCamera:
+        """Returns what measures."""
+        return DepthCamera(StereoDepth(**vars(self)), context.key("noise"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeOfFlight:
+    """Depth from the phase of modulated light, in sunlight: noise grows with the square of the
+    range and with slant.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "time_of_flight",
+        "noise_m": 0.005,
+        "ambiguity_m": 7.5,
+        "range_m": [0.3, 6],
+    }
+
+    TITLE: ClassVar = "Time-of-flight depth"
+    noise_m: float = key(LENGTH_PER_BATCH, default=0.01, at_least=0, at_most=1000)
+    """Standard deviation of ranges at at_m, of a surface that faces the camera."""
+    at_m: float = key(LENGTH_PER_BATCH, default=2, above=0, at_most=1000000.0)
+    """Range of that."""
+    ambiguity_m: float = key(LENGTH_PER_BATCH, default=15, above=0, at_most=1000000000.0)
+    """Ranges are told modulo this, c / (2 f): 15 m at 10 MHz."""
+    blur_px: float = key(PER_BATCH, default=0.4, at_least=0, at_most=16, unit="px")
+    """Standard deviation of the spot that a pixel gathers light from; at outlines ranges mix."""
+    range_m: tuple[float, float] = key(_RANGE_M, default=[0.1, 15])
+    """Nearest and farthest range that is answered."""
+
+    def draw(self, context: Context) -> DepthCamera:
+        """Returns what measures."""
+        return DepthCamera(TimeOfFlightDepth(**vars(self)), context.key("noise"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarNoise:
+    """What is wrong with a lidar's answers.
+
+    Its numbers depend on seed, batch, sample and the lidar's name alone.
+    """
+
+    EXAMPLE: ClassVar = {"range_m": 0.02, "dropout": 0.01}
+
+    TITLE: ClassVar = "Lidar's noise"
+    range_m: float = key(LENGTH_PER_BATCH, default=0.02, at_least=0, at_most=1000)
+    """Standard deviation of ranges, whatever the range."""
+    range_ratio: float = key(FRACTION_PER_BATCH, default=0)
+    """Standard deviation of ranges as a share of the range, added in square to range_m."""
+    angle_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=0, at_most=10)
+    """Standard deviation of azimuth and of elevation: a beam meets what lies that far beside the
+    direction that is told."""
+    dropout: float = key(FRACTION_PER_BATCH, default=0)
+    """Share of answers that are lost."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar:
+    """A scanner of beams at fixed elevations that turns about its upward axis.
+
+    A scan is taken at one instant. It has either beams or elevations_deg.
+    """
+
+    EXAMPLE: ClassVar = {
+        "beams": 32,
+        "elevation_deg": [10, -30],
+        "azimuths": 900,
+        "range_m": [0.5, 100],
+    }
+
+    mount: Mount = key(an("mount", drawn=True), default={})
+    """Where the lidar sits on the rig; unturned it looks ahead, as a camera does."""
+    beams: int | None = key(COUNT, optional=True, at_least=1, at_most=65_536)
+    """Number of beams, evenly spaced over elevation_deg."""
+    elevation_deg: tuple[float, float] = key(
+        list_of(_UPWARD, "Upward.", count=2), default=[15, -15]
+    )
+    """Elevations of the first and the last beam."""
+    elevations_deg: tuple[float, ...] | None = key(
+        list_of(_UPWARD, "Upward.", least=1, most=65536), optional=True
+    )
+    """Elevation of each beam."""
+    azimuths: int = key(COUNT, at_least=1, at_most=1_048_576)
+    """Directions of each beam in a scan, evenly spaced over azimuth_deg."""
+    azimuth_deg: tuple[float, float] = key(
+        list_of(_AROUND, "Counterclockwise from above.", count=2), default=[180, -180]
+    )
+    """First azimuth, and where the next scan would begin; 0 is ahead, 90 left."""
+    range_m: tuple[float, float] = key(
+        list_of(_DISTANCE, "Along the beam.", count=2), default=[0.5, 120]
+    )
+    """Nearest and farthest range that is answered."""
+    noise: LidarNoise = key(an("lidar_noise", drawn=True), default={})
+    """What is wrong with its answers."""
+    trigger: Trigger = key(an("trigger", drawn=True), default={})
+    """At which samples it scans."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Finds what does not go together."""
+        name = str(node.path[-1])
+        if name in node.whole().at(*node.path[:-2], "sensors"):
+            yield node.fault(f"a sensor has the name {shown(name)}, too")
+        yield from node.either("beams", "elevations_deg", "how many beams there are")
+        low, high = node["range_m"] or (0.0, 0.0)
+        if low > high:
+            yield node.fault(f"expected the nearest range first: {high:g}, {low:g}", "range_m")
+        low, high = node["azimuth_deg"] or (0.0, 360.0)
+        if not 0.0 < abs(high - low) <= 360.0:
+            yield node.fault(
+                f"spans {abs(high - low):g} degrees, expected above 0, at most 360", "azimuth_deg"
+            )
+
+    def draw(self, context: Context) -> rig.Lidar:
+        """Returns the scanner, which has the name that its path ends with."""
+        if self.elevations_deg is not None:
+            elevations = np.array(self.elevations_deg, np.float64)
+        else:
+            assert self.beams is not None
+            first, last = self.elevation_deg
+            elevations = first + (last - first) * np.arange(self.beams) / max(self.beams - 1, 1)
+        return rig.Lidar(
+            name=context.path.rpartition("/")[2],
+            to_rig=self.mount.to_rig,
+            elevations_deg=elevations,
+            azimuths=self.azimuths,
+            azimuth_deg=self.azimuth_deg,
+            range_m=self.range_m,
+            noise=rig.LidarNoise(**vars(self.noise)),
+            noise_key=context.key("noise/key"),
+            trigger=astuple(self.trigger),
+        )
