@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.fill import Cfg
 from scenec.compiler.cfg.load import Spec
@@ -16,7 +15,6 @@ from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
 from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.models import draw_meshes, draw_placed
 from scenec.compiler.draw.of_keys import of_keys
-from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
 from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
@@ -117,7 +115,15 @@ def _terrain(
         for layer in node["ground"]
     )
     size_m = (node["size_m"][0], node["size_m"][1])
-    setting = Context(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
+    setting = Context(
+        streams,
+        size_m,
+        spec.files,
+        node["ground"],
+        (),
+        spec.cfg["labels"],
+        int(spec.cfg["samples"]),
+    )
     relief: tuple[ReliefOperator, ...] = ()
     for i, operator in enumerate(cfg["relief"]):
         relief = (*relief, _relief(operator, f"terrain/relief/{i}", setting))
@@ -211,18 +217,10 @@ def _relief(cfg: Mapping[str, Any], path: str, setting: Context) -> ReliefOperat
 
 def _rig(spec: Spec, name: str, setting: Context) -> RigPlan:
     cfg, streams = spec.cfg["rigs"][name], setting.streams
-    samples = int(spec.cfg["samples"])
-    path = f"rigs/{name}/pose"
-    pose: Motion
-    if cfg["pose"]["type"] == "track":
-        opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
-        pose = draw_track(spec, cfg["pose"], path, streams, samples, opened)
-    elif cfg["pose"]["type"] == "random_target":
-        pose = draw_random_target(cfg["pose"], path, streams, samples)
-    else:
-        pose = draw_motion(cfg["pose"], path, setting)
+    opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
+    pose = draw_kind("pose", cfg["pose"], f"rigs/{name}/pose", replace(setting, between=opened))
     sensors = tuple(
-        draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, samples)
+        draw_sensor(sensor, node, f"rigs/{name}/sensors/{sensor}", streams, setting.samples)
         for sensor, node in cfg["sensors"].items()
     )
     lidars = tuple(

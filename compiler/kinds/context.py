@@ -39,6 +39,8 @@ class Context:
         ground: The cfg's ground layers, resolved.
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.
+        samples: How many there are.
+        between: Whether poses are asked for between the samples, too: while a shutter is open.
         path: Of what is drawn: "terrain/relief/0".
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
     """
@@ -49,6 +51,8 @@ class Context:
     ground: Sequence[Mapping[str, Any]] = ()
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    samples: int = 1
+    between: bool = False
     path: str = ""
     choice: str = ""
 

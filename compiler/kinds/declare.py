@@ -37,8 +37,8 @@ class Form:
     """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…").
 
     Attributes:
-        drawn: Name of the object (``table.CLASSES``) that a kind gets in place of what the cfg
-            says; "": as it stands there.
+        drawn: Name of the object or the choice (``table``) of which a kind gets one in place of
+            what the cfg says; "": as it stands there.
     """
 
     keywords: Mapping[str, Any]

@@ -56,5 +56,4 @@ def of_poses(kind: type[Any]) -> Keys:
     """Returns when another package's motion is sampled."""
     if not hasattr(kind, "SCHEMA"):
         return {}
-    text = "At which times of the motion the samples are."
-    return _optional(sampling=forms.an("pose_sampling").but(description=text, default={}))
+    return _optional(sampling=forms.SAMPLING)
