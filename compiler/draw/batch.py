@@ -197,7 +197,7 @@ def _relief(cfg: Mapping[str, Any], path: str, setting: Context) -> ReliefOperat
     streams, cfg = setting.streams, dict(cfg)
     mask = cfg.pop("mask")
     operator: ReliefOperator
-    if cfg["type"] in _DECLARED:
+    if cfg["type"] in _DECLARED or cfg["type"] not in OPERATORS:
         operator = draw_kind("relief", cfg, path, setting)
     elif cfg["type"] in _SCATTERED:
         operator = _SCATTERED[cfg["type"]](cfg, streams, path, setting.size_m)

@@ -13,6 +13,7 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.scatter import Turn, draw_scattered
 from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.schema import own_schema
 from scenec.compiler.objects.coatings import CoatingPlan
 from scenec.compiler.objects.families.angular import draw_angular
 from scenec.compiler.objects.families.bedded import draw_bedded
@@ -138,4 +139,5 @@ def _shape(path: str, cfg: dict[str, Any], streams: Streams) -> Shape:
     common = streams.key(path), cfg["bumpiness"], axes, int(cfg["subdivisions"])
     if other is None:
         return _FAMILIES[family](path, streams, wear, common)
-    return other(*common, **{key: cfg[key] for key in other.SCHEMA["properties"]})
+    keys = own_schema(_OTHERS.group, family)["properties"]
+    return other(*common, **{key: cfg[key] for key in keys})

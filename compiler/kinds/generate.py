@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from typing import Any
 
 from scenec.compiler.kinds import forms, shared
@@ -11,6 +12,7 @@ from scenec.compiler.kinds.forms import DEFS
 from scenec.compiler.kinds.laws import LAWS
 from scenec.compiler.kinds.shared import Keys
 from scenec.compiler.kinds.table import CHOICES, CLASSES, Choice, class_of
+from scenec.schemas.plugins import plugin_name
 
 #: Forms by the names that other packages' schemas call them by.
 FORMS = {name.lower(): form for name, form in vars(forms).items() if isinstance(form, Form)}
@@ -161,10 +163,15 @@ def _title(name: str, context: Choice | None) -> str:
 
 def foreign(group: str, kind: type[Any]) -> dict[str, Any]:
     """Returns what another package's kind says of its keys, and those that its group shares."""
-    keys = dict(kind.SCHEMA.get("properties", {}))
     choice = next((choice for choice in CHOICES.values() if choice.group == group), None)
-    if choice is not None:
-        keys |= {name: keywords for name, (keywords, _) in _shared(choice, kind).items()}
+    common = {} if choice is None else _shared(choice, kind)
+    if not hasattr(kind, "SCHEMA"):
+        above = [base for base in kind.__mro__[:0:-1] if is_dataclass(base)]
+        first = {name: said for base in above for name, said in own_keys(base).items()}
+        check = {"x-offered": [group, plugin_name(group, kind)]} if hasattr(kind, "check") else {}
+        return {"description": description(kind), **_keys(first, kind, common), **check}
+    keys = dict(kind.SCHEMA.get("properties", {}))
+    keys |= {name: keywords for name, (keywords, _) in common.items()}
     return {**kind.SCHEMA, "properties": keys, "additionalProperties": False}
 
 
