@@ -111,9 +111,6 @@ def orbit(**keys) -> Orbit:
         radius_m=6.0,
         height_m=3.0,
         start_deg=30.0,
-        sweep_deg=360.0,
-        period_s=60.0,
-        clearance_m=0.5,
         sampling=Sampling(),
     )
     return replace(base, **keys)
@@ -161,8 +158,8 @@ def test_an_orbit_goes_around_an_object_by_its_id_or_a_drawn_one():
     bodies = {"rocks": balls((1, 2, 3, 1), (-8, 5, 1, 2))}
     for aim, middle in (
         (ObjectAim(object="rocks", id=2, pick_u=0.0), (-8, 5)),
-        (ObjectAim(object="rocks", id=None, pick_u=0.2), (1, 2)),
-        (ObjectAim(object="rocks", id=None, pick_u=0.999), (-8, 5)),
+        (ObjectAim(object="rocks", pick_u=0.2), (1, 2)),
+        (ObjectAim(object="rocks", pick_u=0.999), (-8, 5)),
     ):
         built = orbit(center=aim).built(around(samples=8, bodies=bodies))
         assert np.allclose(built.to_world[:, :2, 3].mean(axis=0), middle)
@@ -181,12 +178,8 @@ def mower(**keys) -> LawnMower:
         across_m=12.0,
         bearing_deg=35.0,
         spacing_m=3.0,
-        overlap=0.6,
         height_m=5.0,
         above="mean",
-        speed_m_s=2.0,
-        turn_radius_m=1.0,
-        pitch_deg=-90.0,
         sampling=Sampling(),
     )
     return replace(base, **keys)
@@ -266,19 +259,7 @@ def test_corners_are_as_wide_as_the_turn_rate_asks_and_pass_no_limit():
 
 
 def mav(points, **keys) -> Mav:
-    base = Mav(
-        waypoints_m=points,
-        height_m=2.0,
-        follow_m=5.0,
-        clearance_m=0.2,
-        speed_m_s=5.0,
-        acceleration_m_s2=3.0,
-        jerk_m_s3=6.0,
-        pitch_deg=-30.0,
-        tilt=False,
-        gravity_m_s2=9.81,
-        sampling=Sampling(),
-    )
+    base = Mav(waypoints_m=points, height_m=2.0, tilt=False, sampling=Sampling())
     return replace(base, **keys)
 
 
@@ -383,8 +364,6 @@ def descent(**keys) -> Descent:
         touchdown_speed_m_s=0.5,
         drift_m_s=2.0,
         drift_deg=90.0,
-        heading_deg=0.0,
-        pitch_deg=-90.0,
         sampling=Sampling(),
     )
     return replace(base, **keys)
@@ -424,18 +403,7 @@ def test_a_descent_at_one_speed_and_from_100_km_to_1_cm():
 
 
 def rover(points, **keys) -> Rover:
-    base = Rover(
-        waypoints_m=points,
-        wheel_base_m=1.0,
-        track_width_m=0.8,
-        height_m=1.5,
-        speed_m_s=0.5,
-        turn_rate_deg_s=20.0,
-        max_slope_deg=30.0,
-        max_object_m=0.25,
-        pitch_deg=0.0,
-        sampling=Sampling(),
-    )
+    base = Rover(waypoints_m=points, max_slope_deg=30.0, pitch_deg=0.0, sampling=Sampling())
     return replace(base, **keys)
 
 

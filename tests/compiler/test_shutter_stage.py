@@ -54,10 +54,9 @@ def front(stage: Path, sample: int = 1, index: int = 0) -> Camera:
 def test_cameras_come_back_as_they_move(output: Path, stage: Path) -> None:
     """Shutter, times and poses: those of the orbit, to rounding; that of the sample to the bit."""
     orbit = Orbit(
-        center=PointAim(x_m=0.0, y_m=0.0, height_m=0.5),
+        center=PointAim(height_m=0.5),
         radius_m=5.0,
         height_m=1.5,
-        start_deg=0.0,
         sweep_deg=60.0,
         period_s=6.0,
         clearance_m=0.1,
