@@ -1,7 +1,8 @@
 """What other packages add by entry points: passes, and kinds of things that a cfg names.
 
-A cfg's kind is a class whose ``SCHEMA`` says which keys it has, as JSON Schema, and whose fields
-are those keys. Which kinds there are: ``KINDS``. Nothing is imported to know that one is there.
+A cfg's kind is a dataclass whose fields are its keys: declared as scenec's own
+(``scenec.compiler.kinds.declare``), or by a ``SCHEMA``, the JSON Schema of them. Which kinds there
+are: ``KINDS``. Nothing is imported to know that one is there.
 
 What is made by another package's code depends on it: ``origin`` states package, version and a
 digest of the code, without running any of it.
@@ -36,6 +37,8 @@ KINDS = {
     "scenec.effects": "effect",
 }
 
+#: What marks, in a field's metadata, a key of the cfg, and what is made of where it stands.
+KEY, GIVEN = "scenec.key", "scenec.given"
 #: Hexadecimal digits that a digest of code is stated by.
 _DIGITS = 12
 #: Digests of code by module and ``sys.path``: of the code that this process runs, edited or not.
@@ -222,9 +225,12 @@ def load_kind(group: str, name: str) -> type[Any]:
     if not entry_points_of(group, name):
         raise ScenecError(f"no {title}{nearest(name, names_of(group))}")
     made, who = load_offered(group, name, title, ScenecError)
-    schema = getattr(made, "SCHEMA", None)
+    schema = getattr(made, "SCHEMA", {} if _declares(made) else None)
     if not dataclasses.is_dataclass(made) or not isinstance(schema, Mapping):
-        raise ScenecError(f"{who}: expected a dataclass with a SCHEMA, a JSON Schema of its keys")
+        raise ScenecError(
+            f"{who}: expected a dataclass with a SCHEMA, a JSON Schema of its keys, or one whose "
+            "fields are made by key"
+        )
     keys = schema.get("properties", {})
     if not isinstance(keys, Mapping):
         raise ScenecError(f"{who}: SCHEMA: expected its keys under properties")
@@ -233,6 +239,14 @@ def load_kind(group: str, name: str) -> type[Any]:
         raise ScenecError(f"{who}: SCHEMA: the class has no field {shown(lacks[0])}")
     _names.setdefault((group, made), name)
     return made  # type: ignore[return-value]
+
+
+def _declares(made: Any) -> bool:
+    """Whether all fields of a class are declared, but for those that it derives."""
+    if not dataclasses.is_dataclass(made):
+        return False
+    own = [field for field in dataclasses.fields(made) if field.name in made.__annotations__]
+    return all({KEY, GIVEN} & field.metadata.keys() or field.name == "key" for field in own)
 
 
 def plugin_name(group: str, kind: type[Any]) -> str:

@@ -1,37 +1,81 @@
-"""Resamples tracks from files at other times than their stamps."""
+"""Reads tracks from files, and resamples them at other times than their stamps."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tracks import Stamped
+from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
 from scenec.compiler.cameras.paths.motion import Around, Built, Way
+from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import bounded, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import CHOICE, CONSTANT, PER_BATCH, an, file, list_of
+from scenec.compiler.kinds.node import Node
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
+from scenec.schemas.spelling import shown
 
 #: A sample may lie so far behind a track's end, in parts of its step: rounding of k / rate.
 _HAIR = 1e-9
+_HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """At which times of a motion the samples are.
-
-    Attributes:
-        start_s: Of the first sample, after the motion's beginning.
-        stop_s: No sample is later; None: the motion's end.
-        rate_hz: Samples a second; None: ``times_s``, or else evenly from start to stop.
-        times_s: Of every sample, after the motion's beginning; None: as above.
+    """At which times of a motion the samples are: evenly from its beginning to its end, at a rate,
+    or at given times.
     """
 
-    start_s: float = 0.0
-    stop_s: float | None = None
-    rate_hz: float | None = None
-    times_s: tuple[float, ...] | None = None
+    EXAMPLE: ClassVar = {"start_s": 0, "rate_hz": 10}
+
+    start_s: float = key(
+        PER_BATCH.but(**{"x-from": "after the motion's beginning, whatever the track's epoch"}),
+        default=0,
+        at_least=0,
+        at_most=1000000000.0,
+        unit="s",
+    )
+    """Seconds from the motion's beginning (a track's first stamp, whatever epoch that counts from)
+    to the first sample."""
+    stop_s: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=1000000000.0, unit="s")
+    """No sample is later; left out, the motion's end."""
+    rate_hz: float | None = key(PER_BATCH, optional=True, above=0, at_most=1000000.0, unit="Hz")
+    """Samples a second; left out, as many as the cfg asks for are spread evenly from start_s to
+    stop_s."""
+    times_s: Sequence[float] | None = key(
+        list_of(bounded(CONSTANT, at_least=0, at_most=1000000000.0), "One time.", least=1),
+        optional=True,
+    )
+    """Time of every sample after the motion's beginning, rising: in place of rate_hz."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields findings on times that do not rise or are not as many as the samples."""
+        for name in ("rate_hz", "start_s"):
+            yield from node.both(name, "times_s", "when the samples are")
+        times, samples = node["times_s"], node.whole()["samples"]
+        if times is None:
+            return
+        if samples is not None and len(times) != samples:
+            yield node.fault(
+                f"{len(times)} times for {samples} samples: expected one for each", "times_s"
+            )
+        for i in range(1, len(times)):
+            if times[i] <= times[i - 1]:
+                yield node.fault(
+                    f"{shown(times[i])} after {shown(times[i - 1])}: expected times that rise",
+                    "times_s",
+                    i,
+                )
+                break
 
     def times(self, duration_s: float, samples: int, what: str) -> NDArray[np.float64]:
         """Times of the samples after the motion's beginning, float64 [samples].
@@ -106,6 +150,94 @@ class TrackWay:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrackFile:
+    """Poses from a file: one row a sample, or, with sampling, interpolated at any times."""
+
+    EXAMPLE: ClassVar = {"type": "track", "file": "trajectory.txt", "format": "tum"}
+
+    file: Path = key(file("track"))
+    """A CSV file with the columns time_s, x_m, y_m, z_m, qw, qx, qy, qz (in this order where there
+    is no header line): position in the world and rotation from the rig's frame to it; or one of
+    another format. Relative to the cfg, or "package:NAME/path"."""
+    convention: Literal["opencv", "usd"] = key(CHOICE, default="opencv")
+    """Axes that the quaternions speak of: opencv (x right, y down, z forward; OAISYS of 2021) or
+    usd (x right, y up, looking down -z; as Blender and today's OAISYS)."""
+    format: Literal["csv", "tum", "oaisys"] | None = key(CHOICE, sparse=True)
+    """Format: csv (also where it is left out), tum (timestamp tx ty tz qx qy qz qw, separated by
+    blanks) or oaisys (frame,x,y,z,qw,qx,qy,qz, without times)."""
+    quaternion: Literal["wxyz", "xyzw"] | None = key(CHOICE, sparse=True)
+    """Order of the quaternions of a file without a header line; left out, the format's own: wxyz,
+    for tum xyzw."""
+    frame_rate_hz: float | None = key(CONSTANT, sparse=True, above=0, at_most=1_000_000, unit="Hz")
+    """Frames a second of a file that counts frames (oaisys)."""
+    sampling: Sampling | None = key(an("pose_sampling", drawn=True), sparse=True)
+    """At which times the samples are; left out, at the first stamps, one row a sample."""
+    interpolation: Literal["linear", "cubic", "screw"] | None = key(CHOICE, sparse=True)
+    """Between stamps: linear (also where it is left out: straight lines, turns the shorter way at
+    an even rate), cubic (through all stamps with continuous velocities) or screw (positions and
+    turns together, along the helix between two poses)."""
+    max_gap_s: float | None = key(CONSTANT, sparse=True, above=0, at_most=1000000000.0, unit="s")
+    """Stamps that are farther apart are a gap; left out, none are."""
+    gaps: Literal["error", "hold"] | None = key(CHOICE, sparse=True)
+    """A sample in a gap is an error (also where it is left out), or takes the pose before it
+    (hold)."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields findings on keys that say nothing without others, or lack them."""
+        if (node["format"] == "oaisys") != ("frame_rate_hz" in node):
+            if "frame_rate_hz" in node:
+                yield node.key_fault(
+                    'only the format "oaisys" counts frames, others have times: take it away',
+                    "frame_rate_hz",
+                )
+            else:
+                yield node.fault(
+                    'the format "oaisys" counts frames: expected the key frame_rate_hz beside it',
+                    "format",
+                )
+        needs = {"interpolation": "sampling", "max_gap_s": "sampling", "gaps": "max_gap_s"}
+        for name, needed in needs.items():
+            if name in node and needed not in node:
+                yield node.key_fault(
+                    f"{name} says nothing without {needed}: give that, too, or take it away", name
+                )
+
+    def draw(self, context: Context) -> TrackPlan:
+        """Reads the file.
+
+        Raises:
+            SceneError: It is no track, or does not reach as far as is asked for.
+        """
+        what, usd = f"{context.path}: {self.file.name}", self.convention == "usd"
+        form, method = self.format or "csv", self.interpolation or "linear"
+        gaps = Gaps(self.max_gap_s, self.gaps == "hold")
+        if self.sampling is None and form == "csv" and self.quaternion is None:
+            track = read_track(self.file)
+            rows = [
+                from_quaternion(track.position_m[i], track.quaternion[i])
+                for i in range(context.samples)
+            ]
+            to_world = np.stack([compose(m, _HALF_TURN) for m in rows] if usd else rows)
+            begin = float(track.time_s[0])
+            stamped = Stamped(track.time_s - begin, begin, track.position_m, track.quaternion, ())
+            at, times = stamped.time_s[: context.samples], track.time_s[: context.samples]
+        else:
+            stamped = read_stamped(self.file, form, self.quaternion, self.frame_rate_hz)
+            if self.sampling is None:
+                first = slice(context.samples)
+                at = stamped.time_s[first]
+                to_world = matrices(stamped.position_m[first], stamped.quaternion[first])
+                to_world = to_world * np.diag(_HALF_TURN) if usd else to_world
+            else:
+                at = self.sampling.times(float(stamped.time_s[-1]), context.samples, what)
+                to_world = resampled(stamped, at, method, gaps, what, usd)
+            times = stamped.begin_s + at
+        way = TrackWay(at, stamped, method, gaps, what, usd) if context.between else None
+        return TrackPlan(to_world, times, way)
+
+
 @dataclass(frozen=True)
 class TrackPlan:
     """Given poses.
@@ -119,7 +251,7 @@ class TrackPlan:
     to_world: NDArray[np.float64]
     times: NDArray[np.float64]
     way: TrackWay | None = None
-    needs_objects: bool = False
+    needs_objects: ClassVar = False
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
@@ -168,5 +300,5 @@ def resampled(
         at[inside] = before[inside]
     poses = matrices(*interpolate(track.time_s, track.position_m, track.quaternion, at, method))
     if usd:
-        poses = poses * np.array([*names.HALF_TURN, 1.0])
+        poses = poses * np.diag(_HALF_TURN)
     return poses

@@ -9,6 +9,7 @@ from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
+from scenec.schemas.plugins import load_kind
 
 
 def check_kinds(
@@ -17,7 +18,8 @@ def check_kinds(
     """Yields what the ``check`` of each declared object finds; only their modules are imported.
 
     Args:
-        fields: All places of the cfg; the keyword "x-check" says which class has a check.
+        fields: All places of the cfg; the keyword "x-check" says which class has a check,
+            "x-offered" which one of another package.
         cfg: The whole.
         files: Those that nothing is wrong with, by path: asked is then ``check_files``, of classes
             that have it.
@@ -29,3 +31,5 @@ def check_kinds(
                 yield from kind.check(node)
             elif hasattr(kind, "check_files"):
                 yield from kind.check_files(node, files)
+        if files is None and "x-offered" in field.keywords and (node := cfg.at(*field.path)):
+            yield from load_kind(*field.keywords["x-offered"]).check(node)

@@ -14,7 +14,6 @@ from scenec.compiler.cfg.check_kinds import check_kinds
 from scenec.compiler.cfg.check_light import check_light
 from scenec.compiler.cfg.check_names import check_names
 from scenec.compiler.cfg.check_numbers import check_number
-from scenec.compiler.cfg.check_rigs import check_rigs
 from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.faults import locate
 from scenec.compiler.cfg.fill import Cfg, fill
@@ -29,7 +28,7 @@ from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 
 #: What must hold between keys, beside what is checked of names and files.
-_CHECKS = (check_light, check_rigs)
+_CHECKS = (check_light,)
 
 
 @dataclass(frozen=True)

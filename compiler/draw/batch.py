@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.light import draw_light
-from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind, draw_object
 from scenec.compiler.materials.displacement import draw_displacement
@@ -65,17 +64,9 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
 
 
 def _rig(spec: Spec, name: str, setting: Context) -> RigPlan:
-    cfg, streams = spec.cfg["rigs"][name], setting.streams
-    samples = int(spec.cfg["samples"])
-    path = f"rigs/{name}/pose"
-    pose: Motion
-    if cfg["pose"]["type"] == "track":
-        opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
-        pose = draw_track(spec, cfg["pose"], path, streams, samples, opened)
-    elif cfg["pose"]["type"] == "random_target":
-        pose = draw_random_target(cfg["pose"], path, streams, samples)
-    else:
-        pose = draw_motion(cfg["pose"], path, setting)
+    cfg = spec.cfg["rigs"][name]
+    opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
+    pose = draw_kind("pose", cfg["pose"], f"rigs/{name}/pose", replace(setting, between=opened))
     sensors = _carried("sensor", cfg["sensors"], f"rigs/{name}/sensors", setting)
     lidars = _carried("lidar", cfg.get("lidars", {}), f"rigs/{name}/lidars", setting)
     return RigPlan(name, pose, sensors, lidars, cfg.get("allow_below", False))

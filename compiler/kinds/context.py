@@ -41,6 +41,7 @@ class Context:
         ground: The cfg's ground layers, resolved.
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.
+        between: Whether poses are asked for between the samples, too: while a shutter is open.
         path: Of what is drawn: "terrain/relief/0".
         samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
@@ -54,6 +55,7 @@ class Context:
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     path: str = ""
     samples: int = 1
+    between: bool = False
     choice: str = ""
 
     def at(self, path: str) -> Context:

@@ -27,9 +27,10 @@ import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, get_args, get_origin
 
+from scenec.schemas.plugins import GIVEN, KEY
+
 #: Stands for a default that there is not.
 NONE: Any = object()
-_KEY, _GIVEN = "scenec.key", "scenec.given"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Form:
     """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…").
 
     Attributes:
-        drawn: Name of the object (``table.CLASSES``) that a kind gets in place of what the cfg
-            says; "": as it stands there.
+        drawn: Name of the object or the choice (``table``) of which a kind gets one in place of
+            what the cfg says; "": as it stands there.
     """
 
     keywords: Mapping[str, Any]
@@ -98,7 +99,7 @@ def key(
     usual: dict[str, Any] = {} if needed else {"default": _filled(form.keywords)}
     if isinstance(usual.get("default"), dict):
         del usual["default"]
-    return dataclasses.field(metadata={_KEY: Key(name, form, needed)}, **usual)
+    return dataclasses.field(metadata={KEY: Key(name, form, needed)}, **usual)
 
 
 def _filled(keywords: Mapping[str, Any]) -> Any:
@@ -127,7 +128,7 @@ def given(make: Callable[[Any], Any]) -> Any:
 
     It is given by name. It stands last where it is called ``key``, which then is no function there.
     """
-    return dataclasses.field(metadata={_GIVEN: make}, kw_only=True)
+    return dataclasses.field(metadata={GIVEN: make}, kw_only=True)
 
 
 def noise_key() -> Any:
@@ -144,7 +145,7 @@ def made_of_context(kind: type[Any], context: Any, values: Mapping[str, Any]) ->
         values: Of the keys.
     """
     fields = dataclasses.fields(kind)
-    found = {f.name: f.metadata[_GIVEN](context) for f in fields if _GIVEN in f.metadata}
+    found = {f.name: f.metadata[GIVEN](context) for f in fields if GIVEN in f.metadata}
     if "key" in (f.name for f in fields) and "key" not in {**values, **found}:
         found["key"] = context.key()
     return found
@@ -153,7 +154,7 @@ def made_of_context(kind: type[Any], context: Any, values: Mapping[str, Any]) ->
 def keys_of(kind: type[Any]) -> dict[str, Key]:
     """Returns what a class declares of its keys, by field, those that it derives included."""
     fields = dataclasses.fields(kind)
-    return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
+    return {field.name: field.metadata[KEY] for field in fields if KEY in field.metadata}
 
 
 def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
@@ -174,9 +175,9 @@ def _declared(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
     fields = {field.name: field for field in dataclasses.fields(kind)}
     # In their own order, also of a field that was there before.
     for name in kind.__annotations__:
-        if name in fields and _KEY in fields[name].metadata:
+        if name in fields and KEY in fields[name].metadata:
             field = fields[name]
-            declared: Key = field.metadata[_KEY]
+            declared: Key = field.metadata[KEY]
             keywords = {**declared.form.keywords}
             if field.name in texts:
                 keywords["description"] = texts[field.name]
@@ -203,7 +204,12 @@ def description(kind: type[Any]) -> str:
 
 def descriptions(kind: type[Any]) -> dict[str, str]:
     """Returns what a class says of each field: the string that stands below it."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    try:
+        source = inspect.getsource(kind)
+    except OSError:
+        # Of a package that comes without its source.
+        return {}
+    tree = ast.parse(textwrap.dedent(source)).body[0]
     assert isinstance(tree, ast.ClassDef)
     found = {}
     for field, below in zip(tree.body, tree.body[1:], strict=False):

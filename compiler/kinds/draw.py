@@ -9,11 +9,11 @@ from typing import Any
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import Form, keys_of, made_of_context
-from scenec.compiler.kinds.forms import RAGGED, file
-from scenec.compiler.kinds.table import class_of, kind_of
+from scenec.compiler.kinds.forms import RAGGED, SAMPLING, file
+from scenec.compiler.kinds.table import CHOICES, class_of, kind_of
 
 #: What a kind with a ``SCHEMA`` gets under these keys.
-_FOREIGN = {"file": file(""), "ragged": RAGGED}
+_FOREIGN = {"file": file(""), "ragged": RAGGED, "sampling": SAMPLING}
 
 
 def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
@@ -52,5 +52,6 @@ def _made(kind: type[Any], node: Mapping[str, Any], path: str, context: Context)
         if value is not None and "x-file" in form.keywords:
             values[key] = context.files[f"{path}/{key}"].path
         elif value is not None and form.drawn:
-            values[key] = draw_object(form.drawn, value, f"{path}/{key}", context)
+            drawn = draw_kind if form.drawn in CHOICES else draw_object
+            values[key] = drawn(form.drawn, value, f"{path}/{key}", context)
     return kind(**values, **added, **made_of_context(kind, context.at(path), values))

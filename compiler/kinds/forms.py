@@ -105,6 +105,9 @@ WHOLE_PER_BATCH = PER_BATCH.but(x_kind="integer")
 RAGGED = an("condition_ragged", drawn=True).but(
     description="A noise that is added, so that the border is ragged and no contour line."
 )
+SAMPLING = an("pose_sampling", drawn=True).but(
+    default={}, description="At which times of the motion the samples are."
+)
 SOFTNESS_M = bounded(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000).but(
     default=0,
     description=(

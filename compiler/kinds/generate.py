@@ -11,6 +11,7 @@ from scenec.compiler.kinds.forms import DEFS
 from scenec.compiler.kinds.laws import LAWS
 from scenec.compiler.kinds.shared import Keys
 from scenec.compiler.kinds.table import CHOICES, CLASSES, Choice, class_of
+from scenec.schemas.plugins import plugin_name
 
 #: Forms by the names that other packages' schemas call them by.
 FORMS = {name.lower(): form for name, form in vars(forms).items() if isinstance(form, Form)}
@@ -145,7 +146,7 @@ def _object(name: str) -> dict[str, Any]:
     return {**found, **own.get("KEYWORDS", {})}
 
 
-def _check(place: str) -> dict[str, str]:
+def _check(place: str) -> dict[str, Any]:
     """Returns the keyword that says whose check holds."""
     return {"x-check": place} if place else {}
 
@@ -166,11 +167,15 @@ def _title(name: str, context: Choice | None) -> str:
 
 def foreign(group: str, kind: type[Any]) -> dict[str, Any]:
     """Returns what another package's kind says of its keys, and those that its group shares."""
-    keys = dict(kind.SCHEMA.get("properties", {}))
     choice = next((choice for choice in CHOICES.values() if choice.group == group), None)
-    if choice is not None:
-        keys |= {name: keywords for name, (keywords, _) in _shared(choice, kind).items()}
-    check = _check(choice.check if choice else "")
+    common = {} if choice is None else _shared(choice, kind)
+    check: dict[str, Any] = _check(choice.check if choice else "")
+    if not hasattr(kind, "SCHEMA"):
+        if hasattr(kind, "check"):
+            check["x-offered"] = [group, plugin_name(group, kind)]
+        return {"description": description(kind), **_keys({}, kind, common), **check}
+    keys = dict(kind.SCHEMA.get("properties", {}))
+    keys |= {name: keywords for name, (keywords, _) in common.items()}
     return {**kind.SCHEMA, "properties": keys, "additionalProperties": False, **check}
 
 

@@ -157,7 +157,7 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     """The keys of another package's kind.
 
     Raises:
-        ScenecError: It cannot be loaded, or its ``SCHEMA`` is none.
+        ScenecError: It cannot be loaded, or what it says of its keys is no schema.
     """
     # Imported here: few cfgs have any.
     from jsonschema import Draft202012Validator, SchemaError
@@ -171,10 +171,12 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
         found: Mapping[str, Any] = with_forms(whole)
         for keywords in found["properties"].values():
             _flatten(keywords, None)
-    except (SchemaError, KeyError) as error:
+    except (SchemaError, KeyError, NameError) as error:
         why = error.message if isinstance(error, SchemaError) else f"there is no {error}"
+        why = str(error) if isinstance(error, NameError) else why
         who = f"{KINDS[group]} {name} ({kind.__module__}.{kind.__qualname__})"
-        raise ScenecError(f"{who}: SCHEMA: {why}") from error
+        what = "SCHEMA" if hasattr(kind, "SCHEMA") else "keys"
+        raise ScenecError(f"{who}: {what}: {why}") from error
     return found
 
 

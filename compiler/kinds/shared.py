@@ -18,6 +18,11 @@ def _optional(**keys: Form) -> Keys:
     return {name: (dict(form.keywords), False) for name, form in keys.items()}
 
 
+def is_own(kind: type[Any]) -> bool:
+    """Whether a kind is one of this package."""
+    return kind.__module__.startswith("scenec.compiler.")
+
+
 def of_relief(kind: type[Any]) -> Keys:
     """Returns the mask, which every operator can have."""
     return _optional(mask=forms.MASK)
@@ -25,7 +30,7 @@ def of_relief(kind: type[Any]) -> Keys:
 
 def of_conditions(kind: type[Any]) -> Keys:
     """Returns the bounds of another package's quantity, which may have a ``UNIT``."""
-    if not hasattr(kind, "SCHEMA"):
+    if is_own(kind):
         return {}
     unit = getattr(kind, "UNIT", "")
     end = f"_{unit}" if unit else ""
@@ -53,8 +58,7 @@ def of_surfaces(kind: type[Any]) -> Keys:
 
 
 def of_poses(kind: type[Any]) -> Keys:
-    """Returns when another package's motion is sampled."""
+    """Returns when another package's motion is sampled, if it does not declare it itself."""
     if not hasattr(kind, "SCHEMA"):
         return {}
-    text = "At which times of the motion the samples are."
-    return _optional(sampling=forms.an("pose_sampling").but(description=text, default={}))
+    return _optional(sampling=forms.SAMPLING)

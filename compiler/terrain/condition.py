@@ -450,11 +450,11 @@ def draw_condition(node: Mapping[str, Any], context: Context) -> Interval:
         next(key for key in node if key.partition("_")[0] == end)
         for end in ("min", "max", "softness")
     ]
-    if keys_of(kind):
+    if ends[0] in keys_of(kind):
         quantity = draw_kind(context.choice, node, path, context)
         held = {key: getattr(quantity, key) for key in (*ends, "ragged")}
     else:
-        # Another package's class has its own keys alone.
+        # The bounds of another package's class are none of its fields.
         held = resolve({key: node[key] for key in (*ends, "ragged")}, context.streams, path)
         own = {key: value for key, value in node.items() if key not in held}
         quantity = draw_kind(context.choice, own, path, context)

@@ -1,8 +1,9 @@
 """One of each kind of thing that a package can add to scenec: see docs/plugins.md.
 
-Each kind of a cfg is a frozen dataclass. ``SCHEMA`` has its keys, as the cfg's own schemas say
-them; they become its fields, with every distribution drawn. A field ``key`` that no key fills is a
-64-bit number for hash noises: the same cfg and seed give the same one.
+Each kind of a cfg is a frozen dataclass, whose fields are its keys with every distribution drawn.
+Furrows and the spiral declare them where they stand, as scenec's own kinds do; the others have them
+in a ``SCHEMA``, a JSON Schema. A field ``key`` that no key of the cfg fills is a 64-bit number for
+hash noises: the same cfg and seed give the same one.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from scenec.backends.annotation.passes import normal
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.kinds.declare import key, noise_key
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, SAMPLING
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile, mix, step
 from scenec.compiler.noise.fractal import fbm2
@@ -27,7 +30,7 @@ from scenec.compiler.terrain.condition import Interval, Quantity
 from scenec.compiler.terrain.grid import Applied, Grid, gradient
 from scenec.compiler.terrain.quantities import Quantities
 
-#: Keys refer to forms that scenec's own share: a length in meters, drawn once a batch.
+#: A ``SCHEMA`` refers to forms that scenec's own share: a length in meters, drawn once a batch.
 LENGTH = {"$ref": "forms.schema.json#/$defs/length_per_batch", "exclusiveMinimum": 0}
 ANGLE = {"$ref": "forms.schema.json#/$defs/angle_per_batch"}
 
@@ -38,24 +41,17 @@ def across(x: NDArray, y: NDArray, bearing_deg: float) -> NDArray:
     return x * elementary.cos(angle) - y * elementary.sin(angle)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Furrows:
     """A relief operator: furrows of a plow, along a compass bearing."""
 
-    key: int
-    spacing_m: float
-    depth_m: float
-    bearing_deg: float
-
-    SCHEMA: ClassVar = {
-        "description": "Furrows of a plow.",
-        "required": ["depth_m"],
-        "properties": {
-            "spacing_m": {"description": "From furrow to furrow.", **LENGTH, "default": 0.35},
-            "depth_m": {"description": "From crest to bottom.", **LENGTH},
-            "bearing_deg": {"description": "Along them, from north.", **ANGLE, "default": 0},
-        },
-    }
+    spacing_m: float = key(LENGTH_PER_BATCH, above=0, default=0.35)
+    """From furrow to furrow."""
+    depth_m: float = key(LENGTH_PER_BATCH, above=0)
+    """From crest to bottom."""
+    bearing_deg: float = key(ANGLE_PER_BATCH, default=0)
+    """Along them, from north."""
+    key: int = noise_key()
     #: It adds to whatever heights there are: what is finer than the grid stays.
     adds: ClassVar = True
 
@@ -172,27 +168,17 @@ class Stubble(Surface):
         return Look(0.3 * soil + stalk, color, 0.05 * soil)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Spiral:
     """A pose: up around the middle of the terrain, looking at it."""
 
-    radius_m: float
-    rise_m: float
-    period_s: float
-    sampling: Sampling
-
-    SCHEMA: ClassVar = {
-        "description": "A spiral upwards.",
-        "properties": {
-            "radius_m": {"description": "Of its circle.", **LENGTH, "default": 10},
-            "rise_m": {"description": "A turn.", **LENGTH, "default": 5},
-            "period_s": {
-                "description": "Of a turn.",
-                "$ref": "forms.schema.json#/$defs/per_batch",
-                "exclusiveMinimum": 0, "default": 60, "x-unit": "s",
-            },
-        },
-    }  # fmt: skip
+    radius_m: float = key(LENGTH_PER_BATCH, above=0, default=10)
+    """Of its circle."""
+    rise_m: float = key(LENGTH_PER_BATCH, above=0, default=5)
+    """A turn."""
+    period_s: float = key(PER_BATCH, above=0, default=60, unit="s")
+    """Of a turn."""
+    sampling: Sampling = key(SAMPLING)
     #: Whether it has to know where objects are.
     needs_objects: ClassVar = False
 

@@ -12,7 +12,7 @@ from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
-from scenec.compiler.cameras.paths.random_target import RandomTarget
+from scenec.compiler.cameras.paths.random_target import RandomTargetPlan
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.compile import CompileReport, compile_cfg
@@ -134,7 +134,7 @@ def metered(irradiance: float, lamps: tuple[Lamp, ...], down_deg: float = 45.0) 
     k = (50.0, 50.0, 32.0, 24.0, 0.0)
     sensor = Sensor("s", (64, 48), k, np.eye(4), np.zeros(1), ("rgb",))
     plan = SensorPlan(sensor, True)
-    unused = RandomTarget(*[np.zeros((1, 2))] + [np.zeros(1)] * 5)
+    unused = RandomTargetPlan(*[np.zeros((1, 2))] + [np.zeros(1)] * 5)
     (rig,) = meter_lamps(
         (Rig("r", pose[None], (sensor,)),),
         (RigPlan("r", unused, (plan,)),),

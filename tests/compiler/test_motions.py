@@ -27,7 +27,6 @@ from scenec.schemas.errors import SceneError
 SENSOR = Sensor(
     "front", (200, 100), (250.0, 250.0, 100.0, 50.0, 0.0), np.eye(4), np.zeros(1), ("rgb",)
 )
-NONE = np.empty((0, 2))
 
 
 def around(height=None, samples=50, size=(60.0, 40.0), bodies=None, spacing=0.25) -> Around:
@@ -107,7 +106,13 @@ def test_straight_down_and_up_are_reached_without_a_jump(end):
 
 
 def orbit(**keys) -> Orbit:
-    base = Orbit(PointAim(2.0, -1.0, 0.5), 6.0, 3.0, 30.0, 360.0, 60.0, 0.5, Sampling())
+    base = Orbit(
+        center=PointAim(x_m=2.0, y_m=-1.0, height_m=0.5),
+        radius_m=6.0,
+        height_m=3.0,
+        start_deg=30.0,
+        sampling=Sampling(),
+    )
     return replace(base, **keys)
 
 
@@ -152,21 +157,31 @@ def test_an_orbit_rises_where_the_ground_would_be_too_near():
 def test_an_orbit_goes_around_an_object_by_its_id_or_a_drawn_one():
     bodies = {"rocks": balls((1, 2, 3, 1), (-8, 5, 1, 2))}
     for aim, middle in (
-        (ObjectAim("rocks", 2, 0.0), (-8, 5)),
-        (ObjectAim("rocks", None, 0.2), (1, 2)),
-        (ObjectAim("rocks", None, 0.999), (-8, 5)),
+        (ObjectAim(object="rocks", id=2, pick_u=0.0), (-8, 5)),
+        (ObjectAim(object="rocks", pick_u=0.2), (1, 2)),
+        (ObjectAim(object="rocks", pick_u=0.999), (-8, 5)),
     ):
         built = orbit(center=aim).built(around(samples=8, bodies=bodies))
         assert np.allclose(built.to_world[:, :2, 3].mean(axis=0), middle)
     with pytest.raises(SceneError, match="no object of the class rocks has the id 3: expected"):
-        orbit(center=ObjectAim("rocks", 3, 0.0)).built(around(bodies=bodies))
+        orbit(center=ObjectAim(object="rocks", id=3, pick_u=0.0)).built(around(bodies=bodies))
 
 
 # Lawn mower --------------------------------------------------------------------------------------
 
 
 def mower(**keys) -> LawnMower:
-    base = LawnMower(1.0, 2.0, 20.0, 12.0, 35.0, 3.0, 0.6, 5.0, "mean", 2.0, 1.0, -90.0, Sampling())
+    base = LawnMower(
+        x_m=1.0,
+        y_m=2.0,
+        along_m=20.0,
+        across_m=12.0,
+        bearing_deg=35.0,
+        spacing_m=3.0,
+        height_m=5.0,
+        above="mean",
+        sampling=Sampling(),
+    )
     return replace(base, **keys)
 
 
@@ -244,8 +259,7 @@ def test_corners_are_as_wide_as_the_turn_rate_asks_and_pass_no_limit():
 
 
 def mav(points, **keys) -> Mav:
-    way = np.array(points, float)
-    base = Mav(way, NONE, 2.0, 5.0, 0.2, 5.0, 3.0, 6.0, -30.0, False, 9.81, Sampling())
+    base = Mav(waypoints_m=points, height_m=2.0, tilt=False, sampling=Sampling())
     return replace(base, **keys)
 
 
@@ -313,7 +327,7 @@ def test_a_flight_of_one_waypoint_hovers():
 
 def test_drawn_waypoints_lie_on_the_terrain_and_given_ones_must():
     drawn = np.array([[-0.3, 0.3], [0.3, 0.3], [0.0, -0.3]])
-    built = replace(mav(NONE), drawn=drawn).built(around(hills, 1000))
+    built = replace(mav(None), drawn=drawn).built(around(hills, 1000))
     assert np.allclose(built.to_world[[0, -1], :2, 3], drawn[[0, -1]] * [60, 40])
     with pytest.raises(SceneError, match=r"a waypoint reaches \(99, 0\) m"):
         mav([[0, 0], [99, 0]]).built(around())
@@ -341,7 +355,17 @@ def test_a_spline_passes_its_points_smoothly_and_its_bounds_hold():
 
 
 def descent(**keys) -> Descent:
-    base = Descent(1.0, -2.0, 100.0, 1.5, 20.0, 0.5, 2.0, 90.0, 0.0, -90.0, Sampling())
+    base = Descent(
+        x_m=1.0,
+        y_m=-2.0,
+        entry_height_m=100.0,
+        touchdown_height_m=1.5,
+        entry_speed_m_s=20.0,
+        touchdown_speed_m_s=0.5,
+        drift_m_s=2.0,
+        drift_deg=90.0,
+        sampling=Sampling(),
+    )
     return replace(base, **keys)
 
 
@@ -379,8 +403,7 @@ def test_a_descent_at_one_speed_and_from_100_km_to_1_cm():
 
 
 def rover(points, **keys) -> Rover:
-    way, goals = np.array(points, float), np.empty((0, 64, 2))
-    base = Rover(way, goals, 1.0, 0.8, 1.5, 0.5, 20.0, 30.0, 0.25, 0.0, Sampling())
+    base = Rover(waypoints_m=points, max_slope_deg=30.0, pitch_deg=0.0, sampling=Sampling())
     return replace(base, **keys)
 
 
@@ -447,7 +470,7 @@ def test_where_no_way_leads_the_error_says_why():
         rover([[-10, 0], [1, 0]]).built(around(wall))
     with pytest.raises(SceneError, match=r"waypoints_m/0: .* object 1 of objects/a is 0"):
         rover([[0, 0], [5, 0]]).built(around(bodies={"a": balls((0, 0, 0, 1))}))
-    goals = replace(rover(NONE), goals_u=np.full((1, 64, 2), 0.5))
+    goals = replace(rover(None), goals_u=np.full((1, 64, 2), 0.5))
     with pytest.raises(SceneError, match="no place for goal 0 in 64 tries: 64 on slopes above 30"):
         goals.built(around(lambda x, y: 1.5 * x))
 
@@ -457,7 +480,7 @@ def test_drawn_goals_are_reached_and_those_that_cannot_be_are_drawn_again():
         return 2.0 * (np.abs(x) < 1.0)
 
     u = np.random.default_rng(0).uniform(0, 1, (5, 64, 2))
-    built = replace(rover(NONE), goals_u=u).built(around(wall, 200))
+    built = replace(rover(None), goals_u=u).built(around(wall, 200))
     goals = np.array(built.facts["waypoints"])
     assert len(goals) == 5
     # None lies beyond the wall.

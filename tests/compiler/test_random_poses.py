@@ -13,7 +13,9 @@ from test_compile import hashes
 from test_motions import around, balls, hills
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.cameras.paths.random_pose import Limits, Look, RandomPose
+from scenec.compiler.cameras.paths.looks import Limits, LookDirection, LookPoint
+from scenec.compiler.cameras.paths.orbit import ObjectAim
+from scenec.compiler.cameras.paths.random_pose import RandomPose
 from scenec.compiler.cameras.paths.rays import hits, span_of
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -21,27 +23,38 @@ from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw.batch import draw
 from scenec.schemas.errors import CfgError, SceneError
 
-FREE = Limits(0.0, (None, None), (None, None), (None, None), 1.0)
-NAMES = ("height_m", "roll_deg", "bearing_deg", "pitch_deg", "x_m", "y_m", "target_height_m")
+FREE = Limits()
+KEYS = (
+    "height_m", "roll_deg", "look/bearing_deg", "look/pitch_deg", "look/x_m", "look/y_m",
+    "look/height_m", "place0", "place1", "object",
+)  # fmt: skip
 
 
 def uniform(low, high) -> Distribution:
     return Distribution("uniform", "sample", False, low, high)
 
 
-def drawn(look="direction", polygon=((-20, -10), (20, 10)), limits=FREE, **numbers) -> RandomPose:
-    base = {
-        "height_m": uniform(0.5, 5.0), "roll_deg": 0.0, "bearing_deg": uniform(0.0, 360.0),
-        "pitch_deg": uniform(-90.0, 90.0), "x_m": 0.0, "y_m": 0.0, "target_height_m": 0.0,
-    }  # fmt: skip
-    keys = {name: 77 + i for i, name in enumerate((*NAMES, "place0", "place1", "object"))}
+def direction(pitch_deg=None) -> LookDirection:
+    pitch = uniform(-90.0, 90.0) if pitch_deg is None else pitch_deg
+    return LookDirection(bearing_deg=uniform(0.0, 360.0), pitch_deg=pitch)
+
+
+def drawn(look=None, polygon=((-20, -10), (20, 10)), limits=FREE, **keys) -> RandomPose:
+    base = {"height_m": uniform(0.5, 5.0), "roll_deg": 0.0} | keys
     return RandomPose(
-        np.array(polygon, float), True, Look(look, "rocks"), base | numbers, keys, limits, 500
-    )
+        region_m=polygon, look=look or direction(), limits=limits, tries=500,
+        keys={name: 77 + i for i, name in enumerate(KEYS)}, **base,
+    )  # fmt: skip
+
+
+ROCKS = ObjectAim(object="rocks", pick_u=0.0)
 
 
 def limited(**limits) -> Limits:
-    return replace(FREE, **limits)
+    """Limits by what they are of: the least and the largest."""
+    ends = {f"{end}_{of}": v for of, p in limits.items() if isinstance(p, tuple)
+            for end, v in zip(("min", "max"), p, strict=True)}  # fmt: skip
+    return Limits(**ends, **{of: v for of, v in limits.items() if not isinstance(v, tuple)})
 
 
 def test_positions_are_uniform_over_a_box_and_over_a_polygon():
@@ -60,7 +73,7 @@ def test_positions_are_uniform_over_a_box_and_over_a_polygon():
 
 
 def test_heights_are_above_the_ground_and_views_as_drawn():
-    built = drawn(height_m=1.25, pitch_deg=-90.0, roll_deg=30.0).built(around(hills))
+    built = drawn(direction(-90.0), height_m=1.25, roll_deg=30.0).built(around(hills))
     at = built.to_world[:, :3, 3]
     assert np.allclose(at[:, 2] - around(hills).ground(at[:, :2]), 1.25, rtol=0, atol=1e-12)
     assert np.allclose(built.to_world[:, :3, 2], [0, 0, -1], atol=1e-15)
@@ -70,7 +83,7 @@ def test_heights_are_above_the_ground_and_views_as_drawn():
 @pytest.mark.parametrize("height", [0.01, 1e5])
 def test_a_centimeter_and_100_km_above_the_ground_are_heights_like_others(height):
     limits = limited(elevation_deg=(-90.0, -89.9), distance_m=(0.9 * height, 1.1 * height))
-    poses = drawn(height_m=height, pitch_deg=-90.0, limits=limits)
+    poses = drawn(direction(-90.0), height_m=height, limits=limits)
     at = poses.built(around(hills, 5)).to_world[:, :3, 3]
     assert np.allclose(at[:, 2] - around(hills).ground(at[:, :2]), height, rtol=1e-12)
     # From 100 km a terrain of 60 m is less than a pixel: all that is seen is sky.
@@ -83,10 +96,13 @@ def test_a_centimeter_and_100_km_above_the_ground_are_heights_like_others(height
 
 
 def test_every_limit_is_kept():
-    limits = Limits(0.3, (3.0, 12.0), (-40.0, -10.0), (20.0, 75.0), 0.25)
+    limits = limited(
+        clearance_m=0.3, distance_m=(3.0, 12.0), elevation_deg=(-40.0, -10.0),
+        incidence_deg=(20.0, 75.0), max_sky=0.25,
+    )  # fmt: skip
     rocks = balls((2, 3, 0, 0.5), (-6, 1, 0, 1.0), (8, -4, 0, 0.3))
     ground = around(hills, 30, bodies={"rocks": rocks})
-    built = drawn("object", limits=limits).built(ground)
+    built = drawn(ROCKS, limits=limits).built(ground)
     assert len(built.facts["rejected"]) >= 4
     for pose in built.to_world:
         eye, forward = pose[:3, 3], pose[:3, 2]
@@ -132,16 +148,19 @@ def test_rays_find_a_plane_where_it_is_and_the_sky_where_there_is_none():
         ({"height_m": -1.0}, "500 below the ground"),
         ({"limits": limited(distance_m=(100.0, None))}, "with a distance not above 100 m"),
         ({"limits": limited(elevation_deg=(91.0, None))}, "with a view not above 91 degrees"),
-        ({"limits": limited(max_sky=0.1), "pitch_deg": 60.0}, "500 with a share of sky above 0.1"),
-        ({"limits": limited(incidence_deg=(None, 1.0)), "pitch_deg": 45.0}, "looking past"),
+        (
+            {"limits": limited(max_sky=0.1), "look": direction(60.0)},
+            "500 with a share of sky above 0.1",
+        ),
+        ({"limits": limited(incidence_deg=(None, 1.0)), "look": direction(45.0)}, "looking past"),
         ({"polygon": ((0, 0), (1, 1), (2, 2))}, "region_m has an area of 0 m²"),
         ({"polygon": ((0, 0), (100, 1))}, "the region reaches (100, 1) m"),
     ],
 )
 def test_limits_that_cannot_be_kept_are_named_with_how_many_tries_each_rejected(change, part):
-    look = "point" if "limits" in change and "pitch_deg" not in change else "direction"
+    middle = LookPoint(x_m=0.0, y_m=0.0)
     with pytest.raises(SceneError) as caught:
-        drawn(look, **change).built(around(samples=2))
+        drawn(**({"look": middle} if "limits" in change else {}) | change).built(around(samples=2))
     assert part in str(caught.value)
     assert "rigs/r/pose" in str(caught.value)
 
@@ -152,16 +171,16 @@ def test_a_region_inside_of_an_object_has_no_poses():
         inside.built(around(samples=1, bodies={"rocks": balls((0, 0, 0, 9))}))
     none = balls((0, 0, 0, 1)).only(np.array([False]))
     with pytest.raises(SceneError, match="no object of the class rocks"):
-        drawn("object").built(around(bodies={"rocks": none}))
+        drawn(ROCKS).built(around(bodies={"rocks": none}))
 
 
 def test_the_share_of_sky_is_that_of_the_picture():
     # A level view of a plain: five of nine rows of rays, the one in the middle being level.
     wide = around(size=(4000.0, 4000.0), samples=1, spacing=20.0)
-    level = drawn(pitch_deg=0.0, height_m=2.0, limits=limited(max_sky=0.56))
+    level = drawn(direction(0.0), height_m=2.0, limits=limited(max_sky=0.56))
     level.built(wide)
     with pytest.raises(SceneError, match=r"share of sky above 0\.55"):
-        drawn(pitch_deg=0.0, height_m=2.0, limits=limited(max_sky=0.55)).built(wide)
+        drawn(direction(0.0), height_m=2.0, limits=limited(max_sky=0.55)).built(wide)
 
 
 # Whole cfgs --------------------------------------------------------------------------------------

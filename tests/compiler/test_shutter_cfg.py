@@ -44,7 +44,6 @@ SENSOR = Sensor(
     "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), np.zeros(1), ("depth",)
 )
 FREE = Sampling()
-NONE = np.empty((0, 2))
 
 
 def drawn(folder: Path, document: dict[str, Any], batch: int = 0) -> SensorPlan:
@@ -144,16 +143,62 @@ def tracked(method: str = "cubic", **change: Any) -> TrackPlan:
 
 WAYS: dict[str, Any] = {
     "track": tracked(),
-    "orbit": Orbit(PointAim(0.0, 0.0, 0.0), 6.0, 2.0, 0.0, 90.0, 8.0, 0.1, FREE),
-    "whole orbit": Orbit(PointAim(0.0, 0.0, 0.0), 6.0, 2.0, 0.0, 360.0, 20.0, 0.1, FREE),
-    "lawn_mower": LawnMower(0.0, 0.0, 20.0, 12.0, 30.0, 4.0, 0.2, 8.0, "ground", 5.0, 2.0, -60.0,
-                            FREE),
-    "rover": Rover(np.array([[-8.0, 0.0], [4.0, 3.0], [4.0, -6.0]]), np.empty((0, 64, 2)), 1.0, 0.8,
-                   1.2, 1.0, 40.0, 30.0, 0.2, -10.0, FREE),
-    "mav": Mav(np.array([[-15.0, -5.0], [0.0, 8.0], [15.0, -5.0]]), NONE, 5.0, 6.0, 1.0, 6.0, 4.0,
-               10.0, -30.0, True, 9.81, FREE),
-    "descent": Descent(0.0, 0.0, 40.0, 2.0, 8.0, 1.0, 3.0, 40.0, 10.0, -80.0, FREE),
-}  # fmt: skip
+    "orbit": Orbit(
+        center=PointAim(),
+        radius_m=6.0,
+        height_m=2.0,
+        sweep_deg=90.0,
+        period_s=8.0,
+        clearance_m=0.1,
+        sampling=FREE,
+    ),
+    "whole orbit": Orbit(
+        center=PointAim(), radius_m=6.0, height_m=2.0, period_s=20.0, clearance_m=0.1, sampling=FREE
+    ),
+    "lawn_mower": LawnMower(
+        along_m=20.0,
+        across_m=12.0,
+        bearing_deg=30.0,
+        spacing_m=4.0,
+        overlap=0.2,
+        height_m=8.0,
+        speed_m_s=5.0,
+        turn_radius_m=2.0,
+        pitch_deg=-60.0,
+        sampling=FREE,
+    ),
+    "rover": Rover(
+        waypoints_m=[[-8.0, 0.0], [4.0, 3.0], [4.0, -6.0]],
+        height_m=1.2,
+        speed_m_s=1.0,
+        turn_rate_deg_s=40.0,
+        max_slope_deg=30.0,
+        max_object_m=0.2,
+        pitch_deg=-10.0,
+        sampling=FREE,
+    ),
+    "mav": Mav(
+        waypoints_m=[[-15.0, -5.0], [0.0, 8.0], [15.0, -5.0]],
+        height_m=5.0,
+        follow_m=6.0,
+        clearance_m=1.0,
+        speed_m_s=6.0,
+        acceleration_m_s2=4.0,
+        jerk_m_s3=10.0,
+        tilt=True,
+        sampling=FREE,
+    ),
+    "descent": Descent(
+        entry_height_m=40.0,
+        touchdown_height_m=2.0,
+        entry_speed_m_s=8.0,
+        drift_m_s=3.0,
+        drift_deg=40.0,
+        heading_deg=10.0,
+        pitch_deg=-80.0,
+        sampling=FREE,
+    ),
+}
 
 
 @pytest.mark.parametrize("name", WAYS)
@@ -205,7 +250,15 @@ def test_before_its_beginning_and_after_its_end_a_rig_stands_still() -> None:
 
 def test_a_motion_of_no_length_stands_still() -> None:
     hover = Mav(
-        np.array([[1.0, 2.0]]), NONE, 5.0, 6.0, 1.0, 6.0, 4.0, 10.0, -30.0, True, 9.81, FREE
+        waypoints_m=[[1.0, 2.0]],
+        height_m=5.0,
+        follow_m=6.0,
+        clearance_m=1.0,
+        speed_m_s=6.0,
+        acceleration_m_s2=4.0,
+        jerk_m_s3=10.0,
+        tilt=True,
+        sampling=FREE,
     )
     point = Stamped(np.zeros(1), 2.0, np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), (1,))
     way = TrackWay(np.zeros(1), point, "linear", Gaps(), "t", False)
@@ -262,11 +315,36 @@ def test_a_gap_of_a_track_is_one_while_a_shutter_is_open() -> None:
 @pytest.mark.parametrize(
     ("motion", "seconds", "ends"),
     [
-        (LawnMower(0.0, 0.0, 20.0, 0.0, 90.0, 1.0, 0.0, 1.0, "world", 1.0, 1.0, -90.0, FREE),
-         8.0, (0.0, 20.0)),
-        (Descent(0.0, 0.0, 1.0, 0.5, 0.05, 0.05, 1.0, 90.0, 0.0, -90.0, FREE), 3.5, (0.0, 10.0)),
+        (
+            LawnMower(
+                along_m=20.0,
+                across_m=0.0,
+                bearing_deg=90.0,
+                spacing_m=1.0,
+                overlap=0.0,
+                height_m=1.0,
+                above="world",
+                speed_m_s=1.0,
+                sampling=FREE,
+            ),
+            8.0,
+            (0.0, 20.0),
+        ),
+        (
+            Descent(
+                entry_height_m=1.0,
+                touchdown_height_m=0.5,
+                entry_speed_m_s=0.05,
+                touchdown_speed_m_s=0.05,
+                drift_m_s=1.0,
+                drift_deg=90.0,
+                sampling=FREE,
+            ),
+            3.5,
+            (0.0, 10.0),
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
     motion: Any, seconds: float, ends: tuple[float, float]
 ) -> None:

@@ -53,7 +53,15 @@ def front(stage: Path, sample: int = 1, index: int = 0) -> Camera:
 
 def test_cameras_come_back_as_they_move(output: Path, stage: Path) -> None:
     """Shutter, times and poses: those of the orbit, to rounding; that of the sample to the bit."""
-    orbit = Orbit(PointAim(0.0, 0.0, 0.5), 5.0, 1.5, 0.0, 60.0, 6.0, 0.1, Sampling())
+    orbit = Orbit(
+        center=PointAim(height_m=0.5),
+        radius_m=5.0,
+        height_m=1.5,
+        sweep_deg=60.0,
+        period_s=6.0,
+        clearance_m=0.1,
+        sampling=Sampling(),
+    )
     report = json.loads((output / "batch_0000" / "report.json").read_text())
     said = report["motion"]["rover"]["shutter"]
     for index, (name, shutter) in enumerate(

@@ -10,11 +10,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import declared_kinds
 import numpy as np
 import pytest
 
 from scenec.backends.imaging.effects import apply
+from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
+from scenec.compiler.draw.batch import draw
+from scenec.compiler.kinds import schema
+from scenec.compiler.kinds.generate import with_forms
+from scenec.compiler.terrain.grid import Grid
 from scenec.schemas import plugins
 from scenec.schemas.errors import BackendError, CfgError
 from scenec.schemas.frames import read_frame
@@ -165,9 +171,6 @@ def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) ->
 def test_masks_and_distributions_reach_another_packages_operator(
     there: Path, tmp_path: Path
 ) -> None:
-    from scenec.compiler.draw.batch import draw
-    from scenec.compiler.terrain.grid import Grid
-
     path = tmp_path / "farm.json"
     path.write_text(json.dumps(cfg()))
     masked = draw(load(path), 3, 0).terrain.relief[1]
@@ -203,6 +206,12 @@ def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
     ("source", "told"),
     [
         ("1 / 0", "cannot be imported: ZeroDivisionError: division by zero (odd.py, line 1)"),
+        ("@dataclass\nclass Odd:\n  a: int", "a JSON Schema of its keys, or one whose fields are"),
+        ("@dataclass\nclass Odd:\n  a: int = key(forms.COUNT, most=3)", "unexpected keyword"),
+        (
+            "@dataclass\nclass Odd:\n  a: 'Kind' = key(forms.CHOICE)",
+            "keys: name 'Kind' is not defined",
+        ),
         ("Odd = 3", "expected a dataclass with a SCHEMA, a JSON Schema of its keys"),
         ("class Odd:\n  SCHEMA = {}", "expected a dataclass with a SCHEMA"),
         ("SCHEMA = []", "expected a dataclass with a SCHEMA"),
@@ -226,6 +235,11 @@ def test_a_broken_package_is_named_at_its_place_in_the_cfg(
             "from dataclasses import dataclass\nfrom typing import ClassVar\n@dataclass\n"
             f"class Odd:\n  a: int\n  SCHEMA: ClassVar = {source.partition(' = ')[2]}\n"
         )
+    elif source.startswith("@"):
+        source = (
+            "from dataclasses import dataclass\nfrom scenec.compiler.kinds import forms\n"
+            f"from scenec.compiler.kinds.declare import key\n{source}\n"
+        )
     (tmp_path / "site" / "odd.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     monkeypatch.delitem(sys.modules, "odd", raising=False)
@@ -235,3 +249,93 @@ def test_a_broken_package_is_named_at_its_place_in_the_cfg(
     found = dict(faults(tmp_path / "farm.json", document))
     assert told in found["/terrain/relief/1"]
     assert found["/terrain/relief/1"].startswith("relief operator")
+
+
+# Kinds that declare their keys -------------------------------------------------------------------
+
+
+@pytest.fixture
+def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """A package whose kinds declare their keys, installed, and a cfg that names all of them."""
+    info = tmp_path / "site" / "declared-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: declared\nVersion: 1.0\n")
+    lines = [
+        f"[scenec.{group}]\n{name} = declared_kinds:{kind.__name__}\n"
+        for group, (name, kind) in declared_kinds.GROUPS.items()
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    document = cfg()
+    document["outputs"] = ["rgb", "label"]
+    terrain, eye = document["terrain"], document["rigs"]["drone"]["sensors"]["eye"]
+    uniform = {"type": "uniform", "min": 0.5, "max": 1}
+    mask = [{"type": "east", "min_m": -2, "scale": 2}]
+    terrain["relief"] = [{"type": "plane"}, {"type": "lift", "low_m": uniform, "mask": mask}]
+    terrain["ground"][1]["where"] = [{"type": "east", "max_m": 0, "softness_m": 1}]
+    document["materials"]["stubble"]["maps"]["procedural"] = {"type": "plain", "resolution": 64}
+    clods = document["objects"]["clods"]
+    clods |= {"family": "ball", "dents": uniform | {"max": 0.6}, "density": {"type": "half"}}
+    del clods["crumble"]
+    document["rigs"]["drone"]["pose"] = {"type": "hover", "height_m": 3}
+    eye["effects"] = [{"type": "dim"}]
+    return document
+
+
+def test_kinds_of_all_groups_can_declare_their_keys(
+    declared: dict[str, Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(declared))
+    spec = load(path)
+    assert len(spec.plugins) == 7
+    plan = draw(spec, 3, 0)
+    masked = plan.terrain.relief[1]
+    lift = masked.operator
+    assert 0.5 <= lift.by_m <= 1.0
+    assert lift.path == "terrain/relief/1"
+    grid = Grid.with_spacing((16.0, 16.0), 0.1)
+    heights, _ = masked.apply(grid, np.zeros(grid.shape))
+    # East of x = -1 m, where twice x is above -2.
+    assert (heights[:, grid.x() < -1.01] == 0.0).all()
+    assert heights[:, grid.x() > -0.99] == pytest.approx(lift.by_m)
+    scene = build(plan, BuildLog())
+    (clods,) = scene.objects
+    assert (clods.positions[:, 0] > 0.0).all()
+    (rig,) = scene.rigs
+    assert rig.times.tolist() == [0.0, 10.0]
+    assert rig.to_world[:, 2, 3] == pytest.approx(lift.by_m + 3.0)
+    picture = np.full((2, 2, 3), 100, np.uint8)
+    assert (apply(picture, rig.sensors[0].effects, 0) == 50).all()
+
+
+def test_faults_of_declared_keys_read_as_those_of_our_own(
+    declared: dict[str, Any], tmp_path: Path
+) -> None:
+    relief = declared["terrain"]["relief"]
+    relief[1] = {"type": "lift", "lowm": 1, "mode": "ruogh"}
+    relief.append({"type": "lift", "low_m": 2, "high_m": {"type": "uniform", "min": 1, "max": 3}})
+    declared["objects"]["clods"]["dents"] = 1
+    declared["rigs"]["drone"]["pose"]["sampling"] = {"times_s": [2, 1]}
+    found = dict(faults(tmp_path / "farm.json", declared))
+    assert found["/terrain/relief/1"] == 'the key "low_m" is missing (At least)'
+    assert 'did you mean "low_m"' in found["/terrain/relief/1/lowm"]
+    assert 'did you mean "rough"' in found["/terrain/relief/1/mode"]
+    assert found["/terrain/relief/2/high_m"] == "1 m can be below low_m"
+    assert found["/objects/clods/dents"] == "nothing is left"
+    assert "expected times that rise" in found["/rigs/drone/pose/sampling/times_s/1"]
+
+
+def test_the_schema_for_editors_and_the_two_forms_say_the_same(there: Path) -> None:
+    from scenec_farmland import Furrows, Spiral
+
+    length = {"$ref": "forms.schema.json#/$defs/length_per_batch", "exclusiveMinimum": 0}
+    for group, kind, first in (("relief", Furrows, "spacing_m"), ("poses", Spiral, "radius_m")):
+        made = schema.own_schema(f"scenec.{group}", kind.__name__.lower())
+        keys = made["properties"]
+        said = {"description": keys[first]["description"], "default": keys[first]["default"]}
+        assert keys[first] == with_forms({**length, **said})
+        assert {"mask", "sampling"} & keys.keys()
+        assert made["additionalProperties"] is False
+    names = schema.bundled()["$defs"]["pose"]["properties"]["type"]["enum"]
+    assert names[-1] == "spiral"

@@ -2,44 +2,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, level_bearing, poses
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, SAMPLING
+from scenec.compiler.kinds.node import Node
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Descent:
-    """A descent to a point of the ground.
+    """A descent to a point of the ground, braking evenly, its drift dying away.
 
-    With v0 and v1 the vertical speeds at the entry height h0 and at the touchdown height h1, the
-    deceleration is (v0^2 - v1^2) / (2 (h0 - h1)) throughout, and it takes 2 (h0 - h1) / (v0 + v1).
-    The drift falls evenly to nothing at touchdown.
-
-    Attributes:
-        x_m, y_m: The touchdown point.
-        entry_height_m, touchdown_height_m: Above the ground at that point.
-        entry_speed_m_s, touchdown_speed_m_s: Downwards.
-        drift_m_s: Level speed at the entry.
-        drift_deg: Compass bearing of the drift.
-        heading_deg: Compass bearing of the picture's top, looking down.
-        pitch_deg: Of the view above the horizon.
+    Note: with v0 and v1 the vertical speeds at the entry height h0 and at the touchdown height h1,
+    the deceleration is (v0^2 - v1^2) / (2 (h0 - h1)) throughout, and it takes 2 (h0 - h1) /
+    (v0 + v1).
     """
 
-    x_m: float
-    y_m: float
-    entry_height_m: float
-    touchdown_height_m: float
-    entry_speed_m_s: float
-    touchdown_speed_m_s: float
-    drift_m_s: float
-    drift_deg: float
-    heading_deg: float
-    pitch_deg: float
-    sampling: Sampling
-    needs_objects: bool = False
+    EXAMPLE: ClassVar = {
+        "type": "descent",
+        "entry_height_m": 40,
+        "touchdown_height_m": 2,
+        "entry_speed_m_s": 12,
+        "pitch_deg": -90,
+    }
+
+    x_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Touchdown point, to the east."""
+    y_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Touchdown point, to the north."""
+    entry_height_m: float = key(LENGTH_PER_BATCH, above=0, at_most=10_000_000)
+    """Height above the ground at the touchdown point where it begins."""
+    touchdown_height_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
+    """Height there at which it ends: that of the rig on its legs."""
+    entry_speed_m_s: float = key(PER_BATCH, default=10, above=0, at_most=10_000_000, unit="m/s")
+    """Downward speed at the beginning."""
+    touchdown_speed_m_s: float = key(
+        PER_BATCH, default=1, at_least=0, at_most=10_000_000, unit="m/s"
+    )
+    """Downward speed at the end."""
+    drift_m_s: float = key(PER_BATCH, default=0, at_least=0, at_most=10_000_000, unit="m/s")
+    """Level speed at the beginning; it falls evenly to nothing."""
+    drift_deg: float = key(
+        ANGLE_PER_BATCH,
+        default={"type": "uniform", "min": 0, "max": 360},
+        at_least=-100_000,
+        at_most=100_000,
+    )
+    """Compass bearing of the drift."""
+    heading_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    """Compass bearing of the picture's top, looking down."""
+    pitch_deg: float = key(ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
+    """Elevation of the view."""
+    sampling: Sampling = key(SAMPLING)
+    needs_objects: ClassVar = False
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields a finding where it can begin below its end."""
+        high, low = node.span("entry_height_m"), node.span("touchdown_height_m")
+        # The default counts, too: its bounds are those of the schema's.
+        lowest = low[1] if low else 1.0
+        if high and lowest > high[0]:
+            yield node.fault(
+                f"{high[0]:g} m can be below touchdown_height_m ({lowest:g} m): expected it above",
+                "entry_height_m",
+            )
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 
@@ -12,44 +12,64 @@ from scenec.compiler.cameras.paths.legs import Legs, Pen
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import strip_width
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    CHOICE,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    SAMPLING,
+)
 from scenec.schemas.errors import SceneError
 
 _QUARTER = 0.5 * elementary.PI
 _MOST_LINES: Final = 100_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LawnMower:
-    """A boustrophedon survey.
+    """A survey in parallel lines over a rectangle, there and back, with turns of a given radius.
 
-    Attributes:
-        x_m, y_m: Middle of the rectangle.
-        along_m, across_m: Its extent along the lines, and across them.
-        bearing_deg: Compass bearing of the first line; the next lie to its right.
-        spacing_m: Of the lines; None: from the overlap.
-        overlap: Of neighboring strips that the rig's first sensor sees, as a share of its width,
-            were it to look straight down at level ground.
-        height_m: Of the flight.
-        above: "ground" (below each point), "mean" (of the ground along the way: a level flight) or
-            "world" (z itself).
-        turn_radius_m: Of every turn. Wider than half of the spacing, turns swing out first.
-        pitch_deg: Of the view above the horizon, along the line.
+    The outer lines lie on the rectangle's edges.
     """
 
-    x_m: float
-    y_m: float
-    along_m: float
-    across_m: float
-    bearing_deg: float
-    spacing_m: float | None
-    overlap: float
-    height_m: float
-    above: str
-    speed_m_s: float
-    turn_radius_m: float
-    pitch_deg: float
-    sampling: Sampling
-    needs_objects: bool = False
+    EXAMPLE: ClassVar = {
+        "type": "lawn_mower",
+        "along_m": 20,
+        "across_m": 10,
+        "spacing_m": 2,
+        "height_m": 3,
+    }
+
+    x_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Middle of the rectangle, to the east."""
+    y_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Middle of the rectangle, to the north."""
+    along_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
+    """Extent along the lines."""
+    across_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
+    """Extent across the lines."""
+    bearing_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    """Compass bearing of the first line; the others follow to its right."""
+    spacing_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=10_000_000)
+    """Distance of the lines at most; left out, from the overlap."""
+    overlap: float = key(PER_BATCH, default=0.6, at_least=0, at_most=0.99)
+    """Share of its width that a strip has in common with the next one, where the rig's first sensor
+    looks straight down at level ground."""
+    height_m: float = key(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000)
+    """Height of the flight."""
+    above: Literal["ground", "mean", "world"] = key(CHOICE, default="ground")
+    """What the height is above: ground (below each point, followed exactly), mean (the mean ground
+    along the way: a level flight) or world (z itself)."""
+    speed_m_s: float = key(PER_BATCH, default=2, above=0, at_most=10_000_000, unit="m/s")
+    """Speed in plan."""
+    turn_radius_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
+    """Radius of every turn; where it is larger than half of the spacing, turns swing out to the
+    other side first."""
+    pitch_deg: float = key(ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
+    """Elevation of the view; -90 looks straight down, the picture's top ahead."""
+    sampling: Sampling = key(SAMPLING)
+    needs_objects: ClassVar = False
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""

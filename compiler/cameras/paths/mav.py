@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,50 +13,75 @@ from scenec.compiler.cameras.paths.motion import Around, Built, bearing_of, fram
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.rotations import products, upright_to
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    COUNT,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    SAMPLING,
+    TRUTH,
+    WAYPOINTS_M,
+)
 from scenec.schemas.errors import SceneError
 
 #: Points along the way at which its height above the ground is looked after, at most.
 _LOOKS: Final = 4096
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mav:
-    """A flight from rest to rest.
+    """A flight over the ground from rest to rest, through waypoints, along a smooth curve.
 
-    In plan it is a cubic spline through the waypoints; its height is another one, through keys that
-    lie ``height_m`` above the highest ground nearby. Then both are slowed together until the first
-    of the limits is reached: they hold at all times, not at samples.
-
-    Attributes:
-        waypoints: float64 [n, 2]; of no length where they are drawn.
-        drawn: Drawn ones as shares of the terrain's size from its middle, float64 [n, 2].
-        height_m: Above the ground.
-        follow_m: Distance of the keys of height: hills that are shorter are flown over level.
-        clearance_m: Least height above the ground anywhere.
-        speed_m_s, acceleration_m_s2, jerk_m_s3: Limits, of the vectors.
-        pitch_deg: Of the view above the horizon (of the body's level, with tilt).
-        tilt: Whether the body tilts with the acceleration, as one with fixed rotors must.
-        gravity_m_s2: What the rotors hold it against.
+    Note: in plan it is a cubic spline through the waypoints; its height is another one, through
+    keys that lie ``height_m`` above the highest ground nearby. Then both are slowed together
+    until the first of the limits is reached: they hold at all times, not at samples.
     """
 
-    waypoints: NDArray[np.float64]
-    drawn: NDArray[np.float64]
-    height_m: float
-    follow_m: float
-    clearance_m: float
-    speed_m_s: float
-    acceleration_m_s2: float
-    jerk_m_s3: float
-    pitch_deg: float
-    tilt: bool
-    gravity_m_s2: float
-    sampling: Sampling
-    needs_objects: bool = False
+    EXAMPLE: ClassVar = {"type": "mav", "goals": 4, "height_m": 3, "speed_m_s": 4}
+    TITLE: ClassVar = "Pose: MAV"
+
+    waypoints_m: Sequence[Sequence[float]] | None = key(WAYPOINTS_M, optional=True)
+    goals: int = key(COUNT, default=5, at_least=1, at_most=10_000)
+    """Number of waypoints that are drawn over the terrain, where none are given."""
+    margin: float = key(PER_BATCH, default=0.2, at_least=0, at_most=0.49)
+    """How far drawn waypoints keep from the terrain's border, as a share of its size."""
+    height_m: float = key(LENGTH_PER_BATCH, above=0, at_most=10_000_000)
+    """Height above the highest ground nearby."""
+    follow_m: float = key(LENGTH_PER_BATCH, default=5, above=0, at_most=10_000_000)
+    """Length over which the height follows the ground; lower hills between are flown over level."""
+    clearance_m: float = key(LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=10_000_000)
+    """Least height above the ground anywhere along the flight."""
+    speed_m_s: float = key(PER_BATCH, default=5, above=0, at_most=10_000_000, unit="m/s")
+    """Largest speed."""
+    acceleration_m_s2: float = key(PER_BATCH, default=3, above=0, at_most=10_000_000, unit="m/s²")
+    """Largest acceleration."""
+    jerk_m_s3: float = key(PER_BATCH, default=6, above=0, at_most=10_000_000, unit="m/s³")
+    """Largest change of the acceleration."""
+    pitch_deg: float = key(ANGLE_PER_BATCH, default=-30, at_least=-90, at_most=90)
+    """Elevation of the view; with tilt, above the body's own level."""
+    tilt: bool = key(TRUTH, default=False)
+    """Whether the body tilts with its acceleration, as one that hangs on fixed rotors does."""
+    gravity_m_s2: float = key(PER_BATCH, default=9.81, above=0, at_most=1000, unit="m/s²")
+    """Gravity that the rotors hold the body against."""
+    sampling: Sampling = key(SAMPLING)
+    drawn: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    """Drawn waypoints as shares of the terrain's size from its middle, float64 [n, 2]."""
+    needs_objects: ClassVar = False
+
+    def draw(self, context: Context) -> Mav:
+        """Returns the flight with waypoints that are drawn where none are given."""
+        if self.waypoints_m is not None:
+            return self
+        u = context.uniforms("goals", self.goals, 2)
+        return replace(self, drawn=(u - 0.5) * (1.0 - 2.0 * self.margin))
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
-        points = self.waypoints
-        if not len(points):
+        if self.waypoints_m is not None:
+            points = np.array(self.waypoints_m, np.float64)
+        else:
             points = self.drawn * np.array(around.surface.field.grid.size_m)
         around.require_on_terrain(points, "a waypoint")
         points = points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.rotations import turned
-from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.objects import Placed, Prototype, Scatter
-from scenec.compiler.scene.rig import Lidar, Sensor
 from scenec.schemas.errors import SceneError
+
+if TYPE_CHECKING:
+    # A cfg is checked by modules that import this one: it is to be light.
+    from scenec.compiler.mesh.surface import Surface
+    from scenec.compiler.scene.objects import Placed, Prototype, Scatter
+    from scenec.compiler.scene.rig import Lidar, Sensor
 
 _DEGREE = elementary.PI / 180.0
 
@@ -53,6 +56,8 @@ class Bodies:
 
 def bodies_of(objects: Scatter | Placed) -> Bodies:
     """The objects of one class; of one that moves, where it is at the first sample."""
+    from scenec.compiler.scene.objects import Scatter
+
     middle, radius = objects.balls()
     if isinstance(objects, Scatter):
         turn = turned(objects.orientations, objects.scales)

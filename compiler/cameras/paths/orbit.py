@@ -2,86 +2,140 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Around, Bodies, Built, poses, toward
+from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import given, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    COUNT,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    SAMPLING,
+    WORDS,
+    an,
+)
+from scenec.compiler.kinds.node import Node, unknown
 from scenec.schemas.errors import SceneError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PointAim:
-    """A point, by its height above the ground there."""
+    """A point over the ground."""
 
-    x_m: float
-    y_m: float
-    height_m: float
+    EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0.5}
+
+    x_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Position, to the east."""
+    y_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Position, to the north."""
+    height_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Height above the ground there."""
+
+    def at(self, around: Around) -> NDArray[np.float64]:
+        """Where it is, float64 [3]."""
+        xy = np.array([[self.x_m, self.y_m]])
+        around.require_on_terrain(xy, "center")
+        return np.array([self.x_m, self.y_m, float(around.ground(xy)[0]) + self.height_m])
 
 
-@dataclass(frozen=True)
+def _pick(context: Context) -> float:
+    """Returns a uniform number for an object that an orbit goes around; 0 for others."""
+    return float(context.uniforms("object", 1, 1)[0, 0]) if context.choice == "pose_center" else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class ObjectAim:
-    """An object: by its id, or the one that a number in [0, 1) picks."""
+    """The middle of an object."""
 
-    name: str
-    id: int | None
-    pick_u: float
+    EXAMPLE: ClassVar = {"type": "object", "object": "lander"}
+    ELSEWHERE: ClassVar = {
+        "pose_look_object": {
+            "DESCRIPTION": "The middle of an object; the ground may not stand before it."
+        }
+    }
+
+    object: str = key(WORDS)
+    """Name of a class of objects."""
+    id: int | None = key(COUNT, optional=True, at_least=1, at_most=2_147_483_647)
+    """Id of the object within its class, from 1; left out, one is drawn."""
+    pick_u: float = given(_pick)
+    """In [0, 1): which one it is, without an id."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields a finding where there is no such class."""
+        cfg, name = node.whole(), node["object"]
+        objects = cfg.at("objects")
+        known = objects or "objects" not in cfg
+        if known and name is not None and name not in objects:
+            yield node.fault(unknown("class of objects", name, objects.entries), "object")
+
+    def picked(self, around: Around, pick_u: float) -> int:
+        """Index of the object in its class, by its id or a number in [0, 1).
+
+        Raises:
+            SceneError: There is none.
+        """
+        bodies = around.bodies[self.object]
+        if not len(bodies.id):
+            raise SceneError(
+                f"{around.what}: there is no object of the class {self.object} to look at"
+            )
+        if self.id is None:
+            return min(int(pick_u * len(bodies.id)), len(bodies.id) - 1)
+        found = np.flatnonzero(bodies.id == self.id)
+        if not found.size:
+            raise SceneError(
+                f"{around.what}: no object of the class {self.object} has the id {self.id}: "
+                f"expected one of {int(bodies.id.min())} to {int(bodies.id.max())}"
+            )
+        return int(found[0])
+
+    def at(self, around: Around) -> NDArray[np.float64]:
+        """Where it is, float64 [3]."""
+        return around.bodies[self.object].middle[self.picked(around, self.pick_u)]
 
 
-def picked(bodies: Bodies, aim_id: int | None, pick_u: float, what: str, name: str) -> int:
-    """Index of an object in its class.
-
-    Raises:
-        SceneError: There is none.
-    """
-    if not len(bodies.id):
-        raise SceneError(f"{what}: there is no object of the class {name} to look at")
-    if aim_id is None:
-        return min(int(pick_u * len(bodies.id)), len(bodies.id) - 1)
-    found = np.flatnonzero(bodies.id == aim_id)
-    if not found.size:
-        raise SceneError(
-            f"{what}: no object of the class {name} has the id {aim_id}: expected one of "
-            f"{int(bodies.id.min())} to {int(bodies.id.max())}"
-        )
-    return int(found[0])
-
-
-def aim_at(aim: PointAim | ObjectAim, around: Around) -> NDArray[np.float64]:
-    """Where an aim is, float64 [3]."""
-    if isinstance(aim, ObjectAim):
-        bodies = around.bodies[aim.name]
-        return bodies.middle[picked(bodies, aim.id, aim.pick_u, around.what, aim.name)]
-    xy = np.array([[aim.x_m, aim.y_m]])
-    around.require_on_terrain(xy, "center")
-    return np.array([aim.x_m, aim.y_m, float(around.ground(xy)[0]) + aim.height_m])
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Orbit:
-    """A level circle at an even rate.
+    """A level circle around a point or an object, looking at it.
 
-    Attributes:
-        center: What it goes around and looks at.
-        radius_m: Level distance from it.
-        height_m: Above it.
-        start_deg: Compass bearing from the center to the first pose.
-        sweep_deg: How far it goes, clockwise from above; below 0 the other way.
-        period_s: Of a whole turn.
-        clearance_m: It rises where it would be nearer to the ground below it.
+    The middle of an object is where it is at the batch's beginning.
     """
 
-    center: PointAim | ObjectAim
-    radius_m: float
-    height_m: float
-    start_deg: float
-    sweep_deg: float
-    period_s: float
-    clearance_m: float
-    sampling: Sampling
+    EXAMPLE: ClassVar = {
+        "type": "orbit",
+        "center": {"type": "object", "object": "lander"},
+        "radius_m": 6,
+        "height_m": 1.5,
+    }
+
+    center: PointAim | ObjectAim = key(an("pose_center", drawn=True), default={"type": "point"})
+    """What it goes around."""
+    radius_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
+    """Level distance from the center."""
+    height_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Height above the center."""
+    start_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    """Compass bearing from the center to the first pose, clockwise from +Y (north)."""
+    sweep_deg: float = key(ANGLE_PER_BATCH, default=360, at_least=-100_000, at_most=100_000)
+    """How far it goes around, clockwise from above; below 0 the other way. Samples that are spread
+    over whole turns do not repeat the first pose at the end."""
+    period_s: float = key(PER_BATCH, default=60, above=0, at_most=1000000000.0, unit="s")
+    """Time of a whole turn."""
+    clearance_m: float = key(LENGTH_PER_BATCH, default=0.5, at_least=0, at_most=10_000_000)
+    """Least height above the ground below it: there it rises."""
+    sampling: Sampling = key(SAMPLING)
 
     @property
     def needs_objects(self) -> bool:
@@ -90,7 +144,7 @@ class Orbit:
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
-        center = aim_at(self.center, around)
+        center = self.center.at(around)
         duration = abs(self.sweep_deg) / 360.0 * self.period_s
         times = self._times(duration, around)
         part = times / duration if duration > 0.0 else np.zeros(len(times))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.cameras.paths.looks import Limits, LookDirection, LookPoint
 from scenec.compiler.cameras.paths.motion import (
     Around,
     Bodies,
@@ -20,16 +21,29 @@ from scenec.compiler.cameras.paths.motion import (
     rolled,
     toward,
 )
-from scenec.compiler.cameras.paths.orbit import picked
+from scenec.compiler.cameras.paths.orbit import ObjectAim
 from scenec.compiler.cameras.paths.rays import hits, normal_at, span_of
 from scenec.compiler.distributions.numbers import Number, at_uniforms
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.geometry.voxels import Cubes
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_SAMPLE,
+    CHOICE,
+    COUNT,
+    LENGTH_PER_SAMPLE,
+    POINT_M,
+    an,
+    list_of,
+)
 from scenec.compiler.noise.lattice import hash2, unit
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 
+#: Numbers that one or another look has.
+_OF_LOOKS: Final = ("bearing_deg", "pitch_deg", "x_m", "y_m", "height_m")
 #: Rays over a sensor's width and height that say what share of its picture is sky.
 _RAYS: Final = (12, 9)
 #: Points of a polygon's box at most before one counts that lies outside; see ``_require_wide``.
@@ -37,61 +51,47 @@ _PLACES: Final = 4096
 _DEGREES: Final = 180.0 / elementary.PI
 
 
-@dataclass(frozen=True)
-class Look:
-    """What a pose looks at.
-
-    Attributes:
-        kind: "direction", "point" or "object".
-        name: The class, of an object.
-        id: Of the object; None: any.
-    """
-
-    kind: str
-    name: str = ""
-    id: int | None = None
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a pose must keep; None does not ask.
-
-    Attributes:
-        clearance_m: Least distance from objects, and from the ground.
-        distance_m: Of what is looked at, least and most.
-        elevation_deg: Of the view above the horizon, least and most.
-        incidence_deg: Between the view and the ground's normal where it meets it, least and most.
-        max_sky: Largest share of any sensor's picture that shows no ground.
-    """
-
-    clearance_m: float
-    distance_m: tuple[float | None, float | None]
-    elevation_deg: tuple[float | None, float | None]
-    incidence_deg: tuple[float | None, float | None]
-    max_sky: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RandomPose:
-    """Poses drawn in a region.
+    """Poses drawn in a region, again and again until they keep all limits."""
 
-    Attributes:
-        polygon: The region's corners in order, or two opposite ones of a box, float64 [n, 2].
-        above_ground: Whether ``height_m`` is over the ground, or of the world.
-        numbers: What is drawn each try, by name: "height_m", "roll_deg", and by the look
-            "bearing_deg" and "pitch_deg", or "x_m", "y_m" and "target_height_m".
-        keys: Of the hash that each is drawn with, and of "place" (twice) and "object".
-        tries: For each sample at most.
-    """
+    EXAMPLE: ClassVar = {
+        "type": "random",
+        "region_m": [[-10, -10], [10, 10]],
+        "height_m": {"type": "uniform", "min": 1, "max": 2},
+        "limits": {"max_sky": 0.5},
+    }
 
-    polygon: NDArray[np.float64]
-    above_ground: bool
-    look: Look
-    numbers: Mapping[str, Number]
-    keys: Mapping[str, int]
-    limits: Limits
-    tries: int
-    needs_objects: bool = True
+    region_m: Sequence[Sequence[float]] = key(list_of(POINT_M, "One point.", least=2))
+    """Where in plan: two opposite corners of a box, or the corners of a polygon in order."""
+    height_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    """Height."""
+    above: Literal["ground", "world"] = key(CHOICE, default="ground")
+    """What the height is above: the ground, or world (z itself)."""
+    look: LookDirection | LookPoint | ObjectAim = key(
+        an("pose_look", drawn=True), default={"type": "direction"}
+    )
+    """What it looks at."""
+    roll_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    """Turn about the line of sight, clockwise as the rig sees it."""
+    limits: Limits = key(an("pose_limits", drawn=True), default={})
+    """What it must keep."""
+    tries: int = key(COUNT, default=200, at_least=1, at_most=100_000)
+    """Poses that are drawn for a sample at most."""
+    keys: Mapping[str, int] = field(default_factory=dict)
+    """Of the hashes that numbers are drawn with, by place below the pose: "look/pitch_deg"."""
+    needs_objects: ClassVar = True
+
+    def draw(self, context: Context) -> RandomPose:
+        """Returns the same with its keys: numbers are drawn at each try."""
+        names = ["height_m", "roll_deg", "place0", "place1", "object"]
+        names += [f"look/{name}" for name in _OF_LOOKS if hasattr(self.look, name)]
+        return replace(self, keys={name: context.key(name) for name in names})
+
+    @property
+    def polygon(self) -> NDArray[np.float64]:
+        """The region's corners in order, or two opposite ones of a box, [n, 2]."""
+        return np.array(self.region_m, np.float64)
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
@@ -157,32 +157,32 @@ class RandomPose:
     def _drawn(self, around: Around, samples: NDArray[np.int64], k: int) -> _Drawn:
         """What is drawn at try ``k`` of some samples."""
 
-        def number(name: str) -> NDArray[np.float64]:
-            u = _uniforms(np.uint64(self.keys[name]), samples, k)
-            return at_uniforms(self.numbers[name], u)
+        def number(name: str, value: Number) -> NDArray[np.float64]:
+            return at_uniforms(value, _uniforms(np.uint64(self.keys[name]), samples, k))
 
         xy = np.empty((len(samples), 2))
         keys = np.uint64(self.keys["place0"]), np.uint64(self.keys["place1"])
         _places(self.polygon, *keys, samples, k, xy)
         ground = around.ground(xy)
-        z = number("height_m") + (ground if self.above_ground else 0.0)
-        roll = number("roll_deg")
+        z = number("height_m", self.height_m) + (ground if self.above == "ground" else 0.0)
+        roll, look = number("roll_deg", self.roll_deg), self.look
         eye = np.column_stack([xy, z])
         own = np.zeros(len(samples))
         north = np.tile([0.0, 1.0], (len(samples), 1))
-        if self.look.kind == "direction":
-            bearing = np.array([level_bearing(b) for b in number("bearing_deg").tolist()])
-            axes = frames(bearing.reshape(-1, 2), number("pitch_deg"), roll)
+        if isinstance(look, LookDirection):
+            bearings = number("look/bearing_deg", look.bearing_deg)
+            bearing = np.array([level_bearing(b) for b in bearings.tolist()])
+            axes = frames(bearing.reshape(-1, 2), number("look/pitch_deg", look.pitch_deg), roll)
             return _Drawn(eye, ground, axes, axes[:, :, 2], own)
-        if self.look.kind == "object":
-            bodies = around.bodies[self.look.name]
+        if isinstance(look, ObjectAim):
+            bodies = around.bodies[look.object]
             u = _uniforms(np.uint64(self.keys["object"]), samples, k)
-            name, number_of = self.look.name, self.look.id
-            one = [picked(bodies, number_of, pick, around.what, name) for pick in u.tolist()]
+            one = [look.picked(around, pick) for pick in u.tolist()]
             at, own = bodies.middle[one], bodies.radius[one]
         else:
-            plan = np.column_stack([number("x_m"), number("y_m")])
-            at = np.column_stack([plan, around.ground(plan) + number("target_height_m")])
+            plan = np.column_stack([number("look/x_m", look.x_m), number("look/y_m", look.y_m)])
+            height = number("look/height_m", look.height_m)
+            at = np.column_stack([plan, around.ground(plan) + height])
         way = at - eye
         # A target that is the eye itself is turned away later; it must have some axes till then.
         still = ~way.any(axis=1)
@@ -203,7 +203,7 @@ class RandomPose:
         above = float(eye[2] - drawn.ground[n])
         if above <= 0.0:
             return None, "below the ground"
-        if not self.above_ground and above < limits.clearance_m:
+        if self.above == "world" and above < limits.clearance_m:
             return None, f"nearer to the ground than {limits.clearance_m:g} m (clearance_m)"
         for name, bodies in around.bodies.items():
             if _inside(bodies, cubes[name], eye, limits.clearance_m):
@@ -213,7 +213,7 @@ class RandomPose:
             return None, "at its own target"
         forward = axes[:, 2]
         reach = float(hits(around.surface.field, span, eye, forward[None])[0])
-        if self.look.kind == "direction":
+        if isinstance(self.look, LookDirection):
             distance = reach
         if not _between(distance, limits.distance_m):
             return None, f"with a distance not {_said(limits.distance_m, 'm')} (distance)"
@@ -229,7 +229,7 @@ class RandomPose:
             if not _between(elementary.acos(cosine) * _DEGREES, limits.incidence_deg):
                 said = _said(limits.incidence_deg, "degrees")
                 return None, f"with an incidence not {said} (incidence)"
-        if self.look.kind == "object" and reach < distance - own - 1e-9 * distance:
+        if isinstance(self.look, ObjectAim) and reach < distance - own - 1e-9 * distance:
             return None, "with the ground between it and its target"
         pose = poses(eye[None], axes[None])[0]
         if limits.max_sky < 1.0 and self._sky(around, pose, span) > limits.max_sky:

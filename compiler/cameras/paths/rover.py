@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,43 +16,76 @@ from scenec.compiler.cameras.paths.route import Passable, driven_over, passable
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.normals import cross_products
 from scenec.compiler.geometry.rotations import products
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    COUNT,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    SAMPLING,
+    WAYPOINTS_M,
+)
 from scenec.schemas.errors import SceneError
 
 _DEGREES = 180.0 / elementary.PI
+#: Candidates of each goal of a drive.
+_GOAL_TRIES = 64
 #: Points of a way at which it is looked at for the report, at most.
 _LOOKS = 20_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rover:
-    """A drive.
+    """A drive over the ground.
 
-    Attributes:
-        waypoints: float64 [n, 2]; of no length where goals are drawn.
-        goals_u: Candidates of each goal as numbers in [0, 1), float64 [goals, tries, 2]: the first
-            that can be reached is taken.
-        wheel_base_m, track_width_m: Between the wheels, along and across.
-        height_m: Of the rig above the plane through the wheels, along its normal; the vehicle is as
-            high, or as its highest sensor.
-        speed_m_s, turn_rate_deg_s: Limits; it turns on the spot where it must.
-        max_slope_deg: Steeper ground is driven around.
-        max_object_m: Objects whose ball has a larger radius are driven around, where any of them is
-            at the height of the vehicle.
-        pitch_deg: Of the view above the body's level.
+    The body lies on its four wheels; steep ground and large objects are driven around. It
+    passes below what is higher than the vehicle, such as the crown of a tree.
     """
 
-    waypoints: NDArray[np.float64]
-    goals_u: NDArray[np.float64]
-    wheel_base_m: float
-    track_width_m: float
-    height_m: float
-    speed_m_s: float
-    turn_rate_deg_s: float
-    max_slope_deg: float
-    max_object_m: float
-    pitch_deg: float
-    sampling: Sampling
-    needs_objects: bool = True
+    EXAMPLE: ClassVar = {
+        "type": "rover",
+        "goals": 3,
+        "height_m": 1.5,
+        "speed_m_s": 0.5,
+        "max_slope_deg": 20,
+    }
+
+    waypoints_m: Sequence[Sequence[float]] | None = key(WAYPOINTS_M, optional=True)
+    goals: int = key(COUNT, default=4, at_least=1, at_most=10_000)
+    """Number of goals that are drawn on ground that can be reached, where no waypoints are given;
+    the first is where the drive begins."""
+    wheel_base_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=1000)
+    """Distance between front and rear wheels."""
+    track_width_m: float = key(LENGTH_PER_BATCH, default=0.8, above=0, at_most=1000)
+    """Distance between left and right wheels."""
+    height_m: float = key(LENGTH_PER_BATCH, default=1.5, above=0, at_most=10_000_000)
+    """Height of the rig above the plane through the wheels' lowest points, along its normal; with
+    the highest of its sensors, it is the vehicle's height."""
+    speed_m_s: float = key(PER_BATCH, default=0.5, above=0, at_most=10_000_000, unit="m/s")
+    """Largest speed in plan; it is slower in turns that would exceed the turn rate."""
+    turn_rate_deg_s: float = key(PER_BATCH, default=20, above=0, at_most=100_000, unit="°/s")
+    """Largest turn rate."""
+    max_slope_deg: float = key(ANGLE_PER_BATCH, default=20, at_least=0, at_most=90)
+    """Ground that is steeper over a wheel base is driven around."""
+    max_object_m: float = key(LENGTH_PER_BATCH, default=0.25, at_least=0, at_most=10_000_000)
+    """Objects whose ball has a larger radius are driven around, where their geometry is between the
+    ground and the vehicle's height; over smaller ones it drives as if they were not there, and
+    report.json lists them."""
+    pitch_deg: float = key(ANGLE_PER_BATCH, default=-15, at_least=-90, at_most=90)
+    """Elevation of the view above the body's own level."""
+    sampling: Sampling = key(SAMPLING)
+    goals_u: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, _GOAL_TRIES, 2)))
+    """Candidates of each goal as numbers in [0, 1), float64 [goals, tries, 2]: the first that can
+    be reached is taken."""
+    needs_objects: ClassVar = True
+
+    def draw(self, context: Context) -> Rover:
+        """Returns the drive with goals that are drawn where no waypoints are given."""
+        if self.waypoints_m is not None:
+            return self
+        u = context.uniforms("goals", self.goals * _GOAL_TRIES, 2)
+        return replace(self, goals_u=u.reshape(self.goals, _GOAL_TRIES, 2))
 
     def built(self, around: Around) -> Built:
         """The poses; see ``Motion``."""
@@ -63,8 +97,9 @@ class Rover:
             self._top(around),
             self.max_object_m,
         )
-        if len(self.waypoints):
-            points, way = self.waypoints, self._along(cells, around)
+        if self.waypoints_m is not None:
+            points = np.array(self.waypoints_m, np.float64)
+            way = self._along(points, cells, around)
         else:
             points, way = self._drawn(cells, around)
         legs = rounded(way, self.speed_m_s, self.turn_rate_deg_s / _DEGREES)
@@ -73,18 +108,20 @@ class Rover:
         position, axes, _ = self._on_wheels(xy, heading, around)
         return Built(poses(position, axes), times, self._facts(legs, points, around))
 
-    def _along(self, cells: Passable, around: Around) -> NDArray[np.float64]:
-        around.require_on_terrain(self.waypoints, "a waypoint")
-        for n, point in enumerate(self.waypoints):
+    def _along(
+        self, points: NDArray[np.float64], cells: Passable, around: Around
+    ) -> NDArray[np.float64]:
+        around.require_on_terrain(points, "a waypoint")
+        for n, point in enumerate(points):
             if not cells.is_free(point):
                 why = self._why_blocked(cells, point, around)
                 raise SceneError(
                     f"{around.what}/waypoints_m/{n}: at waypoint {n} ({point[0]:g}, {point[1]:g}) "
                     f"m {why}"
                 )
-        way = [self.waypoints[:1]]
-        for k in range(1, len(self.waypoints)):
-            a, b = self.waypoints[k - 1], self.waypoints[k]
+        way = [points[:1]]
+        for k in range(1, len(points)):
+            a, b = points[k - 1], points[k]
             found = cells.way(a, b)
             if found is None:
                 raise SceneError(

@@ -1,0 +1,113 @@
+"""Defines what random poses look at, and the limits that they keep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    ANGLE_PER_SAMPLE,
+    FRACTION_PER_BATCH,
+    LENGTH_PER_BATCH,
+    LENGTH_PER_SAMPLE,
+)
+from scenec.compiler.kinds.node import Node
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookDirection:
+    """A drawn direction."""
+
+    EXAMPLE: ClassVar = {
+        "type": "direction",
+        "bearing_deg": {"type": "uniform", "min": 0, "max": 360},
+        "pitch_deg": -15,
+    }
+
+    bearing_deg: Number = key(
+        ANGLE_PER_SAMPLE,
+        default={"type": "uniform", "min": 0, "max": 360},
+        at_least=-100_000,
+        at_most=100_000,
+    )
+    """Compass bearing, clockwise from +Y (north)."""
+    pitch_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-90, at_most=90)
+    """Elevation of the view; -90 looks straight down."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookPoint:
+    """A point over the ground."""
+
+    EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0}
+
+    x_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    """Position, to the east."""
+    y_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    """Position, to the north."""
+    height_m: Number = key(LENGTH_PER_SAMPLE, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Height above the ground there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a random pose must keep; what is left out is not asked."""
+
+    EXAMPLE: ClassVar = {"clearance_m": 0.3, "max_sky": 0.4}
+
+    clearance_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    """Least distance from any object, and from the ground where the height is the world's.
+    Scattered objects also keep clear of cameras by themselves."""
+    min_distance_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0
+    )
+    """Smallest distance of what is looked at (of the ground in the view's middle, for a direction).
+    """
+    max_distance_m: float | None = key(
+        LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0
+    )
+    """Largest distance of what is looked at; the sky is farther than any."""
+    min_elevation_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=-90, at_most=90)
+    """Smallest elevation of the view above the horizon."""
+    max_elevation_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=-90, at_most=90)
+    """Largest elevation of the view above the horizon."""
+    min_incidence_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=180)
+    """Smallest angle between the view and the ground's normal, where the view's middle meets the
+    ground."""
+    max_incidence_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=180)
+    """Largest angle between the view and the ground's normal, where the view's middle meets the
+    ground."""
+    max_sky: float = key(FRACTION_PER_BATCH, default=1)
+    """Largest share of any sensor's picture that shows no ground, by 12 times 9 rays against the
+    height samples."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields a finding for each pair of limits that nothing lies between."""
+        for of in ("distance_m", "elevation_deg", "incidence_deg"):
+            low, high = node.span(f"min_{of}"), node.span(f"max_{of}")
+            if low and high and low[0] > high[1]:
+                yield node.fault(
+                    f"{low[0]:g} is above max_{of} ({high[1]:g}): nothing lies between",
+                    f"min_{of}",
+                )
+
+    @property
+    def distance_m(self) -> tuple[float | None, float | None]:
+        """Least and largest, None: any."""
+        return self.min_distance_m, self.max_distance_m
+
+    @property
+    def elevation_deg(self) -> tuple[float | None, float | None]:
+        """Least and largest, None: any."""
+        return self.min_elevation_deg, self.max_elevation_deg
+
+    @property
+    def incidence_deg(self) -> tuple[float | None, float | None]:
+        """Least and largest, None: any."""
+        return self.min_incidence_deg, self.max_incidence_deg
