@@ -11,7 +11,6 @@ from typing import Any
 
 from scenec.compiler.cfg.check_files import check_files
 from scenec.compiler.cfg.check_kinds import check_kinds
-from scenec.compiler.cfg.check_light import check_light
 from scenec.compiler.cfg.check_names import check_names
 from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_objects import check_objects, check_parts
@@ -31,7 +30,7 @@ from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 
 #: What must hold between keys, beside what is checked of names and files.
-_CHECKS = (check_terrain, check_objects, check_light, check_rigs)
+_CHECKS = (check_terrain, check_objects, check_rigs)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.ground import draw_mask, draw_merges, draw_shades
-from scenec.compiler.draw.light import draw_light
 from scenec.compiler.draw.models import draw_meshes, draw_placed
 from scenec.compiler.draw.of_keys import of_keys
 from scenec.compiler.draw.paths import draw_motion, draw_random_target, draw_track
@@ -21,6 +20,7 @@ from scenec.compiler.draw.rocks import draw_rocks
 from scenec.compiler.draw.sensors import draw_lidar, draw_sensor
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.light.plan import draw_light
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.materials.plan import MaterialPlan
@@ -88,7 +88,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
-        light=draw_light(spec, streams, samples),
+        light=draw_light(cfg["light"], setting),
         rigs=tuple(_rig(spec, name, setting) for name in cfg["rigs"]),
     )
 
@@ -117,7 +117,10 @@ def _terrain(
         for layer in node["ground"]
     )
     size_m = (node["size_m"][0], node["size_m"][1])
-    setting = Context(streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"])
+    setting = Context(
+        streams, size_m, spec.files, node["ground"], (), spec.cfg["labels"],
+        samples=int(spec.cfg["samples"]),
+    )  # fmt: skip
     relief: tuple[ReliefOperator, ...] = ()
     for i, operator in enumerate(cfg["relief"]):
         relief = (*relief, _relief(operator, f"terrain/relief/{i}", setting))

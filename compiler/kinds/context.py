@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.declare import keywords_of
+
+#: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
+type Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,7 @@ class Context:
         label_table: The cfg's labels: per level, name -> id.
         path: Of what is drawn: "terrain/relief/0".
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
+        samples: How many the batch has.
     """
 
     streams: Streams
@@ -51,6 +57,7 @@ class Context:
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     path: str = ""
     choice: str = ""
+    samples: int = 1
 
     def at(self, path: str) -> Context:
         """Returns the context of what is drawn at a place."""
@@ -60,12 +67,30 @@ class Context:
         """Returns the noise key of what is drawn, or of something below it."""
         return self.streams.key(f"{self.path}/{below}" if below else self.path)
 
-    def uniforms(self, below: str, n: int, columns: int) -> NDArray[np.float64]:
+    def uniforms(self, below: str, n: int, columns: int) -> Array:
         """Returns uniform numbers, [n, columns]; a larger n leaves the first rows as they are."""
         return self.streams.uniforms(f"{self.path}/{below}", n * columns).reshape(n, columns)
+
+    def sampled(self, made: Any) -> dict[str, Any]:
+        """Returns what is drawn once a sample, at every sample, by key.
+
+        Args:
+            made: A kind or an object that stands at ``path``; what it has none of is left out.
+        """
+        return {
+            name: per_sample(value, self.streams, f"{self.path}/{name}", self.samples)
+            for name, keywords in keywords_of(type(made)).items()
+            if _is_of_samples(keywords) and not isinstance(value := getattr(made, name), str | None)
+        }
 
     def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""
         if node["layer"] is not None:
             return (node["layer"],)
         return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
+
+
+def _is_of_samples(keywords: Mapping[str, Any]) -> bool:
+    """Whether a key is a number that is drawn once a sample, or a list of such."""
+    below = (keywords[name] for name in ("items", "else") if name in keywords)
+    return keywords.get("x-per") == "sample" or any(map(_is_of_samples, below))

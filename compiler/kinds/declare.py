@@ -99,7 +99,7 @@ def key(
     if isinstance(usual.get("default"), list):
         usual["default"] = tuple(usual["default"])
     elif isinstance(usual.get("default"), dict):
-        del usual["default"]
+        usual = {"default_factory": usual["default"].copy}
     return dataclasses.field(metadata={_KEY: Key(name, form, needed)}, **usual)
 
 
@@ -144,6 +144,11 @@ def keys_of(kind: type[Any]) -> dict[str, Key]:
     """Returns what a class declares of its keys, by field, those that it derives included."""
     fields = dataclasses.fields(kind)
     return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
+
+
+def keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
+    """Returns the schema's keywords of a class's keys, by field."""
+    return {name: declared.form.keywords for name, declared in keys_of(kind).items()}
 
 
 def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:

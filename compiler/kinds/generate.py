@@ -130,7 +130,7 @@ def _object(name: str) -> dict[str, Any]:
         "description": says,
         **({} if example is None else {"examples": [example]}),
         **_keys(first, kind, last),
-        **({"x-check": CLASSES[name]} if "check" in own else {}),
+        **{f"x-{does}": CLASSES[name] for does in ("check", "fill") if does in own},
     }
     for key, change in changes.items():
         if key in found["properties"]:
@@ -142,7 +142,7 @@ def _object(name: str) -> dict[str, Any]:
         found |= {"$ref": f"{DEFS}{above['SHARED']}", "unevaluatedProperties": False}
     elif "SHARED" in own:
         found["x-shared"] = True
-    return {**found, **own.get("KEYWORDS", {})}
+    return {**found, **changes.get("KEYWORDS", own.get("KEYWORDS", {}))}
 
 
 def _shared(choice: Choice, kind: type[Any]) -> Keys:
