@@ -33,6 +33,7 @@ KINDS = {
     "scenec.rocks": "family of rocks",
     "scenec.surfaces": "surface",
     "scenec.poses": "pose",
+    "scenec.skies": "sky",
     "scenec.effects": "effect",
 }
 

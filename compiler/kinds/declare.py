@@ -148,6 +148,11 @@ def keys_of(kind: type[Any]) -> dict[str, Key]:
 
 def keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
     """Returns the schema's keywords of a class's keys, by field."""
+    if hasattr(kind, "SCHEMA"):
+        # Imported here: it imports this.
+        from scenec.compiler.kinds.generate import with_forms
+
+        return dict(with_forms(kind.SCHEMA)["properties"])
     return {name: declared.form.keywords for name, declared in keys_of(kind).items()}
 
 

@@ -213,6 +213,8 @@ CHOICES = {
         title="Sky",
         description="What surrounds the scene.",
         of="Kind of sky.",
+        group="scenec.skies",
+        shared="of_skies",
         prefix="Sky",
         kinds=kinds("sky_", "atmosphere clear image none overcast"),
     ),

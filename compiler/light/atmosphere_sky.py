@@ -13,13 +13,20 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds.context import Array
 from scenec.compiler.kinds.declare import key
 from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import CHOICE, GROUND_COLOR, LENGTH_PER_SAMPLE, PER_SAMPLE
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    GROUND_COLOR,
+    LENGTH_PER_SAMPLE,
+    PER_SAMPLE,
+    SKY_LABELS,
+    SKY_LABELS_BELOW,
+)
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA, SUNS
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.sky import LABELS, LABELS_BELOW, ROWS, Sky, SkyAndSun
+from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
 
 #: At which optical depths are reported, nm.
@@ -59,8 +66,8 @@ class AtmosphereSky(Sky):
     """Height of the scene above the planet's mean level."""
     ground_color: Array = key(GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(LABELS)
-    labels_below: Mapping[str, Any] = key(LABELS_BELOW)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -18,10 +18,16 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds.context import Array
 from scenec.compiler.kinds.declare import key
 from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import COLOR, GROUND_COLOR, PER_SAMPLE
+from scenec.compiler.kinds.forms import (
+    COLOR,
+    GROUND_COLOR,
+    PER_SAMPLE,
+    SKY_LABELS,
+    SKY_LABELS_BELOW,
+)
 from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.latlong import far_ground, horizontal_irradiance, luminance
-from scenec.compiler.light.sky import LABELS, LABELS_BELOW, ROWS, Sky, SkyAndSun
+from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
 
 #: Mean cosine of the angle by which droplets of clouds turn light (Hu and Stamnes 1993).
@@ -54,8 +60,8 @@ class OvercastSky(Sky):
     """Color of the sky, relative. Not black."""
     ground_color: Array = key(GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(LABELS)
-    labels_below: Mapping[str, Any] = key(LABELS_BELOW)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -21,6 +21,8 @@ from scenec.compiler.kinds.forms import (
     CHOICE,
     NAME,
     PER_SAMPLE,
+    SKY_LABELS,
+    SKY_LABELS_BELOW,
     an,
     file,
     list_of,
@@ -28,7 +30,7 @@ from scenec.compiler.kinds.forms import (
 from scenec.compiler.kinds.node import Node, unknown
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
-from scenec.compiler.light.sky import LABELS, LABELS_BELOW, Sky, SkyAndSun
+from scenec.compiler.light.sky import Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
 from scenec.compiler.views.illumination import SHARP
 from scenec.schemas.spelling import shown
@@ -137,11 +139,11 @@ class ImageSky(Sky):
     the same irradiance, color and direction, so that its shadows do not depend on the picture's
     resolution; light.sun must be left out or null then. A picture in which no sun is found
     (overcast, indoors) stays as it is, which the report says."""
-    labels: Mapping[str, Any] = key(LABELS)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
     labels_below: Mapping[str, Any] = key(
-        LABELS_BELOW.but(
-            description=f"{LABELS_BELOW.keywords['description']} A level with a label map has the "
-            "map's."
+        SKY_LABELS_BELOW.but(
+            description=f"{SKY_LABELS_BELOW.keywords['description']} A level with a label map has "
+            "the map's."
         )
     )
     label_maps: Any | None = key(

@@ -9,19 +9,10 @@ from typing import Any, ClassVar, Self
 
 from scenec.compiler.kinds.context import Array, Context
 from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.forms import COUNT, an
+from scenec.compiler.kinds.forms import COUNT, SKY_LABELS, SKY_LABELS_BELOW
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
 
-LABELS = an("label_choice").but(
-    default={}, description="The sky's label; a level left out has label 0."
-)
-LABELS_BELOW = an("label_choice").but(
-    default={},
-    x_sparse=True,
-    description="The label of what lies below the horizontal plane through the camera and is no "
-    "surface: the ground of the sky's picture. A level left out has the sky's label there.",
-)
 ROWS = bounded(COUNT, at_least=8, at_most=4096, unit="px").but(
     default=128,
     description="Height of the lat-long picture that is made, in pixels; its width is twice that.",
@@ -76,8 +67,8 @@ class BlackSky(Sky):
 
     EXAMPLE: ClassVar = {"type": "none"}
 
-    labels: Mapping[str, Any] = key(LABELS)
-    labels_below: Mapping[str, Any] = key(LABELS_BELOW)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     def draw(self, context: Context) -> None:
         """Returns None."""

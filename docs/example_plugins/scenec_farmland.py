@@ -18,11 +18,14 @@ from scenec.backends.annotation.passes import normal
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.light.sky import Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile, mix, step
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.objects.density import Everywhere
 from scenec.compiler.objects.families.shape import Shape
+from scenec.compiler.scene.light import SkyLight, SunLight
 from scenec.compiler.terrain.condition import Interval, Quantity
 from scenec.compiler.terrain.grid import Applied, Grid, gradient
 from scenec.compiler.terrain.quantities import Quantities
@@ -206,6 +209,38 @@ class Spiral:
         position = np.column_stack([self.radius_m * away, height])
         way = np.array([0.0, 0.0, ground]) - position
         return Built(poses(position, toward(way, -away)), times)
+
+
+@dataclass(frozen=True)
+class Dusk(Sky):
+    """A sky: the glow after sunset. What is drawn for each sample is an array of all of them."""
+
+    irradiance: NDArray[np.float64]
+    bearing_deg: NDArray[np.float64]
+
+    SCHEMA: ClassVar = {
+        "description": "The glow after sunset.",
+        "properties": {
+            "irradiance": {
+                "description": "On level ground.",
+                "$ref": "forms.schema.json#/$defs/per_sample",
+                "exclusiveMinimum": 0, "default": 5, "x-unit": "W/m²",
+            },
+            "bearing_deg": {
+                "description": "Where it is brightest, from north.",
+                "$ref": "forms.schema.json#/$defs/angle_per_sample", "default": 270,
+            },
+        },
+    }  # fmt: skip
+
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """One picture that is brightest in the north, turned; the cfg's sun; nothing to report."""
+        to = directions(64)
+        glow = np.where(to[..., 2] > 0.0, 0.1 + np.maximum(to[..., 1], 0.0), 0.0)
+        picture = glow[..., None] * np.array([1.0, 0.55, 0.3])
+        strength = self.irradiance / luminance(horizontal_irradiance(picture))
+        pictures = {"dusk.exr": picture.astype(np.float32)}
+        return SkyLight(pictures, ("dusk.exr",) * samples, strength, self.bearing_deg), sun, {}
 
 
 def steepness(view: View) -> NDArray:
