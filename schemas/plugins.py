@@ -34,6 +34,7 @@ KINDS = {
     "scenec.surfaces": "surface",
     "scenec.poses": "pose",
     "scenec.skies": "sky",
+    "scenec.clouds": "layer of clouds",
     "scenec.effects": "effect",
 }
 

@@ -49,6 +49,14 @@ def kinds(prefix: str, names: str, **others: str) -> dict[str, str]:
 
 
 CHOICES = {
+    "clouds_layer": Choice(
+        title="Clouds: layer",
+        description="Clouds that another package draws into the sky: see docs/plugins.md.",
+        of="Name that a package offers it under.",
+        group="scenec.clouds",
+        prefix="Clouds",
+        kinds=kinds("clouds_", ""),
+    ),
     "density": Choice(
         title="Density",
         description="How likely each place is to hold an object.",

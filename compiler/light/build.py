@@ -60,8 +60,12 @@ def build_light(
         sky, sun, facts["sky"] = plan.sky.build(sun, samples)
         if plan.clouds is not None:
             assert sky is not None, "clouds before no sky"
-            ground = plan.sky.ground_color
+            ground, more = plan.sky.ground_color, []
+            for layer in plan.clouds.more or ():
+                sky, sun, told = layer.add(sky, sun, samples)
+                more.append(told)
             sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples, land)
+            facts["clouds"] |= {"more": more} if more else {}
     irradiance = _sky_irradiance(sky, samples)
     for one in (sun, *plan.more_suns.values()):
         shares = np.ones(samples) if one is None or one.gobo is None else one.gobo.mean

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds.context import Array, Context
 from scenec.compiler.kinds.declare import bounded, key, noise_key
+from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_SAMPLE,
@@ -139,6 +140,8 @@ class Clouds:
     resolution: int = key(COUNT, default=768, at_least=8, at_most=8192, unit="px")
     """Height of the sky's lat-long picture with clouds, in pixels; its width is twice that. One
     that light.sky makes larger keeps its own."""
+    more: tuple[Any, ...] = key(list_of(an("clouds_layer"), "One layer."), sparse=True)
+    """Layers of other packages, the farthest first, behind cumulus and cirrus."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -159,6 +162,10 @@ class Clouds:
             for name, layer in (("cumulus", self.cumulus), ("cirrus", self.cirrus))
             if layer is not None
         }
+        layers["more"] = tuple(
+            draw_kind("clouds_layer", node, f"{context.path}/more/{i}", context)
+            for i, node in enumerate(self.more or ())
+        )
         return replace(self, **layers)
 
 

@@ -61,6 +61,24 @@ class Sky(ABC):
         return False
 
 
+class CloudLayer(ABC):
+    """Clouds of another package. Numbers of each sample are arrays once they are drawn."""
+
+    def draw(self, context: Context) -> Self:
+        """Returns the layer at every sample."""
+        return replace(self, **context.sampled(self))  # type: ignore[type-var]
+
+    @abstractmethod
+    def add(self, sky: SkyLight, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns the sky with the layer in its pictures, what is left of the sun, and facts.
+
+        Args:
+            sky: With all that is behind the layer, in pictures that were made.
+            sun: As it comes to the layer; None for none.
+            samples: How many.
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class BlackSky(Sky):
     """A black sky, which can have labels all the same."""

@@ -7,7 +7,7 @@ them; they become its fields, with every distribution drawn. A field ``key`` tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.sky import Sky, SkyAndSun
+from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile, mix, step
 from scenec.compiler.noise.fractal import fbm2
@@ -241,6 +241,32 @@ class Dusk(Sky):
         strength = self.irradiance / luminance(horizontal_irradiance(picture))
         pictures = {"dusk.exr": picture.astype(np.float32)}
         return SkyLight(pictures, ("dusk.exr",) * samples, strength, self.bearing_deg), sun, {}
+
+
+@dataclass(frozen=True)
+class Veil(CloudLayer):
+    """A layer of clouds: an even veil that dims the sun, and is as bright as the sky behind it."""
+
+    optical_depth: NDArray[np.float64]
+
+    SCHEMA: ClassVar = {
+        "description": "A thin even veil.",
+        "properties": {
+            "optical_depth": {
+                "description": "Straight down.",
+                "$ref": "forms.schema.json#/$defs/per_sample",
+                "minimum": 0, "default": 0.3,
+            },
+        },
+    }  # fmt: skip
+
+    def add(self, sky: SkyLight, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """The sky as it is; what comes through of the sun; that share, for report.json."""
+        if sun is None:
+            return sky, None, {}
+        up = np.array([max(sun.direction(i)[2], 0.01) for i in range(samples)])
+        left = elementary.exp_array(-self.optical_depth / up)
+        return sky, replace(sun, irradiance=sun.irradiance * left), {"left": left.tolist()}
 
 
 def steepness(view: View) -> NDArray:

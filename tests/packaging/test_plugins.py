@@ -212,6 +212,30 @@ def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path
     assert "clouds need a sky" in dict(faults(path, document))["/light/clouds"]
 
 
+def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path: Path) -> None:
+    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.light.build import build_light
+
+    document = cfg()
+    document["light"]["sky"] = {"type": "clear", "resolution": 8}
+    veil = {"type": "veil", "optical_depth": {"type": "choice", "values": [0.2, 0.4]}}
+    document["light"]["clouds"] = {"more": [veil, {"type": "veil"}], "resolution": 8}
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(document))
+    spec = load(path)
+    assert set(spec.plugins) >= {"scenec.clouds veil"}
+    plan = draw(spec, 5, 0).light
+    light = build_light(plan, 2, True, False)
+    assert light.sun is not None
+    # The sun is 30 degrees high: the way through a layer is twice its depth.
+    depth = plan.clouds.more[0].optical_depth
+    assert set(depth) <= {0.2, 0.4}
+    assert light.sun.irradiance == pytest.approx(1000.0 * np.exp(-2.0 * (depth + 0.3)))
+    assert light.facts["clouds"]["more"][1]["left"] == pytest.approx([np.exp(-0.6)] * 2)
+    document["light"]["clouds"]["more"] = [{"type": "vail"}]
+    assert 'did you mean "veil"' in dict(faults(path, document))["/light/clouds/more/0/type"]
+
+
 def test_keys_of_another_package_are_checked_like_our_own(there: Path, tmp_path: Path) -> None:
     document = cfg()
     document["terrain"]["relief"][1] = {"type": "furrows", "deph_m": 0.1, "spacing_m": -1}
