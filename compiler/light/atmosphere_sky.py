@@ -22,7 +22,6 @@ from scenec.compiler.kinds.forms import (
     SKY_LABELS_BELOW,
 )
 from scenec.compiler.kinds.node import Node
-from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA, SUNS
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
@@ -98,6 +97,9 @@ class AtmosphereSky(Sky):
         Args:
             sun: Above the atmosphere; its color is a factor on that of sunlight.
         """
+        # Imported here: a cfg's faults are told without it.
+        from scenec.compiler.light import atmosphere
+
         assert sun is not None, "an atmosphere without a sun"
         count = atmosphere.WAVELENGTHS
         of_nodes = weights(count)

@@ -32,7 +32,6 @@ from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
 from scenec.compiler.light.sky import Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
-from scenec.compiler.views.illumination import SHARP
 from scenec.schemas.spelling import shown
 
 
@@ -289,6 +288,9 @@ class ImageSky(Sky):
 
 def _is_sharp(picture: NDArray[np.float32] | Path) -> bool:
     """Whether its brightest texel is far brighter than an even sky of the same irradiance."""
+    # Imported here: a cfg's faults are told without it.
+    from scenec.compiler.views.illumination import SHARP
+
     pixels = read_picture(picture) if isinstance(picture, Path) else picture
     even = float(luminance(horizontal_irradiance(pixels))) / elementary.PI
     return float(luminance(pixels).max()) > SHARP * even

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import key
@@ -13,11 +13,14 @@ from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.forms import an, named
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.kinds.table import kind_of
-from scenec.compiler.light.cloud_fields import Clouds
-from scenec.compiler.light.lamp import LampPlan
-from scenec.compiler.light.sky import Sky
-from scenec.compiler.scene.light import Haze, SunLight
 from scenec.schemas.spelling import shown
+
+if TYPE_CHECKING:
+    # A cfg's faults are told without them.
+    from scenec.compiler.light.cloud_fields import Clouds
+    from scenec.compiler.light.lamp import LampPlan
+    from scenec.compiler.light.sky import Sky
+    from scenec.compiler.scene.light import Haze, SunLight
 
 #: Keys of a sky that the plan has of its own (``Plan.sky_labels``): its pictures need none of them.
 _LABELS = ("labels", "labels_below")
