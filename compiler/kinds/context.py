@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.declare import keywords_of
+from scenec.compiler.kinds.declare import keys_of
 
 #: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
 type Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ class Context:
         """
         return {
             name: per_sample(value, self.streams, f"{self.path}/{name}", self.samples)
-            for name, keywords in keywords_of(type(made)).items()
+            for name, keywords in _keywords_of(type(made)).items()
             if _is_of_samples(keywords) and not isinstance(value := getattr(made, name), str | None)
         }
 
@@ -88,6 +88,16 @@ class Context:
         if node["layer"] is not None:
             return (node["layer"],)
         return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
+
+
+def _keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
+    """Returns what the schema says of a kind's keys; another package's may say it itself."""
+    if not hasattr(kind, "SCHEMA"):
+        return {name: declared.form.keywords for name, declared in keys_of(kind).items()}
+    # Imported here: few cfgs have any.
+    from scenec.compiler.kinds.generate import with_forms
+
+    return dict(with_forms(kind.SCHEMA)["properties"])
 
 
 def _is_of_samples(keywords: Mapping[str, Any]) -> bool:

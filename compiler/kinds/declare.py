@@ -146,16 +146,6 @@ def keys_of(kind: type[Any]) -> dict[str, Key]:
     return {field.name: field.metadata[_KEY] for field in fields if _KEY in field.metadata}
 
 
-def keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
-    """Returns the schema's keywords of a class's keys, by field."""
-    if hasattr(kind, "SCHEMA"):
-        # Imported here: it imports this.
-        from scenec.compiler.kinds.generate import with_forms
-
-        return dict(with_forms(kind.SCHEMA)["properties"])
-    return {name: declared.form.keywords for name, declared in keys_of(kind).items()}
-
-
 def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
     """Returns the schema of each key that a class declares, and whether it is required.
 
