@@ -243,3 +243,13 @@ def test_clouds_need_a_sky_that_can_have_them(tmp_path, sky):
     path.write_text(json.dumps(cfg))
     with pytest.raises(CfgError, match="/light/clouds: clouds need a sky that is made"):
         load(path)
+
+
+def test_the_sky_that_is_there_when_none_is_said_can_have_clouds(tmp_path):
+    cfg = small_cfg(outputs=["depth"], labels={})
+    cfg["light"] = {"clouds": {}}
+    for user in (*cfg["terrain"]["ground"], *cfg["objects"].values()):
+        user.pop("labels", None)
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(cfg))
+    assert load(path).cfg["light"]["sky"]["type"] == "clear"
