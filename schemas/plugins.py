@@ -34,6 +34,8 @@ KINDS = {
     "scenec.rocks": "family of rocks",
     "scenec.surfaces": "surface",
     "scenec.poses": "pose",
+    "scenec.skies": "sky",
+    "scenec.clouds": "layer of clouds",
     "scenec.effects": "effect",
 }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from scenec.compiler.cfg.check_light import label_maps
 from scenec.compiler.kinds.finding import Finding, Path
 from scenec.compiler.kinds.node import Node, unknown
 from scenec.schemas.spelling import closest, shown
@@ -72,10 +71,8 @@ def _check_unused(
     for level in levels.each("*"):
         key = level.path[-1]
         given = [choice[key] for choice in choices]
-        for map_level, node in label_maps(cfg):
-            if map_level == key:
-                values = node.at("values")
-                given += [values[value] for value in values.entries]
+        for values in cfg.each("light", "sky", "label_maps", "*", str(key), "values"):
+            given += [values[value] for value in values.entries]
         used = _meant(given, level)
         for name in level.entries:
             if name not in used | words:

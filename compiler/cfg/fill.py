@@ -7,17 +7,10 @@ from typing import Any
 from scenec.compiler.cfg.check_numbers import read_number
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.table import loaded
 
 #: A cfg in full, by key; what it holds is said by the declarations of ``kinds.table``.
 type Cfg = dict[str, Any]
-
-#: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
-#: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.
-SUNS: dict[str, dict[str, Any]] = {
-    "earth": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
-    "mars": {"irradiance": 590.0, "diameter_deg": 0.35, "color": None},
-    "moon": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
-}
 
 
 def fill(document: Any) -> Cfg:
@@ -27,8 +20,7 @@ def fill(document: Any) -> Cfg:
       with "x-sparse" are there only if they are given, so that digests of older cfgs stay.
     - A key that was left out has its default, or None where it has none.
     - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
-    - The sun is None where the sky's pictures give it; above an atmosphere, what was left out of it
-      is the planet's, and a color that was left out is None.
+    - Where a default hangs on other keys, the class that declares them says it in its ``fill``.
     - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None, one
       with conditions and without a noise has noise None.
     """
@@ -37,12 +29,6 @@ def fill(document: Any) -> Cfg:
         for sensor in rig["sensors"].values():
             if sensor["outputs"] is None:
                 sensor["outputs"] = list(cfg["outputs"])
-    if (cfg["light"]["sky"] or {}).get("sun") == "extract":
-        cfg["light"]["sun"] = None
-    if (cfg["light"]["sky"] or {}).get("type") == "atmosphere":
-        usual = SUNS[cfg["light"]["sky"]["planet"]]
-        own = document["light"].get("sun", {})
-        cfg["light"]["sun"] |= {key: value for key, value in usual.items() if key not in own}
     given = document["terrain"]["ground"]
     for layer, own in zip(cfg["terrain"]["ground"][1:], given[1:], strict=True):
         if layer["coverage"] is not None:
@@ -84,6 +70,8 @@ def _fill_object(field: Field, value: dict[str, Any]) -> dict[str, Any]:
     for key, entry in value.items():
         if key not in properties:
             filled[key] = _fill_below(field, key, entry)
+    if "x-fill" in field.keywords:
+        loaded(field.keywords["x-fill"]).fill(filled, value)
     return filled
 
 

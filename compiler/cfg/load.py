@@ -11,7 +11,6 @@ from typing import Any
 
 from scenec.compiler.cfg.check_files import check_files
 from scenec.compiler.cfg.check_kinds import check_kinds
-from scenec.compiler.cfg.check_light import check_light
 from scenec.compiler.cfg.check_names import check_names
 from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_schema import check_schema
@@ -26,9 +25,6 @@ from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.node import Node, Tree
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
-
-#: What must hold between keys, beside what is checked of names and files.
-_CHECKS = (check_light,)
 
 
 @dataclass(frozen=True)
@@ -96,8 +92,6 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     findings = [*duplicates, *schema_findings, *number_findings]
     findings += [finding for finding in mixes if not finding.is_warning]
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
-    for check in _CHECKS:
-        findings += check(cfg)
     findings += check_kinds(fields, cfg)
     folder = folder_of(path)
     files, file_findings = check_files(fields, cfg, folder)

@@ -30,7 +30,7 @@ def resolve(node: Any, streams: Streams, path: str, sample: int | None = None) -
         return {
             key: resolve(value, streams, f"{path}/{key}", sample) for key, value in node.items()
         }
-    if isinstance(node, list):
+    if isinstance(node, list | tuple):
         return [resolve(value, streams, f"{path}/{i}", sample) for i, value in enumerate(node)]
     if not isinstance(node, Distribution):
         return node

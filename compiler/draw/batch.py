@@ -9,9 +9,9 @@ from typing import Any
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.light import draw_light
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind, draw_object
+from scenec.compiler.light.plan import draw_light
 from scenec.compiler.materials.displacement import draw_displacement
 from scenec.compiler.materials.material import draw_materials
 from scenec.compiler.mesh.ground import draw_terrain
@@ -58,7 +58,7 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
             for name, node in cfg["objects"].items()
         ),
         object_triangles=cfg["object_detail"]["max_triangles"],
-        light=draw_light(spec, streams, samples),
+        light=draw_light(cfg["light"], setting),
         rigs=tuple(_rig(spec, name, setting) for name in cfg["rigs"]),
     )
 

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.kinds.declare import keys_of
+
+#: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
+type Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Context:
         """Returns the noise key of what is drawn, or of something below it."""
         return self.streams.key(f"{self.path}/{below}" if below else self.path)
 
-    def uniforms(self, below: str, n: int, columns: int) -> NDArray[np.float64]:
+    def uniforms(self, below: str, n: int, columns: int) -> Array:
         """Returns uniform numbers, [n, columns]; a larger n leaves the first rows as they are."""
         return self.streams.uniforms(f"{self.path}/{below}", n * columns).reshape(n, columns)
 
@@ -81,8 +85,36 @@ class Context:
         """Returns a number of what is drawn at each sample, float64 [s]."""
         return per_sample(number, self.streams, f"{self.path}/{below}", self.samples)
 
+    def sampled(self, made: Any) -> dict[str, Any]:
+        """Returns what is drawn once a sample, at every sample, by key.
+
+        Args:
+            made: A kind or an object that stands at ``path``; what it has none of is left out.
+        """
+        return {
+            name: per_sample(value, self.streams, f"{self.path}/{name}", self.samples)
+            for name, keywords in _keywords_of(type(made)).items()
+            if _is_of_samples(keywords) and not isinstance(value := getattr(made, name), str | None)
+        }
+
     def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""
         if node["layer"] is not None:
             return (node["layer"],)
         return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
+
+
+def _keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
+    """Returns what the schema says of a kind's keys; another package's may say it itself."""
+    if not hasattr(kind, "SCHEMA"):
+        return {name: declared.form.keywords for name, declared in keys_of(kind).items()}
+    # Imported here: few cfgs have any.
+    from scenec.compiler.kinds.generate import with_forms
+
+    return dict(with_forms(kind.SCHEMA)["properties"])
+
+
+def _is_of_samples(keywords: Mapping[str, Any]) -> bool:
+    """Whether a key is a number that is drawn once a sample, or a list of such."""
+    below = (keywords[name] for name in ("items", "else") if name in keywords)
+    return keywords.get("x-per") == "sample" or any(map(_is_of_samples, below))

@@ -98,7 +98,7 @@ def key(
     needed = not (optional or sparse or "default" in form.keywords)
     usual: dict[str, Any] = {} if needed else {"default": _filled(form.keywords)}
     if isinstance(usual.get("default"), dict):
-        del usual["default"]
+        usual = {"default_factory": usual["default"].copy}
     return dataclasses.field(metadata={KEY: Key(name, form, needed)}, **usual)
 
 

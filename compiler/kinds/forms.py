@@ -168,6 +168,15 @@ GROUND_COLOR = COLOR.but(
     default=[0.3, 0.26, 0.22],
     description="Albedo of the far ground that is seen below the horizon, linear Rec.709.",
 )
+SKY_LABELS = an("label_choice").but(
+    default={}, description="The sky's label; a level left out has label 0."
+)
+SKY_LABELS_BELOW = an("label_choice").but(
+    default={},
+    x_sparse=True,
+    description="The label of what lies below the horizontal plane through the camera and is no "
+    "surface: the ground of the sky's picture. A level left out has the sky's label there.",
+)
 SURFACE_RELIEF_M = bounded(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000).but(
     description=(
         "Root mean square of the relief's heights, which the normals are of; left out, as "

@@ -132,6 +132,7 @@ def _object(name: str) -> dict[str, Any]:
         **({} if example is None else {"examples": [example]}),
         **_keys(first, kind, last),
         **_check(CLASSES[name] if hasattr(kind, "check") else context.check if context else ""),
+        **({"x-fill": CLASSES[name]} if "fill" in own else {}),
     }
     for key, change in changes.items():
         if key in found["properties"]:
@@ -143,7 +144,7 @@ def _object(name: str) -> dict[str, Any]:
         found |= {"$ref": f"{DEFS}{above['SHARED']}", "unevaluatedProperties": False}
     elif "SHARED" in own:
         found["x-shared"] = True
-    return {**found, **own.get("KEYWORDS", {})}
+    return {**found, **changes.get("KEYWORDS", own.get("KEYWORDS", {}))}
 
 
 def _check(place: str) -> dict[str, Any]:

@@ -57,6 +57,13 @@ def of_surfaces(kind: type[Any]) -> Keys:
     )
 
 
+def of_skies(kind: type[Any]) -> Keys:
+    """Returns the labels of another package's sky."""
+    if not hasattr(kind, "SCHEMA"):
+        return {}
+    return _optional(labels=forms.SKY_LABELS, labels_below=forms.SKY_LABELS_BELOW)
+
+
 def of_poses(kind: type[Any]) -> Keys:
     """Returns when another package's motion is sampled, if it does not declare it itself."""
     if not hasattr(kind, "SCHEMA"):

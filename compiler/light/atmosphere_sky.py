@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light import atmosphere
-from scenec.compiler.light.atmosphere_planets import MEDIA
+from scenec.compiler.kinds.context import Array
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    CHOICE,
+    GROUND_COLOR,
+    LENGTH_PER_SAMPLE,
+    PER_SAMPLE,
+    SKY_LABELS,
+    SKY_LABELS_BELOW,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.light.atmosphere_planets import MEDIA, SUNS
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import AtmospherePlan
+from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
 
 #: At which optical depths are reported, nm.
@@ -21,62 +33,120 @@ _REPORTED_NM = 550.0
 _RADIAN = elementary.PI / 180.0
 
 
-def build_atmosphere(
-    plan: AtmospherePlan, sun: SunLight, samples: int
-) -> tuple[SkyLight | None, SunLight, dict[str, Any]]:
-    """Pictures, the sun at the observer, and facts of each picture.
+@dataclass(frozen=True, kw_only=True)
+class AtmosphereSky(Sky):
+    """The sky of a planet, by scattering in its air.
 
-    Samples that differ in the sun's bearing alone share a picture and turn it.
-
-    Args:
-        sun: Above the atmosphere; its color is a factor on that of sunlight.
+    Where the sun stands and what it gives above the atmosphere is said in light.sun; what of
+    its light comes through is computed.
     """
-    count = atmosphere.WAVELENGTHS
-    of_nodes = weights(count)
-    sunlight = of_nodes.sum(axis=0)
-    # However it is colored, the light above the atmosphere has the irradiance that was asked for.
-    tint = sun.color / luminance(sun.color * sunlight)[:, None]
-    if plan.planet == "moon":
-        return None, replace(sun, color=tint * sunlight), {}
-    pictures: dict[str, NDArray[np.float32]] = {}
-    names: dict[tuple[float, ...], str] = {}
-    facts: dict[str, Any] = {}
-    texture = []
-    arriving = np.zeros((samples, 3))
-    for i in range(samples):
-        factors = (plan.air_density[i], plan.dust_density[i], plan.ozone_density[i])
-        medium = MEDIA[plan.planet](count, *map(float, factors))
-        altitude, elevation = float(plan.altitude_m[i]), float(sun.elevation_deg[i]) * _RADIAN
-        above = tint[i] * sun.irradiance[i]
-        arriving[i] = above * atmosphere.direct(
-            medium, of_nodes, altitude, elevation, float(sun.diameter_deg[i]) * _RADIAN
+
+    EXAMPLE: ClassVar = {
+        "type": "atmosphere",
+        "planet": "mars",
+        "scattering": "multiple",
+        "dust_density": {"type": "uniform", "min": 0.5, "max": 2},
+        "labels": {"class": "sky"},
+    }
+
+    planet: Literal["earth", "mars", "moon"] = key(CHOICE, default="earth")
+    """Whose: "moon" has no air, so its sky is black."""
+    scattering: Literal["single", "multiple"] = key(CHOICE, default="single")
+    """How often light is scattered. "single" is Nishita's sky: exact for what is scattered once.
+    "multiple" adds all further orders by an approximation, without which thick air and dust are too
+    dark, black where the sun is low."""
+    air_density: Array = key(PER_SAMPLE, default=1, at_least=0, at_most=10)
+    """Factor on the gas."""
+    dust_density: Array = key(PER_SAMPLE, default=1, at_least=0, at_most=10)
+    """Factor on dust and haze. 1 is clear air on Earth, and an optical depth of 0.5 on Mars."""
+    ozone_density: Array = key(PER_SAMPLE, default=1, at_least=0, at_most=10)
+    """Factor on Earth's ozone; 1 is 300 Dobson units. Mars has too little to be seen."""
+    altitude_m: Array = key(LENGTH_PER_SAMPLE, default=0, at_least=0, at_most=60_000)
+    """Height of the scene above the planet's mean level."""
+    ground_color: Array = key(GROUND_COLOR)
+    resolution: int = key(ROWS)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether it has no sun."""
+        light = node.whole().at("light")
+        if light.entries.get("sun", {}) is None:
+            yield light.fault(
+                "an atmosphere shows the light of the sun: expected a sun (below the horizon for "
+                'night), or a sky of the type "none"',
+                "sun",
+            )
+
+    @staticmethod
+    def takes_clouds(sky: Node) -> bool:
+        """Returns whether there is water in the air."""
+        return bool(sky["planet"] == "earth")
+
+    @staticmethod
+    def usual_sun(sky: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Returns what the sun is above the planet."""
+        return SUNS[sky["planet"]]
+
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns pictures, the sun at the observer, and facts of each picture.
+
+        Samples that differ in the sun's bearing alone share a picture and turn it.
+
+        Args:
+            sun: Above the atmosphere; its color is a factor on that of sunlight.
+        """
+        # Imported here: a cfg's faults are told without it.
+        from scenec.compiler.light import atmosphere
+
+        assert sun is not None, "an atmosphere without a sun"
+        count = atmosphere.WAVELENGTHS
+        of_nodes = weights(count)
+        sunlight = of_nodes.sum(axis=0)
+        # However it is colored, the light above the atmosphere has the irradiance of the cfg.
+        tint = sun.color / luminance(sun.color * sunlight)[:, None]
+        if self.planet == "moon":
+            return None, replace(sun, color=tint * sunlight), {}
+        pictures: dict[str, NDArray[np.float32]] = {}
+        names: dict[tuple[float, ...], str] = {}
+        facts: dict[str, Any] = {}
+        texture = []
+        arriving = np.zeros((samples, 3))
+        for i in range(samples):
+            factors = (self.air_density[i], self.dust_density[i], self.ozone_density[i])
+            medium = MEDIA[self.planet](count, *map(float, factors))
+            altitude, elevation = float(self.altitude_m[i]), float(sun.elevation_deg[i]) * _RADIAN
+            above = tint[i] * sun.irradiance[i]
+            arriving[i] = above * atmosphere.direct(
+                medium, of_nodes, altitude, elevation, float(sun.diameter_deg[i]) * _RADIAN
+            )
+            key = (*factors, altitude, elevation, *above, *self.ground_color[i])
+            if key not in names:
+                names[key] = name = f"sky_{i:04d}.exr"
+                picture = above * atmosphere.bake(
+                    medium, of_nodes, altitude, elevation, self.ground_color[i], self.resolution,
+                    multiple=self.scattering == "multiple",
+                )  # fmt: skip
+                pictures[name] = picture.astype(np.float32)
+                depth = atmosphere.zenith_depth(medium, altitude, _REPORTED_NM, wavelengths(count))
+                facts[name] = {
+                    "optical_depth_550nm": depth,
+                    "resolution_error": resolution_error(picture),
+                }
+            texture.append(names[key])
+        level = luminance(arriving)
+        color = np.where(
+            level[:, None] > 0.0, arriving / np.where(level > 0.0, level, 1.0)[:, None], 1.0
         )
-        key = (*factors, altitude, elevation, *above, *plan.ground_color[i])
-        if key not in names:
-            names[key] = name = f"sky_{i:04d}.exr"
-            picture = above * atmosphere.bake(
-                medium, of_nodes, altitude, elevation, plan.ground_color[i], plan.resolution,
-                multiple=plan.scattering == "multiple",
-            )  # fmt: skip
-            pictures[name] = picture.astype(np.float32)
-            depth = atmosphere.zenith_depth(medium, altitude, _REPORTED_NM, wavelengths(count))
-            facts[name] = {
-                "optical_depth_550nm": depth,
-                "resolution_error": resolution_error(picture),
-            }
-        texture.append(names[key])
-    level = luminance(arriving)
-    color = np.where(
-        level[:, None] > 0.0, arriving / np.where(level > 0.0, level, 1.0)[:, None], 1.0
-    )
-    turn = sun.azimuth_deg - 180.0
-    sky = SkyLight(
-        pictures={**pictures},
-        texture=tuple(texture),
-        intensity=np.ones(samples),
-        rotation_deg=turn - 360.0 * np.floor(turn / 360.0),
-    )
-    return sky, replace(sun, irradiance=level, color=color), facts
+        turn = sun.azimuth_deg - 180.0
+        sky = SkyLight(
+            pictures={**pictures},
+            texture=tuple(texture),
+            intensity=np.ones(samples),
+            rotation_deg=turn - 360.0 * np.floor(turn / 360.0),
+        )
+        return sky, replace(sun, irradiance=level, color=color), facts
 
 
 def resolution_error(picture: NDArray[np.float64]) -> float:

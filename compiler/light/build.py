@@ -10,20 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.light.atmosphere_sky import build_atmosphere
-from scenec.compiler.light.clear_sky import build_sky, level_sun_irradiance
+from scenec.compiler.light.clear_sky import level_sun_irradiance
 from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.clouds import add_clouds
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
-from scenec.compiler.light.overcast import build_overcast
-from scenec.compiler.light.panorama import build_label_maps, build_panorama
-from scenec.compiler.light.plan import (
-    AtmospherePlan,
-    ClearSkyPlan,
-    ImageSkyPlan,
-    LightPlan,
-    OvercastSkyPlan,
-)
+from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
 
 
@@ -59,30 +50,22 @@ def build_light(
     Raises:
         SceneError: A picture cannot be read, or does not hold what is asked of it.
     """
-    label_maps = None
-    if labels and isinstance(plan.sky, ImageSkyPlan):
-        label_maps = build_label_maps(plan.sky)
+    label_maps = plan.sky.build_label_maps() if labels and plan.sky is not None else None
     if not color:
         return Light(None, None, {}, None, label_maps, np.zeros(samples))
     sky: SkyLight | None = None
     sun = plan.sun
     facts: dict[str, Any] = {}
-    if isinstance(plan.sky, ImageSkyPlan):
-        sky, of_picture, facts["sky"] = build_panorama(plan.sky)
-        sun = of_picture or sun
-    elif isinstance(plan.sky, AtmospherePlan):
-        assert sun is not None, "an atmosphere without a sun"
-        sky, sun, facts["sky"] = build_atmosphere(plan.sky, sun, samples)
-    elif isinstance(plan.sky, OvercastSkyPlan):
-        sky, sun = build_overcast(plan.sky, sun, samples)
-        facts["sky"] = {}
-    elif plan.sky is not None:
-        sky, facts["sky"] = build_sky(plan.sky, sun, samples), {}
-    if plan.clouds is not None:
-        assert sky is not None, "clouds before no sky"
-        assert isinstance(plan.sky, ClearSkyPlan | AtmospherePlan), "clouds before another sky"
-        ground = plan.sky.ground_color
-        sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples, land)
+    if plan.sky is not None:
+        sky, sun, facts["sky"] = plan.sky.build(sun, samples)
+        if plan.clouds is not None:
+            assert sky is not None, "clouds before no sky"
+            ground, more = plan.sky.ground_color, []
+            for layer in plan.clouds.more or ():
+                sky, sun, told = layer.add(sky, sun, samples)
+                more.append(told)
+            sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples, land)
+            facts["clouds"] |= {"more": more} if more else {}
     irradiance = _sky_irradiance(sky, samples)
     for one in (sun, *plan.more_suns.values()):
         shares = np.ones(samples) if one is None or one.gobo is None else one.gobo.mean

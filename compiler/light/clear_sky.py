@@ -3,42 +3,94 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.context import Array
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    COLOR,
+    GROUND_COLOR,
+    PER_SAMPLE,
+    SKY_LABELS,
+    SKY_LABELS_BELOW,
+)
+from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.latlong import directions, far_ground, horizontal_irradiance, luminance
-from scenec.compiler.light.plan import ClearSkyPlan
+from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-def build_sky(plan: ClearSkyPlan, sun: SunLight | None, samples: int) -> SkyLight:
-    """Pictures of a clear sky, and which of them each sample shows.
+@dataclass(frozen=True, kw_only=True)
+class ClearSky(Sky):
+    """A smooth gradient from zenith to horizon."""
 
-    They are baked with the sun at its true bearing, so none is ever turned. Samples with the same
-    picture share one file.
-    """
-    pictures: dict[str, NDArray[np.float32]] = {}
-    # By what it is made from, and by what it then is: samples may be many.
-    name_of: dict[bytes, str] = {}
-    same: dict[bytes, str] = {}
-    texture = []
-    for i in range(samples):
-        toward = sun.direction(i) if sun else (0.0, 0.0, 1.0)
-        level = level_sun_irradiance(sun, i)
-        colors = plan.zenith_color[i], plan.horizon_color[i], plan.ground_color[i]
-        numbers = (toward, [plan.irradiance[i]], *colors, level)
-        key = np.concatenate([np.asarray(one, np.float64) for one in numbers]).tobytes()
-        if key not in name_of:
-            picture = clear_sky(plan.resolution, toward, float(plan.irradiance[i]), *colors, level)
-            digest = hashlib.sha256(picture.tobytes()).digest()
-            name_of[key] = same.setdefault(digest, f"sky_{i:04d}.exr")
-            pictures[name_of[key]] = picture
-        texture.append(name_of[key])
-    return SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))
+    EXAMPLE: ClassVar = {
+        "type": "clear",
+        "irradiance": 220,
+        "zenith_color": [0.12, 0.3, 0.9],
+        "horizon_color": [0.45, 0.65, 0.95],
+    }
+
+    irradiance: Array = key(
+        PER_SAMPLE, default=200, above=0, at_most=1_000_000_000_000, unit="W/m²"
+    )
+    """Diffuse irradiance on a horizontal surface."""
+    zenith_color: Array = key(COLOR, default=[0.12, 0.3, 0.9])
+    """Color overhead, relative to the others. Not black together with the horizon."""
+    horizon_color: Array = key(COLOR, default=[0.45, 0.65, 0.95])
+    """Color at the horizon, relative to the others."""
+    ground_color: Array = key(GROUND_COLOR)
+    resolution: int = key(ROWS)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether it can be black."""
+        if is_black(node, "zenith_color") and is_black(node, "horizon_color"):
+            yield node.fault(black("an irradiance"), "zenith_color")
+
+    @staticmethod
+    def takes_clouds(sky: Node) -> bool:
+        """Returns True."""
+        return True
+
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns pictures of a clear sky, and which of them each sample shows.
+
+        They are baked with the sun at its true bearing, so none is ever turned. Samples with the
+        same picture share one file.
+        """
+        pictures: dict[str, NDArray[np.float32]] = {}
+        # By what it is made from, and by what it then is: samples may be many.
+        name_of: dict[bytes, str] = {}
+        same: dict[bytes, str] = {}
+        texture = []
+        for i in range(samples):
+            toward = sun.direction(i) if sun else (0.0, 0.0, 1.0)
+            level = level_sun_irradiance(sun, i)
+            colors = self.zenith_color[i], self.horizon_color[i], self.ground_color[i]
+            numbers = (toward, [self.irradiance[i]], *colors, level)
+            key = np.concatenate([np.asarray(one, np.float64) for one in numbers]).tobytes()
+            if key not in name_of:
+                picture = clear_sky(
+                    self.resolution, toward, float(self.irradiance[i]), *colors, level
+                )
+                digest = hashlib.sha256(picture.tobytes()).digest()
+                name_of[key] = same.setdefault(digest, f"sky_{i:04d}.exr")
+                pictures[name_of[key]] = picture
+            texture.append(name_of[key])
+        sky = SkyLight({**pictures}, tuple(texture), np.ones(samples), np.zeros(samples))
+        return sky, sun, {}
 
 
 def level_sun_irradiance(sun: SunLight | None, sample: int) -> NDArray[np.float64]:

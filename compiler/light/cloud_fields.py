@@ -9,13 +9,30 @@ mirrored beyond their edges, which only the hazy last degree above the horizon s
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.light.plan import CirrusPlan, CumulusPlan
+from scenec.compiler.kinds.context import Array, Context
+from scenec.compiler.kinds.declare import bounded, key, noise_key
+from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_SAMPLE,
+    COUNT,
+    FRACTION_PER_SAMPLE,
+    LENGTH_PER_BATCH,
+    LENGTH_PER_SAMPLE,
+    PER_SAMPLE,
+    an,
+    list_of,
+)
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds.table import kind_of
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash3, mix
 from scenec.compiler.noise.worley import worley2
@@ -40,6 +57,116 @@ _EDGE, _BLUR = 7.0, 0.05
 #: Streaks are so many times as long as wide.
 _DRAWN_OUT = 7.0
 _KEY_WARP, _KEY_GROUPS, _KEY_CELLS, _KEY_TILE = range(1, 5)
+
+
+_OFFSET_M = list_of(
+    bounded(LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000),
+    "Along one axis.",
+    least=2,
+    most=2,
+).but(
+    default=[0, 0],
+    description="Where the pattern is moved: to the east, to the north. If it is drawn for each "
+    "sample, each has other clouds.",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CumulusClouds:
+    """Heaps of cloud on a level base, as on a fine day."""
+
+    EXAMPLE: ClassVar = {
+        "coverage": {"type": "uniform", "min": 0.1, "max": 0.6},
+        "offset_m": [{"type": "uniform", "min": -20_000, "max": 20_000}, 0],
+    }
+
+    KEYWORDS: ClassVar = {"type": ["object", "null"]}
+
+    coverage: Array = key(FRACTION_PER_SAMPLE, default=0.35)
+    """Share of the ground that lies below clouds."""
+    optical_depth: Array = key(PER_SAMPLE, default=40, at_least=0, at_most=1000)
+    """Of the tallest cloud, straight down."""
+    base_m: Array = key(LENGTH_PER_SAMPLE, default=1200, at_least=50, at_most=10_000)
+    """Height of the base over the world's z = 0."""
+    thickness_m: Array = key(LENGTH_PER_SAMPLE, default=900, at_least=10, at_most=10_000)
+    """Height of the tallest cloud over the base."""
+    size_m: float = key(LENGTH_PER_BATCH, default=1800, at_least=10, at_most=100_000)
+    """Width of a cloud and the gap beside it; groups of clouds are three times as wide."""
+    offset_m: Array = key(_OFFSET_M)
+    key: int = noise_key()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CirrusClouds:
+    """Thin streaks of ice, high up."""
+
+    EXAMPLE: ClassVar = {
+        "coverage": 0.7,
+        "optical_depth": 0.3,
+        "bearing_deg": {"type": "uniform", "min": 0, "max": 360},
+    }
+
+    KEYWORDS: ClassVar = {"type": ["object", "null"]}
+
+    coverage: Array = key(FRACTION_PER_SAMPLE, default=0.5)
+    """Share of the sky, straight down, that has any."""
+    optical_depth: Array = key(PER_SAMPLE, default=0.5, at_least=0, at_most=10)
+    """Where it is thickest, straight down: 0.03 can hardly be seen, 0.3 is usual, 3 veils the sun.
+    """
+    height_m: Array = key(LENGTH_PER_SAMPLE, default=9000, at_least=1000, at_most=20_000)
+    """Over the world's z = 0."""
+    size_m: float = key(LENGTH_PER_BATCH, default=4000, at_least=100, at_most=100_000)
+    """Width of streaks; they are five times as long."""
+    bearing_deg: Array = key(ANGLE_PER_SAMPLE, default=60, at_least=-100_000, at_most=100_000)
+    """Compass bearing that streaks run along."""
+    offset_m: Array = key(_OFFSET_M)
+    key: int = noise_key()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clouds:
+    """Clouds in a sky of the type atmosphere (Earth's) or clear, drawn into its picture as they are
+    seen from the middle of the ground. The sun loses, at each sample, what the clouds before it
+    hide; shadows of cumulus lie on the land where they fall.
+    """
+
+    EXAMPLE: ClassVar = {"cumulus": {"coverage": 0.4}, "cirrus": {"optical_depth": 0.2}}
+
+    TITLE: ClassVar = "Clouds"
+    cumulus: CumulusClouds | None = key(an("clouds_cumulus", drawn=True), default=None)
+    """Cumulus; null for none."""
+    cirrus: CirrusClouds | None = key(an("clouds_cirrus", drawn=True), default=None)
+    """Cirrus; null for none."""
+    resolution: int = key(COUNT, default=768, at_least=8, at_most=8192, unit="px")
+    """Height of the sky's lat-long picture with clouds, in pixels; its width is twice that. One
+    that light.sky makes larger keeps its own."""
+    more: tuple[Any, ...] = key(list_of(an("clouds_layer"), "One layer."), sparse=True)
+    """Layers of other packages, the farthest first, behind cumulus and cirrus."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether there is no sky that they can be drawn into."""
+        light = node.whole().at("light")
+        sky = light.at("sky")
+        if "sky" in light and not (sky["type"] and kind_of("sky", sky["type"]).takes_clouds(sky)):
+            yield light.key_fault(
+                "clouds need a sky that is made, of air with water in it: expected one of the type "
+                '"atmosphere" (planet "earth") or "clear"',
+                "clouds",
+            )
+
+    def draw(self, context: Context) -> Clouds:
+        """Returns the clouds at every sample."""
+        layers: dict[str, Any] = {
+            name: replace(layer, **context.at(f"{context.path}/{name}").sampled(layer))
+            for name, layer in (("cumulus", self.cumulus), ("cirrus", self.cirrus))
+            if layer is not None
+        }
+        layers["more"] = tuple(
+            draw_kind("clouds_layer", node, f"{context.path}/more/{i}", context)
+            for i, node in enumerate(self.more or ())
+        )
+        return replace(self, **layers)
 
 
 class Pattern(NamedTuple):
@@ -100,7 +227,7 @@ class Cirrus(NamedTuple):
 class CumulusField:
     """What all samples of a batch share of a layer of cumulus."""
 
-    def __init__(self, plan: CumulusPlan) -> None:
+    def __init__(self, plan: CumulusClouds) -> None:
         self._plan = plan
         self._values = cumulus_values(plan.key)
         self._sorted = np.sort(self._values.ravel(), kind="stable")
@@ -122,7 +249,7 @@ class CumulusField:
 class CirrusField:
     """What all samples of a batch share of a sheet of cirrus."""
 
-    def __init__(self, plan: CirrusPlan) -> None:
+    def __init__(self, plan: CirrusClouds) -> None:
         self._plan = plan
         self._values = cirrus_values(plan.key)
         self._sorted = np.sort(self._values.ravel(), kind="stable")

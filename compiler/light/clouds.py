@@ -18,6 +18,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.cloud_fields import (
     Cirrus,
     CirrusField,
+    Clouds,
     Cumulus,
     CumulusField,
     no_cirrus,
@@ -27,7 +28,6 @@ from scenec.compiler.light.cloud_rays import Shine, beam_left, beams_left, draw_
 from scenec.compiler.light.cloud_shadows import Land, Shadows, cloud_shadows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
 from scenec.compiler.light.overcast import NIL
-from scenec.compiler.light.plan import CloudsPlan
 from scenec.compiler.scene.light import Gobo, SkyLight, SunLight
 from scenec.schemas.threads import over_threads
 
@@ -39,7 +39,7 @@ _NEAR_RAD = 2.0 * _RADIAN
 
 
 def add_clouds(
-    plan: CloudsPlan,
+    plan: Clouds,
     sky: SkyLight,
     sun: SunLight | None,
     ground_color: NDArray[np.float64],

@@ -9,14 +9,80 @@ Astrophysical Quantities) has p = 0.367 in visible light: 0.137 W/m^2. Glenar et
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, COLOR, PER_SAMPLE, SUN_ELEVATION_DEG
+from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.light.suns import of_luminance_one
+from scenec.compiler.scene.light import SunLight
 
 EARTH_RADIUS_KM = 6371.0
 MOON_DISTANCE_KM = 384400.0
 _ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Earthshine:
+    """The Earth as it shines on the Moon.
+
+    Its irradiance is (6371 km / 384400 km)² times geometric albedo, solar irradiance and (sin a
+    + (pi - a) cos a) / pi, a Lambert sphere's phase law in the phase angle a: 0.137 W/m² of a
+    full Earth by default, 1e-4 of the Sun's. The light comes from a full disc of the Earth's
+    size, whatever the phase.
+    """
+
+    EXAMPLE: ClassVar = {
+        "type": "earthshine",
+        "phase_deg": 60,
+        "elevation_deg": 40,
+        "azimuth_deg": 200,
+    }
+
+    phase_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=0, at_most=180)
+    """Phase angle: that between the Sun and the Moon, seen from the Earth. 0 is a full Earth, 90
+    half of one, 180 a dark one."""
+    elevation_deg: Any = key(SUN_ELEVATION_DEG)
+    azimuth_deg: Number = key(ANGLE_PER_SAMPLE, default=135, at_least=-100_000, at_most=100_000)
+    """Compass bearing of the Earth, clockwise from +Y (north)."""
+    solar_irradiance: Number = key(
+        PER_SAMPLE, default=1361, above=0, at_most=1_000_000_000_000, unit="W/m²"
+    )
+    """What the Sun gives the Earth on a surface that faces it; in the units of the sun's
+    irradiance."""
+    geometric_albedo: Number = key(PER_SAMPLE, default=0.367, above=0, at_most=1)
+    """The Earth's: 0.367 for visible light (Cox 2000). Of all solar light it is about 0.22, which
+    with as much thermal infrared, that no camera sees, makes the 0.15 W/m² of Glenar et al. (2019).
+    """
+    diameter_deg: Number = key(ANGLE_PER_SAMPLE, default=1.9, at_least=0, at_most=90)
+    """Angular diameter."""
+    color: Any = key(COLOR, default=[0.63, 0.74, 1])
+    """Color, scaled so that the irradiance is as said; not black. Bluish by default: the Earth's
+    B-V is 0.2, the Sun's 0.65 (Cox 2000)."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether it can be black."""
+        if is_black(node):
+            yield node.fault(black("what is asked for"), "color")
+
+    def draw(self, context: Context) -> SunLight:
+        """Returns the Earth's disc at every sample."""
+        drawn = context.sampled(self)
+        drawn["irradiance"] = earthshine_irradiance(
+            drawn.pop("phase_deg"), drawn.pop("solar_irradiance"), drawn.pop("geometric_albedo")
+        )
+        drawn["color"] = of_luminance_one(drawn["color"])
+        return SunLight(**drawn)
 
 
 def earthshine_irradiance(

@@ -12,8 +12,8 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import bearing_vector, compose, look_at
+from scenec.compiler.light.lamp import LampPlan, RigMount, WorldMount
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import LampPlan, RigMount, WorldMount
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light import Lamp, SpotLight
@@ -45,7 +45,7 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
     if isinstance(plan.mount, RigMount):
         mount = plan.mount
         carrier = next(rig for rig in rigs if rig.name == mount.rig)
-        poses = [compose(pose, mount.to_rig) for pose in carrier.to_world]
+        poses = [compose(pose, mount.to_rig()) for pose in carrier.to_world]
     else:
         poses = _world_poses(plan.mount, surface)
     to_world = np.stack([compose(pose, _HALF_TURN) for pose in poses])
@@ -57,9 +57,10 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
 
 def _world_poses(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
     """Poses of a lamp that stands in the world; it looks along +z."""
-    position = _world_points(mount.position, mount.on_ground, surface)
+    on_ground = mount.heights == "ground"
+    position = _world_points(mount.points(), on_ground, surface)
     if mount.target is not None:
-        target = _world_points(mount.target, mount.on_ground, surface)
+        target = _world_points(mount.target.points(), on_ground, surface)
     else:
         angle = mount.elevation_deg * (elementary.PI / 180.0)
         level, up = elementary.cos_array(angle), elementary.sin_array(angle)

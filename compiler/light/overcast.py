@@ -7,14 +7,27 @@ fades as exp(-depth / sine of its height), so the sun of a sky worth the name is
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.kinds.context import Array
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import (
+    COLOR,
+    GROUND_COLOR,
+    PER_SAMPLE,
+    SKY_LABELS,
+    SKY_LABELS_BELOW,
+)
+from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.latlong import far_ground, horizontal_irradiance, luminance
-from scenec.compiler.light.plan import OvercastSkyPlan
+from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
 
 #: Mean cosine of the angle by which droplets of clouds turn light (Hu and Stamnes 1993).
@@ -23,42 +36,75 @@ ASYMMETRY = 0.85
 NIL = 1e-6
 
 
-def build_overcast(
-    plan: OvercastSkyPlan, sun: SunLight | None, samples: int
-) -> tuple[SkyLight, SunLight | None]:
-    """Pictures of overcast skies, which of them each sample shows, and what is left of the sun.
-
-    A picture is of irradiance 1, so that samples that differ in strength alone share it.
-
-    Args:
-        plan: The sky.
-        sun: Above the clouds; None only where the plan has an irradiance.
-        samples: How many.
+@dataclass(frozen=True, kw_only=True)
+class OvercastSky(Sky):
+    """A sky behind one even layer of cloud: the CIE's standard overcast sky, three times as bright
+    overhead as at the horizon, all around alike. light.sun is the sun above the cloud; what comes
+    through of it makes the sky as bright as it is, and its beam is gone but behind thin cloud under
+    a high sun.
     """
-    strength = plan.irradiance
-    tint = plan.color / luminance(plan.color)[:, None]
-    left = np.zeros(samples)
-    if sun is not None:
-        sine = np.array([sun.direction(i)[2] for i in range(samples)])
-        total, left = transmitted(plan.optical_depth, sine)
-        if strength is None:
-            diffuse = sun.irradiance * np.maximum(sine, 0.0) * (total - left)
-            tint = tint * (1.0 / (1.0 - plan.ground_color * reflected(plan.optical_depth)[:, None]))
-            strength = diffuse * luminance(tint)
-    assert strength is not None, "an overcast sky without a sun or an irradiance"
-    tint = tint / luminance(tint)[:, None]
-    pictures: dict[str, NDArray[np.float32]] = {}
-    names: dict[bytes, str] = {}
-    texture = []
-    for i in range(samples):
-        key = np.concatenate([tint[i], plan.ground_color[i]]).tobytes()
-        if key not in names:
-            names[key] = f"sky_{i:04d}.exr"
-            picture = overcast_sky(plan.resolution, tint[i], plan.ground_color[i])
-            pictures[names[key]] = picture
-        texture.append(names[key])
-    sky = SkyLight({**pictures}, tuple(texture), strength, np.zeros(samples))
-    return sky, None if sun is None else replace(sun, irradiance=sun.irradiance * left)
+
+    EXAMPLE: ClassVar = {
+        "type": "overcast",
+        "optical_depth": {"type": "log_uniform", "min": 10, "max": 60},
+    }
+
+    optical_depth: Array = key(PER_SAMPLE, default=40, at_least=5, at_most=1000)
+    """Of the cloud, straight down: 10 is bright, 40 usual, 100 the cloud of a thunderstorm."""
+    irradiance: Array | None = key(
+        PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000_000, unit="W/m²"
+    )
+    """Diffuse irradiance on a horizontal surface, in place of what the cloud lets through of
+    light.sun."""
+    color: Array = key(COLOR, default=[0.92, 0.96, 1])
+    """Color of the sky, relative. Not black."""
+    ground_color: Array = key(GROUND_COLOR)
+    resolution: int = key(ROWS)
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether it can be black, or has no light."""
+        if is_black(node):
+            yield node.fault(black("an irradiance"), "color")
+        if node.whole().at("light").entries.get("sun", {}) is None and "irradiance" not in node:
+            yield node.fault("expected the key irradiance, or a sun above the cloud (light.sun)")
+
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns pictures of overcast skies, and what is left of the sun.
+
+        A picture is of irradiance 1, so that samples that differ in strength alone share it.
+
+        Args:
+            sun: Above the clouds; None only where the plan has an irradiance.
+            samples: How many.
+        """
+        strength = self.irradiance
+        tint = self.color / luminance(self.color)[:, None]
+        left = np.zeros(samples)
+        if sun is not None:
+            sine = np.array([sun.direction(i)[2] for i in range(samples)])
+            total, left = transmitted(self.optical_depth, sine)
+            if strength is None:
+                diffuse = sun.irradiance * np.maximum(sine, 0.0) * (total - left)
+                back = self.ground_color * reflected(self.optical_depth)[:, None]
+                tint = tint * (1.0 / (1.0 - back))
+                strength = diffuse * luminance(tint)
+        assert strength is not None, "an overcast sky without a sun or an irradiance"
+        tint = tint / luminance(tint)[:, None]
+        pictures: dict[str, NDArray[np.float32]] = {}
+        names: dict[bytes, str] = {}
+        texture = []
+        for i in range(samples):
+            key = np.concatenate([tint[i], self.ground_color[i]]).tobytes()
+            if key not in names:
+                names[key] = f"sky_{i:04d}.exr"
+                picture = overcast_sky(self.resolution, tint[i], self.ground_color[i])
+                pictures[names[key]] = picture
+            texture.append(names[key])
+        sky = SkyLight({**pictures}, tuple(texture), strength, np.zeros(samples))
+        return sky, None if sun is None else replace(sun, irradiance=sun.irradiance * left), {}
 
 
 def transmitted(

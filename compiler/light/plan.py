@@ -1,191 +1,109 @@
-"""Defines what was drawn for a batch's light: a part of the Plan."""
+"""Draws the light of every sample."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.draw import draw_kind, draw_object
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import an, named
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds.table import kind_of
+from scenec.schemas.spelling import shown
 
-from scenec.compiler.scene.light import Haze, SpotLight, SunLight
+if TYPE_CHECKING:
+    # A cfg's faults are told without them.
+    from scenec.compiler.light.cloud_fields import Clouds
+    from scenec.compiler.light.lamp import LampPlan
+    from scenec.compiler.light.sky import Sky
+    from scenec.compiler.scene.light import Haze, SunLight
 
-
-@dataclass(frozen=True)
-class ClearSkyPlan:
-    """A sky to be baked, one a sample.
-
-    Attributes:
-        resolution: Rows of the picture.
-        irradiance: Diffuse, on level ground, [s].
-        zenith_color, horizon_color, ground_color: [s, 3].
-    """
-
-    resolution: int
-    irradiance: NDArray[np.float64]
-    zenith_color: NDArray[np.float64]
-    horizon_color: NDArray[np.float64]
-    ground_color: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class OvercastSkyPlan:
-    """A sky behind one even layer of cloud.
-
-    Attributes:
-        resolution: Rows of the picture.
-        optical_depth: Of the layer, [s].
-        color, ground_color: [s, 3].
-        irradiance: Diffuse, on level ground, [s]; None: what comes through of the sun.
-    """
-
-    resolution: int
-    optical_depth: NDArray[np.float64]
-    color: NDArray[np.float64]
-    ground_color: NDArray[np.float64]
-    irradiance: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True)
-class AtmospherePlan:
-    """A planet's sky to be baked, one a sample.
-
-    Attributes:
-        planet: "earth", "mars" or "moon".
-        scattering: "single" or "multiple".
-        resolution: Rows of the picture.
-        air_density, dust_density, ozone_density: Factors, [s].
-        altitude_m: Of the scene, [s].
-        ground_color: [s, 3].
-    """
-
-    planet: str
-    scattering: str
-    resolution: int
-    air_density: NDArray[np.float64]
-    dust_density: NDArray[np.float64]
-    ozone_density: NDArray[np.float64]
-    altitude_m: NDArray[np.float64]
-    ground_color: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class LabelMapPlan:
-    """A label map as the cfg has it.
-
-    Attributes:
-        ids: Pixel values, as the cfg writes them, and the label id of each.
-    """
-
-    file: Path
-    ids: tuple[tuple[str, int], ...]
-
-
-@dataclass(frozen=True)
-class ImageSkyPlan:
-    """A measured sky.
-
-    Attributes:
-        files: Picture of each sample.
-        strength, rotation_deg: [s].
-        extract_sun: Whether the pictures' sun becomes a distant light.
-        label_maps: Per level that has any, the label map of each sample, or None.
-    """
-
-    files: tuple[Path, ...]
-    strength: NDArray[np.float64]
-    rotation_deg: NDArray[np.float64]
-    extract_sun: bool = False
-    label_maps: dict[str, tuple[LabelMapPlan | None, ...]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class CumulusPlan:
-    """A layer of cumulus.
-
-    Attributes:
-        key: Of its pattern.
-        size_m: Of a cloud with the gap beside it.
-        coverage: Share of the ground below clouds, [s].
-        optical_depth: Of the tallest, straight down, [s].
-        base_m: Height of the base over the world's z = 0, [s].
-        thickness_m: Of the tallest, [s].
-        offset_m: Of the pattern to the east and to the north, [s, 2].
-    """
-
-    key: int
-    size_m: float
-    coverage: NDArray[np.float64]
-    optical_depth: NDArray[np.float64]
-    base_m: NDArray[np.float64]
-    thickness_m: NDArray[np.float64]
-    offset_m: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class CirrusPlan:
-    """A sheet of cirrus.
-
-    Attributes:
-        key, size_m, coverage, offset_m: As in ``CumulusPlan``; the size is the width of streaks.
-        optical_depth: Where it is thickest, [s].
-        height_m: Over the world's z = 0, [s].
-        bearing_deg: That streaks run along, [s].
-    """
-
-    key: int
-    size_m: float
-    coverage: NDArray[np.float64]
-    optical_depth: NDArray[np.float64]
-    height_m: NDArray[np.float64]
-    bearing_deg: NDArray[np.float64]
-    offset_m: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class CloudsPlan:
-    """Clouds to be drawn into the sky.
-
-    Attributes:
-        resolution: Rows of the sky's picture with them, if it has fewer without.
-        cumulus, cirrus: None for none.
-    """
-
-    resolution: int
-    cumulus: CumulusPlan | None
-    cirrus: CirrusPlan | None
-
-
-@dataclass(frozen=True)
-class RigMount:
-    """A lamp's place on a rig: the rig's name, and the lamp-to-rig matrix [4, 4], both OpenCV."""
-
-    rig: str
-    to_rig: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class WorldMount:
-    """A lamp's place in the world.
-
-    Attributes:
-        position: [s, 3]; z is the height over the ground or over 0.
-        bearing_deg, elevation_deg: Where it shines without a target, [s].
-        target: Where it shines to, as ``position``, or None.
-    """
-
-    position: NDArray[np.float64]
-    on_ground: bool
-    bearing_deg: NDArray[np.float64]
-    elevation_deg: NDArray[np.float64]
-    target: NDArray[np.float64] | None
+#: Keys of a sky that the plan has of its own (``Plan.sky_labels``): its pictures need none of them.
+_LABELS = ("labels", "labels_below")
 
 
 @dataclass(frozen=True, kw_only=True)
-class LampPlan(SpotLight):
-    """A spot light, and what carries it."""
+class Lights:
+    """Sun, sky, clouds, lamps and haze."""
 
-    mount: RigMount | WorldMount
+    EXAMPLE: ClassVar = {
+        "sun": {"elevation_deg": 35},
+        "sky": {"type": "atmosphere", "planet": "earth"},
+        "haze": {"visibility_m": 4000},
+    }
+
+    sun: Mapping[str, Any] | None = key(an("sun"), default={})
+    """The sun; null for none."""
+    sky: Mapping[str, Any] = key(an("sky"), default={"type": "clear"})
+    """The sky."""
+    more: Mapping[str, Any] = key(named(an("light_more"), "One disc.", by="disc"), default={})
+    """Further distant discs by name: earthshine, a second sun."""
+    lamps: Mapping[str, Any] = key(named(an("light_lamp"), "One lamp.", by="lamp"), default={})
+    """Spot lights by name. Metered exposures count their light where they fall on what the middle
+    of a picture shows."""
+    clouds: Mapping[str, Any] | None = key(an("light_clouds"), sparse=True)
+    """Clouds in the sky, which shade the scene; left out: none."""
+    haze: Mapping[str, Any] | None = key(an("light_haze"), optional=True)
+    """Dust or mist between the cameras and what they see; left out or null: none."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields names that stand twice: all lights stand beside each other in the stage."""
+        taken = {"Sun": "the sun", "Dome": "the sky"}
+        for group in ("more", "lamps"):
+            for name in node.at(group).entries:
+                if name in taken:
+                    yield node.key_fault(
+                        f"{shown(name)} is the name of {taken[name]} already: expected another one",
+                        group,
+                        name,
+                    )
+                taken.setdefault(name, f"light/{group}/{name}")
+
+    @staticmethod
+    def fill(light: dict[str, Any], own: Mapping[str, Any]) -> None:
+        """Puts what the sky says of its sun where the cfg is silent."""
+        usual = kind_of("sky", light["sky"]["type"]).usual_sun(light["sky"])
+        if usual is None:
+            light["sun"] = None
+        elif light["sun"] is not None:
+            given = own.get("sun", {})
+            light["sun"] |= {name: value for name, value in usual.items() if name not in given}
+
+    def draw(self, context: Context) -> LightPlan:
+        """Returns the light of a batch."""
+
+        def drawn(name: str, below: str, node: Mapping[str, Any] | None, *given: str) -> Any:
+            if node is None:
+                return None
+            path = f"{context.path}/{below}"
+            return draw_object(name, node, path, context).draw(*given, context.at(path))
+
+        sky = {name: value for name, value in self.sky.items() if name not in _LABELS}
+        return LightPlan(
+            sun=drawn("sun", "sun", self.sun),
+            sky=draw_kind("sky", sky, f"{context.path}/sky", context),
+            haze=drawn("light_haze", "haze", self.haze),
+            clouds=drawn("light_clouds", "clouds", self.clouds),
+            more_suns={
+                name: draw_kind("light_more", node, f"{context.path}/more/{name}", context)
+                for name, node in self.more.items()
+            },
+            lamps=tuple(
+                drawn("light_lamp", f"lamps/{name}", node, name)
+                for name, node in self.lamps.items()
+            ),
+        )
+
+
+def draw_light(node: Mapping[str, Any], context: Context) -> LightPlan:
+    """Returns the light of a batch, as the cfg's ``light`` says."""
+    made: Lights = draw_object("light", node, "light", context)
+    return made.draw(context.at("light"))
 
 
 @dataclass(frozen=True)
@@ -201,10 +119,10 @@ class LightPlan:
     """
 
     sun: SunLight | None
-    sky: ClearSkyPlan | OvercastSkyPlan | AtmospherePlan | ImageSkyPlan | None
+    sky: Sky | None
     more_suns: dict[str, SunLight] = field(default_factory=dict)
     haze: Haze | None = None
-    clouds: CloudsPlan | None = None
+    clouds: Clouds | None = None
     lamps: tuple[LampPlan, ...] = ()
 
     @property

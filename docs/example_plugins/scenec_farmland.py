@@ -8,7 +8,7 @@ hash noises: the same cfg and seed give the same one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,11 +21,14 @@ from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
 from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, SAMPLING
+from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look, Tile, mix, step
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.objects.density import Everywhere
 from scenec.compiler.objects.families.shape import Shape
+from scenec.compiler.scene.light import SkyLight, SunLight
 from scenec.compiler.terrain.condition import Interval, Quantity
 from scenec.compiler.terrain.grid import Applied, Grid, gradient
 from scenec.compiler.terrain.quantities import Quantities
@@ -192,6 +195,64 @@ class Spiral:
         position = np.column_stack([self.radius_m * away, height])
         way = np.array([0.0, 0.0, ground]) - position
         return Built(poses(position, toward(way, -away)), times)
+
+
+@dataclass(frozen=True)
+class Dusk(Sky):
+    """A sky: the glow after sunset. What is drawn for each sample is an array of all of them."""
+
+    irradiance: NDArray[np.float64]
+    bearing_deg: NDArray[np.float64]
+
+    SCHEMA: ClassVar = {
+        "description": "The glow after sunset.",
+        "properties": {
+            "irradiance": {
+                "description": "On level ground.",
+                "$ref": "forms.schema.json#/$defs/per_sample",
+                "exclusiveMinimum": 0, "default": 5, "x-unit": "W/m²",
+            },
+            "bearing_deg": {
+                "description": "Where it is brightest, from north.",
+                "$ref": "forms.schema.json#/$defs/angle_per_sample", "default": 270,
+            },
+        },
+    }  # fmt: skip
+
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """One picture that is brightest in the north, turned; the cfg's sun; nothing to report."""
+        to = directions(64)
+        glow = np.where(to[..., 2] > 0.0, 0.1 + np.maximum(to[..., 1], 0.0), 0.0)
+        picture = glow[..., None] * np.array([1.0, 0.55, 0.3])
+        strength = self.irradiance / luminance(horizontal_irradiance(picture))
+        pictures = {"dusk.exr": picture.astype(np.float32)}
+        return SkyLight(pictures, ("dusk.exr",) * samples, strength, self.bearing_deg), sun, {}
+
+
+@dataclass(frozen=True)
+class Veil(CloudLayer):
+    """A layer of clouds: an even veil that dims the sun, and is as bright as the sky behind it."""
+
+    optical_depth: NDArray[np.float64]
+
+    SCHEMA: ClassVar = {
+        "description": "A thin even veil.",
+        "properties": {
+            "optical_depth": {
+                "description": "Straight down.",
+                "$ref": "forms.schema.json#/$defs/per_sample",
+                "minimum": 0, "default": 0.3,
+            },
+        },
+    }  # fmt: skip
+
+    def add(self, sky: SkyLight, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """The sky as it is; what comes through of the sun; that share, for report.json."""
+        if sun is None:
+            return sky, None, {}
+        up = np.array([max(sun.direction(i)[2], 0.01) for i in range(samples)])
+        left = elementary.exp_array(-self.optical_depth / up)
+        return sky, replace(sun, irradiance=sun.irradiance * left), {"left": left.tolist()}
 
 
 def steepness(view: View) -> NDArray:

@@ -15,11 +15,11 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.emit.lights import write_lights
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
-from scenec.compiler.light.atmosphere_sky import build_atmosphere
+from scenec.compiler.light.atmosphere_sky import AtmosphereSky
 from scenec.compiler.light.atmosphere_spectra import weights
-from scenec.compiler.light.clear_sky import build_sky
+from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
+from scenec.compiler.light.sky import SkyAndSun
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import SkyLight, SunLight
 from scenec.compiler.scene.scene import Scene
@@ -42,7 +42,7 @@ _LEAST, _MOST = 8, 4096
 #: Blocks of directions whose sums say how far a sum errs.
 _BLOCKS = 8
 
-type _Made = Callable[[int], tuple[SkyLight | None, SunLight | None, dict[str, Any]]]
+type _Made = Callable[[int], SkyAndSun]
 
 
 def sky(base: Base, rungs: int) -> list[Ladder] | str:
@@ -57,9 +57,9 @@ def sky(base: Base, rungs: int) -> list[Ladder] | str:
         return "the scene has no sky"
     if not base.color:
         return "no output shows color, so there is no sky"
-    if isinstance(plan, ClearSkyPlan):
+    if isinstance(plan, ClearSky):
         return [_clear(_first_clear(plan), None if sun is None else _first_sun(sun), rungs)]
-    if isinstance(plan, AtmospherePlan):
+    if isinstance(plan, AtmosphereSky):
         assert sun is not None
         if plan.planet == "moon":
             return "the sky is black: there is no air"
@@ -75,14 +75,17 @@ def _first_sun(sun: SunLight) -> SunLight:
     )  # fmt: skip
 
 
-def _first_clear(plan: ClearSkyPlan) -> ClearSkyPlan:
-    return ClearSkyPlan(
-        plan.resolution, plan.irradiance[:1], plan.zenith_color[:1], plan.horizon_color[:1],
-        plan.ground_color[:1],
-    )  # fmt: skip
+def _first_clear(plan: ClearSky) -> ClearSky:
+    return replace(
+        plan,
+        irradiance=plan.irradiance[:1],
+        zenith_color=plan.zenith_color[:1],
+        horizon_color=plan.horizon_color[:1],
+        ground_color=plan.ground_color[:1],
+    )
 
 
-def _first_atmosphere(plan: AtmospherePlan) -> AtmospherePlan:
+def _first_atmosphere(plan: AtmosphereSky) -> AtmosphereSky:
     return replace(
         plan,
         air_density=plan.air_density[:1],
@@ -101,13 +104,13 @@ def _sizes(resolution: int, rungs: int) -> list[tuple[int, bool]]:
     return sorted(sizes.items())
 
 
-def _clear(plan: ClearSkyPlan, sun: SunLight | None, rungs: int) -> Ladder:
+def _clear(plan: ClearSky, sun: SunLight | None, rungs: int) -> Ladder:
     to, many = upper_half(_DIRECTIONS), upper_half(_MANY)
     truth = clear_along(plan, sun, to, many)
     level = irradiance(clear_along(plan, sun, many, many), many)
 
-    def made(rows: int) -> tuple[SkyLight | None, SunLight | None, dict[str, Any]]:
-        return build_sky(replace(plan, resolution=rows), sun, 1), sun, {}
+    def made(rows: int) -> SkyAndSun:
+        return replace(plan, resolution=rows).build(sun, 1)
 
     return Ladder(
         name="sky",
@@ -122,7 +125,7 @@ def _clear(plan: ClearSkyPlan, sun: SunLight | None, rungs: int) -> Ladder:
     )
 
 
-def _rows(plan: AtmospherePlan, sun: SunLight, rungs: int) -> Ladder:
+def _rows(plan: AtmosphereSky, sun: SunLight, rungs: int) -> Ladder:
     to = upper_half(_DIRECTIONS)
     # Steps and wavelengths as of the pictures: these have ladders of their own.
     truth = atmosphere_along(plan, sun, to, atmosphere.STEPS, atmosphere.WAVELENGTHS)
@@ -139,7 +142,7 @@ def _rows(plan: AtmospherePlan, sun: SunLight, rungs: int) -> Ladder:
         rungs=tuple(
             _of_rows(
                 _sizes(plan.resolution, rungs),
-                lambda rows: build_atmosphere(replace(plan, resolution=rows), sun, 1),
+                lambda rows: replace(plan, resolution=rows).build(sun, 1),
                 to,
                 truth,
                 irradiance(truth, to),
@@ -248,7 +251,7 @@ def _bytes(light: SkyLight, sun: SunLight | None) -> int:
     return written(lambda folder: write_lights(folder / "lights.usdc", bare))
 
 
-def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
+def _constants(plan: AtmosphereSky, sun: SunLight, rungs: int) -> list[Ladder]:
     """Constants of the code, at texels of small pictures: apart from the pictures' resolution.
 
     A ladder's reference shares the two other constants with its rungs, so that these err by the one
@@ -316,7 +319,7 @@ def _constants(plan: AtmospherePlan, sun: SunLight, rungs: int) -> list[Ladder]:
 
 
 def _written(
-    plan: AtmospherePlan, sun: SunLight, numbers: dict[str, int]
+    plan: AtmosphereSky, sun: SunLight, numbers: dict[str, int]
 ) -> tuple[NDArray[np.float64], int]:
     """A picture and the bytes of its file."""
     picture = _baked(plan, sun, **numbers)
@@ -340,7 +343,7 @@ def _texels(
 
 
 def _baked(
-    plan: AtmospherePlan, sun: SunLight, steps: int, bearings: int, count: int
+    plan: AtmosphereSky, sun: SunLight, steps: int, bearings: int, count: int
 ) -> NDArray[np.float64]:
     of_nodes = weights(count)
     medium = MEDIA[plan.planet](

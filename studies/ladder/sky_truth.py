@@ -27,9 +27,10 @@ from scenec.compiler.light.atmosphere_rays import (
     lobe,
     prepare,
 )
+from scenec.compiler.light.atmosphere_sky import AtmosphereSky
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
+from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.scene.light import SunLight
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -62,7 +63,7 @@ def bilinear(picture: NDArray, to: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def atmosphere_along(
-    plan: AtmospherePlan,
+    plan: AtmosphereSky,
     sun: SunLight,
     to: NDArray[np.float64],
     steps: int,
@@ -137,7 +138,7 @@ def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untype
 
 
 def clear_along(
-    plan: ClearSkyPlan, sun: SunLight | None, to: NDArray[np.float64], fine: NDArray[np.float64]
+    plan: ClearSky, sun: SunLight | None, to: NDArray[np.float64], fine: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """A clear sky's light along directions above the horizon, at the first sample.
 

@@ -25,8 +25,10 @@ from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import weights
 from scenec.compiler.light.cloud_fields import (
     Cirrus,
+    CirrusClouds,
     CirrusField,
     Cumulus,
+    CumulusClouds,
     CumulusField,
     density_at,
     no_cirrus,
@@ -37,7 +39,6 @@ from scenec.compiler.light.cloud_rays import Shine, beam_left, through_cumulus
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
 from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
-from scenec.compiler.light.plan import CirrusPlan, CumulusPlan
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
 from scenec.schemas.kernels import kernel
@@ -72,7 +73,9 @@ def cumulus(coverage: float = 0.35, key: int = 11, **more: float) -> Cumulus:
     } | more  # fmt: skip
     size = drawn.pop("size_m", 1800.0)
     arrays = {name: np.array([value]) for name, value in drawn.items()}
-    return CumulusField(CumulusPlan(key, size, offset_m=np.zeros((1, 2)), **arrays)).at(0)
+    return CumulusField(
+        CumulusClouds(key=key, size_m=size, offset_m=np.zeros((1, 2)), **arrays)
+    ).at(0)
 
 
 def cirrus(**more: float) -> Cirrus:
@@ -81,7 +84,9 @@ def cirrus(**more: float) -> Cirrus:
         "coverage": 0.5, "optical_depth": 0.5, "height_m": 9000.0, "bearing_deg": 60.0,
     } | more  # fmt: skip
     arrays = {name: np.array([value]) for name, value in drawn.items()}
-    return CirrusField(CirrusPlan(9, 4000.0, offset_m=np.zeros((1, 2)), **arrays)).at(0)
+    return CirrusField(CirrusClouds(key=9, size_m=4000.0, offset_m=np.zeros((1, 2)), **arrays)).at(
+        0
+    )
 
 
 def clear(elevation: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -135,7 +135,11 @@ def _sorted(value: Any, by_key: bool = True) -> Any:
     if not isinstance(value, dict):
         return value
     # Where checks are found is no matter of the cfg; no required key is as good as no such word.
-    kept = {k: v for k, v in value.items() if k != "x-check" and (k, v) != ("required", [])}
+    kept = {
+        k: v
+        for k, v in value.items()
+        if k not in ("x-check", "x-fill") and (k, v) != ("required", [])
+    }
     made = {key: _sorted(entry, key != "properties") for key, entry in kept.items()}
     return dict(sorted(made.items())) if by_key else made
 

@@ -17,13 +17,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small import small_cfg, write_cfg
 
-from scenec.compiler.cfg.fill import SUNS
 from scenec.compiler.cfg.load import load
-from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.light import draw_light
+from scenec.compiler.draw.batch import draw
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_columns import chapman, columns
-from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, Medium, earth, mars
+from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, SUNS, Medium, earth, mars
 from scenec.compiler.light.atmosphere_spectra import (
     GRID_NM,
     SUNLIGHT,
@@ -285,7 +283,7 @@ def lit(tmp_path: Path, light: dict[str, Any]) -> tuple[dict[str, Any], Light]:
     cfg["light"] = light | {"sky": {"type": "atmosphere", "labels": label} | light.get("sky", {})}
     spec = load(write_cfg(tmp_path, cfg))
     samples = int(spec.cfg["samples"])
-    plan = draw_light(spec, Streams(1, 0), samples)
+    plan = draw(spec, 1, 0).light
     return spec.cfg["light"], build_light(plan, samples, color=True, labels=True)
 
 

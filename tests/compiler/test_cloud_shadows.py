@@ -18,6 +18,7 @@ from scenec.compiler.light import cloud_shadows as shadows
 from scenec.compiler.light.build import build_light
 from scenec.compiler.light.cloud_fields import (
     CirrusField,
+    Clouds,
     Cumulus,
     CumulusField,
     no_cirrus,
@@ -25,7 +26,6 @@ from scenec.compiler.light.cloud_fields import (
 )
 from scenec.compiler.light.cloud_rays import beam_left
 from scenec.compiler.light.cloud_shadows import EVEN, Land, _disc, cloud_shadows
-from scenec.compiler.light.plan import CloudsPlan
 
 RADIUS = np.radians(0.265)
 LAND = Land((-1000.0, -800.0, -20.0), (1000.0, 800.0, 60.0), 0.0)
@@ -103,7 +103,7 @@ def test_shadows_lie_where_beams_from_the_suns_disc_are_stopped(elevation, cover
 def test_the_middle_has_the_share_that_the_sky_shows():
     """The sky's picture hides the sun where the land's middle lies in shadow."""
     offsets = np.stack([np.linspace(-9000.0, 9000.0, 12), np.zeros(12)], axis=1)
-    clouds = CloudsPlan(8, cumulus_plan(0.5, 12, offset_m=offsets), None)
+    clouds = Clouds(resolution=8, cumulus=cumulus_plan(0.5, 12, offset_m=offsets))
     land = Land((-300.0, -300.0, 0.0), (300.0, 300.0, 20.0), 0.0)
     light = build_light(light_plan(clouds, 12), 12, True, False, land)
     assert light.sun is not None
@@ -202,10 +202,9 @@ def test_a_stage_tells_which_places_lie_in_shadow(tmp_path, elevation):
     assert len(list((tmp_path / "out").rglob("clouds_*.png"))) == 1
 
     from scenec.compiler.cfg.load import load
-    from scenec.compiler.distributions.streams import Streams
-    from scenec.compiler.draw.light import draw_light
+    from scenec.compiler.draw.batch import draw
 
-    plan = draw_light(load(path), Streams(3, 0), 6).clouds
+    plan = draw(load(path), 3, 0).light.clouds
     assert plan is not None
     assert plan.cumulus is not None
     cumulus = CumulusField(plan.cumulus).at(cloudy[0])

@@ -11,8 +11,12 @@ from small import small_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.light.build import build_light
+from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.cloud_fields import (
+    CirrusClouds,
     CirrusField,
+    Clouds,
+    CumulusClouds,
     CumulusField,
     billow_tile,
     no_cirrus,
@@ -22,7 +26,7 @@ from scenec.compiler.light.cloud_rays import Shine, _scattered, beam_left, throu
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import directions
 from scenec.compiler.light.overcast import transmitted
-from scenec.compiler.light.plan import CirrusPlan, ClearSkyPlan, CloudsPlan, CumulusPlan, LightPlan
+from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.scene.light import SunLight
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import at_most
@@ -35,18 +39,18 @@ def numbers(*values: float) -> np.ndarray:
     return np.array(values, np.float64)
 
 
-def cumulus_plan(coverage=0.4, samples=1, **more) -> CumulusPlan:
+def cumulus_plan(coverage=0.4, samples=1, **more) -> CumulusClouds:
     drawn = {"coverage": coverage, "optical_depth": 40.0, "base_m": 1200.0, "thickness_m": 900.0}
-    plan = CumulusPlan(
+    plan = CumulusClouds(
         key=5, size_m=1800.0, offset_m=np.zeros((samples, 2)),
         **{key: np.full(samples, value) for key, value in drawn.items()},
     )  # fmt: skip
     return replace(plan, **more)
 
 
-def cirrus_plan(samples=1, **more) -> CirrusPlan:
+def cirrus_plan(samples=1, **more) -> CirrusClouds:
     drawn = {"coverage": 0.6, "optical_depth": 0.5, "height_m": 9000.0, "bearing_deg": 30.0}
-    plan = CirrusPlan(
+    plan = CirrusClouds(
         key=6, size_m=4000.0, offset_m=np.zeros((samples, 2)),
         **{key: np.full(samples, value) for key, value in drawn.items()},
     )  # fmt: skip
@@ -71,13 +75,17 @@ def drawn(cumulus, cirrus, turn=0.0, to_sun=(0.0, -0.6, 0.8), height=64) -> np.n
     return sky
 
 
-def light_plan(clouds: CloudsPlan, samples=1, elevation=50.0) -> LightPlan:
+def light_plan(clouds: Clouds, samples=1, elevation=50.0) -> LightPlan:
     sun = SunLight(
         np.full(samples, 90.0), np.full(samples, elevation), np.full(samples, 1000.0),
         np.full(samples, 0.53), np.ones((samples, 3)),
     )  # fmt: skip
-    colors = [np.full((samples, 3), value) for value in (0.5, 0.7, 0.2)]
-    return LightPlan(sun, ClearSkyPlan(16, np.full(samples, 100.0), *colors), clouds=clouds)
+    zenith, horizon, ground = (np.full((samples, 3), value) for value in (0.5, 0.7, 0.2))
+    sky = ClearSky(
+        resolution=16, irradiance=np.full(samples, 100.0), zenith_color=zenith,
+        horizon_color=horizon, ground_color=ground,
+    )  # fmt: skip
+    return LightPlan(sun, sky, clouds=clouds)
 
 
 @pytest.mark.parametrize("coverage", [0.2, 0.7])
@@ -187,7 +195,10 @@ def test_the_sun_loses_what_is_before_it_and_samples_alike_share_a_picture():
     samples = 4
     moved = np.zeros((samples, 2))
     moved[2:, 0] = [700.0, 5000.0]
-    clouds = CloudsPlan(16, cumulus_plan(0.6, samples, offset_m=moved), cirrus_plan(samples))
+    clouds = Clouds(
+        resolution=16, cumulus=cumulus_plan(0.6, samples, offset_m=moved),
+        cirrus=cirrus_plan(samples),
+    )  # fmt: skip
     light = build_light(light_plan(clouds, samples), samples, True, False)
     assert light.sky is not None
     assert light.sun is not None
@@ -202,15 +213,14 @@ def test_the_sun_loses_what_is_before_it_and_samples_alike_share_a_picture():
 
 
 def test_drawn_light_depends_on_the_batch_and_the_cfg_has_its_defaults(tmp_path):
-    from scenec.compiler.distributions.streams import Streams
-    from scenec.compiler.draw.light import draw_light
+    from scenec.compiler.draw.batch import draw
 
-    cfg = small_cfg()
+    cfg = small_cfg(samples=3)
     cfg["light"]["clouds"] = {"cumulus": {}, "cirrus": {"bearing_deg": 10}}
     path = tmp_path / "a.json"
     path.write_text(json.dumps(cfg))
     spec = load(path)
-    plans = [draw_light(spec, Streams(1, batch), 3).clouds for batch in (0, 1)]
+    plans = [draw(spec, 1, batch).light.clouds for batch in (0, 1)]
     for plan in plans:
         assert plan is not None
         assert plan.resolution == 768
@@ -233,3 +243,13 @@ def test_clouds_need_a_sky_that_can_have_them(tmp_path, sky):
     path.write_text(json.dumps(cfg))
     with pytest.raises(CfgError, match="/light/clouds: clouds need a sky that is made"):
         load(path)
+
+
+def test_the_sky_that_is_there_when_none_is_said_can_have_clouds(tmp_path):
+    cfg = small_cfg(outputs=["depth"], labels={})
+    cfg["light"] = {"clouds": {}}
+    for user in (*cfg["terrain"]["ground"], *cfg["objects"].values()):
+        user.pop("labels", None)
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(cfg))
+    assert load(path).cfg["light"]["sky"]["type"] == "clear"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,9 @@ from hypothesis import strategies as st
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.icosphere import icosphere
-from scenec.compiler.light.atmosphere_sky import build_atmosphere
-from scenec.compiler.light.clear_sky import build_sky
+from scenec.compiler.light.atmosphere_sky import AtmosphereSky
+from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import directions, luminance
-from scenec.compiler.light.plan import AtmospherePlan, ClearSkyPlan
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.light import SunLight
@@ -170,11 +170,12 @@ def sun(elevation: float) -> SunLight:
 
 
 def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():
-    plan = ClearSkyPlan(
-        64, np.array([200.0]), np.array([[0.1, 0.3, 0.9]]), np.array([[0.5, 0.6, 0.9]]),
-        np.array([[0.3, 0.3, 0.3]]),
+    plan = ClearSky(
+        resolution=64, irradiance=np.array([200.0]), zenith_color=np.array([[0.1, 0.3, 0.9]]),
+        horizon_color=np.array([[0.5, 0.6, 0.9]]), ground_color=np.array([[0.3, 0.3, 0.3]]),
     )  # fmt: skip
-    light = build_sky(plan, sun(40.0), 1)
+    light, _, _ = plan.build(sun(40.0), 1)
+    assert light is not None
     picture = light.pictures[light.texture[0]][:32].reshape(-1, 3)
     to = directions(64)[:32].reshape(-1, 3)
     found = clear_along(plan, sun(40.0), to, points.upper_half(100_000))
@@ -187,11 +188,8 @@ def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():
 @pytest.mark.slow
 @pytest.mark.parametrize("scattering", ["single", "multiple"])
 def test_an_atmosphere_along_rays_is_the_picture_s_at_texels(scattering):
-    one = np.ones(1)
-    plan = AtmospherePlan(
-        "mars", scattering, 32, one, one, one, 0.0 * one, np.array([[0.3, 0.16, 0.09]])
-    )
-    light, _, _ = build_atmosphere(plan, sun(30.0), 1)
+    plan = replace(atmosphere(32), scattering=scattering)
+    light, _, _ = plan.build(sun(30.0), 1)
     assert light is not None
     picture = light.pictures[light.texture[0]][:15].reshape(-1, 3)
     to = directions(32)[:15].reshape(-1, 3)
@@ -199,10 +197,12 @@ def test_an_atmosphere_along_rays_is_the_picture_s_at_texels(scattering):
     assert np.abs(found / picture - 1.0).max() < 1e-3
 
 
-def atmosphere(resolution: int) -> AtmospherePlan:
+def atmosphere(resolution: int) -> AtmosphereSky:
     one = np.ones(1)
-    color = np.array([[0.3, 0.16, 0.09]])
-    return AtmospherePlan("mars", "single", resolution, one, one, one, 0.0 * one, color)
+    return AtmosphereSky(
+        planet="mars", resolution=resolution, air_density=one, dust_density=one, ozone_density=one,
+        altitude_m=0.0 * one, ground_color=np.array([[0.3, 0.16, 0.09]]),
+    )  # fmt: skip
 
 
 def test_a_sky_s_rows_are_held_against_rays_of_its_own_steps_and_wavelengths(monkeypatch):
@@ -213,7 +213,7 @@ def test_a_sky_s_rows_are_held_against_rays_of_its_own_steps_and_wavelengths(mon
     to = points.upper_half(400)
     rays = luminance(atmosphere_along(atmosphere(16), sun(5.0), to, 32, 17))
     for rung in ladder.rungs:
-        light, _, _ = build_atmosphere(atmosphere(round(rung.value)), sun(5.0), 1)
+        light, _, _ = atmosphere(round(rung.value)).build(sun(5.0), 1)
         away = luminance(bilinear(light.pictures[light.texture[0]], to)) - rays
         assert rung.rms == pytest.approx(points.rms(away) / rays.mean(), rel=1e-9)
 

@@ -18,8 +18,8 @@ from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.light.build import Light, without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
+from scenec.compiler.light.lamp import LampPlan, Target, WorldMount
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
-from scenec.compiler.light.plan import LampPlan, WorldMount
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light import Lamp, SkyLight, SunLight
@@ -61,8 +61,10 @@ def flat(height: float = 2.0) -> Surface:
 
 def world_lamp(**change: Any) -> LampPlan:
     mount = {
-        "position": np.array([[1.0, 2.0, 3.0]]),
-        "on_ground": True,
+        "x_m": np.ones(1),
+        "y_m": np.full(1, 2.0),
+        "z_m": np.full(1, 3.0),
+        "heights": "ground",
         "bearing_deg": np.zeros(1),
         "elevation_deg": np.full(1, -90.0),
         "target": None,
@@ -102,10 +104,11 @@ def test_a_standing_lamp_shines_along_its_bearing_and_elevation(bearing_deg, ele
 
 
 def test_a_standing_lamp_shines_at_its_target_over_the_same_ground():
-    lamp = built(target=np.array([[4.0, -2.0, 0.0]]))
+    target = Target(x_m=np.full(1, 4.0), y_m=np.full(1, -2.0), z_m=np.zeros(1))
+    lamp = built(target=target)
     way = np.array([4.0, -2.0, 2.0]) - [1.0, 2.0, 5.0]
     assert np.allclose(-lamp.to_world[0][:3, 2], way / np.linalg.norm(way), atol=1e-12)
-    over_zero = built(target=np.array([[4.0, -2.0, 0.0]]), on_ground=False)
+    over_zero = built(target=target, heights="world")
     assert over_zero.to_world[0][:3, 3].tolist() == [1.0, 2.0, 3.0]
 
 

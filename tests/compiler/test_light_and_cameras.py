@@ -10,9 +10,8 @@ from scenec.compiler.emit.cameras import HALF_TURN
 from scenec.compiler.emit.lights import _pointing_from
 from scenec.compiler.geometry.poses import compose, from_euler, from_quaternion, look_at
 from scenec.compiler.light import clear_sky as skies
-from scenec.compiler.light.clear_sky import build_sky, clear_sky
+from scenec.compiler.light.clear_sky import ClearSky, clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.plan import ClearSkyPlan
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light import SunLight
 
@@ -150,8 +149,15 @@ def test_samples_under_one_sky_share_a_picture_that_is_made_once(monkeypatch):
 
     monkeypatch.setattr(skies, "clear_sky", counted)
     irradiance = np.tile([50.0, 80.0], 20)
-    colors = (np.tile(color, (40, 1)) for color in ([0.1, 0.3, 0.9], [0.4, 0.6, 0.9], [0.3] * 3))
-    sky = build_sky(ClearSkyPlan(8, irradiance, *colors), None, 40)
+    zenith, horizon, ground = (
+        np.tile(color, (40, 1)) for color in ([0.1, 0.3, 0.9], [0.4, 0.6, 0.9], [0.3] * 3)
+    )
+    plan = ClearSky(
+        resolution=8, irradiance=irradiance, zenith_color=zenith, horizon_color=horizon,
+        ground_color=ground,
+    )  # fmt: skip
+    sky, _, _ = plan.build(None, 40)
+    assert sky is not None
     assert len(made) == 2
     assert list(sky.pictures) == ["sky_0000.exr", "sky_0001.exr"]
     assert sky.texture == ("sky_0000.exr", "sky_0001.exr") * 20

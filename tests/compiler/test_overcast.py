@@ -13,8 +13,8 @@ from small import small_cfg
 from scenec.compiler.cfg.load import load
 from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
-from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
-from scenec.compiler.light.plan import LightPlan, OvercastSkyPlan
+from scenec.compiler.light.overcast import OvercastSky, overcast_sky, reflected, transmitted
+from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.scene.light import SunLight
 from scenec.schemas.errors import CfgError
 
@@ -29,7 +29,10 @@ def made(depth=30.0, elevation=50.0, albedo=0.2, **more) -> tuple[LightPlan, int
         np.ones((n, 3)),
     )  # fmt: skip
     ground = np.full((n, 3), albedo)
-    return LightPlan(sun, OvercastSkyPlan(32, depths, np.ones((n, 3)), ground, **more)), n
+    sky = OvercastSky(
+        resolution=32, optical_depth=depths, color=np.ones((n, 3)), ground_color=ground, **more
+    )
+    return LightPlan(sun, sky), n
 
 
 def test_the_zenith_is_three_times_as_bright_as_the_horizon_and_gives_seven_ninths_of_pi():

@@ -30,8 +30,9 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw.batch import draw
-from scenec.compiler.draw.light import _pick
+from scenec.compiler.kinds.context import Context
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
+from scenec.compiler.light.panorama import ImageSky
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, extract_sun
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, SceneError
@@ -41,9 +42,9 @@ HEIGHT = 256
 
 
 def picks(count: int, samples: int, batches: int, seed: int = 5) -> list[int]:
-    cfg = {"files": ["x"] * count, "pick": "shuffled"}
+    sky = ImageSky(files=("x",) * count, pick="shuffled")
     return [
-        _pick(cfg, Streams(seed, batch), sample, samples)
+        sky.pick_of(sample, Context(Streams(seed, batch), path="light/sky", samples=samples))
         for batch in range(batches)
         for sample in range(samples)
     ]
@@ -66,8 +67,8 @@ def test_runs_are_in_different_orders_and_all_orders_are_alike_likely():
 
 def test_what_a_sample_gets_does_not_depend_on_what_else_is_drawn():
     whole = picks(5, 4, 6)
-    cfg = {"files": ["x"] * 5, "pick": "shuffled"}
-    assert _pick(cfg, Streams(5, 4), 2, 4) == whole[4 * 4 + 2]
+    context = Context(Streams(5, 4), path="light/sky", samples=4)
+    assert ImageSky(files=("x",) * 5, pick="shuffled").pick_of(2, context) == whole[4 * 4 + 2]
 
 
 def sky_with(

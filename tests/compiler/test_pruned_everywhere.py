@@ -12,8 +12,7 @@ from small import small_cfg, write_cfg
 from test_panoramas import sky_with
 
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.light.panorama import build_panorama
-from scenec.compiler.light.plan import ImageSkyPlan
+from scenec.compiler.light.panorama import ImageSky
 from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.materials.values import gray_picture
 from scenec.compiler.scene.material import Material, MaterialMaps
@@ -48,8 +47,11 @@ def test_a_picture_of_roughness_counts_by_its_smoothest_texels(smooth, mirror):
 
 def _panorama(path: Path, radiance: float, extract: bool) -> bool:
     write_rgb(path, sky_with((40.0, 35.0), 3.0, radiance))
-    plan = ImageSkyPlan((path,), np.ones(1), np.zeros(1), extract, {})
-    return build_panorama(plan)[0].sharp
+    sun = "extract" if extract else "keep"
+    plan = ImageSky(files=(path,), strength=np.ones(1), rotation_deg=np.zeros(1), sun=sun)
+    sky, _, _ = plan.build(None, 1)
+    assert sky is not None
+    return sky.sharp
 
 
 def test_a_sun_that_stays_in_the_skys_picture_is_sharp(tmp_path):

@@ -76,7 +76,10 @@ def cfg() -> dict[str, Any]:
                 "density": {"type": "rows", "spacing_m": 2, "width_m": 0.2},
             }
         },
-        "light": {"sun": {"elevation_deg": 30, "azimuth_deg": 90}, "sky": {"type": "none"}},
+        "light": {
+            "sun": {"elevation_deg": 30, "azimuth_deg": 90},
+            "sky": {"type": "dusk", "bearing_deg": {"type": "choice", "values": [90, 180]}},
+        },
         "rigs": {
             "drone": {
                 "pose": {"type": "spiral", "radius_m": 6},
@@ -134,7 +137,7 @@ def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path:
         assert done.returncode == 0, done.stderr
     made = [json.loads((out / "manifest.json").read_text()) for out in outs]
     assert made[0]["files"] == made[1]["files"]
-    assert len(made[0]["plugins"]) == 7
+    assert len(made[0]["plugins"]) == 8
     (package,) = set(made[0]["plugins"].values())
     assert package.startswith("scenec-farmland 1.0 (code ")
     done = scenec(site, "render", outs[0], "--backend", "pyrender", "--spp", "4")
@@ -182,6 +185,58 @@ def test_masks_and_distributions_reach_another_packages_operator(
     depth = masked.operator.depth_m
     assert 0.1 <= depth <= 0.2
     assert np.abs(height).max() == pytest.approx(0.5 * depth, rel=1e-3)
+
+
+def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path: Path) -> None:
+    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.light.build import build_light
+
+    document = cfg()
+    document["labels"]["class"]["glow"] = 3
+    document["light"]["sky"] = {
+        "type": "dusk",
+        "irradiance": {"type": "uniform", "min": 2, "max": 6},
+        "labels": {"class": "glow"},
+    }
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(document))
+    plan = draw(load(path), 3, 0)
+    assert plan.sky_labels == {"class": 3}
+    light = build_light(plan.light, 2, True, True)
+    assert light.sky is not None
+    assert light.sky.rotation_deg.tolist() == [270.0, 270.0]
+    # Luminance on level ground is what is drawn, once a sample; the sun comes on top of it.
+    assert light.sun is not None
+    of_sun = 0.5 * light.sun.irradiance
+    of_sky = light.irradiance - of_sun
+    assert of_sky[0] != of_sky[1]
+    assert ((of_sky > 2.0) & (of_sky < 6.0)).all()
+    document["light"]["clouds"] = {}
+    assert "clouds need a sky" in dict(faults(path, document))["/light/clouds"]
+
+
+def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path: Path) -> None:
+    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.light.build import build_light
+
+    document = cfg()
+    document["light"]["sky"] = {"type": "clear", "resolution": 8}
+    veil = {"type": "veil", "optical_depth": {"type": "choice", "values": [0.2, 0.4]}}
+    document["light"]["clouds"] = {"more": [veil, {"type": "veil"}], "resolution": 8}
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(document))
+    spec = load(path)
+    assert set(spec.plugins) >= {"scenec.clouds veil"}
+    plan = draw(spec, 5, 0).light
+    light = build_light(plan, 2, True, False)
+    assert light.sun is not None
+    # The sun is 30 degrees high: the way through a layer is twice its depth.
+    depth = plan.clouds.more[0].optical_depth
+    assert set(depth) <= {0.2, 0.4}
+    assert light.sun.irradiance == pytest.approx(1000.0 * np.exp(-2.0 * (depth + 0.3)))
+    assert light.facts["clouds"]["more"][1]["left"] == pytest.approx([np.exp(-0.6)] * 2)
+    document["light"]["clouds"]["more"] = [{"type": "vail"}]
+    assert 'did you mean "veil"' in dict(faults(path, document))["/light/clouds/more/0/type"]
 
 
 def test_keys_of_another_package_are_checked_like_our_own(there: Path, tmp_path: Path) -> None:

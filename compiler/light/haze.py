@@ -1,0 +1,126 @@
+"""Draws the haze of every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.kinds.context import Context
+from scenec.compiler.kinds.declare import Form, bounded, key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import LENGTH_PER_SAMPLE, PER_SAMPLE, list_of
+from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.light.latlong import luminance
+from scenec.compiler.scene.light import Haze
+
+#: -ln 0.02: over the visibility, contrast falls to 2 % (Koschmieder 1924).
+KOSCHMIEDER = 3.912
+
+
+def _rgb(most: float, unit: str | None = None) -> Form:
+    """Returns the form of a color of each sample."""
+    channel = bounded(PER_SAMPLE, at_least=0, at_most=most, unit=unit)
+    return list_of(channel, "Linear Rec.709 red, green or blue.", least=3, most=3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HazeLayer:
+    """A layer of air that scatters.
+
+    Light of surfaces and of the sky is weakened on its way to the camera by exp(-optical
+    depth), and the light of suns and sky that the layer scatters toward the camera, the
+    airlight, is added. Surfaces receive suns weakened and their sky brightened by as much as
+    the layer does at their height, so shadows soften. Said once for all renderers, from exact
+    depth. What a sky's picture shows below the horizon is taken as ground at the height of the
+    scene's lowest point. Haze throws no shadows, none fall into it, and lamps make no beams in
+    it.
+    """
+
+    EXAMPLE: ClassVar = {
+        "visibility_m": {"type": "uniform", "min": 200, "max": 2000},
+        "scale_height_m": 50,
+    }
+
+    KEYWORDS: ClassVar = {"type": ["object", "null"]}
+
+    TITLE: ClassVar = "Haze"
+    visibility_m: Number | None = key(
+        LENGTH_PER_SAMPLE, optional=True, at_least=0.001, at_most=1_000_000_000_000
+    )
+    """Distance at which 2 % of a black thing's contrast to the horizon are left (Koschmieder 1924):
+    the extinction of luminance is 3.912 / visibility."""
+    color: Any = key(
+        _rgb(1000),
+        default=[1, 1, 1],
+    )
+    """Extinction by color, relative: more blue, as of small droplets, turns dark hills blue and
+    bright snow yellow. Scaled so that the extinction of luminance is as said."""
+    extinction_per_m: Any | None = key(
+        _rgb(1_000_000, "1/m"),
+        optional=True,
+    )
+    """Extinction itself, in place of visibility_m and color."""
+    scale_height_m: Number = key(
+        LENGTH_PER_SAMPLE, default=1000, at_least=0.001, at_most=1_000_000_000
+    )
+    """Height over which it thins out by a factor e, from the world's z = 0, where it is as said:
+    some meters for morning fog on meadows, 1 km for haze over land, 11 km for dust on Mars.
+    Straight up, its optical depth is the extinction at z = 0 times this."""
+    asymmetry: Number = key(PER_SAMPLE, default=0.7, at_least=-0.9, at_most=0.9)
+    """g of the phase function (Henyey and Greenstein 1941), the mean cosine of the angle by which
+    light is turned: 0 in all directions alike, 0.65 dust, 0.7 haze, 0.85 fog, whose droplets glow
+    around the sun."""
+    albedo: Any = key(
+        _rgb(1),
+        default=[1, 1, 1],
+    )
+    """Part of the light it meets that it scatters and does not absorb, by color: 1 water, [0.97,
+    0.92, 0.78] dust on Mars."""
+    airlight: Any = key(
+        Form(
+            {
+                "type": ["string", "array"],
+                "if": {"type": "string"},
+                "then": {"enum": ["sky"]},
+                "else": {
+                    "minItems": 3,
+                    "maxItems": 3,
+                    "items": {
+                        **PER_SAMPLE.keywords,
+                        "description": "Radiance, linear Rec.709 red, green or blue.",
+                        "minimum": 0,
+                        "maximum": 1_000_000_000,
+                        "x-unit": "W/(m² sr)",
+                    },
+                },
+            }
+        ),
+        default="sky",
+    )
+    """Radiance that endless haze shows. "sky": what haze scatters of suns and sky. Or, in all
+    directions, linear Rec.709 radiance, [red, green, blue] in W/(m² sr)."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether its density is said twice, or not at all, or its color can be black."""
+        yield from node.both("visibility_m", "extinction_per_m", "how dense it is")
+        if "visibility_m" not in node:
+            if "extinction_per_m" not in node:
+                yield node.fault("expected the key visibility_m, or extinction_per_m")
+            elif "color" in node:
+                yield node.key_fault(
+                    "extinction_per_m has a color of its own: take one of the two away", "color"
+                )
+        if is_black(node):
+            yield node.fault(black("a visibility"), "color")
+
+    def draw(self, context: Context) -> Haze:
+        """Returns the haze at every sample."""
+        drawn = context.sampled(self)
+        color, visibility = drawn.pop("color"), drawn.pop("visibility_m", None)
+        extinction = drawn.pop("extinction_per_m", None)
+        if extinction is None:
+            extinction = color * (KOSCHMIEDER / (visibility * luminance(color)))[:, None]
+        return Haze(extinction=extinction, **{"airlight": None, **drawn})

@@ -1,0 +1,96 @@
+"""Defines what a kind of sky is, and the black one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+from scenec.compiler.kinds.context import Array, Context
+from scenec.compiler.kinds.declare import bounded, key
+from scenec.compiler.kinds.forms import COUNT, SKY_LABELS, SKY_LABELS_BELOW
+from scenec.compiler.kinds.node import Node
+from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
+
+ROWS = bounded(COUNT, at_least=8, at_most=4096, unit="px").but(
+    default=128,
+    description="Height of the lat-long picture that is made, in pixels; its width is twice that.",
+)
+
+
+#: Pictures of a sky, None for black; its sun, None for none; facts for report.json.
+type SkyAndSun = tuple[SkyLight | None, SunLight | None, dict[str, Any]]
+
+
+class Sky(ABC):
+    """What surrounds the scene. Numbers of each sample are arrays once they are drawn."""
+
+    #: Albedo of the far ground, [s, 3]; clouds that are drawn before the sky are lit by it.
+    ground_color: Array
+
+    def draw(self, context: Context) -> Self | None:
+        """Returns what is built: the sky at every sample, or None for black."""
+        return replace(self, **context.sampled(self))  # type: ignore[type-var]
+
+    @abstractmethod
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns pictures of the sky, the sun as it is seen in it, and facts for report.json.
+
+        Args:
+            sun: As the cfg has it, above the sky; None for none.
+            samples: How many.
+        """
+
+    def build_label_maps(self) -> SkyLabelMaps | None:
+        """Returns what is seen where in the pictures; None: the sky's one label everywhere."""
+        return None
+
+    @staticmethod
+    def usual_sun(sky: Mapping[str, Any]) -> Mapping[str, Any] | None:
+        """Returns keys of the sun where the cfg is silent; None: the sky gives the sun itself.
+
+        Args:
+            sky: The sky's keys in full.
+        """
+        return {}
+
+    @staticmethod
+    def takes_clouds(sky: Node) -> bool:
+        """Returns whether clouds can be drawn before a sky of a cfg: it has a ``ground_color``."""
+        return False
+
+
+class CloudLayer(ABC):
+    """Clouds of another package. Numbers of each sample are arrays once they are drawn."""
+
+    def draw(self, context: Context) -> Self:
+        """Returns the layer at every sample."""
+        return replace(self, **context.sampled(self))  # type: ignore[type-var]
+
+    @abstractmethod
+    def add(self, sky: SkyLight, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns the sky with the layer in its pictures, what is left of the sun, and facts.
+
+        Args:
+            sky: With all that is behind the layer, in pictures that were made.
+            sun: As it comes to the layer; None for none.
+            samples: How many.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlackSky(Sky):
+    """A black sky, which can have labels all the same."""
+
+    EXAMPLE: ClassVar = {"type": "none"}
+
+    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
+
+    def draw(self, context: Context) -> None:
+        """Returns None."""
+
+    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+        """Returns no pictures, and the sun."""
+        return None, sun, {}

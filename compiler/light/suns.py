@@ -1,0 +1,76 @@
+"""Draws suns: discs far away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from scenec.compiler.distributions.numbers import Number
+from scenec.compiler.kinds.context import Array, Context
+from scenec.compiler.kinds.declare import key
+from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, COLOR, PER_SAMPLE, SUN_ELEVATION_DEG
+from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.light.latlong import luminance
+from scenec.compiler.scene.light import SunLight
+
+
+def of_luminance_one(color: Array) -> Array:
+    """Returns colors [s, 3] scaled to luminance 1; black stays black."""
+    level = luminance(color)
+    return color / np.where(level > 0.0, level, 1.0)[:, None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sun:
+    """A disc far away."""
+
+    EXAMPLE: ClassVar = {
+        "elevation_deg": {"type": "uniform", "min": 15, "max": 60},
+        "azimuth_deg": {"type": "uniform", "min": 0, "max": 360},
+    }
+
+    ELSEWHERE: ClassVar = {
+        "light_sun": {
+            "DESCRIPTION": "A second sun; its keys are those of the sun.",
+            "EXAMPLE": {
+                "type": "sun", "irradiance": 150, "elevation_deg": 12, "azimuth_deg": 300,
+            },
+            "KEYWORDS": {},
+            "irradiance": {"description": "On a surface that faces the sun."},
+            "diameter_deg": {"description": "Angular diameter."},
+            "color": {"description": "Color, scaled so that the irradiance is as said; not black."},
+        }
+    }  # fmt: skip
+
+    KEYWORDS: ClassVar = {"type": ["object", "null"]}
+
+    irradiance: Number = key(
+        PER_SAMPLE, default=1000, above=0, at_most=1_000_000_000_000, unit="W/m²"
+    )
+    """On a surface that faces the sun. With a sky of the type atmosphere: above the atmosphere, and
+    if left out 1361 (Earth, Moon) or 590 (Mars). With an overcast one: above the cloud."""
+    elevation_deg: Any = key(SUN_ELEVATION_DEG)
+    azimuth_deg: Number = key(ANGLE_PER_SAMPLE, default=135, at_least=-100_000, at_most=100_000)
+    """Compass bearing of the sun, clockwise from +Y (north)."""
+    diameter_deg: Number = key(ANGLE_PER_SAMPLE, default=0.53, at_least=0, at_most=90)
+    """Angular diameter. With a sky of the type atmosphere on Mars: if left out, 0.35."""
+    color: Any = key(COLOR, default=[1, 0.94, 0.86])
+    """Color, scaled so that the irradiance is as said; not black. With a sky of the type
+    atmosphere, a factor on the color of sunlight: if left out, none."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields whether it can be black."""
+        if is_black(node):
+            is_sun = node.path == ("light", "sun")
+            yield node.fault(black("an irradiance" if is_sun else "what is asked for"), "color")
+
+    def draw(self, context: Context) -> SunLight:
+        """Returns the sun at every sample; one without a color is white."""
+        drawn = {"color": np.ones((context.samples, 3)), **context.sampled(self)}
+        drawn["color"] = of_luminance_one(drawn["color"])
+        return SunLight(**drawn)
