@@ -124,7 +124,7 @@ class CompileBatch:
         """
         # Here, so that a faulty cfg is told without.
         from scenec.compiler.build import BuildLog, build
-        from scenec.compiler.draw.batch import draw
+        from scenec.compiler.draw import draw
 
         if spec.digest != self.digest:
             text = "has changed since compiling began; run again"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
 from scenec.compiler.cfg.load import Spec, load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Scatter

@@ -161,7 +161,7 @@ def _title(name: str, context: Choice | None) -> str:
     """Returns what an object is called on the reference page where it says nothing else."""
     if context is not None:
         of = next(type_ for type_, other in context.kinds.items() if other == name)
-        return f"{context.prefix}: {of.replace('_', ' ')}"
+        return f"{context.prefix or context.title}: {of.replace('_', ' ')}"
     first, _, rest = name.partition("_")
     return first.capitalize() + (f": {rest.replace('_', ' ')}" if rest else "")
 

@@ -23,7 +23,7 @@ class Choice:
         title, description: Of the choice.
         of: What the key ``type`` is.
         each: The same in the tables of its kinds, where they say otherwise.
-        prefix: Of the titles of its kinds.
+        prefix: Of the titles of its kinds; "": the title.
         kinds: By ``type``: the name in ``CLASSES``.
         group: Of the entry points by which other packages add kinds; "" without.
         says: What each kind says after its description, of the class {0}.
@@ -35,8 +35,8 @@ class Choice:
     title: str
     description: str
     of: str
-    prefix: str
     kinds: Mapping[str, str]
+    prefix: str = ""
     group: str = ""
     each: str = ""
     says: str = ""
@@ -45,259 +45,141 @@ class Choice:
     check: str = ""
 
 
-def kinds(prefix: str, names: str, **others: str) -> dict[str, str]:
-    """Returns names in ``CLASSES`` by ``type``: prefix and ``type``, but for some."""
-    return {name: prefix + name for name in names.split()} | others
-
-
-#: Relief operators: what declares each, within ``scenec.compiler``.
-_RELIEF = {
-    "plane": "terrain.sources.plane:Plane",
-    "dem": "terrain.sources.dem:Dem",
-    "mesh": "terrain.sources.mesh_base:MeshBase",
-    "multifractal": "terrain.operators.multifractal:Multifractal",
-    "worley": "terrain.operators.worley:Worley",
-    "polygons": "terrain.operators.polygons:Polygons",
-    "crust": "terrain.operators.crust:Crust",
-    "craters": "terrain.operators.craters:CraterLaw",
-    "dunes": "terrain.operators.dunes:Dunes",
-    "barchans": "terrain.operators.barchans:BarchanField",
-    "ripples": "terrain.operators.dunes:Ripples",
-    "terraces": "terrain.operators.terraces:Terraces",
-    "stream_power": "terrain.operators.stream_power:StreamPower",
-    "thermal": "terrain.operators.thermal:Thermal",
-    "diffusion": "terrain.operators.smooth:Diffusion",
-    "smooth": "terrain.operators.smooth:Smooth",
-    "tracks": "terrain.operators.tracks:Tracks",
-    "footprints": "terrain.operators.footprints:Walks",
+#: What declares each kind, within ``scenec.compiler``; the order is that of messages and schema.
+#: Their names in ``CLASSES`` begin with that of the group: "relief_plane".
+_KINDS = {
+    "relief": {
+        "plane": "terrain.sources.plane:Plane",
+        "dem": "terrain.sources.dem:Dem",
+        "mesh": "terrain.sources.mesh_base:MeshBase",
+        "multifractal": "terrain.operators.multifractal:Multifractal",
+        "worley": "terrain.operators.worley:Worley",
+        "polygons": "terrain.operators.polygons:Polygons",
+        "crust": "terrain.operators.crust:Crust",
+        "craters": "terrain.operators.craters:CraterLaw",
+        "dunes": "terrain.operators.dunes:Dunes",
+        "barchans": "terrain.operators.barchans:BarchanField",
+        "ripples": "terrain.operators.dunes:Ripples",
+        "terraces": "terrain.operators.terraces:Terraces",
+        "stream_power": "terrain.operators.stream_power:StreamPower",
+        "thermal": "terrain.operators.thermal:Thermal",
+        "diffusion": "terrain.operators.smooth:Diffusion",
+        "smooth": "terrain.operators.smooth:Smooth",
+        "tracks": "terrain.operators.tracks:Tracks",
+        "footprints": "terrain.operators.footprints:Walks",
+    },
+    "displacement": {
+        "multifractal": "terrain.operators.multifractal:Multifractal",
+        "worley": "terrain.operators.worley:Worley",
+        "crust": "terrain.operators.crust:Crust",
+        "terraces": "terrain.operators.terraces:Terraces",
+    },
+    "condition": {
+        "height": "terrain.condition:Height",
+        "slope": "terrain.condition:Slope",
+        "curvature": "terrain.condition:Curvature",
+        "flow": "terrain.condition:Flow",
+        "crater_freshness": "terrain.freshness:Freshness",
+        "noise": "terrain.condition:Noise",
+        "point": "terrain.condition:FromPoint",
+        "path": "terrain.condition:FromPath",
+        "camera": "objects.conditions:FromCameras",
+        "object": "objects.conditions:FromObjects",
+    },
+    "density": {
+        "uniform": "objects.density:UniformDensity",
+        "noise": "objects.density:NoiseDensity",
+        "worley": "objects.density:WorleyDensity",
+        "image": "objects.density:ImageDensity",
+        "clusters": "objects.density:Clusters",
+        "path": "objects.density:PathDensity",
+        "rings": "objects.rings:RingDensity",
+        "around": "objects.density:AroundDensity",
+    },
+    "surface": {
+        "granite": "materials.rocks:Granite",
+        "basalt": "materials.rocks:Basalt",
+        "sandstone": "materials.rocks:Sandstone",
+        "breccia": "materials.rocks:Breccia",
+        "weathered": "materials.rocks:Weathered",
+        "sand": "materials.grounds:Sand",
+        "gravel": "materials.grounds:Gravel",
+        "mud_cracks": "materials.grounds:MudCracks",
+        "regolith": "materials.grounds:Regolith",
+        "soil": "materials.grounds:Soil",
+        "pavement": "materials.pavement:Pavement",
+        "turf": "materials.turf:Turf",
+    },
+    "reflectance": {
+        "lambert": "materials.reflectance:Lambert",
+        "lommel_seeliger": "materials.reflectance:LommelSeeliger",
+        "hapke": "materials.reflectance:Hapke",
+    },
+    "objects": {
+        "rocks": "objects.families.rocks:Rocks",
+        "meshes": "objects.meshes:Meshes",
+        "placed": "objects.poses:Placed",
+    },
+    "pose": {
+        "random_target": "cameras.paths.random_target:RandomTarget",
+        "track": "cameras.tracks:TrackFile",
+        "random": "cameras.paths.random_pose:RandomPose",
+        "orbit": "cameras.paths.orbit:Orbit",
+        "lawn_mower": "cameras.paths.lawn_mower:LawnMower",
+        "rover": "cameras.paths.rover:Rover",
+        "mav": "cameras.paths.mav:Mav",
+        "descent": "cameras.paths.descent:Descent",
+    },
+    "pose_center": {
+        "point": "cameras.paths.orbit:PointAim",
+        "object": "cameras.paths.orbit:ObjectAim",
+    },
+    "pose_look": {
+        "direction": "cameras.paths.looks:LookDirection",
+        "point": "cameras.paths.looks:LookPoint",
+        "object": "cameras.paths.orbit:ObjectAim",
+    },
+    "lens": {
+        "brown_conrady": "cameras.lens:BrownConrady",
+        "kannala_brandt": "cameras.lens:KannalaBrandt",
+        "equirectangular": "cameras.lens:Equirectangular",
+    },
+    "depth_camera": {
+        "stereo": "cameras.ranging:Stereo",
+        "time_of_flight": "cameras.ranging:TimeOfFlight",
+    },
+    "exposure": {
+        "auto": "cameras.exposure:Auto",
+        "incident": "cameras.exposure:Incident",
+        "fixed": "cameras.exposure:Fixed",
+    },
+    "imaging_exposure": {
+        "metered": "cameras.imaging:Metered",
+        "manual": "cameras.imaging:Manual",
+        "auto": "cameras.imaging:Auto",
+    },
+    "sky": {
+        "atmosphere": "light.atmosphere_sky:AtmosphereSky",
+        "clear": "light.clear_sky:ClearSky",
+        "image": "light.panorama:ImageSky",
+        "none": "light.sky:BlackSky",
+        "overcast": "light.overcast:OvercastSky",
+    },
+    "light": {
+        "sun": "light.suns:Sun",
+        "earthshine": "light.earthshine:Earthshine",
+    },
+    "light_mount": {
+        "rig": "light.lamp:RigMount",
+        "world": "light.lamp:WorldMount",
+    },
 }
-CHOICES = {
-    "clouds_layer": Choice(
-        title="Clouds: layer",
-        description="Clouds that another package draws into the sky: see docs/plugins.md.",
-        of="Name that a package offers it under.",
-        group="scenec.clouds",
-        prefix="Clouds",
-        kinds=kinds("clouds_", ""),
-    ),
-    "density": Choice(
-        title="Density",
-        description="How likely each place is to hold an object.",
-        of="Kind of density.",
-        group="scenec.densities",
-        prefix="Density",
-        kinds=kinds("density_", "uniform noise worley image clusters path rings around"),
-    ),
-    "depth_camera": Choice(
-        title="Depth camera",
-        description="How the sensor measures depth, for the output depth_measured. The output "
-        "depth stays exact.",
-        of="Way of measuring.",
-        each="Kind.",
-        prefix="",
-        kinds=kinds("depth_camera_", "stereo time_of_flight"),
-    ),
-    "displacement": Choice(
-        title="Displacement",
-        description="One small relief of a material, in meters along the vertical.",
-        of="Kind of relief.",
-        each="Kind of operator.",
-        prefix="Displacement",
-        kinds=kinds("displacement_", "multifractal worley crust terraces"),
-    ),
-    "effect": Choice(
-        title="Effect",
-        description="What is done to a camera's 8-bit picture after all else, by another package: "
-        "see docs/plugins.md.",
-        of="Name that a package offers it under.",
-        group="scenec.effects",
-        prefix="Effect",
-        kinds=kinds("effect_", ""),
-    ),
-    "exposure": Choice(
-        title="Exposure",
-        description="How radiance becomes an 8-bit picture; the radiance itself is not touched.",
-        of="Kind of exposure.",
-        prefix="Exposure",
-        kinds=kinds("exposure_", "auto incident fixed"),
-    ),
-    "ground_where": Choice(
-        title="Ground: where",
-        description="One condition on where a layer lies. Its border runs along the bound; the "
-        "color fades over the softness about it.",
-        of="Kind of condition.",
-        group="scenec.conditions",
-        shared="of_conditions",
-        check="terrain.bounds:Bounds",
-        prefix="Condition",
-        kinds=kinds("condition_", "height slope curvature flow crater_freshness noise point path"),
-    ),
-    "imaging_exposure": Choice(
-        title="Imaging: exposure",
-        description="Exposure time and speed of the sensor.",
-        of="Kind.",
-        prefix="Imaging exposure",
-        kinds=kinds("imaging_exposure_", "metered manual auto"),
-    ),
-    "lens": Choice(
-        title="Lens",
-        description="How the lens bends the picture. The parameters are OpenCV's, so that its "
-        "calibrations can be pasted; but the center of the top left pixel is (0.5, 0.5), OpenCV's "
-        "(0, 0): its cx and cy are less by a half.",
-        of="Kind of lens.",
-        prefix="Lens",
-        kinds=kinds("lens_", "brown_conrady kannala_brandt equirectangular"),
-        keywords={"x-whole": True},
-    ),
-    "light_more": Choice(
-        title="Further sun",
-        description="A disc far away, beside the sun.",
-        of="Kind of disc.",
-        prefix="Further sun",
-        kinds=kinds("light_", "sun earthshine"),
-    ),
-    "light_mount": Choice(
-        title="Lamp's mount",
-        description="What a lamp is fixed to.",
-        of="Kind of mount.",
-        prefix="Lamp's mount",
-        kinds=kinds("light_mount_", "rig world"),
-    ),
-    "objects": Choice(
-        title="Objects",
-        description="One class of objects.",
-        of="Kind of objects.",
-        prefix="Objects",
-        kinds=kinds("objects_", "rocks meshes placed"),
-    ),
-    "objects_where": Choice(
-        title="Objects: where",
-        description="One condition on where objects lie; several multiply.",
-        of="Kind of condition.",
-        group="scenec.conditions",
-        shared="of_conditions",
-        check="terrain.bounds:Bounds",
-        prefix="Condition",
-        kinds=kinds(
-            "condition_",
-            "height slope curvature flow crater_freshness noise point path",
-            material="relief_mask_material",
-        )
-        | kinds("condition_", "camera object"),
-    ),
-    "pose": Choice(
-        title="Pose",
-        description="Where a rig is in each sample.",
-        of="Kind of pose.",
-        group="scenec.poses",
-        shared="of_poses",
-        prefix="Pose",
-        kinds=kinds("pose_", "random_target track random orbit lawn_mower rover mav descent"),
-    ),
-    "pose_center": Choice(
-        title="Pose: center",
-        description="What an orbit goes around.",
-        of="Kind of center.",
-        prefix="Center",
-        kinds=kinds("pose_center_", "point object"),
-    ),
-    "pose_look": Choice(
-        title="Pose: look",
-        description="What a random pose looks at.",
-        of="Kind of look.",
-        prefix="Look",
-        kinds=kinds("pose_look_", "direction point object"),
-    ),
-    "reflectance": Choice(
-        title="Reflectance",
-        description="How the dull part of a surface scatters light.",
-        of="Kind of reflectance.",
-        prefix="Reflectance",
-        kinds=kinds("reflectance_", "lambert lommel_seeliger hapke"),
-    ),
-    "relief": Choice(
-        title="Relief operator",
-        description="One step in shaping the terrain.",
-        of="Kind of operator.",
-        group="scenec.relief",
-        shared="of_relief",
-        prefix="Relief",
-        kinds=kinds("relief_", " ".join(_RELIEF)),
-    ),
-    "relief_mask": Choice(
-        title="Relief mask",
-        description="One condition on where an operator acts; several multiply. A masked operator "
-        "is a blend of before and after, so it conserves nothing.",
-        of="Kind of condition.",
-        group="scenec.conditions",
-        shared="of_conditions",
-        check="terrain.bounds:Bounds",
-        prefix="Condition",
-        kinds=kinds(
-            "condition_",
-            "height slope curvature flow crater_freshness noise point path",
-            material="relief_mask_material",
-        ),
-    ),
-    "sky": Choice(
-        title="Sky",
-        description="What surrounds the scene.",
-        of="Kind of sky.",
-        group="scenec.skies",
-        shared="of_skies",
-        prefix="Sky",
-        kinds=kinds("sky_", "atmosphere clear image none overcast"),
-    ),
-    "surface": Choice(
-        title="Surface",
-        description="Pictures of color, roughness and normals that the compiler makes, without "
-        "seams; base_color and roughness of the material are their means.",
-        of="Kind of surface.",
-        group="scenec.surfaces",
-        shared="of_surfaces",
-        says="size_m, left out, is {0.SIZE_M:g} m.",
-        prefix="Surface",
-        kinds=kinds(
-            "surface_",
-            "granite basalt sandstone breccia weathered sand gravel mud_cracks regolith soil "
-            "pavement turf",
-        ),
-    ),
-}
-#: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
-CLASSES = {
-    **{f"relief_{name}": place for name, place in _RELIEF.items()},
+#: Objects of a cfg that have no ``type``.
+_OBJECTS = {
     "cfg": "cfg.whole:Cfg",
     "clouds_cirrus": "light.cloud_fields:CirrusClouds",
     "clouds_cumulus": "light.cloud_fields:CumulusClouds",
-    "condition_camera": "objects.conditions:FromCameras",
-    "condition_crater_freshness": "terrain.freshness:Freshness",
-    "condition_curvature": "terrain.condition:Curvature",
-    "condition_flow": "terrain.condition:Flow",
-    "condition_height": "terrain.condition:Height",
-    "condition_noise": "terrain.condition:Noise",
-    "condition_object": "objects.conditions:FromObjects",
-    "condition_path": "terrain.condition:FromPath",
-    "condition_point": "terrain.condition:FromPoint",
     "condition_ragged": "terrain.condition:Ragged",
-    "condition_slope": "terrain.condition:Slope",
-    "density_around": "objects.density:AroundDensity",
-    "density_clusters": "objects.density:Clusters",
-    "density_image": "objects.density:ImageDensity",
-    "density_noise": "objects.density:NoiseDensity",
-    "density_path": "objects.density:PathDensity",
-    "density_rings": "objects.rings:RingDensity",
-    "density_uniform": "objects.density:UniformDensity",
-    "density_worley": "objects.density:WorleyDensity",
-    "depth_camera_stereo": "cameras.ranging:Stereo",
-    "depth_camera_time_of_flight": "cameras.ranging:TimeOfFlight",
-    "displacement_crust": "terrain.operators.crust:Crust",
-    "displacement_multifractal": "terrain.operators.multifractal:Multifractal",
-    "displacement_terraces": "terrain.operators.terraces:Terraces",
-    "displacement_worley": "terrain.operators.worley:Worley",
-    "exposure_auto": "cameras.exposure:Auto",
-    "exposure_fixed": "cameras.exposure:Fixed",
-    "exposure_incident": "cameras.exposure:Incident",
     "focus": "cameras.lens:Focus",
     "ground_base": "mesh.terrain:GroundBase",
     "ground_layer": "mesh.terrain:GroundLayer",
@@ -306,27 +188,17 @@ CLASSES = {
     "imaging_bloom": "cameras.imaging:Bloom",
     "imaging_dark_current": "cameras.imaging:DarkCurrent",
     "imaging_defects": "cameras.imaging:Defects",
-    "imaging_exposure_auto": "cameras.imaging:Auto",
-    "imaging_exposure_manual": "cameras.imaging:Manual",
-    "imaging_exposure_metered": "cameras.imaging:Metered",
     "imaging_jpeg": "cameras.imaging:Jpeg",
     "imaging_vignetting": "cameras.imaging:Vignetting",
     "intrinsics": "cameras.sensor:Intrinsics",
     "label_choice": "cfg.whole:LabelChoice",
     "labels": "cfg.whole:Labels",
-    "lens_brown_conrady": "cameras.lens:BrownConrady",
-    "lens_equirectangular": "cameras.lens:Equirectangular",
-    "lens_kannala_brandt": "cameras.lens:KannalaBrandt",
     "lidar": "cameras.ranging:Lidar",
     "lidar_noise": "cameras.ranging:LidarNoise",
     "light": "light.plan:Lights",
     "light_clouds": "light.cloud_fields:Clouds",
-    "light_earthshine": "light.earthshine:Earthshine",
     "light_haze": "light.haze:HazeLayer",
     "light_lamp": "light.lamp:SpotLamp",
-    "light_mount_rig": "light.lamp:RigMount",
-    "light_mount_world": "light.lamp:WorldMount",
-    "light_sun": "light.suns:Sun",
     "light_target": "light.lamp:Target",
     "material": "materials.material:MaterialKeys",
     "material_cells": "materials.maps:CellsKeys",
@@ -338,60 +210,205 @@ CLASSES = {
     "object_detail": "objects.lod:ObjectDetail",
     "object_pose": "objects.poses:ObjectPose",
     "objects_apart": "objects.scattered:Spacing",
-    "objects_meshes": "objects.meshes:Meshes",
-    "objects_placed": "objects.poses:Placed",
-    "objects_rocks": "objects.families.rocks:Rocks",
     "objects_rocks_coating": "objects.coatings:CoatingPlan",
     "objects_rocks_fillet": "objects.feet:Fillet",
     "objects_scattered": "objects.scattered:Scattered",
-    "pose_center_object": "cameras.paths.orbit:ObjectAim",
-    "pose_center_point": "cameras.paths.orbit:PointAim",
-    "pose_descent": "cameras.paths.descent:Descent",
-    "pose_lawn_mower": "cameras.paths.lawn_mower:LawnMower",
     "pose_limits": "cameras.paths.looks:Limits",
-    "pose_look_direction": "cameras.paths.looks:LookDirection",
-    "pose_look_object": "cameras.paths.orbit:ObjectAim",
-    "pose_look_point": "cameras.paths.looks:LookPoint",
-    "pose_mav": "cameras.paths.mav:Mav",
-    "pose_orbit": "cameras.paths.orbit:Orbit",
-    "pose_random": "cameras.paths.random_pose:RandomPose",
-    "pose_random_target": "cameras.paths.random_target:RandomTarget",
-    "pose_rover": "cameras.paths.rover:Rover",
     "pose_sampling": "cameras.tracks:Sampling",
-    "pose_track": "cameras.tracks:TrackFile",
-    "reflectance_hapke": "materials.reflectance:Hapke",
-    "reflectance_lambert": "materials.reflectance:Lambert",
-    "reflectance_lommel_seeliger": "materials.reflectance:LommelSeeliger",
     "relief_mask_material": "mesh.terrain:Showing",
     "relief_mesh_roughness": "terrain.sources.mesh_base:Roughness",
     "rig": "cameras.plan:Rig",
     "sensor": "cameras.sensor:Sensor",
     "shutter": "cameras.exposure:Shutter",
-    "sky_atmosphere": "light.atmosphere_sky:AtmosphereSky",
-    "sky_clear": "light.clear_sky:ClearSky",
-    "sky_image": "light.panorama:ImageSky",
     "sky_label_map": "light.panorama:LabelMap",
     "sky_label_maps": "light.panorama:LabelMaps",
-    "sky_none": "light.sky:BlackSky",
-    "sky_overcast": "light.overcast:OvercastSky",
     "sun": "light.suns:Sun",
-    "surface_basalt": "materials.rocks:Basalt",
-    "surface_breccia": "materials.rocks:Breccia",
-    "surface_granite": "materials.rocks:Granite",
-    "surface_gravel": "materials.grounds:Gravel",
-    "surface_mud_cracks": "materials.grounds:MudCracks",
-    "surface_pavement": "materials.pavement:Pavement",
-    "surface_regolith": "materials.grounds:Regolith",
-    "surface_sand": "materials.grounds:Sand",
-    "surface_sandstone": "materials.rocks:Sandstone",
-    "surface_soil": "materials.grounds:Soil",
-    "surface_turf": "materials.turf:Turf",
-    "surface_weathered": "materials.rocks:Weathered",
     "terrain": "mesh.terrain:Terrain",
     "terrain_horizon": "mesh.terrain:TerrainHorizon",
     "terrain_mesh": "mesh.mesh:Meshing",
     "terrain_shade": "terrain.shade:Shade",
     "trigger": "cameras.mount:Trigger",
+}
+#: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
+CLASSES = _OBJECTS | {
+    f"{of}_{name}": place for of, kinds in _KINDS.items() for name, place in kinds.items()
+}
+
+
+def _of(group: str, names: str = "") -> dict[str, str]:
+    """Returns the names in ``CLASSES`` of a group's kinds, or of some, by ``type``."""
+    return {name: f"{group}_{name}" for name in names.split() or _KINDS[group]}
+
+
+#: Conditions on a place; others are of objects alone.
+_PLACES = _of("condition", "height slope curvature flow crater_freshness noise point path")
+CHOICES = {
+    "clouds_layer": Choice(
+        title="Clouds: layer",
+        description="Clouds that another package draws into the sky: see docs/plugins.md.",
+        of="Name that a package offers it under.",
+        group="scenec.clouds",
+        prefix="Clouds",
+        kinds={},
+    ),
+    "density": Choice(
+        title="Density",
+        description="How likely each place is to hold an object.",
+        of="Kind of density.",
+        group="scenec.densities",
+        kinds=_of("density"),
+    ),
+    "depth_camera": Choice(
+        title="Depth camera",
+        description="How the sensor measures depth, for the output depth_measured. The output "
+        "depth stays exact.",
+        of="Way of measuring.",
+        each="Kind.",
+        prefix="",
+        kinds=_of("depth_camera"),
+    ),
+    "displacement": Choice(
+        title="Displacement",
+        description="One small relief of a material, in meters along the vertical.",
+        of="Kind of relief.",
+        each="Kind of operator.",
+        kinds=_of("displacement"),
+    ),
+    "effect": Choice(
+        title="Effect",
+        description="What is done to a camera's 8-bit picture after all else, by another package: "
+        "see docs/plugins.md.",
+        of="Name that a package offers it under.",
+        group="scenec.effects",
+        kinds={},
+    ),
+    "exposure": Choice(
+        title="Exposure",
+        description="How radiance becomes an 8-bit picture; the radiance itself is not touched.",
+        of="Kind of exposure.",
+        kinds=_of("exposure"),
+    ),
+    "ground_where": Choice(
+        title="Ground: where",
+        description="One condition on where a layer lies. Its border runs along the bound; the "
+        "color fades over the softness about it.",
+        of="Kind of condition.",
+        group="scenec.conditions",
+        shared="of_conditions",
+        check="terrain.bounds:Bounds",
+        prefix="Condition",
+        kinds=_PLACES,
+    ),
+    "imaging_exposure": Choice(
+        title="Imaging: exposure",
+        description="Exposure time and speed of the sensor.",
+        of="Kind.",
+        prefix="Imaging exposure",
+        kinds=_of("imaging_exposure"),
+    ),
+    "lens": Choice(
+        title="Lens",
+        description="How the lens bends the picture. The parameters are OpenCV's, so that its "
+        "calibrations can be pasted; but the center of the top left pixel is (0.5, 0.5), OpenCV's "
+        "(0, 0): its cx and cy are less by a half.",
+        of="Kind of lens.",
+        kinds=_of("lens"),
+        keywords={"x-whole": True},
+    ),
+    "light_more": Choice(
+        title="Further sun",
+        description="A disc far away, beside the sun.",
+        of="Kind of disc.",
+        kinds=_of("light"),
+    ),
+    "light_mount": Choice(
+        title="Lamp's mount",
+        description="What a lamp is fixed to.",
+        of="Kind of mount.",
+        kinds=_of("light_mount"),
+    ),
+    "objects": Choice(
+        title="Objects",
+        description="One class of objects.",
+        of="Kind of objects.",
+        kinds=_of("objects"),
+    ),
+    "objects_where": Choice(
+        title="Objects: where",
+        description="One condition on where objects lie; several multiply.",
+        of="Kind of condition.",
+        group="scenec.conditions",
+        shared="of_conditions",
+        check="terrain.bounds:Bounds",
+        prefix="Condition",
+        kinds={**_PLACES, "material": "relief_mask_material", **_of("condition", "camera object")},
+    ),
+    "pose": Choice(
+        title="Pose",
+        description="Where a rig is in each sample.",
+        of="Kind of pose.",
+        group="scenec.poses",
+        shared="of_poses",
+        kinds=_of("pose"),
+    ),
+    "pose_center": Choice(
+        title="Pose: center",
+        description="What an orbit goes around.",
+        of="Kind of center.",
+        prefix="Center",
+        kinds=_of("pose_center"),
+    ),
+    "pose_look": Choice(
+        title="Pose: look",
+        description="What a random pose looks at.",
+        of="Kind of look.",
+        prefix="Look",
+        kinds=_of("pose_look"),
+    ),
+    "reflectance": Choice(
+        title="Reflectance",
+        description="How the dull part of a surface scatters light.",
+        of="Kind of reflectance.",
+        kinds=_of("reflectance"),
+    ),
+    "relief": Choice(
+        title="Relief operator",
+        description="One step in shaping the terrain.",
+        of="Kind of operator.",
+        group="scenec.relief",
+        shared="of_relief",
+        prefix="Relief",
+        kinds=_of("relief"),
+    ),
+    "relief_mask": Choice(
+        title="Relief mask",
+        description="One condition on where an operator acts; several multiply. A masked operator "
+        "is a blend of before and after, so it conserves nothing.",
+        of="Kind of condition.",
+        group="scenec.conditions",
+        shared="of_conditions",
+        check="terrain.bounds:Bounds",
+        prefix="Condition",
+        kinds={**_PLACES, "material": "relief_mask_material"},
+    ),
+    "sky": Choice(
+        title="Sky",
+        description="What surrounds the scene.",
+        of="Kind of sky.",
+        group="scenec.skies",
+        shared="of_skies",
+        kinds=_of("sky"),
+    ),
+    "surface": Choice(
+        title="Surface",
+        description="Pictures of color, roughness and normals that the compiler makes, without "
+        "seams; base_color and roughness of the material are their means.",
+        of="Kind of surface.",
+        group="scenec.surfaces",
+        shared="of_surfaces",
+        says="size_m, left out, is {0.SIZE_M:g} m.",
+        kinds=_of("surface"),
+    ),
 }
 
 

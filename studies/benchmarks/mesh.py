@@ -21,7 +21,7 @@ import numpy as np
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.studies.runner import Cell, Study, apart, peak_mib, run
 
 CFG: dict[str, Any] = {

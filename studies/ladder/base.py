@@ -15,7 +15,7 @@ from scenec.compiler.build import (
     stand_rigs,
 )
 from scenec.compiler.cfg.load import Spec
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.build import Built
 from scenec.compiler.objects.plan import ScatterPlan

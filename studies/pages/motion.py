@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from scenec.compiler.build import BuildLog, build_surface, stand_rigs
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.studies.benchmarks.tracks import motion, quaternions
 from scenec.studies.runner import Page, run, table

@@ -17,7 +17,7 @@ from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cfg.check_numbers import check_number, read_number
 from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.numbers import Distribution
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.plan import Plan

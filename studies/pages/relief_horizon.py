@@ -9,7 +9,7 @@ import numpy as np
 
 from scenec.compiler.build import BuildLog, build, build_surface
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.horizon import Land
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid

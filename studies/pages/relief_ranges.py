@@ -15,7 +15,7 @@ from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley

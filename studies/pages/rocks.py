@@ -18,7 +18,7 @@ from PIL import Image
 
 from scenec.backends.run.render import render
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.objects.rocks import build_chains
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop

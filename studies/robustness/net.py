@@ -35,7 +35,7 @@ from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds.schema import bundled
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.frames import read_frame

@@ -18,7 +18,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.merge import label_index
 
 pytestmark = pytest.mark.usefixtures("workers_here")

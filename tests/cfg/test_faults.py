@@ -10,7 +10,7 @@ import pytest
 from small_cfg import DELETE, changed, faults_of, load_cfg, minimal
 
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError
 
 _UNIFORM = {"type": "uniform", "min": 0.1, "max": 0.2}

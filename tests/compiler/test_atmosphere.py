@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_columns import chapman, columns
 from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, SUNS, Medium, earth, mars

@@ -202,7 +202,7 @@ def test_a_stage_tells_which_places_lie_in_shadow(tmp_path, elevation):
     assert len(list((tmp_path / "out").rglob("clouds_*.png"))) == 1
 
     from scenec.compiler.cfg.load import load
-    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.draw import draw
 
     plan = draw(load(path), 3, 0).light.clouds
     assert plan is not None

@@ -213,7 +213,7 @@ def test_the_sun_loses_what_is_before_it_and_samples_alike_share_a_picture():
 
 
 def test_drawn_light_depends_on_the_batch_and_the_cfg_has_its_defaults(tmp_path):
-    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.draw import draw
 
     cfg = small_cfg(samples=3)
     cfg["light"]["clouds"] = {"cumulus": {}, "cirrus": {"bearing_deg": 10}}

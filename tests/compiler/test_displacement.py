@@ -18,7 +18,7 @@ from scenec.backends.stage.scene import Maps
 from scenec.backends.surface.pictures import Point, values_at
 from scenec.compiler.build import BuildLog, build_surface
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.materials.displacement import Displacement, displacement_of, octaves_of
 from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.grounds import Gravel

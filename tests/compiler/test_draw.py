@@ -11,7 +11,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cameras.tracks import TrackPlan
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.light.latlong import read_picture
 from scenec.compiler.plan import Plan

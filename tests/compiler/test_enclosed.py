@@ -15,7 +15,7 @@ from scenec.compiler.cameras.enclosed import require_open
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor

@@ -13,7 +13,7 @@ from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.estimate import BASE_BYTES, MARGIN, needs_of, require_memory, told_time
 from scenec.schemas.errors import SceneError
 from scenec.schemas.memory import GB, available, limit

@@ -15,7 +15,7 @@ from scenec.backends.run.session import Session
 from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.precision import FLOAT32_STEP
 from scenec.compiler.mesh.precision import precision as find_precision
 from scenec.compiler.terrain.grid import Grid, HeightField

@@ -21,7 +21,7 @@ from scenec.backends.run.render import render
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface

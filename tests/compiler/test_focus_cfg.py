@@ -14,7 +14,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.scene.rig import Focus, Rig, Sensor
 from scenec.compiler.views.frustum import in_view, views_of_all
 from scenec.schemas.errors import CfgError, SceneError, StageError

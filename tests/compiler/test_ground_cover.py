@@ -13,7 +13,7 @@ from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.cover import lay
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.freshness import Freshness

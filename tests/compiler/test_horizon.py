@@ -16,7 +16,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build, build_surface
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.mesh.horizon import Land
 from scenec.compiler.mesh.surface import Surface

@@ -22,7 +22,7 @@ from scenec.compiler.cache.memo import Memo, memoizing
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.schemas.files import digest_of_folder
 

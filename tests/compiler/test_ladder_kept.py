@@ -12,7 +12,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.materials.values import stored
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError

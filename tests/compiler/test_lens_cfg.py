@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom
 from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.emit.cameras import write_lens
 from scenec.compiler.geometry import lenses
 from scenec.schemas import stage as names

@@ -13,7 +13,7 @@ from small import small_cfg, write_cfg
 _HASHES = """
 import hashlib, sys
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.cfg.load import load
 log = BuildLog()
 scene = build(draw(load(sys.argv[1]), 11, 0), log)

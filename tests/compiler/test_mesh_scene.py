@@ -15,7 +15,7 @@ from test_scatter import quaternions, shape
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.geometry.rotations import rotation_rows
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.bodies import Bodies

@@ -22,7 +22,7 @@ from scenec.backends.check.files import check_files
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.output import Output, locked

@@ -29,7 +29,7 @@ from scenec.compiler.assets.label_maps import code_of, decode
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.panorama import ImageSky

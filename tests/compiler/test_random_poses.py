@@ -20,7 +20,7 @@ from scenec.compiler.cameras.paths.rays import hits, span_of
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.numbers import Distribution
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError, SceneError
 
 FREE = Limits()

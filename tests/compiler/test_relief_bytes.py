@@ -12,7 +12,7 @@ _HEIGHTS = """
 import hashlib, sys
 import numpy as np
 from scenec.compiler.kinds.table import name_of
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.cfg.load import load
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import unmasked

@@ -14,7 +14,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds.table import CHOICES, kind_of, name_of
 from scenec.compiler.terrain.condition import (
     FromPath,

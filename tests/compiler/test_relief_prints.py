@@ -13,7 +13,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface

@@ -18,7 +18,7 @@ from scenec.compiler.assets.pose_table import PoseTable, read_poses
 from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.geometry.poses import from_quaternion
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.views.needed import Keep

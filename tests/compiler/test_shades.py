@@ -10,7 +10,7 @@ from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.scene.ground import Ground
 from scenec.schemas.errors import CfgError
 

@@ -29,7 +29,7 @@ from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import ERROR_PX, way_of
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField

@@ -16,7 +16,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError

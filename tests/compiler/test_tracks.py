@@ -12,7 +12,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.assets.tracks import read_stamped
 from scenec.compiler.cameras.tracks import Gaps, Sampling, resampled
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError, SceneError
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])

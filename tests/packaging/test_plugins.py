@@ -17,7 +17,7 @@ import pytest
 from scenec.backends.imaging.effects import apply
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import with_forms
 from scenec.compiler.terrain.grid import Grid
@@ -188,7 +188,7 @@ def test_masks_and_distributions_reach_another_packages_operator(
 
 
 def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path: Path) -> None:
-    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.draw import draw
     from scenec.compiler.light.build import build_light
 
     document = cfg()
@@ -216,7 +216,7 @@ def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path
 
 
 def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path: Path) -> None:
-    from scenec.compiler.draw.batch import draw
+    from scenec.compiler.draw import draw
     from scenec.compiler.light.build import build_light
 
     document = cfg()

@@ -11,7 +11,7 @@ from glb import Look, Model
 from surfaces import Surface
 
 from scenec.compiler.cfg.load import load
-from scenec.compiler.draw.batch import draw
+from scenec.compiler.draw import draw
 from scenec.compiler.objects.rocks import build_prototypes
 
 LOOKS = {
