@@ -40,12 +40,10 @@ class Compiled:
 
     Attributes:
         error: Why it could not be built, or None.
-        samples: How many it has.
         attempt: How often it was drawn again.
         seconds, facts: Of each pass; the contents of its report.json.
         made, taken: How often each step was made, or taken from the cache; None without one.
         cameras, lidars: When each is triggered (``schemas.strays``).
-        lines: What is worth saying.
     """
 
     error: SceneError | None = None
@@ -114,8 +112,6 @@ class CompileBatch:
         """Compile it, of a cfg that has been read.
 
         Args:
-            spec: Of the cfg.
-            say: Told what is worth saying.
             step: Told when a step begins; None: what is said is heard when all is over.
 
         Raises:

@@ -26,7 +26,6 @@ from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.mesh.cover import lay
 from scenec.compiler.mesh.horizon import Land as FarLand
 from scenec.compiler.mesh.horizon import build_horizon
-from scenec.compiler.mesh.plan import HorizonPlan
 from scenec.compiler.mesh.precision import REFUSE_PX, precision, refuse, require_resolvable
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
@@ -35,7 +34,7 @@ from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
-from scenec.compiler.scene.ground import Ground, Horizon, Tile
+from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import SkyLight
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Placed, Scatter
@@ -88,11 +87,6 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     Only what the outputs can show is made (``passes.needed``): without ``rgb`` there are no
     materials, weights, or light; without ``label`` the ground is not cut; without ``instance``
     nothing has ids.
-
-    Args:
-        plan: The batch.
-        log: Receives errors and times.
-        keep: How much stays.
 
     Raises:
         SceneError: The cfg is valid, but what it asks for cannot be built.
@@ -152,9 +146,14 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
         del samples
         log.facts["ground"] = meshed
         ground = Ground(plan.terrain.layers, tiles)
-        if plan.terrain.horizon is not None:
+        horizon = plan.terrain.horizon
+        if horizon is not None:
             assert land is not None
-            around = _horizon(plan, plan.terrain.horizon, surface, land, tiles, views, color, log)
+            around, facts = build_horizon(
+                surface, land, tiles, horizon.layer, horizon.reach_m, plan.terrain.variation_key,
+                plan.terrain.meshing, views, color=color,
+            )  # fmt: skip
+            log.facts["horizon"] |= facts
             ground = replace(ground, horizon=around)
     with log.timed("cameras"):
         require_open(plan.rigs, rigs, ground, objects, plan.terrain.size_m)
@@ -233,10 +232,6 @@ def _pruned(scene: Scene, needs: needed.Needs, keep: Keep, hills: bool, everywhe
 def build_surface(plan: Plan, log: BuildLog) -> Surface:
     """The ground before it is meshed: relief, and the layers on it.
 
-    Args:
-        plan: The batch.
-        log: Receives errors and times.
-
     Raises:
         SceneError: The relief cannot be built, or a layer cannot cover what it shall.
     """
@@ -270,13 +265,7 @@ def _shaded_land(plan: Plan, terrain: HeightField) -> Land | None:
 
 
 def build_land(plan: Plan, terrain: Surface, log: BuildLog) -> FarLand | None:
-    """What lies beyond the terrain's border, before it is meshed; None where nothing does.
-
-    Args:
-        plan: The batch.
-        terrain: Its ground.
-        log: Receives errors.
-    """
+    """What lies beyond the terrain's border, before it is meshed; None where nothing does."""
     horizon = plan.terrain.horizon
     if horizon is None:
         return None
@@ -285,32 +274,6 @@ def build_land(plan: Plan, terrain: Surface, log: BuildLog) -> FarLand | None:
     log.facts["horizon"] = {"relief": relief.steps}
     far = Surface(relief.field, details=relief.details)
     return FarLand.around(terrain, far, horizon.blend_m)
-
-
-def _horizon(
-    plan: Plan,
-    horizon: HorizonPlan,
-    terrain: Surface,
-    land: FarLand,
-    tiles: tuple[Tile, ...],
-    views: Views,
-    color: bool,
-    log: BuildLog,
-) -> Horizon:
-    """What lies around the terrain."""
-    made, facts = build_horizon(
-        terrain,
-        land,
-        tiles,
-        horizon.layer,
-        horizon.reach_m,
-        plan.terrain.variation_key,
-        plan.terrain.meshing,
-        views,
-        color=color,
-    )
-    log.facts["horizon"] |= facts
-    return made
 
 
 def lay_ground(plan: Plan, relief: Relief, samples: Samples, log: BuildLog) -> Surface:
@@ -344,10 +307,7 @@ def stand_rigs(
     (``fillet``; classes after these then rise by the ramps).
 
     Args:
-        plan: The batch.
-        surface: Its ground.
         irradiance: On level ground, for exposures; None without pictures.
-        log: Receives what is said of motions.
 
     Raises:
         SceneError: A motion cannot be as it is asked for.
@@ -375,11 +335,7 @@ def stand_objects(
     """The objects on the ground, in the cfg's order.
 
     Args:
-        plan: The batch.
-        surface: Its ground.
-        rigs: Its cameras.
         looks: Receives the materials of models; None where no color is asked for.
-        log: Receives errors and times.
         land: ``build_land``, where it is known.
 
     Raises:

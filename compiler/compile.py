@@ -221,9 +221,7 @@ def _require_room(
     """Refuses a batch that does not fit into memory; tells of one that will be tight, or long.
 
     Args:
-        spec, unit: What will be compiled.
         batches: How many there are in all, where their time is to be told; else None.
-        say: Told.
         room: As of ``Executor.room``; None: all that is free here.
 
     Raises:

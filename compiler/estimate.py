@@ -110,12 +110,7 @@ def require_memory(needs: list[Need], free: int | None = None, workers: int = 1)
 
 
 def told_time(needs: list[Need], batches: int) -> str | None:
-    """A line where compiling takes long, with what causes it; None where it does not.
-
-    Args:
-        needs: Of a batch.
-        batches: How many there are.
-    """
+    """A line where compiling takes long, with what causes it; None where it does not."""
     seconds = sum(need.seconds for need in needs)
     if seconds * batches < LONG_S:
         return None

@@ -90,7 +90,6 @@ class Output:
     """An output folder that this process has ``locked``, and its manifest.
 
     Args:
-        out: The folder.
         spec, seed, keep: What is compiled into it.
         chosen: The batches that are compiled now.
         replace: Whether what was compiled from something else may go.
@@ -158,9 +157,6 @@ class Output:
 
         Args:
             folder: Beside the output's files, with the batch's in its folder of the same name.
-            batch: Its number.
-            samples: How many it has.
-            attempt: How often it was drawn again.
 
         Returns:
             Whether it was there already, byte for byte.

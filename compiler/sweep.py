@@ -33,7 +33,6 @@ class Point:
     Attributes:
         name: Of its folder: what differs between points, and its value.
         settings: Each ``path=value``, as ``load`` takes them.
-        seed: The seed.
     """
 
     name: str

@@ -186,85 +186,23 @@ def smoothstep_array(t: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
-def _map(loop: Callable[[NDArray, NDArray], None], x: ArrayLike) -> NDArray[np.float64]:
-    values = np.ascontiguousarray(x, dtype=np.float64)
-    out = np.empty_like(values)
-    loop(values.reshape(-1), out.reshape(-1))
-    return out
+def _mapped(function: Callable[[float], float]) -> Callable[[ArrayLike], NDArray[np.float64]]:
+    """Maps a scalar function over every element of an array: float64 of the same shape."""
+
+    @kernel
+    def loop(x: NDArray, out: NDArray) -> None:
+        for i in range(x.size):
+            out[i] = function(x[i])
+
+    def mapped(x: ArrayLike) -> NDArray[np.float64]:
+        values = np.ascontiguousarray(x, dtype=np.float64)
+        out = np.empty_like(values)
+        loop(values.reshape(-1), out.reshape(-1))
+        return out
+
+    return mapped
 
 
-@kernel
-def _exp_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = exp(x[i])
-
-
-def exp_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``exp`` of every element: float64 of the same shape."""
-    return _map(_exp_loop, x)
-
-
-@kernel
-def _log_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = log(x[i])
-
-
-def log_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``log`` of every element: float64 of the same shape."""
-    return _map(_log_loop, x)
-
-
-@kernel
-def _sin_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = sin(x[i])
-
-
-def sin_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``sin`` of every element: float64 of the same shape."""
-    return _map(_sin_loop, x)
-
-
-@kernel
-def _cos_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = cos(x[i])
-
-
-def cos_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``cos`` of every element: float64 of the same shape."""
-    return _map(_cos_loop, x)
-
-
-@kernel
-def _atan_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = atan(x[i])
-
-
-def atan_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``atan`` of every element: float64 of the same shape."""
-    return _map(_atan_loop, x)
-
-
-@kernel
-def _acos_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = acos(x[i])
-
-
-def acos_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``acos`` of every element: float64 of the same shape."""
-    return _map(_acos_loop, x)
-
-
-@kernel
-def _asin_loop(x: NDArray, out: NDArray) -> None:
-    for i in range(x.size):
-        out[i] = asin(x[i])
-
-
-def asin_array(x: ArrayLike) -> NDArray[np.float64]:
-    """``asin`` of every element: float64 of the same shape."""
-    return _map(_asin_loop, x)
+exp_array, log_array = _mapped(exp), _mapped(log)
+sin_array, cos_array = _mapped(sin), _mapped(cos)
+atan_array, acos_array = _mapped(atan), _mapped(acos)

@@ -150,7 +150,6 @@ def packed(value: Any, describer: Describer) -> Packed:
     """A value as an entry holds it.
 
     Args:
-        value: The value.
         describer: Of the inputs: files are named by what they are there.
 
     Raises:
@@ -172,7 +171,6 @@ def restored(value: Packed, files: Mapping[tuple[str, str], Path], known: Known)
     """The value; its arrays are views of the blobs.
 
     Args:
-        value: As it was read.
         files: Paths by name and digest.
         known: Learns the digests of what is restored.
 
@@ -188,7 +186,6 @@ def write_entry(path: Path, key: str, value: Packed) -> int:
     Args:
         path: The file, which is not there.
         key: What it will be asked for by.
-        value: The value.
 
     Returns:
         Its size in bytes.

@@ -63,7 +63,6 @@ class Memo:
 
         Args:
             name: Of the step, to be counted by.
-            function: Pure.
             arguments: By name.
         """
         describer = Describer(self._known, self._files)

@@ -12,21 +12,23 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender, Vt
 
+from scenec.compiler.cameras.shutters import clock, codes_at
 from scenec.compiler.emit.layer import TYPES, author, custom, matrix, new_layer
-from scenec.compiler.emit.sensors import write_depth_camera, write_lidar, write_trigger
-from scenec.compiler.emit.shutter import write_between, write_shutter
-from scenec.compiler.scene.rig import Rig, Sensor
+from scenec.compiler.scene.rig import Lidar, OpenShutter, Rig, Sensor
 from scenec.compiler.scene.scene import Scene
 from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
+from scenec.schemas.depth_camera import DepthCamera, as_numbers, kind_of
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import BUILT_IN
 
 RIGS = f"{names.ROOT}/Rigs"
 HALF_TURN = np.array([*names.HALF_TURN, 1.0])
+#: A lidar's axes (x ahead, y left, z up) as columns in OpenCV's (x right, y down, z forward).
+_LIDAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 #: Full-frame width in stage units: USD counts apertures in tenths of a unit, and 36 mm are 0.36.
 _APERTURE = 0.36
 _NEAR_M = 0.01
@@ -168,3 +170,100 @@ def _write_var(stage: Usd.Stage, output: str, level: str | None) -> Sdf.Path:
     var.CreateSourceNameAttr(output if level is None else f"{output}.{level}")
     var.CreateSourceTypeAttr(UsdRender.Tokens.raw)
     return var.GetPath()
+
+
+def write_trigger(prim: Usd.Prim, trigger: tuple[int, int]) -> None:
+    """Writes when a sensor is triggered, where that is not at every sample."""
+    if trigger != (1, 0):
+        custom(prim, names.ATTR_TRIGGER, TYPES.Int2).Set(Gf.Vec2i(*trigger))
+
+
+def write_depth_camera(prim: Usd.Prim, camera: DepthCamera) -> None:
+    """Writes how a camera measures depth."""
+    for name, kind, value in (
+        (names.ATTR_DEPTH_MODEL, TYPES.Token, kind_of(camera.model)),
+        (names.ATTR_DEPTH_NUMBERS, TYPES.DoubleArray, Vt.DoubleArray(as_numbers(camera.model))),
+        (names.ATTR_DEPTH_KEY, TYPES.UInt64, camera.key),
+    ):
+        custom(prim, name, kind).Set(value)
+
+
+def write_lidar(stage: Usd.Stage, path: str, lidar: Lidar) -> None:
+    """Writes a lidar below its rig."""
+    xform = UsdGeom.Xform.Define(stage, path)
+    to_rig = np.eye(4)
+    to_rig[:3, 3] = lidar.to_rig[:3, 3]
+    # Signs and zeros: the sums are exact.
+    to_rig[:3, :3] = [[sum(row * column) for column in _LIDAR.T] for row in lidar.to_rig[:3, :3]]
+    xform.AddTransformOp().Set(matrix(to_rig))
+    prim, noise = xform.GetPrim(), lidar.noise
+    elevations = Vt.DoubleArray(lidar.elevations_deg.tolist())
+    for name, kind, value, usual in (
+        (names.ATTR_LIDAR_ELEVATIONS, TYPES.DoubleArray, elevations, None),
+        (names.ATTR_LIDAR_AZIMUTH, TYPES.Double2, Gf.Vec2d(*lidar.azimuth_deg), None),
+        (names.ATTR_LIDAR_AZIMUTHS, TYPES.Int, lidar.azimuths, None),
+        (names.ATTR_LIDAR_RANGE, TYPES.Double2, Gf.Vec2d(*lidar.range_m), None),
+        (names.ATTR_LIDAR_RANGE_NOISE, TYPES.Double, noise.range_m, 0.0),
+        (names.ATTR_LIDAR_RATIO_NOISE, TYPES.Double, noise.range_ratio, 0.0),
+        (names.ATTR_LIDAR_ANGLE_NOISE, TYPES.Double, noise.angle_deg, 0.0),
+        (names.ATTR_LIDAR_DROPOUT, TYPES.Double, noise.dropout, 0.0),
+        (names.ATTR_LIDAR_KEY, TYPES.UInt64, lidar.noise_key, None),
+    ):
+        if value != usual:
+            custom(prim, name, kind).Set(value)
+    write_trigger(prim, lidar.trigger)
+
+
+def write_shutter(camera: UsdGeom.Camera, rig: Rig, shutter: OpenShutter) -> None:
+    """Authors a shutter: what readers of ours go by, and what viewers know.
+
+    Readers take exact numbers from attributes of our own: poses at seconds from the sample's time,
+    relative to the camera's own pose then, so that they compose with whatever the camera is below.
+    Nothing else could carry them: time codes count samples, not seconds, and USD interpolates
+    matrices component by component. For viewers, the same poses stand at fractional time codes of
+    the rig (real time, linear between samples, so exposures that overlap agree), and
+    UsdGeomCamera's shutter:open and shutter:close say which of them a picture takes.
+    """
+    prim = camera.GetPrim()
+    exposures = [one.exposure_s for one in shutter.shutters]
+    author(custom(prim, names.ATTR_SHUTTER_EXPOSURE, TYPES.Double), exposures)
+    one = shutter.shutters[0]
+    custom(prim, names.ATTR_SHUTTER_READOUT, TYPES.Double).Set(one.readout_s)
+    direction = "up" if one.upward else "down"
+    custom(prim, names.ATTR_SHUTTER_DIRECTION, TYPES.Token).Set(direction)
+    times = Vt.DoubleArray(shutter.times.tolist())
+    custom(prim, names.ATTR_SHUTTER_TIMES, TYPES.DoubleArray).Set(times)
+    poses = custom(prim, names.ATTR_SHUTTER_POSES, TYPES.Matrix4dArray)
+    author(poses, [_relative(of_sample, shutter.times) for of_sample in shutter.to_world])
+    at = clock(rig)
+    half = np.array([one.half_span for one in shutter.shutters])
+    sample = np.arange(len(exposures))
+    author(camera.CreateShutterOpenAttr(), (codes_at(at, at - half) - sample).tolist())
+    author(camera.CreateShutterCloseAttr(), (codes_at(at, at + half) - sample).tolist())
+
+
+def write_between(op: UsdGeom.XformOp, rig: Rig) -> None:
+    """Author a rig's poses between its samples, for viewers; nothing where it has none."""
+    if rig.between is None:
+        return
+    if not op.GetAttr().GetNumTimeSamples():
+        # It stands alike at all samples.
+        for sample, pose in enumerate(rig.to_world):
+            op.Set(matrix(pose), float(sample))
+    for code, pose in zip(rig.between.codes.tolist(), rig.between.to_world, strict=True):
+        op.Set(matrix(pose), code)
+
+
+def _relative(poses: NDArray[np.float64], times: NDArray[np.float64]) -> list[Gf.Matrix4d]:
+    """Poses [k, 4, 4] as seen from the one at the sample, in USD's axes."""
+    middle = int(np.flatnonzero(times == 0.0)[0])
+    axes, eye = poses[middle, :3, :3], poses[middle, :3, 3]
+    out = np.zeros(poses.shape)
+    out[:, 3, 3] = 1.0
+    # The axes are orthonormal: the inverse is the transpose. Sums written out, no BLAS.
+    for k in range(3):
+        out[:, :3, :3] += axes[k, :, None] * poses[:, k, None, :3]
+        out[:, :3, 3] += axes[k] * (poses[:, k, 3] - eye[k])[:, None]
+    out[middle] = np.eye(4)
+    out *= HALF_TURN[:, None] * HALF_TURN[None, :]
+    return [matrix(pose + 0.0) for pose in out]

@@ -76,14 +76,11 @@ def bearing_vector(degrees: float) -> NDArray[np.float64]:
 
 def compose(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:
     """The product parent * child of two affine 4 x 4 matrices, without BLAS."""
-    out = np.zeros((4, 4))
-    for k in range(4):
-        out += parent[:, k, None] * child[None, k, :]
-    return out
+    return composed(parent[None], child)[0]
 
 
 def composed(parents: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Products of matrices [n, 4, 4] and one [4, 4], to the bit as of ``compose``."""
+    """Products of matrices [n, 4, 4] and one [4, 4]."""
     out = np.zeros(parents.shape)
     for k in range(4):
         out += parents[:, :, k, None] * child[None, None, k, :]

@@ -107,7 +107,7 @@ _KINDS = {
         "mud_cracks": "materials.grounds:MudCracks",
         "regolith": "materials.grounds:Regolith",
         "soil": "materials.grounds:Soil",
-        "pavement": "materials.pavement:Pavement",
+        "pavement": "materials.grounds:Pavement",
         "turf": "materials.turf:Turf",
     },
     "reflectance": {

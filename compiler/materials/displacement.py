@@ -27,6 +27,7 @@ from scenec.compiler.materials.resample import box
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.scene.material import Cells
 from scenec.compiler.terrain.detail import Detail, Spectrum, Sum
+from scenec.compiler.terrain.grid import bicubic
 from scenec.schemas.cells import SIDE, STEPS, table
 from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import inlined, kernel
@@ -161,14 +162,6 @@ def _turns(cells: Cells | None) -> NDArray[np.float64]:
 
 
 @inlined
-def _cubic(a, b, c, d, t):  # type: ignore[no-untyped-def]
-    """Catmull and Rom's spline between b and c."""
-    return b + 0.5 * t * (
-        c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a))
-    )
-
-
-@inlined
 def _after(i, count):  # type: ignore[no-untyped-def]
     """The index after one from 0 to count - 1, the last one's being 0; without a division."""
     return i + 1 if i + 1 < count else 0
@@ -189,11 +182,7 @@ def _look_up(plane, u, v):  # type: ignore[no-untyped-def]
     i1, j1 = _after(i0, wide), _after(j0, high)
     i2, j2 = _after(i1, wide), _after(j1, high)
     i3, j3 = _after(i2, wide), _after(j2, high)
-    a = _cubic(plane[j0, i0], plane[j0, i1], plane[j0, i2], plane[j0, i3], across)
-    b = _cubic(plane[j1, i0], plane[j1, i1], plane[j1, i2], plane[j1, i3], across)
-    c = _cubic(plane[j2, i0], plane[j2, i1], plane[j2, i2], plane[j2, i3], across)
-    d = _cubic(plane[j3, i0], plane[j3, i1], plane[j3, i2], plane[j3, i3], across)
-    return _cubic(a, b, c, d, down)
+    return bicubic(plane, (j0, j1, j2, j3), (i0, i1, i2, i3), across, down)
 
 
 @kernel

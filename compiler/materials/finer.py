@@ -16,8 +16,8 @@ import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.materials.periodic import Plane, moments
-from scenec.compiler.materials.reduce import slopes
+from scenec.compiler.materials.periodic import Plane
+from scenec.compiler.materials.reduce import rms_of, slopes
 from scenec.compiler.materials.resample import box, doubled
 from scenec.compiler.materials.values import Source, normal_picture, normals, unit
 
@@ -32,7 +32,6 @@ def finer_normals(
     """A picture of normals without the slopes that a mesh shows.
 
     Args:
-        source: The picture.
         size_m: Side of one repeat.
         pixels_per_m: Where a view sees it largest.
         tolerance_px: Of the mesh, as it was reached.
@@ -48,7 +47,7 @@ def finer_normals(
     shown = _shown(along, 2.0 * texel_m, scale, 2.0 * finest_m)
     kept = [plane - part for plane, part in zip(along, shown, strict=True)]
     leaning = unit(np.stack([*kept, np.ones_like(kept[0])], axis=-1))
-    return normal_picture(leaning), {"slope_rms": _rms(*along), "slope_rms_kept": _rms(*kept)}
+    return normal_picture(leaning), {"slope_rms": rms_of(*along), "slope_rms_kept": rms_of(*kept)}
 
 
 def _shown(
@@ -80,7 +79,3 @@ def _share(band: tuple[Plane, Plane], scale: float) -> Plane:
     height = np.sqrt(np.float32(2.0) * square) * np.float32(scale)
     t = np.clip((height - np.float32(_FROM)) * np.float32(1.0 / (_TO - _FROM)), 0.0, 1.0)
     return np.asarray(t * t * (np.float32(3.0) - np.float32(2.0) * t), np.float32)
-
-
-def _rms(x: Plane, y: Plane) -> float:
-    return float(np.sqrt(moments(np.ascontiguousarray(x * x + y * y))[0]))

@@ -11,7 +11,7 @@ from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.footprint import Footprint
 from scenec.compiler.materials.heights import forget_looks
-from scenec.compiler.materials.leave_out import LeftOut, unseen, without_unneeded
+from scenec.compiler.materials.leave_out import LeftOut, unseen, with_factor, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
 from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
@@ -19,7 +19,7 @@ from scenec.compiler.materials.values import Source, forget_pixels, size_of, sto
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.material import Material
 from scenec.schemas.left_out import entry
-from scenec.schemas.maps import MAP_CHANNELS
+from scenec.schemas.maps import COLORS, MAP_CHANNELS
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def finish(
             out.materials[name] = drawn.material
             continue
         footprint = None if looked_at is None else looked_at[name]
-        one = _finished_alone(name, drawn, name in heights, footprint, mesh)
+        one = _finished(name, drawn, name in heights, footprint, mesh)
         out.materials |= one.materials
         out.facts |= one.facts
         out.left_out += one.left_out
@@ -90,24 +90,11 @@ def _with_heights(ground: Ground) -> set[str]:
 
 
 @memoized("surfaces", lambda name, **_: name)
-def _finished_alone(
+def _finished(
     name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: Shown
 ) -> Finished:
     """What becomes of one material: it reads nothing of the others."""
-    out = Finished()
-    out.materials[name] = _finished(name, drawn, high, footprint, mesh, out)
-    return out
-
-
-def _finished(
-    name: str,
-    drawn: MaterialPlan,
-    high: bool,
-    footprint: Footprint | None,
-    mesh: Shown,
-    out: Finished,
-) -> Material:
-    material, sources = drawn.material, drawn.sources
+    out, material, sources = Finished(), drawn.material, drawn.sources
     facts: dict[str, Any] = {}
     as_is = footprint is None or (sources is not None and sources.as_is)
     _note_folder(name, sources, out)
@@ -140,7 +127,8 @@ def _finished(
     if kept is not None:
         lean = kept.lean if "normal" in kept.files else 0.0
         kept = replace(kept, lean=lean) if kept.files else None
-    return replace(material, maps=kept)
+    out.materials[name] = replace(material, maps=kept)
+    return out
 
 
 def _with_lean(material: Material, facts: dict[str, Any]) -> Material:
@@ -225,14 +213,8 @@ def _made_smaller(material: Material, footprint: Footprint, facts: dict[str, Any
             "bytes_saved": size_of(source) - len(found.picture.data),
             **found.facts,
         }
-        if kind == "base_color":
-            red, green, blue = (
-                c * f for c, f in zip(material.base_color, found.factor, strict=True)
-            )
-            material = replace(material, base_color=(red, green, blue))
-        elif kind == "emission":
-            red, green, blue = (c * f for c, f in zip(material.emission, found.factor, strict=True))
-            material = replace(material, emission=(red, green, blue))
+        if kind in COLORS:
+            material = with_factor(material, kind, found.factor)
     facts["pictures"] = told
     assert material.maps is not None
     return replace(material, maps=replace(material.maps, files=files))

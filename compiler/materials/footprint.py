@@ -7,13 +7,14 @@ box filter averages. Slant only takes pixels away: the number is that of a surfa
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.geometry.normals import cross_products
 from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
@@ -48,9 +49,6 @@ def footprints(
     """Of all materials with maps.
 
     Args:
-        materials: By name.
-        ground: The terrain.
-        objects: What stands on it.
         views: The cameras, for the ground (which may hide behind hills) and for objects.
         unseen: Part that pixels count where no view shows something.
     """
@@ -175,11 +173,10 @@ def _of_objects(
         sizes = np.where(sizes > 0.0, maps.size_m, 0.0)
     if not one.count or not (sizes > 0.0).any():
         return 0.0, 0.0
+    points, radii = one.balls()
     if isinstance(one, Scatter):
-        points, radii = one.balls()
         scale, prototype = one.scales.max(axis=1).astype(np.float64), one.prototype
     else:
-        points, radii = one.balls()
         columns = one.to_world[:, :, :, :3]
         scale = np.sqrt((columns * columns).sum(axis=2)).max(axis=2).ravel()
         prototype = np.repeat(one.prototype, one.to_world.shape[1])
@@ -204,7 +201,8 @@ def _repeat(name: str, one: Scatter | Placed, prototype: Prototype, projection: 
     if projection != "uv" or prototype.uv is None:
         return 1.0
     corners = prototype.points[prototype.faces[faces]].astype(np.float64)
-    area = _areas(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    x, y, z = cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
+    area = np.sqrt(x * x + y * y + z * z)
     uv = prototype.uv[faces].astype(np.float64)
     first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     spread = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
@@ -219,24 +217,11 @@ def _repeat(name: str, one: Scatter | Placed, prototype: Prototype, projection: 
     return float(np.sqrt(ratio[order[min(last, len(order) - 1)]]))
 
 
-def _areas(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Twice the areas between two edges each."""
-    x = one[:, 1] * other[:, 2] - one[:, 2] * other[:, 1]
-    y = one[:, 2] * other[:, 0] - one[:, 0] * other[:, 2]
-    z = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    areas: NDArray[np.float64] = np.sqrt(x * x + y * y + z * z)
-    return areas
-
-
 def _faces_of(name: str, one: Scatter | Placed, prototype: Prototype) -> NDArray[np.int64]:
     """Faces of a prototype that have a material."""
     coats = any(coating.material == name for coating in prototype.coatings)
     own = np.full(len(prototype.faces), coats or one.material == name)
-    for part in _parts(prototype):
-        own[part[0]] = part[1] == name if part[1] is not None else own[part[0]]
-    return np.flatnonzero(own)
-
-
-def _parts(prototype: Prototype) -> Iterator[tuple[NDArray[np.int32], str | None]]:
     for part in prototype.parts:
-        yield part.faces, part.material
+        if part.material is not None:
+            own[part.faces] = part.material == name
+    return np.flatnonzero(own)

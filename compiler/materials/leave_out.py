@@ -62,7 +62,7 @@ def without_unneeded(material: Material) -> tuple[Material, list[LeftOut]]:
         drop("emission", "the material gives off no light")
     for kind in ("base_color", "emission"):
         if kind in files and _is_constant(files[kind]):
-            material = _with_factor(material, kind, mean_color(colors(files[kind])[:1, :1]))
+            material = with_factor(material, kind, mean_color(colors(files[kind])[:1, :1]))
             drop(kind, "it is one color everywhere: a number")
     return replace(material, maps=replace(maps, files=files)), left
 
@@ -75,7 +75,7 @@ def unseen(material: Material, maps: MaterialMaps) -> tuple[Material, list[LeftO
             planes = colors(source)
             if kind == "base_color":
                 planes = np.minimum(planes, np.float32(1.0))
-            material = _with_factor(material, kind, mean_color(planes))
+            material = with_factor(material, kind, mean_color(planes))
         elif kind == "roughness":
             material = replace(material, roughness=moments(raw(source))[0])
         elif kind == "metallic":
@@ -84,7 +84,8 @@ def unseen(material: Material, maps: MaterialMaps) -> tuple[Material, list[LeftO
     return replace(material, maps=replace(maps, files={})), left
 
 
-def _with_factor(material: Material, kind: str, factor: tuple[float, float, float]) -> Material:
+def with_factor(material: Material, kind: str, factor: tuple[float, float, float]) -> Material:
+    """A material whose color of a kind of map is multiplied; the albedo never becomes larger."""
     if kind == "emission":
         red, green, blue = (e * f for e, f in zip(material.emission, factor, strict=True))
         return replace(material, emission=(red, green, blue))

@@ -129,8 +129,6 @@ def octaves(key, n, count, number, gain):  # type: ignore[no-untyped-def]
     somewhere else, for noise is 0 at its lattice's points.
 
     Args:
-        key: Noise key.
-        n: Pixels a side.
         count: Lattice cells of the first octave a side.
         number: Octaves.
         gain: Ratio of successive amplitudes.
@@ -303,8 +301,6 @@ def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-u
     """Periodic cellular noise after Worley (1996), as ``Cells``.
 
     Args:
-        key: Noise key.
-        n: Pixels a side.
         count: Cells a side.
         jitter: How far points are from a square lattice, 0 to 1.
         warp_x, warp_y: How far each pixel is moved before the search, in cells: float32 [n, n].

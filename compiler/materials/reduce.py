@@ -144,7 +144,11 @@ def _normal(source: Source, times: int) -> Reduced:
 
 def slope_rms(vectors: Planes) -> float:
     """Root mean square of the slopes of normals; 1 is 45 degrees."""
-    x, y = slopes(vectors)
+    return rms_of(*slopes(vectors))
+
+
+def rms_of(x: Plane, y: Plane) -> float:
+    """Root mean square of the lengths of vectors, by their parts."""
     return float(np.sqrt(moments(np.ascontiguousarray(x * x + y * y))[0]))
 
 

@@ -54,7 +54,6 @@ def vertex_errors(channels: Channels, tolerance_px: float) -> NDArray[np.float32
     """Error in pixels that shows where a sample is left out (and all finer ones in its triangles).
 
     Args:
-        channels: What the mesh must follow.
         tolerance_px: The one asked for: what one unit of shade counts as.
 
     Returns:
@@ -69,12 +68,7 @@ def vertex_errors(channels: Channels, tolerance_px: float) -> NDArray[np.float32
 
 
 def needed(channels: Channels, tolerance_px: float) -> NDArray[np.bool_]:
-    """``activate(vertex_errors(...), tolerance_px)``: no error is measured further than it takes.
-
-    Args:
-        channels: What the mesh must follow.
-        tolerance_px: The one asked for, and met.
-    """
+    """``activate(vertex_errors(...), tolerance_px)``: errors measured as far as needed."""
     active = np.zeros(_grown(channels), bool)
     active[::ROOT_CELLS, ::ROOT_CELLS] = True
     errors = np.zeros((1, 1), np.float32)
@@ -153,8 +147,6 @@ def distance_to_line(side, j, i, dx, dy):  # type: ignore[no-untyped-def]
 
     Args:
         side: The field, float64 [ny, nx].
-        j, i: Row and column.
-        dx, dy: Spacing.
     """
     ny, nx = side.shape
     i0, i1, j0, j1 = max(i - 1, 0), min(i + 1, nx - 1), max(j - 1, 0), min(j + 1, ny - 1)

@@ -86,7 +86,6 @@ def cut(
     """Cuts along the zero line of one field.
 
     Args:
-        mesh: The mesh so far.
         field: Values at (x, y), each float64 [n]; side >= 0 counts as above.
         values: Of the field at the vertices, where they are known.
 

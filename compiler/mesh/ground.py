@@ -30,8 +30,6 @@ def draw_terrain(
     """Returns the terrain, and the context of what stands on it.
 
     Args:
-        cfg: The cfg's terrain.
-        context: Of the batch.
         displacements: What the material of each ground layer adds to the relief.
     """
     streams = context.streams

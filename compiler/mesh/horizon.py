@@ -143,11 +143,9 @@ def build_horizon(
         terrain: What the tiles stand for, with its merges.
         land: What it stands for.
         tiles: All of the terrain's, whose float32 positions are exact as far off as its border.
-        layer: What the land is.
         reach_m: How far beyond the border it goes.
         variation_key: See ``build_tiles``.
         meshing: The terrain's: tolerance, budget, and what pixels count where no view looks.
-        views: The cameras.
         color: False where no output shows color.
 
     Returns:

@@ -102,11 +102,9 @@ def adaptive_mesh(
     """Triangles as large as the tolerance lets them be.
 
     Args:
-        surface: What the mesh stands for.
         appearance: What lies on the ground, at the grid's samples.
         pixels_per_m: See ``views.resolution``.
         views: The cameras, for triangles finer than the grid.
-        meshing: The tolerance and the budget.
 
     Returns:
         The mesh; what lies at its vertices, as far as that is known: the first ones; and what it
@@ -188,8 +186,6 @@ def label_error(
     """How far from the line that it should be beyond the worst wrong label of a sample is, pixels.
 
     Args:
-        field: The grid.
-        mesh: The cut mesh.
         layer: Label of its faces, int32 [m].
         sides: Of the merges at the samples, [k, ny, nx].
         pixels_per_m: See ``views.resolution``.

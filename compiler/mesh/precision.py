@@ -35,7 +35,6 @@ def require_resolvable(
     Asked before the ground is meshed as finely as such a camera would have it.
 
     Args:
-        rigs: The cameras.
         field: The terrain; positions in its tiles are off by between 2**-26 and 2**-25 of the
             largest tile's size. The first of these counts.
         pixels_per_m: Of all of them, see ``views.resolution``; None without cameras.
@@ -78,8 +77,6 @@ def refuse(
     """Raise what is wrong with the camera that looks most closely.
 
     Args:
-        rigs: The cameras.
-        field: The terrain.
         unseen: See ``views.resolution``.
         error_m: How far float32 moves a position.
         where: Over what extent it holds positions.

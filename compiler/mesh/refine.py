@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.geometry.bisect import Bisection
 from scenec.compiler.geometry.growing import Growing
+from scenec.compiler.geometry.normals import normal_of
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
@@ -88,9 +89,6 @@ def refine(
     Args:
         mesh: Not cut yet; newest vertices first.
         sides: Of the merges at its vertices, float64 [k, n].
-        surface: What it stands for.
-        views: The cameras.
-        limits: When to stop.
 
     Returns:
         The mesh, the merges' sides at its vertices, and the error left, measured at points inside
@@ -402,10 +400,7 @@ def _refined_normals(points, faces, refined, normals):  # type: ignore[no-untype
         if touched[n]:
             normals[n, :] = 0.0
     for f in range(len(faces)):
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        nx, ny, nz = normal_of(points, faces[f, 0], faces[f, 1], faces[f, 2])
         for k in range(3):
             n = faces[f, k]
             if touched[n]:

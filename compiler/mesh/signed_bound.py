@@ -59,8 +59,6 @@ def signed_bound(
     """A condition on a relief, its softness raised to the narrowest that a spacing can show.
 
     Args:
-        condition: What has to hold.
-        quantities: Of the relief.
         value: What is held against the bounds at the samples, float64 [ny, nx].
     """
     low, high = (_shown(value, at, condition.softness) for at in (condition.low, condition.high))

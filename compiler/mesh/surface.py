@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.terrain.detail import Detail, finer, finer_than, joined, local, over
-from scenec.compiler.terrain.grid import HeightField
+from scenec.compiler.terrain.grid import HeightField, located
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -191,12 +191,8 @@ def _smooth_heights_part(first, last, height, frame, x, y, out):  # type: ignore
     ny, nx = height.shape
     x0, y0, dx, dy = frame
     for n in range(first, last):
-        u = min(max((x[n] - x0) / dx, 0.0), nx - 1.0)
-        v = min(max((y[n] - y0) / dy, 0.0), ny - 1.0)
-        i = min(int(u), nx - 2)
-        j = min(int(v), ny - 2)
-        u -= i
-        v -= j
+        i, u = located(x[n], x0, dx, nx)
+        j, v = located(y[n], y0, dy, ny)
         h1 = _row(height, j, i, u)
         h2 = _row(height, j + 1, i, u)
         h0 = _row(height, j - 1, i, u) if j > 0 else h1 - (h2 - h1)

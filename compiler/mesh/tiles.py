@@ -59,7 +59,6 @@ def build_tiles(
     Args:
         surface: Heights, and merges from the first one up; none for one material.
         variation_key: Noise key of the albedo variation.
-        meshing: How fine the mesh is.
         pixels_per_m, views: See ``views.resolution``; taken where the mesh is adaptive.
         color: False where no output shows color: weights and variation are then left out.
         cut_labels: False where no output shows labels: the mesh then stays whole.

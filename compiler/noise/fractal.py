@@ -129,11 +129,7 @@ def fbm2(
     """Distorted fBm.
 
     Args:
-        key: Noise key.
-        scale_m: Size of the largest feature, meters.
-        octaves: How many; octave o has amplitude gain**o.
-        gain: Ratio of successive amplitudes.
-        lacunarity: Ratio of successive frequencies.
+        key, scale_m, octaves, gain, lacunarity: As of ``Fractal``.
         distortion: Domain warp: the position is moved by up to about this many feature sizes by
             two further octaves of noise.
 

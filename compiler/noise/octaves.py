@@ -1,4 +1,4 @@
-"""Octaves of gradient noise at many points: the bits of ``perlin2``, in a quarter of the time.
+"""Octaves of gradient noise at many points: those of single points, in a quarter of the time.
 
 Points are worked on in blocks that stay in the cache, step by step, so that each step is a loop
 over independent numbers that the compiler lays out in lanes. Where points share lattice points, as
@@ -120,7 +120,7 @@ def _look_up(
 
 @kernel
 def octave_at(octaves: Octaves, octave: int, u: NDArray, v: NDArray, out: NDArray) -> None:
-    """Values of one octave: ``perlin2`` of its key.
+    """Values of one octave.
 
     Args:
         octaves: Of which.

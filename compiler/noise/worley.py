@@ -178,9 +178,7 @@ def blocks2_points(key: np.uint64, u: NDArray, v: NDArray, jitter: float, out: N
     Exact and continuous: no block reaches a cell's width from its point.
 
     Args:
-        key: Noise key.
-        u, v: Positions, in cells, float64 [n], below 2**51.
-        jitter: How far feature points are from a square lattice.
+        key, u, v, jitter: As of ``worley2_points``.
         out: Where heights go, float64 [n].
     """
     for k in range(u.size):

@@ -98,7 +98,6 @@ def crater_freshness(
     """Freshness of the ground in [0, 1]: float64 [ny, nx].
 
     Args:
-        grid: The samples.
         layers: Craters in the order in which they were laid, each with the weights of its mask,
             float64 [ny, nx], or None.
     """

@@ -75,13 +75,13 @@ def surface_height(
         dx, dy: Spacing.
         x, y: Where.
     """
-    i, u = _located(x, x0, dx, height.shape[1])
-    j, v = _located(y, y0, dy, height.shape[0])
+    i, u = located(x, x0, dx, height.shape[1])
+    j, v = located(y, y0, dy, height.shape[0])
     return _interpolated(height, i, j, u, v)
 
 
 @inlined
-def _located(x: float, x0: float, dx: float, n: int) -> tuple[int, float]:
+def located(x: float, x0: float, dx: float, n: int) -> tuple[int, float]:
     """Cell along an axis of n samples, and where in it a position is, in [0, 1]."""
     u = min(max((x - x0) / dx, 0.0), n - 1.0)
     i = min(int(u), n - 2)
@@ -102,6 +102,26 @@ def _interpolated(height: NDArray, i: int, j: int, u: float, v: float) -> float:
     if u + v <= 1.0:
         return h00 + u * (h10 - h00) + v * (h01 - h00)
     return h11 + (1.0 - u) * (h01 - h11) + (1.0 - v) * (h10 - h11)
+
+
+@inlined
+def _catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
+    """Catmull and Rom's spline between p1 and p2."""
+    return p1 + 0.5 * t * (
+        p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
+    )
+
+
+@inlined
+def bicubic(samples, rows, columns, across, down):  # type: ignore[no-untyped-def]
+    """Value of a field between its second and third of four rows and of four columns."""
+    i0, i1, i2, i3 = columns
+    j0, j1, j2, j3 = rows
+    a = _catmull_rom(samples[j0, i0], samples[j0, i1], samples[j0, i2], samples[j0, i3], across)
+    b = _catmull_rom(samples[j1, i0], samples[j1, i1], samples[j1, i2], samples[j1, i3], across)
+    c = _catmull_rom(samples[j2, i0], samples[j2, i1], samples[j2, i2], samples[j2, i3], across)
+    d = _catmull_rom(samples[j3, i0], samples[j3, i1], samples[j3, i2], samples[j3, i3], across)
+    return _catmull_rom(a, b, c, d, down)
 
 
 @kernel
@@ -134,9 +154,9 @@ def _heights_on_part(
     x0, y0, dx, dy = frame
     column, fraction = np.empty(x.size, np.int64), np.empty(x.size)
     for i in range(x.size):
-        column[i], fraction[i] = _located(x[i], x0, dx, height.shape[1])
+        column[i], fraction[i] = located(x[i], x0, dx, height.shape[1])
     for row in range(first, last):
-        j, v = _located(y[row], y0, dy, height.shape[0])
+        j, v = located(y[row], y0, dy, height.shape[0])
         for i in range(x.size):
             out[row, i] = _interpolated(height, column[i], j, fraction[i], v)
 

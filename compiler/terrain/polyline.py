@@ -15,7 +15,6 @@ def project(
     """The nearest point of a path for every sample within reach.
 
     Args:
-        grid: The samples.
         path: Float64 [n, 2].
         reach_m: Only samples this near are looked at; infinity for all.
         round_ends: Whether samples beyond the path's ends are within reach, too.

@@ -49,8 +49,6 @@ def run(
     """Applies operators in order to level ground.
 
     Args:
-        operators: The program.
-        grid: Where heights are sampled.
         max_triangles: Budget of a base that is kept as a mesh.
         samples: The grid's, which take up noises that are evaluated there.
 

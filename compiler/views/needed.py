@@ -232,10 +232,6 @@ def note_outputs(
     """Entries about what no output shows, with the bytes of the arrays that it would take.
 
     Args:
-        needs: What the outputs show.
-        materials: The cfg's.
-        ground: The terrain, with all its layers.
-        objects: What stands on it.
         levels: How many kinds of labels there are.
         lit: Whether the cfg has any light.
     """

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from one_octave import perlin2
 
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.lattice import mix, subkey
-from scenec.compiler.noise.perlin import perlin2, perlin3
+from scenec.compiler.noise.perlin import perlin3
 from scenec.schemas.threads import at_most
 
 

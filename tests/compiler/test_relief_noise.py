@@ -9,12 +9,12 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from one_octave import perlin2
 from scipy.spatial import cKDTree
 
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2, mix, subkey, subkeys
 from scenec.compiler.noise.octaves import octave_at, tabulate
-from scenec.compiler.noise.perlin import perlin2
 from scenec.compiler.noise.worley import (
     block,
     blocks2_points,

@@ -21,8 +21,6 @@ from scenec.compiler.kinds.forms import (
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.kernels import kernel
 
-#: Dunes of one operator at most.
-MAX_BARCHANS = 100_000
 # In dune heights, about those of barchans on Earth (Sauermann et al. 2000): from the crest upwind
 # to the foot, across, and downwind to where the shortest and the longest horns end.
 _STOSS = 5.5

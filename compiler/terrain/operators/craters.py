@@ -113,12 +113,8 @@ class CraterLaw:
         Raises:
             SceneError: There would be too many.
         """
-        low, high, path, size_m = (
-            self.min_diameter_m,
-            self.max_diameter_m,
-            context.path,
-            context.size_m,
-        )
+        low, high = self.min_diameter_m, self.max_diameter_m
+        path, size_m = context.path, context.size_m
         law = _Law(self.density_per_m2, self.reference_diameter_m, self.exponent)
         first = math.frexp(low)[1] - 1
         octaves = range(first, max(math.frexp(math.nextafter(high, 0.0))[1], first + 1))
@@ -228,14 +224,7 @@ class Craters:
 
 
 class Bowls(NamedTuple):
-    """Where craters lie.
-
-    Attributes:
-        x, y, radius: Meters, float64 [n].
-        state: Wear, float64 [n].
-        outline: Noise key of each outline, uint64 [n].
-        irregularity: How far outlines are from circles when fresh.
-    """
+    """Where craters lie, meters, and their wear and outlines: see ``Craters``."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -287,9 +276,7 @@ def uneven_distances(
     """Distances of a row's samples from a crater's center, in its radii: 1 on its outline.
 
     Args:
-        bowls: Of which.
-        n: Its number.
-        directions: ``outline_directions`` of its key.
+        directions: ``outline_directions`` of the n-th crater's key.
         x: Columns of the samples, meters, float64 [k].
         y: Their row.
         out: Where distances go, float64 [k].

@@ -85,52 +85,41 @@ class Crust:
         """Heights with the crust, if the grid holds it."""
         if not self._held(grid):
             return height, {"below_grid": True}
-        relief = CrustDetail(self).at(*grid.points()).reshape(grid.shape)
+        relief = self.at(*grid.points()).reshape(grid.shape)
         report: dict[str, Any] = {"below_grid": False, "mean_m": float(relief.mean())}
         return height + relief, report
 
-    def detail(self, grid: Grid) -> CrustDetail | None:
+    def detail(self, grid: Grid) -> Crust | None:
         """All of it, where the grid is too coarse."""
-        return None if self._held(grid) else CrustDetail(self)
+        return None if self._held(grid) else self
 
-    def everywhere(self) -> CrustDetail:
+    def everywhere(self) -> Crust:
         """All of it as detail."""
-        return CrustDetail(self)
+        return self
 
     def _held(self, grid: Grid) -> bool:
         return _WALL * self.plate_m >= max(grid.spacing_m)
 
-
-@dataclass(frozen=True)
-class CrustDetail:
-    """A crust at any point: see ``Crust``.
-
-    Attributes:
-        crust: Which.
-    """
-
-    crust: Crust
-
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
-        crust, out = self.crust, np.zeros(x.size)
-        if not octaves_held(1, crust.plate_m, 1.0, LARGEST_M):
+        out = np.zeros(x.size)
+        if not octaves_held(1, self.plate_m, 1.0, LARGEST_M):
             # Float64 cannot place such plates.
             return out
         bends = [
-            fbm2(crust.key ^ turn, _BENDS * crust.plate_m, 2, 0.5, 2.0, 0.0).at(x, y)
+            fbm2(self.key ^ turn, _BENDS * self.plate_m, 2, 0.5, 2.0, 0.0).at(x, y)
             for turn in (1, 2)
         ]
-        u, v = (at / crust.plate_m + _BEND * b for at, b in zip((x, y), bends, strict=True))
-        plates = Plates(crust.height_m, _below(crust.missing))
-        keys = np.array([subkey(np.uint64(crust.key), k) for k in range(3)], np.uint64)
+        u, v = (at / self.plate_m + _BEND * b for at, b in zip((x, y), bends, strict=True))
+        plates = Plates(self.height_m, _below(self.missing))
+        keys = np.array([subkey(np.uint64(self.key), k) for k in range(3)], np.uint64)
         over_threads(_heights_part, x.size, keys, plates, u, v, out, least=POINTS)
         return out
 
     def spectrum(self) -> Spectrum:
         """Plates count as waves of their width, and walls as waves of eight of theirs."""
-        sizes = np.array([1.0, 8.0 * _WALL]) * self.crust.plate_m
-        return Spectrum(sizes, np.array([0.5, 0.5]) * self.crust.height_m)
+        sizes = np.array([1.0, 8.0 * _WALL]) * self.plate_m
+        return Spectrum(sizes, np.array([0.5, 0.5]) * self.height_m)
 
 
 def _below(share: float) -> float:

@@ -179,7 +179,6 @@ class FootprintsDetail:
     """Prints at any point: see ``Footprints``.
 
     Attributes:
-        prints: As there.
         sole: What presses.
         bins: Where they are.
     """

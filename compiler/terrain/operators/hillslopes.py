@@ -91,7 +91,6 @@ class Hillslopes:
     """Steps of diffusion on a fixed grid.
 
     Args:
-        grid: The samples.
         sides: Where heights stay, of "west", "east", "south", "north"; at least one.
     """
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,89 @@ from scenec.compiler.terrain.grid import Applied, Grid
 LARGEST_M = 1e6
 
 
+class OctaveRelief(ABC):
+    """Relief that is a sum of octaves: those finer than two grid spacings are detail."""
+
+    #: Adds to the heights whatever they are (``program``).
+    adds: ClassVar[bool] = True
+    amplitude_m: float
+    scale_m: float
+    octaves: int
+    lacunarity: float
+    gain: float
+
+    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
+        """Heights plus relief."""
+        octaves = self._shown(grid)
+        relief = np.zeros(grid.shape)
+        if octaves:
+            relief = self.amplitude_m * self.on(grid, octaves)
+        return height + relief, {
+            "octaves": octaves,
+            "octaves_below_grid": self.octaves - octaves,
+            "relief_rms_m": float(np.sqrt((relief * relief).mean())),
+        }
+
+    def detail(self, grid: Grid) -> FinerOctaves | None:
+        """The octaves that a grid is too coarse for."""
+        shown, held = self._shown(grid), self._held(max(grid.size_m))
+        if shown >= held.octaves or self.amplitude_m == 0.0:
+            return None
+        return FinerOctaves(held, shown, max(grid.spacing_m))
+
+    def everywhere(self) -> FinerOctaves:
+        """All of it as detail."""
+        return FinerOctaves(self._held(LARGEST_M), 0, 0.0)
+
+    def _shown(self, grid: Grid) -> int:
+        return octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
+
+    def _held(self, extent_m: float) -> Self:
+        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, extent_m)
+        return replace(self, octaves=held)  # type: ignore[type-var]
+
+    @abstractmethod
+    def on(self, grid: Grid, octaves: int) -> NDArray[np.float64]:
+        """The first octaves at a grid's samples, in units of the amplitude: float64 [ny, nx]."""
+
+    @abstractmethod
+    def beyond(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int, spacing_m: float
+    ) -> NDArray[np.float64]:
+        """Octaves from ``shown`` on at points, in units of the amplitude: float64 [n]."""
+
+    @abstractmethod
+    def spectrum(self, shown: int) -> Spectrum:
+        """Of the octaves from ``shown`` on."""
+
+
 @dataclass(frozen=True)
-class Multifractal:
+class FinerOctaves:
+    """All octaves of a relief less those of a grid.
+
+    Attributes:
+        shown: Octaves that the grid holds.
+        spacing_m: Of the grid; 0 if it holds none.
+    """
+
+    relief: OctaveRelief
+    shown: int
+    spacing_m: float
+
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Meters to add at points, float64 [n]."""
+        relief = self.relief
+        if self.shown >= relief.octaves:
+            return np.zeros(x.shape)
+        return relief.amplitude_m * relief.beyond(x, y, self.shown, self.spacing_m)
+
+    def spectrum(self) -> Spectrum:
+        """Of the octaves."""
+        return self.relief.spectrum(self.shown)
+
+
+@dataclass(frozen=True)
+class Multifractal(OctaveRelief):
     """Fractal relief on Perlin noise, added to what is there (Musgrave, in Ebert et al. 2003).
 
     Note: With octaves n_o of Perlin noise and weights g_o = gain**o:
@@ -85,36 +167,24 @@ class Multifractal:
             "octaves": {"description": "Number of octaves.", "default": 3},
         }
     }  # fmt: skip
-    #: Adds to the heights whatever they are (``program``).
-    adds: ClassVar[bool] = True
 
-    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
-        """Heights plus relief."""
-        spacing = max(grid.spacing_m)
-        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
-        relief = np.zeros(grid.shape)
-        if octaves:
-            relief = self.noise(octaves, spacing).on(grid.x(), grid.y())
-            relief *= self.amplitude_m
-        return height + relief, {
-            "octaves": octaves,
-            "octaves_below_grid": self.octaves - octaves,
-            "relief_rms_m": float(np.sqrt((relief * relief).mean())),
-        }
+    def on(self, grid: Grid, octaves: int) -> NDArray[np.float64]:
+        """Octaves at a grid's samples."""
+        return self.noise(octaves, max(grid.spacing_m)).on(grid.x(), grid.y())
 
-    def detail(self, grid: Grid) -> MultifractalDetail | None:
-        """The octaves that a grid is too coarse for."""
-        spacing = max(grid.spacing_m)
-        shown = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
-        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, max(grid.size_m))
-        if shown >= held or self.amplitude_m == 0.0:
-            return None
-        return MultifractalDetail(replace(self, octaves=held), shown, spacing)
+    def beyond(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int, spacing_m: float
+    ) -> NDArray[np.float64]:
+        """Warped as the grid's octaves are, if there are any: its samples must not move."""
+        noise = self.noise(self.octaves, spacing_m if shown else 0.0)
+        return replace(noise, shown=shown).at(x, y)
 
-    def everywhere(self) -> MultifractalDetail:
-        """All of it as detail."""
-        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, LARGEST_M)
-        return MultifractalDetail(replace(self, octaves=held), 0, 0.0)
+    def spectrum(self, shown: int) -> Spectrum:
+        """Octaves of the multifractals as large as they get where they are rough."""
+        rough = {"fbm": 1.0, "billow": 2.0}.get(self.variant, 1.0 + abs(self.offset))
+        octaves = range(shown, self.octaves)
+        amplitude = rough * self.amplitude_m
+        return octave_spectrum(self.scale_m, octaves, self.lacunarity, self.gain, amplitude)
 
     def noise(self, octaves: int, spacing_m: float) -> Fractal:
         """Some octaves, warped by those that a grid shows; by all where its spacing is 0."""
@@ -129,42 +199,6 @@ class Multifractal:
             self.distortion,
             warp_keys(self.key, warps) if self.distortion != 0.0 and warps else None,
             scale_m=self.scale_m,
-        )
-
-
-@dataclass(frozen=True)
-class MultifractalDetail:
-    """All octaves less those of a grid.
-
-    Attributes:
-        relief: The relief.
-        shown: Octaves that the grid holds.
-        spacing_m: Of the grid; 0 if it holds none.
-    """
-
-    relief: Multifractal
-    shown: int
-    spacing_m: float
-
-    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Meters to add at points, float64 [n]."""
-        relief = self.relief
-        if self.shown >= relief.octaves:
-            return np.zeros(x.shape)
-        # Warped as the grid's octaves are, if there are any: its samples must not move.
-        noise = relief.noise(relief.octaves, self.spacing_m if self.shown else 0.0)
-        return relief.amplitude_m * replace(noise, shown=self.shown).at(x, y)
-
-    def spectrum(self) -> Spectrum:
-        """Of the octaves; those of the multifractals as large as they get where they are rough."""
-        relief = self.relief
-        rough = {"fbm": 1.0, "billow": 2.0}.get(relief.variant, 1.0 + abs(relief.offset))
-        return octave_spectrum(
-            relief.scale_m,
-            range(self.shown, relief.octaves),
-            relief.lacunarity,
-            relief.gain,
-            rough * relief.amplitude_m,
         )
 
 

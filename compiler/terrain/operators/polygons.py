@@ -69,7 +69,7 @@ class Polygons:
             jitter=0.4 + 0.6 * self.irregularity,
             key=self.key,
         )
-        away = cells.cells(x + bent * moved[0], y + bent * moved[1], 0) * (0.5 * self.scale_m)
+        away = cells.beyond(x + bent * moved[0], y + bent * moved[1], 0, 0.0) * (0.5 * self.scale_m)
         form = (0.5 * self.width_m, self.depth_m, self.shoulder_m)
         relief = _profile(away, *form).reshape(grid.shape)
         return height + relief, {

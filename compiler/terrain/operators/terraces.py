@@ -67,17 +67,26 @@ class Terraces:
         )
         return out, changed(out, height)
 
-    def everywhere(self) -> Ledges:
-        """The steps as detail, of any fineness."""
-        return Ledges(self)
+    def everywhere(self) -> Terraces:
+        """The steps as detail, of any fineness: a ``detail.Reshaping``."""
+        return self
 
-    def change(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], height: NDArray[np.float64]
+    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """On level ground at height 0: meters to add at points, float64 [n]."""
+        return self.over(x, y, np.zeros(x.shape))
+
+    def over(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], below: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """What the steps add to heights at points, meters, float64 [n]."""
+        """Meters to add at points to heights below, float64 [n]."""
         if self.bend_m == 0.0:
-            return self._change(height, np.zeros(height.shape))
-        return self._change(height, self.bend_m * self._bends(_OCTAVES).at(x, y))
+            return self._change(below, np.zeros(below.shape))
+        return self._change(below, self.bend_m * self._bends(_OCTAVES).at(x, y))
+
+    def spectrum(self) -> Spectrum:
+        """One wave a layer, of slopes of 1 in 2; half of what a tread's end is moved by."""
+        moved = (1.0 - self.riser) * (1.0 - self.tread_slope) * self.step_m
+        return Spectrum(np.array([2.0 * self.step_m]), np.array([0.5 * moved]))
 
     def _bends(self, octaves: int) -> Fractal:
         return Fractal(self.key, octaves, _GAIN, _LACUNARITY, scale_m=self.bend_scale_m)
@@ -91,33 +100,6 @@ class Terraces:
         raised = np.ascontiguousarray(height + bend).ravel()
         over_threads(_terraced_part, raised.size, raised, layers, out, least=POINTS)
         return out.reshape(height.shape)
-
-
-@dataclass(frozen=True)
-class Ledges:
-    """Steps in whatever a ground is: a ``detail.Reshaping``.
-
-    Attributes:
-        relief: The steps.
-    """
-
-    relief: Terraces
-
-    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """On level ground at height 0: meters to add at points, float64 [n]."""
-        return self.over(x, y, np.zeros(x.shape))
-
-    def over(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], below: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Meters to add at points to heights below, float64 [n]."""
-        return self.relief.change(x, y, below)
-
-    def spectrum(self) -> Spectrum:
-        """One wave a layer, of slopes of 1 in 2; half of what a tread's end is moved by."""
-        relief = self.relief
-        moved = (1.0 - relief.riser) * (1.0 - relief.tread_slope) * relief.step_m
-        return Spectrum(np.array([2.0 * relief.step_m]), np.array([0.5 * moved]))
 
 
 @inlined

@@ -148,7 +148,6 @@ def _iterate(
 
     Args:
         height: Of this level.
-        step: Of this level.
         q: Gradients of two triangles at each sample, toward larger indices and toward smaller ones,
             in x and y, float64 [4, ny, nx]: those wanted plus all that was cut off so far. Becomes
             what is cut off in the end.
@@ -193,7 +192,6 @@ def _push(out: NDArray, height: NDArray, q: NDArray, held: NDArray, step: _Step)
         height: Of the level.
         q: What was cut off, or with ``held`` the gradients; becomes what is cut off.
         held: Factors, or ``_UNKNOWN``.
-        step: Of the level.
     """
     ny, nx = height.shape
     # Aims over the spacing of this row, the last one and the one before that, and zeros beside.
@@ -227,9 +225,7 @@ def _add_rises(height: NDArray, j: int, rises: NDArray, step: _Step, q: NDArray)
 
     Args:
         height: Whose, float64 [ny, nx].
-        j: The row.
         rises: Room for the row's in x, and for two rows' in y, float64 [3, nx].
-        step: Of the level.
         q: What they are added to, float64 [4, ny, nx].
     """
     ny, nx = height.shape
@@ -321,7 +317,6 @@ def _refine(height: NDArray, q: NDArray, step: _Step, ny: int, nx: int) -> tuple
 
     Args:
         height, q: What it ends with.
-        step: Of the level.
         ny, nx: Samples of the finer one.
     """
     fine = np.empty((4, ny, nx))

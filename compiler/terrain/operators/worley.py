@@ -21,8 +21,8 @@ from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.octaves import BLOCK, next_octave
 from scenec.compiler.noise.worley import blocks2_points, worley2_points
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
-from scenec.compiler.terrain.grid import Applied, Grid
-from scenec.compiler.terrain.operators.multifractal import LARGEST_M, octaves_held, octaves_shown
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators.multifractal import OctaveRelief
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -32,7 +32,7 @@ _SPANS = (0.75, 0.75, 0.4)
 
 
 @dataclass(frozen=True)
-class Worley:
+class Worley(OctaveRelief):
     """Cellular relief, added to what is there: bumps, pits or polygons around scattered points
     (Worley 1996).
 
@@ -76,39 +76,16 @@ class Worley:
             "octaves": {"description": "Number of octaves."},
         }
     }
-    #: Adds to the heights whatever they are (``program``).
-    adds: ClassVar[bool] = True
 
-    def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
-        """Heights plus relief."""
-        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        relief = np.zeros(grid.shape)
-        if octaves:
-            relief = replace(self, octaves=octaves).cells(*grid.points(), 0).reshape(grid.shape)
-            relief *= self.amplitude_m
-        return height + relief, {
-            "octaves": octaves,
-            "octaves_below_grid": self.octaves - octaves,
-            "relief_rms_m": float(np.sqrt((relief * relief).mean())),
-        }
+    def on(self, grid: Grid, octaves: int) -> NDArray[np.float64]:
+        """Octaves at a grid's samples."""
+        own = replace(self, octaves=octaves)
+        return own.beyond(*grid.points(), 0, 0.0).reshape(grid.shape)
 
-    def detail(self, grid: Grid) -> WorleyDetail | None:
-        """The octaves that a grid is too coarse for."""
-        shown = octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
-        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, max(grid.size_m))
-        if shown >= held or self.amplitude_m == 0.0:
-            return None
-        return WorleyDetail(replace(self, octaves=held), shown)
-
-    def everywhere(self) -> WorleyDetail:
-        """All of it as detail."""
-        held = octaves_held(self.octaves, self.scale_m, self.lacunarity, LARGEST_M)
-        return WorleyDetail(replace(self, octaves=held), 0)
-
-    def cells(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int
+    def beyond(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int, spacing_m: float
     ) -> NDArray[np.float64]:
-        """Octaves from ``shown`` on at points, in units of the amplitude: float64 [n]."""
+        """Octaves at points, whatever a grid shows."""
         kind = _KINDS.index(self.distance)
         cells = Cells(shown, self.gain, self.lacunarity, self.jitter, kind)
         keys = subkeys(np.uint64(self.key), self.octaves)
@@ -116,6 +93,12 @@ class Worley:
         x, y = x / self.scale_m, y / self.scale_m
         over_threads(_points_part, x.size, keys, x, y, cells, out, least=POINTS)
         return out
+
+    def spectrum(self, shown: int) -> Spectrum:
+        """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
+        octaves = range(shown, self.octaves)
+        amplitude = _SPANS[_KINDS.index(self.distance)] * self.amplitude_m
+        return octave_spectrum(0.5 * self.scale_m, octaves, self.lacunarity, self.gain, amplitude)
 
 
 class Cells(NamedTuple):
@@ -126,37 +109,6 @@ class Cells(NamedTuple):
     lacunarity: float
     jitter: float
     kind: int
-
-
-@dataclass(frozen=True)
-class WorleyDetail:
-    """All octaves but those of a grid.
-
-    Attributes:
-        relief: The relief.
-        shown: Octaves that the grid holds.
-    """
-
-    relief: Worley
-    shown: int
-
-    def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Meters to add at points, float64 [n]."""
-        relief = self.relief
-        if self.shown >= relief.octaves:
-            return np.zeros(x.shape)
-        return relief.amplitude_m * relief.cells(x, y, self.shown)
-
-    def spectrum(self) -> Spectrum:
-        """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
-        relief = self.relief
-        return octave_spectrum(
-            0.5 * relief.scale_m,
-            range(self.shown, relief.octaves),
-            relief.lacunarity,
-            relief.gain,
-            _SPANS[_KINDS.index(relief.distance)] * relief.amplitude_m,
-        )
 
 
 @kernel

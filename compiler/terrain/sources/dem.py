@@ -23,10 +23,10 @@ from scenec.compiler.kinds.forms import (
     file,
     list_of,
 )
-from scenec.compiler.terrain.grid import Applied, Grid
+from scenec.compiler.terrain.grid import Applied, Grid, bicubic
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import SceneError
-from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 # Holes are filled from what lies within so many pixels of the terrain.
@@ -233,13 +233,6 @@ def _used(u: NDArray, v: NDArray, shape: tuple[int, int]) -> list[int]:
     return [span(u, shape[1]), span(v, shape[0])]
 
 
-@inlined
-def _catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
-    return p1 + 0.5 * t * (
-        p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
-    )
-
-
 @kernel
 def _bicubic_part(
     first: int, last: int, samples: NDArray, u: NDArray, v: NDArray, out: NDArray
@@ -253,20 +246,9 @@ def _bicubic_part(
             x = min(max(u[i], 0.0), nx - 1.0)
             column = int(x)
             tx = x - column
-            c0 = max(column - 1, 0)
-            c1 = column
-            c2 = min(column + 1, nx - 1)
-            c3 = min(column + 2, nx - 1)
-            r0 = max(row - 1, 0)
-            r2 = min(row + 1, ny - 1)
-            r3 = min(row + 2, ny - 1)
-            a = _catmull_rom(samples[r0, c0], samples[r0, c1], samples[r0, c2], samples[r0, c3], tx)
-            b = _catmull_rom(
-                samples[row, c0], samples[row, c1], samples[row, c2], samples[row, c3], tx
-            )
-            c = _catmull_rom(samples[r2, c0], samples[r2, c1], samples[r2, c2], samples[r2, c3], tx)
-            d = _catmull_rom(samples[r3, c0], samples[r3, c1], samples[r3, c2], samples[r3, c3], tx)
-            out[j, i] = _catmull_rom(a, b, c, d, ty)
+            rows = max(row - 1, 0), row, min(row + 1, ny - 1), min(row + 2, ny - 1)
+            columns = max(column - 1, 0), column, min(column + 1, nx - 1), min(column + 2, nx - 1)
+            out[j, i] = bicubic(samples, rows, columns, tx, ty)
 
 
 def _bicubic(samples: NDArray, u: NDArray, v: NDArray) -> NDArray:

@@ -160,7 +160,6 @@ class MeshBase:
         """The mesh as a surface, its edges no longer than the grid's spacing.
 
         Args:
-            grid: The terrain's.
             max_triangles: Budget; where it binds, edges stay longer, and the report says so.
 
         Raises:

@@ -84,7 +84,6 @@ def hit(points, a, b, c, x, y, flat):  # type: ignore[no-untyped-def]
     Args:
         points: float64 [n, 3].
         a, b, c: The triangle's vertices.
-        x, y: The line.
         flat: Distance from an edge that counts as 0, meters.
     """
     area = (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1]) - (

@@ -124,7 +124,6 @@ def roughened(
     Where the amplitude is larger than the surface's radius of curvature, it can cross itself.
 
     Args:
-        points, faces: The mesh.
         key: Noise key.
         amplitude_m: Of the first octave, meters.
         scale_m: Size of the largest features, meters.
