@@ -178,20 +178,17 @@ def _light(spec: Spec) -> Iterator[Need]:
     sky = light["sky"] or {}
     if "resolution" not in sky:
         return
-    varies = any(map(_per_sample, (sky, light["sun"])))
-    pictures = int(spec.cfg["samples"]) if varies else 1
-    pixels = 2 * sky["resolution"] * sky["resolution"]
-    all_ = _need("light/sky/resolution", pictures * pixels, "pixels of skies", _SKY_PIXEL)
-    yield replace(all_, bytes=all_.bytes + _SKY_BEING_MADE * pixels)
+    parts = [("sky", sky, (sky, light["sun"]), "pixels of skies", _SKY_PIXEL, 1.0)]
     clouds = light.get("clouds")
     if clouds is not None:
-        varies = varies or _per_sample(clouds)
-        pictures = int(spec.cfg["samples"]) if varies else 1
-        pixels = 2 * clouds["resolution"] * clouds["resolution"]
-        key = "light/clouds/resolution"
+        drawn = (sky, light["sun"], clouds)
         cost = _CIRRUS_PIXEL if clouds["cumulus"] is None else _CUMULUS_PIXEL
-        all_ = _need(key, pictures * pixels, "pixels of skies with clouds", cost)
-        yield replace(all_, bytes=all_.bytes + 2.0 * _SKY_BEING_MADE * pixels)
+        parts.append(("clouds", clouds, drawn, "pixels of skies with clouds", cost, 2.0))
+    for name, node, drawn, what, cost, being_made in parts:
+        pictures = int(spec.cfg["samples"]) if any(map(_per_sample, drawn)) else 1
+        pixels = 2 * node["resolution"] * node["resolution"]
+        all_ = _need(f"light/{name}/resolution", pictures * pixels, what, cost)
+        yield replace(all_, bytes=all_.bytes + being_made * _SKY_BEING_MADE * pixels)
 
 
 def _per_sample(node: Any) -> bool:

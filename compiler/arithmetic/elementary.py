@@ -205,4 +205,4 @@ def _mapped(function: Callable[[float], float]) -> Callable[[ArrayLike], NDArray
 
 exp_array, log_array = _mapped(exp), _mapped(log)
 sin_array, cos_array = _mapped(sin), _mapped(cos)
-atan_array, acos_array = _mapped(atan), _mapped(acos)
+atan_array, acos_array, asin_array = _mapped(atan), _mapped(acos), _mapped(asin)

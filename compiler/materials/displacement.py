@@ -55,9 +55,11 @@ class Displacement:
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters above the mean at points, float64 [n]."""
-        plane, cells = _cached_plane(self._key()), self.cells
-        size = 0.0 if cells is None else cells.size_m
-        return np.asarray(_heights(plane, self.size_m, _turns(cells), size, x, y), np.float64)
+        plane, cells, out = _cached_plane(self._key()), self.cells, np.empty(x.size)
+        # As it repeats at 0, else in cells of that side.
+        form = plane, self.size_m, _turns(cells), 0.0 if cells is None else cells.size_m
+        over_threads(_heights_part, x.size, *form, (x, y), out)
+        return out
 
     def spectrum(self) -> Spectrum:
         """Its octaves, measured on a pyramid of box filters."""
@@ -224,10 +226,3 @@ def _heights_part(first, last, plane, size, turns, cell, points, out):  # type: 
             squares += share * share
         # Shares over their sum; the spread over the root of their squares' sum.
         out[n] = total / np.sqrt(squares) if fourths > 0.0 else 0.0
-
-
-def _heights(plane, size, turns, cell, x, y):  # type: ignore[no-untyped-def]
-    """The picture at points: as it repeats where ``cell`` is 0, else in cells of that side."""
-    out = np.empty(x.size)
-    over_threads(_heights_part, x.size, plane, size, turns, cell, (x, y), out)
-    return out

@@ -19,6 +19,7 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.materials.periodic import Plane
 from scenec.compiler.materials.reduce import rms_of, slopes
 from scenec.compiler.materials.resample import box, doubled
+from scenec.compiler.materials.tile import step
 from scenec.compiler.materials.values import Source, normal_picture, normals, unit
 
 #: Heights in tolerances between which an octave goes from the picture to the mesh.
@@ -77,5 +78,4 @@ def _share(band: tuple[Plane, Plane], scale: float) -> Plane:
         square = doubled(square)
     # A wave's height is the root of two times its root mean square.
     height = np.sqrt(np.float32(2.0) * square) * np.float32(scale)
-    t = np.clip((height - np.float32(_FROM)) * np.float32(1.0 / (_TO - _FROM)), 0.0, 1.0)
-    return np.asarray(t * t * (np.float32(3.0) - np.float32(2.0) * t), np.float32)
+    return step(_FROM, _TO, height)

@@ -148,7 +148,8 @@ def normal_codes(height: Plane, steepness: float) -> tuple[NDArray[np.uint8], fl
     Returns:
         uint8 [n, n, 3]; the slope, 1 is 45 degrees.
     """
-    codes, squares = _normals(height, 0.5 * steepness)
+    codes, squares = np.empty((*height.shape, 3), np.uint8), np.empty(height.shape, np.float32)
+    over_threads(_normals_part, len(height), height, 0.5 * steepness, codes, squares)
     return codes, float(np.sqrt(moments(squares)[0]))
 
 
@@ -171,11 +172,3 @@ def _normals_part(first, last, height, scale, codes, squares):  # type: ignore[n
             codes[row, column, 0] = np.uint8(127.5 * (x / length + 1.0) + 0.5)
             codes[row, column, 1] = np.uint8(127.5 * (y / length + 1.0) + 0.5)
             codes[row, column, 2] = np.uint8(127.5 * (1.0 / length + 1.0) + 0.5)
-
-
-def _normals(height, scale):  # type: ignore[no-untyped-def]
-    n = height.shape[0]
-    codes = np.empty((n, n, 3), np.uint8)
-    squares = np.empty((n, n), np.float32)
-    over_threads(_normals_part, n, height, scale, codes, squares)
-    return codes, squares

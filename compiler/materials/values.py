@@ -105,8 +105,9 @@ def normals(source: Source, step: int = 1) -> Planes:
 
 def unit(vectors: NDArray[np.floating]) -> Planes:
     """Vectors brought to length 1; (0, 0, 1) where they have none."""
-    found: Planes = _unit(vectors)
-    return found
+    out = np.empty(vectors.shape, np.float32)
+    over_threads(_unit_part, len(vectors), vectors, out)
+    return out
 
 
 @kernel
@@ -123,15 +124,8 @@ def _unit_part(first, last, vectors, out):  # type: ignore[no-untyped-def]
                 out[row, column, 1] = y / length
                 out[row, column, 2] = z / length
             else:
-                out[row, column, 0] = 0.0
-                out[row, column, 1] = 0.0
+                out[row, column] = 0.0
                 out[row, column, 2] = 1.0
-
-
-def _unit(vectors):  # type: ignore[no-untyped-def]
-    out = np.empty(vectors.shape, np.float32)
-    over_threads(_unit_part, vectors.shape[0], vectors, out)
-    return out
 
 
 def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
@@ -139,7 +133,8 @@ def encoded(plane: Plane, factor: float) -> NDArray[np.uint8]:
     linear = linear_codes(255)
     borders = 0.5 * (linear[1:] + linear[:-1])
     table = np.searchsorted(borders, np.arange(65536) / 65535.0, side="right").astype(np.uint8)
-    codes: NDArray[np.uint8] = _encode(plane, factor, table, borders)
+    codes = np.empty(plane.shape, np.uint8)
+    over_threads(_encode_part, len(plane), plane, factor, table, borders, codes)
     return codes
 
 
@@ -154,12 +149,6 @@ def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ig
             while code < 255 and value > borders[code]:
                 code += np.uint8(1)
             codes[row, column] = code
-
-
-def _encode(plane, factor, table, borders):  # type: ignore[no-untyped-def]
-    codes = np.empty(plane.shape, np.uint8)
-    over_threads(_encode_part, plane.shape[0], plane, factor, table, borders, codes)
-    return codes
 
 
 def color_picture(planes: Planes) -> Picture:

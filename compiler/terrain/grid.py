@@ -105,7 +105,7 @@ def _interpolated(height: NDArray, i: int, j: int, u: float, v: float) -> float:
 
 
 @inlined
-def _catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
+def catmull_rom(p0: float, p1: float, p2: float, p3: float, t: float) -> float:
     """Catmull and Rom's spline between p1 and p2."""
     return p1 + 0.5 * t * (
         p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
@@ -117,11 +117,11 @@ def bicubic(samples, rows, columns, across, down):  # type: ignore[no-untyped-de
     """Value of a field between its second and third of four rows and of four columns."""
     i0, i1, i2, i3 = columns
     j0, j1, j2, j3 = rows
-    a = _catmull_rom(samples[j0, i0], samples[j0, i1], samples[j0, i2], samples[j0, i3], across)
-    b = _catmull_rom(samples[j1, i0], samples[j1, i1], samples[j1, i2], samples[j1, i3], across)
-    c = _catmull_rom(samples[j2, i0], samples[j2, i1], samples[j2, i2], samples[j2, i3], across)
-    d = _catmull_rom(samples[j3, i0], samples[j3, i1], samples[j3, i2], samples[j3, i3], across)
-    return _catmull_rom(a, b, c, d, down)
+    a = catmull_rom(samples[j0, i0], samples[j0, i1], samples[j0, i2], samples[j0, i3], across)
+    b = catmull_rom(samples[j1, i0], samples[j1, i1], samples[j1, i2], samples[j1, i3], across)
+    c = catmull_rom(samples[j2, i0], samples[j2, i1], samples[j2, i2], samples[j2, i3], across)
+    d = catmull_rom(samples[j3, i0], samples[j3, i1], samples[j3, i2], samples[j3, i3], across)
+    return catmull_rom(a, b, c, d, down)
 
 
 @kernel

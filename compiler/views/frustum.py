@@ -145,10 +145,10 @@ def rays_a_radian(lidar: Lidar) -> float:
     return per_degree * 180.0 / elementary.PI
 
 
-def camera_poses(rig: Rig, sensor: Sensor) -> NDArray[np.float64]:
-    """Camera-to-world matrices at all samples, and some while the shutter is open, [n, 4, 4]."""
+def sensor_poses(rig: Rig, sensor: Sensor | Lidar) -> NDArray[np.float64]:
+    """Sensor-to-world matrices at all samples, and some while the shutter is open, [n, 4, 4]."""
     at_samples = composed(rig.to_world, sensor.to_rig)
-    if sensor.shutter is None or len(sensor.shutter.times) == 1:
+    if isinstance(sensor, Lidar) or sensor.shutter is None or len(sensor.shutter.times) == 1:
         return at_samples
     steps = len(sensor.shutter.times) - 1
     some = sensor.shutter.to_world[:, :: max(steps // _OPEN_STEPS, 1)]
@@ -160,13 +160,10 @@ def views_at_samples(rigs: tuple[Rig, ...]) -> Views:
 
     def rows() -> Iterator[_Row]:
         for rig in rigs:
-            for sensor in rig.sensors:
+            carried: tuple[Sensor | Lidar, ...] = (*rig.sensors, *rig.lidars)
+            for sensor in carried:
                 seen = outline(sensor, MARGIN)
-                for pose in camera_poses(rig, sensor):
-                    yield pose[:3, 3], pose[:3, :3], seen, 0
-            for lidar in rig.lidars:
-                seen = outline(lidar, MARGIN)
-                for pose in composed(rig.to_world, lidar.to_rig):
+                for pose in sensor_poses(rig, sensor):
                     yield pose[:3, 3], pose[:3, :3], seen, 0
 
     return _views(rows())

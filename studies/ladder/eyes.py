@@ -11,7 +11,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.lenses import FUNCTIONS, pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
-from scenec.compiler.views.frustum import camera_poses
+from scenec.compiler.views.frustum import sensor_poses
 from scenec.schemas.lens import project
 
 _RADIAN = elementary.PI / 180.0
@@ -82,7 +82,7 @@ def eyes_of(rigs: tuple[Rig, ...]) -> tuple[Eye, ...]:
     found = []
     for rig in rigs:
         for sensor in rig.sensors:
-            found += [Eye(pose[:3], sensor) for pose in camera_poses(rig, sensor)]
+            found += [Eye(pose[:3], sensor) for pose in sensor_poses(rig, sensor)]
         for lidar in rig.lidars:
             found += [Eye(compose(pose, lidar.to_rig)[:3], lidar) for pose in rig.to_world]
     return tuple(found)

@@ -22,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.terrain.grid import catmull_rom
 from scenec.schemas.kernels import inlined, kernel
 
 #: Radius at which the blanket ends, in crater radii; from 4 on it is faded out.
 REACH = 5.0
-#: The most worn state there is: diffused by a Gaussian of two crater radii.
-MAX_STATE = 2.0
 _FADE = 4.0
 _FLOOR = 0.25
 _EJECTA = 0.45
@@ -67,7 +66,7 @@ def fresh(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float
 
 
 def profile_table(largest_state: float) -> ProfileTable:
-    """The table up to a state of wear, at most ``MAX_STATE``.
+    """The table up to a state of wear, at most 2 (a Gaussian of two radii).
 
     Finite volumes in x, TR-BDF2 in time with steps that grow with it: against the convolution with
     a Gaussian the error is below 3e-4 of the depth.
@@ -149,10 +148,5 @@ def height_at(profile: NDArray, x: float) -> float:
     t -= i
     last = profile.size - 1
     # Mirrored at the middle, 0 beyond the end.
-    p0 = profile[i - 1 if i > 0 else -i]
-    p1 = profile[i if i >= 0 else 0]
-    p2 = profile[min(i + 1, last)]
-    p3 = profile[min(i + 2, last)]
-    return p1 + 0.5 * t * (
-        p2 - p0 + t * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + t * (3.0 * (p1 - p2) + p3 - p0))
-    )
+    before, at = profile[i - 1 if i > 0 else -i], profile[i if i >= 0 else 0]
+    return catmull_rom(before, at, profile[min(i + 1, last)], profile[min(i + 2, last)], t)

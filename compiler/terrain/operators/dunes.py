@@ -84,8 +84,11 @@ class Dunes:
             elementary.sin(wind),
         )
         noises = self._noise(0, waves), self._noise(1, waves)
-        real, imaginary = _envelope(*noises, waves, self.order)
-        relief = _bedforms(real, imaginary, waves, lee, self.rounded)
+        # The complex noise of which the phase is a part: order + n1 + i n2, n of unit range.
+        envelope = np.empty(grid.shape), np.empty(grid.shape)
+        over_threads(_envelope_part, len(height), *noises, waves, self.order, *envelope)
+        relief = np.empty(grid.shape)
+        over_threads(_bedforms_part, len(height), *envelope, waves, lee, self.rounded, relief)
         relief *= self.height_m
         return height + relief, {
             "below_grid": False,
@@ -175,16 +178,6 @@ def _envelope_part(
             real[j, i] += order
 
 
-def _envelope(
-    first: Octaves, second: Octaves, waves: Waves, order: float
-) -> tuple[NDArray, NDArray]:
-    """The complex noise of which the phase is a part: order + n1 + i n2, n of unit range."""
-    real = np.empty((waves.y.size, waves.x.size))
-    imaginary = np.empty_like(real)
-    over_threads(_envelope_part, waves.y.size, first, second, waves, order, real, imaginary)
-    return real, imaginary
-
-
 @inlined
 def _difference(field: NDArray, j: int, i: int, axis: int, spacing: float) -> float:
     """Central difference, one-sided at the border."""
@@ -208,6 +201,7 @@ def _bedforms_part(
     rounded: bool,
     out: NDArray,
 ) -> None:
+    """Heights in units of the mean crest's: float64 [ny, nx]."""
     x, y, along, across = waves
     dx = x[1] - x[0]
     dy = y[1] - y[0]
@@ -242,12 +236,3 @@ def _bedforms_part(
                 profile = elementary.smoothstep(t) if rounded else t
             # Between ripples the sand lies at their middle, between dunes at their feet.
             out[j, i] = tall * (profile - 0.5) + 0.5 if rounded else tall * profile
-
-
-def _bedforms(
-    real: NDArray, imaginary: NDArray, waves: Waves, lee: float, rounded: bool
-) -> NDArray:
-    """Heights in units of the mean crest's: float64 [ny, nx]."""
-    out = np.empty(real.shape)
-    over_threads(_bedforms_part, len(out), real, imaginary, waves, lee, rounded, out)
-    return out

@@ -151,7 +151,8 @@ class StreamPower:
             # do not depend on the step; the rise of hillslopes changes them.
             ways = drain(ground if slopes is None else before, outlets, dx, dy)
             area = drainage_area(ways, dx * dy)
-            rate = _powers(area, self.area_exponent)
+            rate = np.empty(area.size)
+            over_threads(_powers_part, area.size, area, self.area_exponent, rate, least=POINTS)
             rate *= self.erodibility * step
             rate[area < self.channel_area_m2] = 0.0
             number = max(number, float(rate.max()) / min(dx, dy))
@@ -171,12 +172,6 @@ class StreamPower:
 def _powers_part(first: int, last: int, x: NDArray, exponent: float, out: NDArray) -> None:
     for i in range(first, last):
         out[i] = np.sqrt(x[i]) if exponent == 0.5 else elementary.pow(x[i], exponent)
-
-
-def _powers(x: NDArray, exponent: float) -> NDArray:
-    out = np.empty(x.size)
-    over_threads(_powers_part, x.size, x, exponent, out, least=POINTS)
-    return out
 
 
 @kernel

@@ -170,7 +170,9 @@ class Dem:
                         f'{center:g}); {larger}move center, or say "edge": "clamp"'
                     )
         samples, report = self._filled(samples, holes, u, v)
-        base = _bicubic(np.ascontiguousarray(samples), u, v) * self.height_scale
+        base = np.empty(grid.shape)
+        over_threads(_bicubic_part, v.size, np.ascontiguousarray(samples), u, v, base)
+        base *= self.height_scale
         offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
         report = {**dem.facts, **report}
         if dem.reference is not None and dem.reference.crs:
@@ -249,9 +251,3 @@ def _bicubic_part(
             rows = max(row - 1, 0), row, min(row + 1, ny - 1), min(row + 2, ny - 1)
             columns = max(column - 1, 0), column, min(column + 1, nx - 1), min(column + 2, nx - 1)
             out[j, i] = bicubic(samples, rows, columns, tx, ty)
-
-
-def _bicubic(samples: NDArray, u: NDArray, v: NDArray) -> NDArray:
-    out = np.empty((v.size, u.size))
-    over_threads(_bicubic_part, v.size, samples, u, v, out)
-    return out
