@@ -178,10 +178,10 @@ def _light(spec: Spec) -> Iterator[Need]:
     sky = light["sky"] or {}
     if "resolution" not in sky:
         return
-    parts = [("sky", sky, (sky, light["sun"]), "pixels of skies", _SKY_PIXEL, 1.0)]
+    parts = [("sky", sky, [sky, light["sun"]], "pixels of skies", _SKY_PIXEL, 1.0)]
     clouds = light.get("clouds")
     if clouds is not None:
-        drawn = (sky, light["sun"], clouds)
+        drawn = [sky, light["sun"], clouds]
         cost = _CIRRUS_PIXEL if clouds["cumulus"] is None else _CUMULUS_PIXEL
         parts.append(("clouds", clouds, drawn, "pixels of skies with clouds", cost, 2.0))
     for name, node, drawn, what, cost, being_made in parts:
