@@ -11,9 +11,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, key, kind_of, list_of, one_of
 from scenec.compiler.kinds.forms import (
     CHOICE,
     COUNT,
@@ -23,12 +21,7 @@ from scenec.compiler.kinds.forms import (
     PER_SAMPLE,
     TIME_RANGE_S,
     TRUTH,
-    an,
-    list_of,
-    one_of,
 )
-from scenec.compiler.kinds.node import Node
-from scenec.compiler.kinds.table import kind_of
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant

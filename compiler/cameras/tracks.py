@@ -14,11 +14,8 @@ from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
 from scenec.compiler.cameras.paths.motion import Around, Built, Way
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import CHOICE, CONSTANT, PER_BATCH, an, file, list_of
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
+from scenec.compiler.kinds.forms import CHOICE, CONSTANT, PER_BATCH
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import shown

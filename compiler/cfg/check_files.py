@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenec.compiler.cfg.resources import ResourceError, find_file
-from scenec.compiler.kinds.context import InputFile
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, InputFile, Node
 from scenec.compiler.kinds.schema import Field
 from scenec.schemas.errors import CfgError, Fault, SceneError
 from scenec.schemas.files import sha256

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from scenec.compiler.kinds.context import InputFile
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, InputFile, Node
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
 from scenec.schemas.plugins import load_kind

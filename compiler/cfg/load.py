@@ -19,10 +19,8 @@ from scenec.compiler.cfg.fill import Cfg, fill
 from scenec.compiler.cfg.slips import improbable
 from scenec.compiler.cfg.sources import folder_of, located, mixed, read
 from scenec.compiler.distributions.numbers import Distribution
-from scenec.compiler.kinds import schema
-from scenec.compiler.kinds.context import InputFile
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.node import Node, Tree
+from scenec.compiler.kinds import Finding, InputFile, Node, schema
+from scenec.compiler.kinds.node import Tree
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 

@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Context, Finding, Node, black, is_black, key
 from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, COLOR, PER_SAMPLE, SUN_ELEVATION_DEG
-from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.suns import of_luminance_one
 from scenec.compiler.scene.light import SunLight
 

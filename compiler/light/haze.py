@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import LENGTH_PER_SAMPLE, PER_SAMPLE, list_of
-from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.kinds import Context, Finding, Node, black, bounded, is_black, key, list_of
+from scenec.compiler.kinds.declare import Form
+from scenec.compiler.kinds.forms import LENGTH_PER_SAMPLE, PER_SAMPLE
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light import Haze
 

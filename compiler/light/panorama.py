@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.label_maps import LARGEST_ID, code_of, decode
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import Form, key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Array, Context, Finding, Node, an, file, key, list_of, unknown
+from scenec.compiler.kinds.declare import Form
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_SAMPLE,
     CHOICE,
@@ -23,11 +22,7 @@ from scenec.compiler.kinds.forms import (
     PER_SAMPLE,
     SKY_LABELS,
     SKY_LABELS_BELOW,
-    an,
-    file,
-    list_of,
 )
-from scenec.compiler.kinds.node import Node, unknown
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
 from scenec.compiler.light.sky import Sky, SkyAndSun

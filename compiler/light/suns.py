@@ -9,11 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Array, Context, Finding, Node, black, is_black, key
 from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, COLOR, PER_SAMPLE, SUN_ELEVATION_DEG
-from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light import SunLight
 

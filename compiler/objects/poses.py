@@ -13,20 +13,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    COUNT,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    TRUTH,
-    an,
-    file,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
+from scenec.compiler.kinds.forms import CHOICE, COUNT, LENGTH_PER_BATCH, PER_BATCH, TRUTH
 from scenec.compiler.objects.models import (
     MATERIAL,
     MODELS,

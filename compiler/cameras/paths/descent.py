@@ -10,10 +10,8 @@ import numpy as np
 
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, level_bearing, poses
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Finding, Node, key
 from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, SAMPLING
-from scenec.compiler.kinds.node import Node
 
 
 @dataclass(frozen=True, kw_only=True)

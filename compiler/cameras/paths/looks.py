@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Finding, Node, key
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_BATCH,
     ANGLE_PER_SAMPLE,
@@ -16,7 +15,6 @@ from scenec.compiler.kinds.forms import (
     LENGTH_PER_BATCH,
     LENGTH_PER_SAMPLE,
 )
-from scenec.compiler.kinds.node import Node
 
 
 @dataclass(frozen=True, kw_only=True)

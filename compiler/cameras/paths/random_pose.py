@@ -27,17 +27,7 @@ from scenec.compiler.distributions.numbers import Number, at_uniforms
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.geometry.voxels import Cubes
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_SAMPLE,
-    CHOICE,
-    COUNT,
-    LENGTH_PER_SAMPLE,
-    POINT_M,
-    an,
-    list_of,
-)
+from scenec.compiler.kinds import Context, an, forms, key, list_of
 from scenec.compiler.noise.lattice import hash2, unit
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
@@ -62,21 +52,21 @@ class RandomPose:
         "limits": {"max_sky": 0.5},
     }
 
-    region_m: Sequence[Sequence[float]] = key(list_of(POINT_M, "One point.", least=2))
+    region_m: Sequence[Sequence[float]] = key(list_of(forms.POINT_M, "One point.", least=2))
     """Where in plan: two opposite corners of a box, or the corners of a polygon in order."""
-    height_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    height_m: Number = key(forms.LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
     """Height."""
-    above: Literal["ground", "world"] = key(CHOICE, default="ground")
+    above: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
     """What the height is above: the ground, or world (z itself)."""
     look: LookDirection | LookPoint | ObjectAim = key(
         an("pose_look", drawn=True), default={"type": "direction"}
     )
     """What it looks at."""
-    roll_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    roll_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
     """Turn about the line of sight, clockwise as the rig sees it."""
     limits: Limits = key(an("pose_limits", drawn=True), default={})
     """What it must keep."""
-    tries: int = key(COUNT, default=200, at_least=1, at_most=100_000)
+    tries: int = key(forms.COUNT, default=200, at_least=1, at_most=100_000)
     """Poses that are drawn for a sample at most."""
     keys: Mapping[str, int] = field(default_factory=dict)
     """Of the hashes that numbers are drawn with, by place below the pose: "look/pitch_deg"."""

@@ -14,11 +14,9 @@ from scenec.compiler.cameras.paths.motion import Around, Built
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.geometry.poses import bearing_vector, look_at
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Context, Finding, Node, bounded, key, off_terrain
+from scenec.compiler.kinds.declare import Form
 from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, LENGTH_PER_SAMPLE
-from scenec.compiler.kinds.node import Node, off_terrain
 
 
 def _object(needed: Sequence[str], **keys: Form) -> Form:
