@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scenec.compiler.kinds import Finding, Node, an, forms, key, list_of, named, unknown
-from scenec.compiler.kinds.declare import Form
+from scenec.compiler.kinds import Finding, Form, Node, an, forms, key, list_of, named, unknown
 from scenec.schemas.spelling import shown
 
 

@@ -77,6 +77,13 @@ def named(form: Form, text: str, *, by: str, least: int | None = None) -> Form:
     return Form({**{k: v for k, v in found.items() if v is not None}, "x-name": by})
 
 
+def word_or(word: str, form: Form) -> Form:
+    """Returns the form of a word, or of a list in its place."""
+    entries = {name: value for name, value in form.keywords.items() if name != "type"}
+    either = {"type": ["string", "array"], "if": {"type": "string"}, "then": {"enum": [word]}}
+    return Form({**either, "else": entries})
+
+
 NAME = Form({"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$(?!\\n)"}).but(
     description="A name: letters, digits and underscores, no digit first."
 )
@@ -145,10 +152,7 @@ MOUNT_ROTATION_DEG = list_of(
     bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000), "About one axis.", count=3
 ).but(default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis.")
 POINT_M = list_of(
-    bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000),
-    "One coordinate.",
-    least=2,
-    most=2,
+    bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000), "One coordinate.", count=2
 )
 WAYPOINTS_M = list_of(POINT_M, "One point.", least=1).but(
     description="Points of the way in plan: x (east) and y (north), meters."
@@ -161,7 +165,7 @@ MASK = list_of(an("relief_mask"), "One condition.", least=1).but(
         "Where the operator acts: conditions whose product is the mask. Left out, everywhere."
     )
 )
-COLOR = list_of(FRACTION_PER_SAMPLE, "Linear Rec.709 red, green or blue.", least=3, most=3).but(
+COLOR = list_of(FRACTION_PER_SAMPLE, "Linear Rec.709 red, green or blue.", count=3).but(
     x_color=True
 )
 GROUND_COLOR = COLOR.but(

@@ -54,8 +54,6 @@ class AtmosphereSky(Sky):
     """Height of the scene above the planet's mean level."""
     ground_color: Array = key(forms.GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(forms.SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(forms.SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -22,15 +22,14 @@ from scenec.compiler.kinds import (
     Context,
     Finding,
     Node,
-    an,
     bounded,
     draw_kind,
     forms,
     key,
     kind_of,
-    list_of,
     noise_key,
 )
+from scenec.compiler.kinds.forms import an, list_of
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash3, mix
 from scenec.compiler.noise.worley import worley2
@@ -60,8 +59,7 @@ _KEY_WARP, _KEY_GROUPS, _KEY_CELLS, _KEY_TILE = range(1, 5)
 _OFFSET_M = list_of(
     bounded(forms.LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000),
     "Along one axis.",
-    least=2,
-    most=2,
+    count=2,
 ).but(
     default=[0, 0],
     description="Where the pattern is moved: to the east, to the north. If it is drawn for each "

@@ -11,21 +11,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.geometry.poses import from_euler
-from scenec.compiler.kinds import (
-    Array,
-    Context,
-    Finding,
-    Node,
-    an,
-    black,
-    bounded,
-    draw_kind,
-    forms,
-    is_black,
-    key,
-    off_terrain,
-    unknown,
-)
+from scenec.compiler.kinds import Array, Context, Finding, an, bounded, draw_kind, forms, key
+from scenec.compiler.kinds.node import Node, black, is_black, off_terrain, unknown
 from scenec.compiler.light.suns import of_luminance_one
 from scenec.compiler.scene.light import SpotLight
 

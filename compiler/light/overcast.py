@@ -7,9 +7,9 @@ fades as exp(-depth / sine of its height), so the sun of a sky worth the name is
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,6 @@ class OvercastSky(Sky):
     """Color of the sky, relative. Not black."""
     ground_color: Array = key(forms.GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(forms.SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(forms.SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

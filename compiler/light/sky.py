@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from scenec.compiler.kinds import Array, Context, Node, bounded, forms, key
+from scenec.compiler.kinds import Array, Context, Node, bounded, forms
 from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
 
 ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
@@ -81,9 +81,6 @@ class BlackSky(Sky):
     """A black sky, which can have labels all the same."""
 
     EXAMPLE: ClassVar = {"type": "none"}
-
-    labels: Mapping[str, Any] = key(forms.SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(forms.SKY_LABELS_BELOW)
 
     def draw(self, context: Context) -> None:
         """Returns None."""

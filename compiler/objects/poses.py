@@ -27,6 +27,8 @@ from scenec.compiler.objects.models import (
 if TYPE_CHECKING:
     from scenec.compiler.objects.placed import PlacedPlan
 
+_ANGLE = bounded(PER_BATCH, at_least=-360, at_most=360, unit="deg")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPose:
@@ -42,14 +44,7 @@ class ObjectPose:
     z_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-1000000000.0, at_most=1000000000.0)
     """Height of the object's origin, see heights."""
     rotation_deg: Any = key(
-        list_of(
-            bounded(PER_BATCH, at_least=-360, at_most=360, unit="deg"),
-            "About one axis.",
-            least=3,
-            most=3,
-        ),
-        default=[0, 0, 0],
-        unit="deg",
+        list_of(_ANGLE, "About one axis.", count=3), default=[0, 0, 0], unit="deg"
     )
     """Turns about the world's x, y and z, in that order; the last is counterclockwise seen from
     above."""

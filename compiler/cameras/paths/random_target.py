@@ -14,8 +14,7 @@ from scenec.compiler.cameras.paths.motion import Around, Built
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.geometry.poses import bearing_vector, look_at
-from scenec.compiler.kinds import Context, Finding, Node, bounded, key, off_terrain
-from scenec.compiler.kinds.declare import Form
+from scenec.compiler.kinds import Context, Finding, Form, Node, bounded, key, off_terrain
 from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, LENGTH_PER_SAMPLE
 
 

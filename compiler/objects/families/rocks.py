@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds import Context, Finding, Node, an, draw_object, forms, key, list_of
-from scenec.compiler.kinds.declare import Form
+from scenec.compiler.kinds import Context, Finding, Form, Node, an, draw_object, forms, key, list_of
 from scenec.compiler.kinds.table import loaded
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.scattered import Scattered
