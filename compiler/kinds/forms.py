@@ -108,6 +108,11 @@ LENGTH_PER_SAMPLE = bounded(PER_SAMPLE, unit="m")
 LENGTH_PER_INSTANCE = bounded(PER_INSTANCE, unit="m")
 ANGLE_PER_BATCH = bounded(PER_BATCH, unit="°")
 ANGLE_PER_SAMPLE = bounded(PER_SAMPLE, unit="°")
+#: Bearings and turns, and coordinates and heights, of whatever sign.
+TURN_PER_BATCH = bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000)
+TURN_PER_SAMPLE = bounded(ANGLE_PER_SAMPLE, at_least=-100_000, at_most=100_000)
+COORDINATE_PER_BATCH = bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000)
+COORDINATE_PER_SAMPLE = bounded(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
 WHOLE_PER_BATCH = PER_BATCH.but(x_kind="integer")
 RAGGED = an("condition_ragged", drawn=True).but(
     description="A noise that is added, so that the border is ragged and no contour line."
@@ -148,9 +153,9 @@ MOUNT_POSITION_M = list_of(
     "Along one axis.",
     count=3,
 ).but(default=[0, 0, 0], description="Position: right, down, forward.")
-MOUNT_ROTATION_DEG = list_of(
-    bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000), "About one axis.", count=3
-).but(default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis.")
+MOUNT_ROTATION_DEG = list_of(TURN_PER_BATCH, "About one axis.", count=3).but(
+    default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis."
+)
 POINT_M = list_of(
     bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000), "One coordinate.", count=2
 )

@@ -113,7 +113,7 @@ class CirrusClouds:
     """Over the world's z = 0."""
     size_m: float = key(forms.LENGTH_PER_BATCH, default=4000, at_least=100, at_most=100_000)
     """Width of streaks; they are five times as long."""
-    bearing_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=60, at_least=-100_000, at_most=100_000)
+    bearing_deg: Array = key(forms.TURN_PER_SAMPLE, default=60)
     """Compass bearing that streaks run along."""
     offset_m: Array = key(_OFFSET_M)
     key: int = noise_key()

@@ -81,7 +81,7 @@ class WorldMount:
     """Height, see heights."""
     heights: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
     """What heights are over: the ground below, or the world's zero."""
-    bearing_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    bearing_deg: Array = key(forms.TURN_PER_SAMPLE, default=0)
     """Compass bearing that it shines to, clockwise from +Y (north). Not with a target."""
     elevation_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=-90, at_least=-90, at_most=90)
     """Angle above the horizon that it shines to. Not with a target."""

@@ -118,7 +118,7 @@ class ImageSky(Sky):
     batches."""
     strength: Array = key(forms.PER_SAMPLE, default=1, above=0, at_most=1_000_000_000)
     """Factor on the picture's radiance."""
-    rotation_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    rotation_deg: Array = key(forms.TURN_PER_SAMPLE, default=0)
     """Turn about the vertical, clockwise seen from above, as compass bearings grow."""
     sun: Literal["keep", "extract"] = key(forms.CHOICE, default="keep")
     """keep: the sun stays in the picture. extract: it is taken out of it and becomes a disc with

@@ -34,15 +34,15 @@ class LawnMower:
         "height_m": 3,
     }
 
-    x_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    x_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Middle of the rectangle, to the east."""
-    y_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    y_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Middle of the rectangle, to the north."""
     along_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
     """Extent along the lines."""
     across_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
     """Extent across the lines."""
-    bearing_deg: float = key(forms.ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    bearing_deg: float = key(forms.TURN_PER_BATCH, default=0)
     """Compass bearing of the first line; the others follow to its right."""
     spacing_m: float | None = key(
         forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=10_000_000
@@ -51,7 +51,7 @@ class LawnMower:
     overlap: float = key(forms.PER_BATCH, default=0.6, at_least=0, at_most=0.99)
     """Share of its width that a strip has in common with the next one, where the rig's first sensor
     looks straight down at level ground."""
-    height_m: float = key(forms.LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000)
+    height_m: float = key(forms.COORDINATE_PER_BATCH)
     """Height of the flight."""
     above: Literal["ground", "mean", "world"] = key(forms.CHOICE, default="ground")
     """What the height is above: ground (below each point, followed exactly), mean (the mean ground

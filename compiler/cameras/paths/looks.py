@@ -11,9 +11,11 @@ from scenec.compiler.kinds import Finding, Node, key
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_BATCH,
     ANGLE_PER_SAMPLE,
+    COORDINATE_PER_BATCH,
+    COORDINATE_PER_SAMPLE,
     FRACTION_PER_BATCH,
     LENGTH_PER_BATCH,
-    LENGTH_PER_SAMPLE,
+    TURN_PER_SAMPLE,
 )
 
 
@@ -27,12 +29,7 @@ class LookDirection:
         "pitch_deg": -15,
     }
 
-    bearing_deg: Number = key(
-        ANGLE_PER_SAMPLE,
-        default={"type": "uniform", "min": 0, "max": 360},
-        at_least=-100_000,
-        at_most=100_000,
-    )
+    bearing_deg: Number = key(TURN_PER_SAMPLE, default={"type": "uniform", "min": 0, "max": 360})
     """Compass bearing, clockwise from +Y (north)."""
     pitch_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-90, at_most=90)
     """Elevation of the view; -90 looks straight down."""
@@ -44,11 +41,11 @@ class LookPoint:
 
     EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0}
 
-    x_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    x_m: Number = key(COORDINATE_PER_SAMPLE)
     """Position, to the east."""
-    y_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    y_m: Number = key(COORDINATE_PER_SAMPLE)
     """Position, to the north."""
-    height_m: Number = key(LENGTH_PER_SAMPLE, default=0, at_least=-10_000_000, at_most=10_000_000)
+    height_m: Number = key(COORDINATE_PER_SAMPLE, default=0)
     """Height above the ground there."""
 
 
@@ -58,7 +55,7 @@ class Limits:
 
     EXAMPLE: ClassVar = {"clearance_m": 0.3, "max_sky": 0.4}
 
-    clearance_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    clearance_m: float = key(COORDINATE_PER_BATCH, default=0)
     """Least distance from any object, and from the ground where the height is the world's.
     Scattered objects also keep clear of cameras by themselves."""
     min_distance_m: float | None = key(

@@ -22,13 +22,11 @@ class PointAim:
 
     EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0.5}
 
-    x_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    x_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Position, to the east."""
-    y_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    y_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Position, to the north."""
-    height_m: float = key(
-        forms.LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000
-    )
+    height_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Height above the ground there."""
 
     def at(self, around: Around) -> NDArray[np.float64]:
@@ -114,13 +112,11 @@ class Orbit:
     """What it goes around."""
     radius_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
     """Level distance from the center."""
-    height_m: float = key(
-        forms.LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000
-    )
+    height_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Height above the center."""
-    start_deg: float = key(forms.ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    start_deg: float = key(forms.TURN_PER_BATCH, default=0)
     """Compass bearing from the center to the first pose, clockwise from +Y (north)."""
-    sweep_deg: float = key(forms.ANGLE_PER_BATCH, default=360, at_least=-100_000, at_most=100_000)
+    sweep_deg: float = key(forms.TURN_PER_BATCH, default=360)
     """How far it goes around, clockwise from above; below 0 the other way. Samples that are spread
     over whole turns do not repeat the first pose at the end."""
     period_s: float = key(forms.PER_BATCH, default=60, above=0, at_most=1000000000.0, unit="s")

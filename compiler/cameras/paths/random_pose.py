@@ -54,7 +54,7 @@ class RandomPose:
 
     region_m: Sequence[Sequence[float]] = key(list_of(forms.POINT_M, "One point.", least=2))
     """Where in plan: two opposite corners of a box, or the corners of a polygon in order."""
-    height_m: Number = key(forms.LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    height_m: Number = key(forms.COORDINATE_PER_SAMPLE)
     """Height."""
     above: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
     """What the height is above: the ground, or world (z itself)."""
@@ -62,7 +62,7 @@ class RandomPose:
         an("pose_look", drawn=True), default={"type": "direction"}
     )
     """What it looks at."""
-    roll_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    roll_deg: Number = key(forms.TURN_PER_SAMPLE, default=0)
     """Turn about the line of sight, clockwise as the rig sees it."""
     limits: Limits = key(an("pose_limits", drawn=True), default={})
     """What it must keep."""
