@@ -149,9 +149,7 @@ SUN_ELEVATION_DEG = bounded(ANGLE_PER_SAMPLE, at_least=-90, at_most=90).but(
     default=45, description="Angle above the horizon."
 )
 MOUNT_POSITION_M = list_of(
-    bounded(LENGTH_PER_BATCH, at_least=-1_000_000, at_most=1_000_000),
-    "Along one axis.",
-    count=3,
+    bounded(LENGTH_PER_BATCH, at_least=-1_000_000, at_most=1_000_000), "Along one axis.", count=3
 ).but(default=[0, 0, 0], description="Position: right, down, forward.")
 MOUNT_ROTATION_DEG = list_of(TURN_PER_BATCH, "About one axis.", count=3).but(
     default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis."

@@ -88,8 +88,7 @@ class Limits:
             low, high = node.span(f"min_{of}"), node.span(f"max_{of}")
             if low and high and low[0] > high[1]:
                 yield node.fault(
-                    f"{low[0]:g} is above max_{of} ({high[1]:g}): nothing lies between",
-                    f"min_{of}",
+                    f"{low[0]:g} is above max_{of} ({high[1]:g}): nothing lies between", f"min_{of}"
                 )
 
     @property
