@@ -11,7 +11,14 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
-from scenec.compiler.cfg import document
+from scenec.compiler.cfg.document import (
+    MAX_DEPTH,
+    CfgSyntaxError,
+    Document,
+    Text,
+    as_number,
+    has_half_pair,
+)
 from scenec.compiler.kinds.finding import Path, Position
 
 _SPACE = re.compile(r"(?:[ \t\n\r]+|//[^\n]*|/\*.*?\*/)*", re.DOTALL)
@@ -21,7 +28,7 @@ _WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _LITERALS = {"true": True, "false": False, "null": None}
 
 
-def parse(data: bytes, file: str = "") -> document.Document:
+def parse(data: bytes, file: str = "") -> Document:
     """Parses a JSON text in UTF-8 (a byte order mark is skipped).
 
     Args:
@@ -32,33 +39,33 @@ def parse(data: bytes, file: str = "") -> document.Document:
         CfgSyntaxError: It is not UTF-8, not JSON, nested deeper than ``MAX_DEPTH``, or holds a
             number that is too large for a double or a string with half a surrogate pair.
     """
-    source = document.Text(data, file)
+    source = Text(data, file)
     return _Parser(source, source.text).document()
 
 
 @dataclass
 class _Parser:
-    source: document.Text
+    source: Text
     text: str
     offset: int = 0
     values: dict[Path, Position] = field(default_factory=dict)
     keys: dict[Path, Position] = field(default_factory=dict)
     duplicates: list[tuple[Path, Position]] = field(default_factory=list)
 
-    def document(self) -> document.Document:
+    def document(self) -> Document:
         self._skip_space()
         value = self._value((), 0)
         self._skip_space()
         if self.offset < len(self.text):
             raise self._error(f"{self._found()} after the end of the document")
-        return document.Document(value, self.values, self.keys, tuple(self.duplicates))
+        return Document(value, self.values, self.keys, tuple(self.duplicates))
 
     def _here(self) -> Position:
         return self.source.position(self.offset)
 
-    def _error(self, message: str, offset: int | None = None) -> document.CfgSyntaxError:
+    def _error(self, message: str, offset: int | None = None) -> CfgSyntaxError:
         at = self.offset if offset is None else offset
-        return document.CfgSyntaxError(message, self.source.position(at))
+        return CfgSyntaxError(message, self.source.position(at))
 
     def _found(self) -> str:
         if self.offset >= len(self.text):
@@ -80,8 +87,8 @@ class _Parser:
         return False
 
     def _value(self, path: Path, depth: int) -> Any:
-        if depth > document.MAX_DEPTH:
-            raise self._error(f"nested deeper than {document.MAX_DEPTH} levels")
+        if depth > MAX_DEPTH:
+            raise self._error(f"nested deeper than {MAX_DEPTH} levels")
         self.values[path] = self._here()
         if self._take("{"):
             return self._object(path, depth)
@@ -157,12 +164,12 @@ class _Parser:
         if not match:
             raise self._bad_string()
         value = str(json.loads(match.group()))
-        if document.has_half_pair(value):
+        if has_half_pair(value):
             raise self._error("a string with half a surrogate pair")
         self.offset = match.end()
         return value
 
-    def _bad_string(self) -> document.CfgSyntaxError:
+    def _bad_string(self) -> CfgSyntaxError:
         at = self.offset + 1
         while at < len(self.text) and self.text[at] != '"':
             if self.text[at] < " ":
@@ -187,7 +194,7 @@ class _Parser:
         following = self.text[match.end() : match.end() + 1]
         if following and (following.isalnum() or following in "._+-"):
             raise self._error(f"{(token + following)!r} does not begin a JSON number")
-        value = document.as_number(token, whole=match.group(1) is None and match.group(2) is None)
+        value = as_number(token, whole=match.group(1) is None and match.group(2) is None)
         if value is None:
             raise self._error(f"the number {token[:24]} is too large")
         self.offset = match.end()

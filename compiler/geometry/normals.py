@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 
 
 def face_normals(points: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -21,23 +21,29 @@ def cross_products(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np
     )
 
 
+@inlined
+def twice_area(points, a, b, c):  # type: ignore[no-untyped-def]
+    """The normal of a triangle of vertices, as long as twice its area."""
+    ux, uy, uz = (
+        points[b, 0] - points[a, 0],
+        points[b, 1] - points[a, 1],
+        points[b, 2] - points[a, 2],
+    )
+    vx, vy, vz = (
+        points[c, 0] - points[a, 0],
+        points[c, 1] - points[a, 1],
+        points[c, 2] - points[a, 2],
+    )
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
 @kernel
 def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
     """Unit normals at vertices, the faces' weighted by area; +z where they cancel out."""
     out = np.zeros((len(points), 3))
     for f in range(len(faces)):
         a, b, c = faces[f]
-        ux, uy, uz = (
-            points[b, 0] - points[a, 0],
-            points[b, 1] - points[a, 1],
-            points[b, 2] - points[a, 2],
-        )
-        vx, vy, vz = (
-            points[c, 0] - points[a, 0],
-            points[c, 1] - points[a, 1],
-            points[c, 2] - points[a, 2],
-        )
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        nx, ny, nz = twice_area(points, a, b, c)
         for v in (a, b, c):
             out[v, 0] += nx
             out[v, 1] += ny

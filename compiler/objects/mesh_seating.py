@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.geometry.normals import faces_of_vertices
+from scenec.compiler.geometry.normals import faces_of_vertices, twice_area
 from scenec.compiler.objects.bodies import Bodies, Touching, touching
 from scenec.compiler.objects.mesh_candidates import Spots
 from scenec.compiler.terrain.sources.mesh_plan import hit, square_of
@@ -80,17 +80,7 @@ def seat_on_mesh(surface: MeshSurface, spots: Spots, bodies: Bodies) -> NDArray[
 
 @inlined
 def _carries(points, a, b, c):  # type: ignore[no-untyped-def]
-    ux, uy, uz = (
-        points[b, 0] - points[a, 0],
-        points[b, 1] - points[a, 1],
-        points[b, 2] - points[a, 2],
-    )
-    vx, vy, vz = (
-        points[c, 0] - points[a, 0],
-        points[c, 1] - points[a, 1],
-        points[c, 2] - points[a, 2],
-    )
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    nx, ny, nz = twice_area(points, a, b, c)
     return nz >= _CARRYING * np.sqrt(nx * nx + ny * ny + nz * nz) and nz > 0.0
 
 
