@@ -62,7 +62,7 @@ class Target:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldMount:
+class WorldMount(Target):
     """Standing in the world."""
 
     EXAMPLE: ClassVar = {
@@ -73,10 +73,6 @@ class WorldMount:
         "target": {"x_m": 4, "y_m": 0},
     }
 
-    x_m: Array = key(_COORDINATE)
-    """East."""
-    y_m: Array = key(_COORDINATE)
-    """North."""
     z_m: Array = key(_COORDINATE, default=0)
     """Height, see heights."""
     heights: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
@@ -106,10 +102,6 @@ class WorldMount:
             return made
         target = context.at(f"{context.path}/target").sampled(made.target)
         return replace(made, target=Target(**target))
-
-    def points(self) -> Array:
-        """Returns where it is at every sample, [s, 3]."""
-        return np.stack([self.x_m, self.y_m, self.z_m], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -91,17 +91,6 @@ class Limits:
                     f"{low[0]:g} is above max_{of} ({high[1]:g}): nothing lies between", f"min_{of}"
                 )
 
-    @property
-    def distance_m(self) -> tuple[float | None, float | None]:
-        """Least and largest, None: any."""
-        return self.min_distance_m, self.max_distance_m
-
-    @property
-    def elevation_deg(self) -> tuple[float | None, float | None]:
-        """Least and largest, None: any."""
-        return self.min_elevation_deg, self.max_elevation_deg
-
-    @property
-    def incidence_deg(self) -> tuple[float | None, float | None]:
-        """Least and largest, None: any."""
-        return self.min_incidence_deg, self.max_incidence_deg
+    def bounds(self, of: str) -> tuple[float | None, float | None]:
+        """Returns the least and the largest of a quantity, such as "distance_m"; None: any."""
+        return getattr(self, f"min_{of}"), getattr(self, f"max_{of}")

@@ -205,19 +205,22 @@ class RandomPose:
         reach = float(hits(around.surface.field, span, eye, forward[None])[0])
         if isinstance(self.look, LookDirection):
             distance = reach
-        if not _between(distance, limits.distance_m):
-            return None, f"with a distance not {_said(limits.distance_m, 'm')} (distance)"
+        distances, elevations, incidences = (
+            limits.bounds(of) for of in ("distance_m", "elevation_deg", "incidence_deg")
+        )
+        if not _between(distance, distances):
+            return None, f"with a distance not {_said(distances, 'm')} (distance)"
         elevation = elementary.asin(min(max(float(forward[2]), -1.0), 1.0)) * _DEGREES
-        if not _between(elevation, limits.elevation_deg):
-            return None, f"with a view not {_said(limits.elevation_deg, 'degrees')} (elevation)"
-        if limits.incidence_deg != (None, None):
+        if not _between(elevation, elevations):
+            return None, f"with a view not {_said(elevations, 'degrees')} (elevation)"
+        if incidences != (None, None):
             if reach == np.inf:
                 return None, "looking past the ground (incidence)"
             at = eye + reach * forward
             normal = normal_at(around.surface.field, float(at[0]), float(at[1]))
             cosine = min(max(-float((normal * forward).sum()), -1.0), 1.0)
-            if not _between(elementary.acos(cosine) * _DEGREES, limits.incidence_deg):
-                said = _said(limits.incidence_deg, "degrees")
+            if not _between(elementary.acos(cosine) * _DEGREES, incidences):
+                said = _said(incidences, "degrees")
                 return None, f"with an incidence not {said} (incidence)"
         if isinstance(self.look, ObjectAim) and reach < distance - own - 1e-9 * distance:
             return None, "with the ground between it and its target"
