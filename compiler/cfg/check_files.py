@@ -303,7 +303,11 @@ def _check_map(file: Path, owner: Node, cfg: Node) -> None:
 
 def _readable(place: str) -> Callable[[Path, Node, Node], None]:
     """A check whether a file can be read by a function of the compiler, ``module:name``."""
-    return lambda file, _owner, _cfg: loaded(place)(file)
+
+    def check(file: Path, _owner: Node, _cfg: Node) -> None:
+        loaded(place)(file)
+
+    return check
 
 
 def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:

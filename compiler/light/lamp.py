@@ -46,7 +46,7 @@ class RigMount:
 class Target:
     """A place that a lamp shines to."""
 
-    EXAMPLE: ClassVar = {"x_m": 4, "y_m": 0, "z_m": 0.5}
+    EXAMPLE: ClassVar[dict[str, Any]] = {"x_m": 4, "y_m": 0, "z_m": 0.5}
 
     TITLE: ClassVar = "Lamp's target"
     x_m: Array = key(_COORDINATE)
