@@ -9,8 +9,7 @@ from typing import Any
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.draw import draw_kind, draw_object
+from scenec.compiler.kinds import Context, draw_kind, draw_object
 from scenec.compiler.light.plan import draw_light
 from scenec.compiler.materials.displacement import draw_displacement
 from scenec.compiler.materials.material import draw_materials

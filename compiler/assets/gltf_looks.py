@@ -5,17 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.assets import looks
 from scenec.compiler.assets.gltf_file import GltfFile, natural
-from scenec.compiler.assets.looks import (
-    NOT_FOLLOWED,
-    OPACITY,
-    SAME_UV,
-    Color,
-    Look,
-    Slot,
-    UvMap,
-    reflectance,
-)
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
@@ -37,7 +28,7 @@ class GltfLooks:
     def __init__(self, file: GltfFile):
         self._file = file
         self._numbers: dict[int, int] = {}
-        self.known: list[Look] = []
+        self.known: list[looks.Look] = []
         self._pictures: dict[int, tuple[Source, str]] = {}
 
     def number(self, index: Any) -> int:
@@ -47,13 +38,13 @@ class GltfLooks:
             self.known.append(self._look(self._file.document["materials"][index]))
         return self._numbers[index]
 
-    def _look(self, material: dict[str, Any]) -> Look:
+    def _look(self, material: dict[str, Any]) -> looks.Look:
         name = str(material.get("name", ""))
         notes: list[str] = []
         clamps: list[bool] = []
         pbr = material.get("pbrMetallicRoughness", {})
         extensions = material.get("extensions", {})
-        slots: dict[str, Slot] = {}
+        slots: dict[str, looks.Slot] = {}
 
         def slot(kind: str, info: Any, channel: int = 0, scale: float = 1.0) -> None:
             found = self._slot(info, channel, scale, clamps)
@@ -82,14 +73,14 @@ class GltfLooks:
             if material["normalTexture"].get("scale", 1) != 1:
                 notes.append("the strength of its map of normals is taken as 1")
         notes += self._left_out(material)
-        specular = reflectance(float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)))
+        specular = looks.reflectance(float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)))
         specular *= float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
         base = (red, green, blue)
         through = extensions.get(_THROUGH, {})
         share = float(through.get("diffuseTransmissionFactor", 0.0))
         if share > 0.0 and not _of_one_color(through, base, pbr.get("baseColorTexture")):
             notes.append("the light that it transmits has the color of what it reflects")
-        return Look(
+        return looks.Look(
             name, base, roughness, metallic, specular, slots, tuple(notes),
             repeats=not any(clamps), diffuse_transmission=share,
         )  # fmt: skip
@@ -98,19 +89,19 @@ class GltfLooks:
     def _left_out(material: dict[str, Any]) -> list[str]:
         notes = []
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
-            notes.append(OPACITY)
+            notes.append(looks.OPACITY)
         if any(material.get("emissiveFactor", ())) or "emissiveTexture" in material:
             notes.append("its emission is left out")
         if "occlusionTexture" in material:
             notes.append("its occlusion picture is left out: light is traced")
         notes += [
-            f"its {name} {NOT_FOLLOWED}"
+            f"its {name} {looks.NOT_FOLLOWED}"
             for name in material.get("extensions", {})
             if name not in _READ
         ]
         return notes
 
-    def _slot(self, info: Any, channel: int, scale: float, clamps: list[bool]) -> Slot | None:
+    def _slot(self, info: Any, channel: int, scale: float, clamps: list[bool]) -> looks.Slot | None:
         document = self._file.document
         texture = document["textures"][natural(info["index"])]
         webp = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
@@ -122,8 +113,8 @@ class GltfLooks:
         moved = info.get("extensions", {}).get("KHR_texture_transform", {})
         uv_set = natural(moved.get("texCoord", info.get("texCoord", 0)))
         source, label = self._picture(natural(index))
-        uv_map = _uv_map(moved) if moved else SAME_UV
-        return Slot(source, label, channel, scale, 0.0, f"TEXCOORD_{uv_set}", uv_map)
+        uv_map = _uv_map(moved) if moved else looks.SAME_UV
+        return looks.Slot(source, label, channel, scale, 0.0, f"TEXCOORD_{uv_set}", uv_map)
 
     def _picture(self, index: int) -> tuple[Source, str]:
         if index not in self._pictures:
@@ -142,14 +133,14 @@ class GltfLooks:
         return self._pictures[index]
 
 
-def _of_one_color(through: dict[str, Any], base: Color, picture: Any) -> bool:
+def _of_one_color(through: dict[str, Any], base: looks.Color, picture: Any) -> bool:
     """Whether a sheet transmits what it reflects, evenly."""
     color = tuple(map(float, through.get("diffuseTransmissionColorFactor", (1.0, 1.0, 1.0))))
     own = through.get("diffuseTransmissionColorTexture")
     return color == base and own == picture and "diffuseTransmissionTexture" not in through
 
 
-def _uv_map(moved: dict[str, Any]) -> UvMap:
+def _uv_map(moved: dict[str, Any]) -> looks.UvMap:
     """KHR_texture_transform for coordinates whose v runs up."""
     across, down = map(float, moved.get("offset", (0.0, 0.0)))
     wide, high = map(float, moved.get("scale", (1.0, 1.0)))

@@ -13,15 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenec.compiler.assets.looks import (
-    DIELECTRIC,
-    OPACITY,
-    SAME_UV,
-    Look,
-    Slot,
-    UvMap,
-    reflectance,
-)
+from scenec.compiler.assets import looks
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, pixels_of
 
@@ -41,7 +33,7 @@ _LEFT_OUT = {
 }  # fmt: skip
 
 
-def read_mtl(file: Path, found: Callable[[Path], None]) -> dict[str, Look]:
+def read_mtl(file: Path, found: Callable[[Path], None]) -> dict[str, looks.Look]:
     """The materials of a library, by name.
 
     Raises:
@@ -81,13 +73,13 @@ def _numbers(lines: dict[str, tuple[int, str]], key: str, count: int) -> list[fl
 
 def _look(
     file: Path, name: str, lines: dict[str, tuple[int, str]], found: Callable[[Path], None]
-) -> Look:
+) -> looks.Look:
     def one(key: str) -> float | None:
         values = _numbers(lines, key, 1)
         return None if values is None else values[0]
 
     notes = [f"its {what} is left out" for key, what in _LEFT_OUT.items() if key in lines]
-    slots: dict[str, Slot] = {}
+    slots: dict[str, looks.Slot] = {}
     for key, kind in _MAPS.items():
         if key not in lines:
             continue
@@ -106,22 +98,22 @@ def _look(
         shine = 250.0 if exponent is None else min(max(exponent, 0.0), 1000.0)
         roughness = 1.0 - math.sqrt(shine / 1000.0)
     highlight, model, ior = _numbers(lines, "ks", 3), one("illum"), one("ni")
-    specular = DIELECTRIC
+    specular = looks.DIELECTRIC
     if (highlight is not None and max(highlight) <= 0.0) or (model is not None and model < 2.0):
         specular = 0.0
     elif ior is not None and 1.2 <= ior <= 3.0:
         # Below stand the many exporters that write 1 whatever the material.
-        specular = reflectance(ior)
+        specular = looks.reflectance(ior)
     opacity, through = one("d") if lines.get("d", (0, ""))[1][:1] != "-" else None, one("tr")
     if (
         "map_d" in lines
         or (opacity is not None and opacity < 1.0)
         or (opacity is None and (through or 0.0) > 0.0)
     ):
-        notes.append(OPACITY)
+        notes.append(looks.OPACITY)
     if max(_numbers(lines, "ke", 3) or [0.0]) > 0.0:
         notes.append("its emission is left out")
-    return Look(
+    return looks.Look(
         name,
         (red, green, blue),
         roughness,
@@ -132,7 +124,7 @@ def _look(
     )
 
 
-def _slot(file: Path, text: str, notes: list[str], found: Callable[[Path], None]) -> Slot:
+def _slot(file: Path, text: str, notes: list[str], found: Callable[[Path], None]) -> looks.Slot:
     words = text.split(" ")
     scale, offset, factor = [1.0, 1.0], [0.0, 0.0], [0.0, 1.0]
     while words and (words[0] in _OPTIONS or not words[0]):
@@ -158,13 +150,13 @@ def _slot(file: Path, text: str, notes: list[str], found: Callable[[Path], None]
     name = " ".join(words).strip().strip('"')
     path = companion(file, name, "picture")
     found(path)
-    uv_map: UvMap = SAME_UV
+    uv_map: looks.UvMap = looks.SAME_UV
     if (scale, offset) != ([1.0, 1.0], [0.0, 0.0]):
         uv_map = (scale[0], 0.0, offset[0], 0.0, scale[1], offset[1])
-    return Slot(path, name, 0, factor[1], factor[0], "", uv_map)
+    return looks.Slot(path, name, 0, factor[1], factor[0], "", uv_map)
 
 
-def _holds_normals(slot: Slot) -> bool:
+def _holds_normals(slot: looks.Slot) -> bool:
     """Whether a picture is in colors, and blue as maps of normals are, not gray as heights are."""
     pixels = pixels_of(slot.source, slot.label)
     if pixels.shape[2] < 3:

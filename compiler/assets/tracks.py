@@ -8,19 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tables import (
-    QUATERNION,
-    Row,
-    Table,
-    find_columns,
-    is_number,
-    read_rows,
-    read_table,
-)
+from scenec.compiler.assets import tables
 from scenec.schemas.errors import SceneError
 
 _PLACE = ("x_m", "y_m", "z_m")
-_POSE = (*_PLACE, *QUATERNION)
+_POSE = (*_PLACE, *tables.QUATERNION)
 COLUMNS = ("time_s", *_POSE)
 #: Columns of each format, where no header names them; quaternions in their usual order.
 FORMATS: dict[str, tuple[str, ...]] = {
@@ -29,7 +21,7 @@ FORMATS: dict[str, tuple[str, ...]] = {
     "tum": ("time_s", *_PLACE, "qx", "qy", "qz", "qw"),
     "oaisys": ("frame", *_POSE),
 }
-ORDERS: dict[str, tuple[str, ...]] = {"wxyz": QUATERNION, "xyzw": ("qx", "qy", "qz", "qw")}
+ORDERS: dict[str, tuple[str, ...]] = {"wxyz": tables.QUATERNION, "xyzw": ("qx", "qy", "qz", "qw")}
 #: Poses of one stamp that differ by no more than this are one: meters, and of unit quaternions.
 SAME = 1e-9
 
@@ -78,15 +70,17 @@ def read_track(file: Path) -> Track:
         SceneError: The file cannot be read, a column is missing, a value is not a finite number, a
             quaternion is not of unit length, or time does not rise.
     """
-    rows = read_rows(file)
+    rows = tables.read_rows(file)
     columns, width = {name: i for i, name in enumerate(COLUMNS)}, len(COLUMNS)
-    if rows and not all(map(is_number, rows[0][1])):
+    if rows and not all(map(tables.is_number, rows[0][1])):
         header = rows.pop(0)
-        columns, width = find_columns(file, header, COLUMNS), len(header[1])
+        columns, width = tables.find_columns(file, header, COLUMNS), len(header[1])
     names = ", ".join(COLUMNS)
     if not rows:
         raise SceneError(f"{file.name}: no poses: expected the columns {names}")
-    table = read_table(file, rows, columns, width, f": {names}" if width <= len(COLUMNS) else "")
+    table = tables.read_table(
+        file, rows, columns, width, f": {names}" if width <= len(COLUMNS) else ""
+    )
     time = table.columns["time_s"]
     falls = np.flatnonzero(~(time[1:] > time[:-1]))
     if falls.size:
@@ -112,7 +106,7 @@ def read_stamped(
         SceneError: The file cannot be read, a column is missing, a value is not a finite number, a
             quaternion is not of unit length, stamps fall, or one is repeated with another pose.
     """
-    rows = read_rows(file, blanks=form == "tum")
+    rows = tables.read_rows(file, blanks=form == "tum")
     names = FORMATS[form]
     stamp = names[0]
     if quaternion is not None:
@@ -122,10 +116,10 @@ def read_stamped(
         line, cells = rows.pop(0)
         # OAISYS's own short names stand for ours.
         cells = [f"{cell}_m" if cell in ("x", "y", "z") else cell for cell in cells]
-        columns, width = find_columns(file, (line, cells), tuple(columns)), len(cells)
+        columns, width = tables.find_columns(file, (line, cells), tuple(columns)), len(cells)
     if not rows:
         raise SceneError(f"{file.name}: no poses: expected the columns {' '.join(names)}")
-    table = read_table(file, rows, columns, width, f": {' '.join(names)}")
+    table = tables.read_table(file, rows, columns, width, f": {' '.join(names)}")
     stamps, poses = table.columns[stamp], np.hstack([table.stacked(_PLACE), table.quaternions()])
     kept = _distinct(table, stamp, stamps, poses)
     lines = tuple(table.lines[i] for i in kept.tolist())
@@ -138,7 +132,7 @@ def read_stamped(
     return Stamped(time, begin, poses[:, :3].copy(), poses[:, 3:].copy(), lines)
 
 
-def _begins_with_number(row: Row) -> bool:
+def _begins_with_number(row: tables.Row) -> bool:
     try:
         float(row[1][0])
     except ValueError:
@@ -147,7 +141,7 @@ def _begins_with_number(row: Row) -> bool:
 
 
 def _distinct(
-    table: Table, name: str, stamps: NDArray[np.float64], poses: NDArray[np.float64]
+    table: tables.Table, name: str, stamps: NDArray[np.float64], poses: NDArray[np.float64]
 ) -> NDArray[np.int64]:
     """The first row of each stamp.
 

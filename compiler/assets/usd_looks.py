@@ -8,15 +8,7 @@ from typing import Any
 
 from pxr import Sdf, UsdShade
 
-from scenec.compiler.assets.looks import (
-    NO_VERTEX_COLORS,
-    OPACITY,
-    SAME_UV,
-    Look,
-    Slot,
-    UvMap,
-    reflectance,
-)
+from scenec.compiler.assets import looks
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, companion, embedded
 from scenec.compiler.assets.usd import TIME
@@ -41,7 +33,7 @@ class UsdLooks:
     def __init__(self, file: Path):
         self._file = file
         self._numbers: dict[str, int] = {}
-        self.known: list[Look] = []
+        self.known: list[looks.Look] = []
         self.companions: list[Path] = []
         self.notes: list[str] = []
 
@@ -57,16 +49,16 @@ class UsdLooks:
             self.known.append(self._look(material))
         return self._numbers[path]
 
-    def _look(self, material: UsdShade.Material) -> Look:
+    def _look(self, material: UsdShade.Material) -> looks.Look:
         name = str(material.GetPrim().GetName())
         shader = material.ComputeSurfaceSource()[0]
         kind = str(shader.GetIdAttr().Get()) if shader else ""
         if kind != "UsdPreviewSurface":
             what = f"its shader {kind}" if shader else "a material without a UsdPreviewSurface"
-            return Look(name, notes=(f"{what} is not known: it is shown in gray",))
+            return looks.Look(name, notes=(f"{what} is not known: it is shown in gray",))
         notes: list[str] = []
         clamps: list[bool] = []
-        slots: dict[str, Slot] = {}
+        slots: dict[str, looks.Slot] = {}
         values: dict[str, Any] = {"diffuseColor": (0.18, 0.18, 0.18)}
         for kind, key in _KINDS.items():
             producer = _producer(shader.GetInput(key))
@@ -78,7 +70,7 @@ class UsdLooks:
                     slots[kind] = slot
             else:
                 values[key] = producer.Get(TIME)
-        specular = reflectance(float(_value(shader, "ior", 1.5)))
+        specular = looks.reflectance(float(_value(shader, "ior", 1.5)))
         if _value(shader, "useSpecularWorkflow", 0) == 1:
             color = _value(shader, "specularColor")
             specular = sum(map(float, color)) / 3.0 if color is not None else 0.0
@@ -86,7 +78,7 @@ class UsdLooks:
             slots.pop("metallic", None)
             notes.append("the tint of its highlight is left out")
         for key, what, default in (
-            ("opacity", OPACITY, 1.0),
+            ("opacity", looks.OPACITY, 1.0),
             ("clearcoat", "its coat is left out", 0.0),
             ("displacement", "its displacement is left out", 0.0),
         ):
@@ -98,7 +90,7 @@ class UsdLooks:
         if glow is not None and (not _is_value(glow) or any(glow.Get(TIME) or ())):
             notes.append("its emission is left out")
         red, green, blue = map(float, values["diffuseColor"])
-        return Look(
+        return looks.Look(
             name,
             (red, green, blue),
             float(values.get("roughness", 0.5)),
@@ -118,12 +110,12 @@ class UsdLooks:
         notes: list[str],
         clamps: list[bool],
         values: dict[str, Any],
-    ) -> Slot | None:
+    ) -> looks.Slot | None:
         texture = UsdShade.Shader(output.GetPrim())
         shader = str(texture.GetIdAttr().Get()) if texture else ""
         if shader != "UsdUVTexture":
             if kind == "base_color" and shader.startswith("UsdPrimvarReader"):
-                notes.append(NO_VERTEX_COLORS)
+                notes.append(looks.NO_VERTEX_COLORS)
             else:
                 notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
             return None
@@ -159,7 +151,9 @@ class UsdLooks:
         ]
         uv_set, uv_map = _coordinates(texture, notes)
         source = self._picture(asset)
-        return Slot(source, asset.path, channel, scale[channel], bias[channel], uv_set, uv_map)
+        return looks.Slot(
+            source, asset.path, channel, scale[channel], bias[channel], uv_set, uv_map
+        )
 
     def _picture(self, asset: Sdf.AssetPath) -> Source:
         package, inner = Sdf.Layer.SplitIdentifier(asset.path)[0], asset.resolvedPath
@@ -199,9 +193,9 @@ def _value(shader: UsdShade.Shader, key: str, default: Any = None) -> Any:
     return producer.Get(TIME) if producer is not None and _is_value(producer) else default
 
 
-def _coordinates(texture: UsdShade.Shader, notes: list[str]) -> tuple[str, UvMap]:
+def _coordinates(texture: UsdShade.Shader, notes: list[str]) -> tuple[str, looks.UvMap]:
     """Primvar that a picture lies on, and what is done to it."""
-    uv_map = SAME_UV
+    uv_map = looks.SAME_UV
     producer = _producer(texture.GetInput("st"))
     if producer is None or _is_value(producer):
         return "st", uv_map

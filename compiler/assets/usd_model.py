@@ -12,17 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
+from scenec.compiler.assets import usd
 from scenec.compiler.assets.looks import OPACITY
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
-from scenec.compiler.assets.usd import (
-    TIME,
-    UsdPolygons,
-    polygons_of,
-    shown_meshes,
-    sound_stage,
-    unit_and_axis,
-)
 from scenec.compiler.assets.usd_looks import UsdLooks
 from scenec.schemas.polygons import triangulate
 
@@ -43,15 +36,15 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
     Raises:
         MeshFileError: It is not sound, takes in other layers, or a picture is missing.
     """
-    with sound_stage(file) as stage:
+    with usd.sound_stage(file) as stage:
         found = UsdLooks(file)
         read = _shells if looks else _bare_shells
         faults: list[dict[str, int]] = []
-        shells = [shell for mesh in shown_meshes(stage) for shell in read(mesh, found, faults)]
+        shells = [shell for mesh in usd.shown_meshes(stage) for shell in read(mesh, found, faults)]
         return ParsedModel(
             tuple(shells),
             tuple(found.known),
-            *unit_and_axis(stage),
+            *usd.unit_and_axis(stage),
             tuple(found.companions),
             tuple(dict.fromkeys(found.notes)),
             polygon_warnings(*faults),
@@ -59,7 +52,7 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
 
 
 def _bare_shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -> list[Shell]:
-    polygons = polygons_of(mesh)
+    polygons = usd.polygons_of(mesh)
     cut = triangulate(polygons.points, polygons.corners, polygons.counts)
     faults.append(cut.faults)
     faces = polygons.corners[cut.corners]
@@ -68,7 +61,7 @@ def _bare_shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int
 
 
 def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -> list[Shell]:
-    polygons = polygons_of(mesh)
+    polygons = usd.polygons_of(mesh)
     cut = triangulate(polygons.points, polygons.corners, polygons.counts)
     faults.append(cut.faults)
     triangles, polygon = cut.corners, cut.polygon
@@ -116,7 +109,7 @@ def _split(
         if subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.face
     ]
     for i, subset in enumerate(subsets):
-        indices = np.array(subset.GetIndicesAttr().Get(TIME) or (), np.int64)
+        indices = np.array(subset.GetIndicesAttr().Get(usd.TIME) or (), np.int64)
         chosen = np.zeros(count, bool)
         chosen[indices[(indices >= 0) & (indices < count)]] = True
         of_subset = chosen[polygon]
@@ -141,7 +134,7 @@ class _Primvars:
     def __init__(
         self,
         mesh: UsdGeom.Mesh,
-        polygons: UsdPolygons,
+        polygons: usd.UsdPolygons,
         triangles: NDArray[np.int64],
         polygon: NDArray[np.int64],
         faces: NDArray[np.int64],
@@ -162,7 +155,7 @@ class _Primvars:
         for primvar in self._api.FindPrimvarsWithInheritance():
             if primvar.GetTypeName() in _PAIRS and primvar.HasValue():
                 name = str(primvar.GetPrimvarName())
-                values = primvar.ComputeFlattened(TIME)
+                values = primvar.ComputeFlattened(usd.TIME)
                 found[name] = self._spread(name, values, primvar.GetInterpolation(), 2)
         first = sorted(found, key=lambda name: (name != "st", name))
         return {name: found[name] for name in first}
@@ -170,9 +163,9 @@ class _Primvars:
     def normals(self) -> NDArray[np.float64] | None:
         primvar = self._api.GetPrimvar("normals")
         if primvar and primvar.HasValue():
-            values, interpolation = primvar.ComputeFlattened(TIME), primvar.GetInterpolation()
+            values, interpolation = primvar.ComputeFlattened(usd.TIME), primvar.GetInterpolation()
         else:
-            values = self._mesh.GetNormalsAttr().Get(TIME)
+            values = self._mesh.GetNormalsAttr().Get(usd.TIME)
             interpolation = self._mesh.GetNormalsInterpolation()
         if values is None or not len(values):
             return None
@@ -183,7 +176,7 @@ class _Primvars:
         primvar = self._mesh.GetDisplayColorPrimvar()
         if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
             return None
-        values = primvar.ComputeFlattened(TIME)
+        values = primvar.ComputeFlattened(usd.TIME)
         if values is None or not len(values):
             return None
         spread = self._spread("displayColor", values, primvar.GetInterpolation(), 3)
@@ -194,7 +187,7 @@ class _Primvars:
         primvar = self._mesh.GetDisplayOpacityPrimvar()
         if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
             return False
-        values = np.array(primvar.Get(TIME) or (), np.float64)
+        values = np.array(primvar.Get(usd.TIME) or (), np.float64)
         return bool(values.min(initial=1.0) < 1.0)
 
     def _spread(self, name: str, values: object, kind: str, width: int) -> NDArray[np.float64]:

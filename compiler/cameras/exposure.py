@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cameras.imaging import ImagingPlan
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Context, Finding, Node, key
 from scenec.compiler.kinds.forms import CHOICE, PER_BATCH, PER_SAMPLE
-from scenec.compiler.kinds.node import Node
 from scenec.schemas import shutter
 
 

@@ -11,31 +11,15 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    COUNT,
-    FRACTION_PER_BATCH,
-    ISO_RANGE,
-    PER_BATCH,
-    PER_SAMPLE,
-    TIME_RANGE_S,
-    TRUTH,
-    an,
-    list_of,
-    one_of,
-)
-from scenec.compiler.kinds.node import Node
-from scenec.compiler.kinds.table import kind_of
+from scenec.compiler.kinds import Context, Finding, Node, bounded, forms, key, kind_of
+from scenec.compiler.kinds.forms import an, list_of, one_of
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
 from scenec.schemas.spelling import shown
 
 _ROW = list_of(
-    bounded(PER_BATCH, at_least=-10, at_most=10), "Of red, green or blue light.", count=3
+    bounded(forms.PER_BATCH, at_least=-10, at_most=10), "Of red, green or blue light.", count=3
 )
 
 
@@ -70,39 +54,41 @@ class Imaging:
 
     exposure: Mapping[str, Any] = key(an("imaging_exposure"), default={"type": "metered"})
     """Exposure time and speed."""
-    f_number: Number = key(PER_SAMPLE, default=4, at_least=0.5, at_most=1000)
+    f_number: Number = key(forms.PER_SAMPLE, default=4, at_least=0.5, at_most=1000)
     """Focal length over aperture."""
-    headroom_stops: float = key(PER_BATCH, default=1, at_least=-8, at_most=16, unit="EV")
+    headroom_stops: float = key(forms.PER_BATCH, default=1, at_least=-8, at_most=16, unit="EV")
     """Stops between a value of 1 (what sensor.exposure shows as 1) and the brightest that is told
     apart; more keeps highlights, and shows more noise."""
-    pixel_um: float = key(PER_BATCH, default=3.45, at_least=0.1, at_most=1000, unit="µm")
+    pixel_um: float = key(forms.PER_BATCH, default=3.45, at_least=0.1, at_most=1000, unit="µm")
     """Side of a pixel."""
     quantum_efficiency: Any = key(
-        list_of(bounded(PER_BATCH, above=0, at_most=1), "One color.", count=3),
+        list_of(bounded(forms.PER_BATCH, above=0, at_most=1), "One color.", count=3),
         default=[0.5, 0.6, 0.5],
     )
     """Electrons a photon in 600-700, 500-600 and 400-500 nm: red, green, blue."""
     full_well_e: float = key(
-        PER_BATCH, default=10_500, at_least=1, at_most=1_000_000_000, unit="e-"
+        forms.PER_BATCH, default=10_500, at_least=1, at_most=1_000_000_000, unit="e-"
     )
     """Electrons that a pixel holds."""
-    bits: int = key(COUNT, default=12, at_least=8, at_most=16)
+    bits: int = key(forms.COUNT, default=12, at_least=8, at_most=16)
     """Of the converter."""
-    black_level: int = key(COUNT, default=64, at_least=0, at_most=65_534, unit="DN")
+    black_level: int = key(forms.COUNT, default=64, at_least=0, at_most=65_534, unit="DN")
     """Number that the converter gives for no electrons."""
-    shot_noise: bool = key(TRUTH, default=True)
+    shot_noise: bool = key(forms.TRUTH, default=True)
     """Whether electrons come one by one (Poisson)."""
-    read_noise_e: float = key(PER_BATCH, default=2.3, at_least=0, at_most=1_000_000, unit="e-")
+    read_noise_e: float = key(
+        forms.PER_BATCH, default=2.3, at_least=0, at_most=1_000_000, unit="e-"
+    )
     """Standard deviation of what reading adds."""
     dark_current: Mapping[str, Any] = key(an("imaging_dark_current"), default={})
     """Electrons without light."""
-    prnu: float = key(FRACTION_PER_BATCH, default=0.006)
+    prnu: float = key(forms.FRACTION_PER_BATCH, default=0.006)
     """Standard deviation of the pixels' sensitivity (photo response non-uniformity), relative."""
-    dsnu_e: float = key(PER_BATCH, default=0.6, at_least=0, at_most=1_000_000, unit="e-")
+    dsnu_e: float = key(forms.PER_BATCH, default=0.6, at_least=0, at_most=1_000_000, unit="e-")
     """Standard deviation of the pixels' offset (dark signal non-uniformity)."""
     defects: Mapping[str, Any] = key(an("imaging_defects"), default={})
     """Hot and dead pixels."""
-    mosaic: Literal["rggb", "bggr", "grbg", "gbrg", "none"] = key(CHOICE, default="rggb")
+    mosaic: Literal["rggb", "bggr", "grbg", "gbrg", "none"] = key(forms.CHOICE, default="rggb")
     """Colors of the first two rows of pixels; none: each pixel sees all three. Pictures of one row
     or column have none."""
     demosaic: str = key(one_of(*formulas.DEMOSAICS), default="malvar")
@@ -111,7 +97,7 @@ class Imaging:
     """What red, green and blue pixels see of linear Rec.709, a row each; the picture undoes it,
     which makes noise larger. Left out, they see Rec.709."""
     white_balance: Any = key(
-        list_of(bounded(PER_BATCH, above=0, at_most=100), "Red, green or blue.", count=3),
+        list_of(bounded(forms.PER_BATCH, above=0, at_most=100), "Red, green or blue.", count=3),
         default=[1, 1, 1],
     )
     """Factors on top of those that show white light as white."""
@@ -121,10 +107,10 @@ class Imaging:
     """Light that lens and glass scatter; left out, none."""
     jpeg: Mapping[str, Any] | None = key(an("imaging_jpeg"), optional=True)
     """Compression that the picture has gone through; left out, none."""
-    clean: bool = key(TRUTH, default=False)
+    clean: bool = key(forms.TRUTH, default=False)
     """Also write 000000.clean.png: same light, optics and exposure, without noise, fixed pattern,
     defects, mosaic, rounding and JPEG."""
-    raw: bool = key(TRUTH, default=False)
+    raw: bool = key(forms.TRUTH, default=False)
     """Also write 000000.raw.png: the converter's numbers behind the mosaic, 16 bits."""
 
     @staticmethod
@@ -165,8 +151,8 @@ class Metered:
 
     EXAMPLE: ClassVar = {"type": "metered"}
 
-    time_range_s: tuple[float, float] = key(TIME_RANGE_S)
-    iso_range: tuple[float, float] = key(ISO_RANGE)
+    time_range_s: tuple[float, float] = key(forms.TIME_RANGE_S)
+    iso_range: tuple[float, float] = key(forms.ISO_RANGE)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -189,14 +175,14 @@ class Manual:
 
     EXAMPLE: ClassVar = {"type": "manual", "time_s": 0.002, "iso": 100}
 
-    time_s: float = key(PER_SAMPLE, above=0, at_most=1_000_000, unit="s")
+    time_s: float = key(forms.PER_SAMPLE, above=0, at_most=1_000_000, unit="s")
     """Exposure time."""
-    iso: float | None = key(PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000)
+    iso: float | None = key(forms.PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000)
     """ISO speed (ISO 12232, saturation-based): 78 / iso lux seconds make the largest number. Below
     the base speed (in sidecars), where pixels are full before, highlights clip sooner. Either this
     or gain_e."""
     gain_e: float | None = key(
-        PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000, unit="e-/DN"
+        forms.PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000, unit="e-/DN"
     )
     """Electrons that make one step of the converter, in place of iso."""
 
@@ -225,12 +211,14 @@ class Auto:
 
     EXAMPLE: ClassVar = {"type": "auto", "target": 0.18}
 
-    target: float = key(PER_BATCH, default=0.18, above=0, at_most=1000)
+    target: float = key(forms.PER_BATCH, default=0.18, above=0, at_most=1000)
     """What it is shown as; white is 1."""
-    percentile: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=100, unit="%")
+    percentile: float | None = key(
+        forms.PER_BATCH, optional=True, at_least=0, at_most=100, unit="%"
+    )
     """Percentile of luminance that is metered; left out, the logarithmic mean."""
-    time_range_s: tuple[float, float] = key(TIME_RANGE_S)
-    iso_range: tuple[float, float] = key(ISO_RANGE)
+    time_range_s: tuple[float, float] = key(forms.TIME_RANGE_S)
+    iso_range: tuple[float, float] = key(forms.ISO_RANGE)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -252,10 +240,10 @@ class Vignetting:
 
     EXAMPLE: ClassVar = {"power": 4}
 
-    power: int = key(COUNT, default=4, at_least=0, at_most=8)
+    power: int = key(forms.COUNT, default=4, at_least=0, at_most=8)
     """4 is a thin lens's; wide lenses are made to have less."""
     polynomial: Any = key(
-        list_of(bounded(PER_BATCH, at_least=-10, at_most=10), "A coefficient.", count=3),
+        list_of(bounded(forms.PER_BATCH, at_least=-10, at_most=10), "A coefficient.", count=3),
         default=[0, 0, 0],
     )
     """a, b, c."""
@@ -269,9 +257,9 @@ class Bloom:
 
     EXAMPLE: ClassVar = {"share": 0.02, "radius_px": 6}
 
-    share: float = key(FRACTION_PER_BATCH, default=0.02)
+    share: float = key(forms.FRACTION_PER_BATCH, default=0.02)
     """Share of the light."""
-    radius_px: float = key(PER_BATCH, default=8, at_least=0.5, at_most=10_000, unit="px")
+    radius_px: float = key(forms.PER_BATCH, default=8, at_least=0.5, at_most=10_000, unit="px")
     """Standard deviation of the narrowest."""
 
 
@@ -282,7 +270,7 @@ class Jpeg:
     EXAMPLE: ClassVar = {"quality": 90}
 
     TITLE: ClassVar = "Imaging: JPEG"
-    quality: int = key(COUNT, default=90, at_least=1, at_most=100)
+    quality: int = key(forms.COUNT, default=90, at_least=1, at_most=100)
     """As libjpeg has it."""
     subsampling: str = key(one_of(*formulas.SUBSAMPLINGS), default="4:2:0")
     """Of colors."""
@@ -294,13 +282,17 @@ class DarkCurrent:
 
     EXAMPLE: ClassVar = {"rate_e_s": 2, "temperature_c": 35}
 
-    rate_e_s: float = key(PER_BATCH, default=2, at_least=0, at_most=1_000_000_000, unit="e-/s")
+    rate_e_s: float = key(
+        forms.PER_BATCH, default=2, at_least=0, at_most=1_000_000_000, unit="e-/s"
+    )
     """At the reference temperature, a second."""
-    reference_c: float = key(PER_BATCH, default=25, at_least=-273, at_most=1000, unit="°C")
+    reference_c: float = key(forms.PER_BATCH, default=25, at_least=-273, at_most=1000, unit="°C")
     """Reference temperature."""
-    doubling_c: float = key(PER_BATCH, default=7, at_least=0.1, at_most=1000, unit="K")
+    doubling_c: float = key(forms.PER_BATCH, default=7, at_least=0.1, at_most=1000, unit="K")
     """It doubles every so many degrees."""
-    temperature_c: Number = key(PER_SAMPLE, default=25, at_least=-273, at_most=1000, unit="°C")
+    temperature_c: Number = key(
+        forms.PER_SAMPLE, default=25, at_least=-273, at_most=1000, unit="°C"
+    )
     """Of the sensor; hot pixels follow it, too."""
 
 
@@ -310,13 +302,13 @@ class Defects:
 
     EXAMPLE: ClassVar = {"hot": 0.0001, "dead": 5e-05}
 
-    hot: float = key(PER_BATCH, default=0.0001, at_least=0, at_most=0.5)
+    hot: float = key(forms.PER_BATCH, default=0.0001, at_least=0, at_most=0.5)
     """Share of pixels with more dark current."""
     hot_rate_e_s: float = key(
-        PER_BATCH, default=500, at_least=0, at_most=1_000_000_000, unit="e-/s"
+        forms.PER_BATCH, default=500, at_least=0, at_most=1_000_000_000, unit="e-/s"
     )
     """What it is more on average (exponentially distributed), at the reference temperature."""
-    dead: float = key(PER_BATCH, default=1e-05, at_least=0, at_most=0.5)
+    dead: float = key(forms.PER_BATCH, default=1e-05, at_least=0, at_most=0.5)
     """Share of pixels that see nothing."""
 
 

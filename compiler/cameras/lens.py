@@ -13,12 +13,9 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.imaging import ImagingPlan
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.geometry.lenses import sound_intrinsics
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key, keys_of
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_SAMPLE, PER_BATCH, PER_SAMPLE
-from scenec.compiler.kinds.node import Node
-from scenec.compiler.kinds.table import kind_of, name_of
+from scenec.compiler.kinds import Context, Finding, Node, forms, key, kind_of
+from scenec.compiler.kinds.declare import keys_of
+from scenec.compiler.kinds.table import name_of
 from scenec.compiler.scene import rig
 from scenec.schemas import lens
 from scenec.schemas.correspondence import PARTNER
@@ -66,21 +63,21 @@ class BrownConrady(Lens):
 
     TITLE: ClassVar = "Lens: brown_conrady"
 
-    k1: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
+    k1: float = key(forms.PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^2 above the fraction line."""
-    k2: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
+    k2: float = key(forms.PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^4 above the fraction line."""
-    p1: float = key(PER_BATCH, default=0, at_least=-10, at_most=10)
+    p1: float = key(forms.PER_BATCH, default=0, at_least=-10, at_most=10)
     """Tangential: y gets p1 (r^2 + 2 y^2), x 2 p1 x y."""
-    p2: float = key(PER_BATCH, default=0, at_least=-10, at_most=10)
+    p2: float = key(forms.PER_BATCH, default=0, at_least=-10, at_most=10)
     """Tangential: x gets p2 (r^2 + 2 x^2), y 2 p2 x y."""
-    k3: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
+    k3: float = key(forms.PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^6 above the fraction line."""
-    k4: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
+    k4: float = key(forms.PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^2 below the fraction line."""
-    k5: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
+    k5: float = key(forms.PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^4 below the fraction line."""
-    k6: float = key(PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
+    k6: float = key(forms.PER_BATCH, default=0, at_least=-10_000, at_most=10_000)
     """Coefficient of r^6 below the fraction line."""
 
 
@@ -96,15 +93,15 @@ class KannalaBrandt(Lens):
 
     TITLE: ClassVar = "Lens: kannala_brandt"
 
-    k1: float = key(PER_BATCH, default=0, at_least=-1000, at_most=1000)
+    k1: float = key(forms.PER_BATCH, default=0, at_least=-1000, at_most=1000)
     """Coefficient of t^3."""
-    k2: float = key(PER_BATCH, default=0, at_least=-1000, at_most=1000)
+    k2: float = key(forms.PER_BATCH, default=0, at_least=-1000, at_most=1000)
     """Coefficient of t^5."""
-    k3: float = key(PER_BATCH, default=0, at_least=-1000, at_most=1000)
+    k3: float = key(forms.PER_BATCH, default=0, at_least=-1000, at_most=1000)
     """Coefficient of t^7."""
-    k4: float = key(PER_BATCH, default=0, at_least=-1000, at_most=1000)
+    k4: float = key(forms.PER_BATCH, default=0, at_least=-1000, at_most=1000)
     """Coefficient of t^9."""
-    max_angle_deg: float = key(ANGLE_PER_BATCH, default=180, above=0, at_most=180)
+    max_angle_deg: float = key(forms.ANGLE_PER_BATCH, default=180, above=0, at_most=180)
     """Largest angle of a ray to the axis, the border of the image circle: what the picture has
     beyond it shows nothing."""
 
@@ -155,13 +152,13 @@ class Focus:
 
     EXAMPLE: ClassVar = {"distance_m": 4, "f_number": 2.8, "focal_length_mm": 35}
 
-    distance_m: Number = key(LENGTH_PER_SAMPLE, above=0, at_most=1_000_000_000)
+    distance_m: Number = key(forms.LENGTH_PER_SAMPLE, above=0, at_most=1_000_000_000)
     """Distance along the optical axis of the plane that is sharp; beyond the focal length."""
-    f_number: Number | None = key(PER_SAMPLE, optional=True, at_least=0.5, at_most=1000)
+    f_number: Number | None = key(forms.PER_SAMPLE, optional=True, at_least=0.5, at_most=1000)
     """Focal length over diameter of the aperture. With imaging its f_number stands for it; without,
     it must be given."""
     focal_length_mm: float | None = key(
-        PER_BATCH, optional=True, above=0, at_most=1_000_000, unit="mm"
+        forms.PER_BATCH, optional=True, above=0, at_most=1_000_000, unit="mm"
     )
     """Focal length. With imaging it follows from pixel_um and the field of view; without, it must
     be given."""

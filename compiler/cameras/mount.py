@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.poses import from_euler
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import COUNT, MOUNT_POSITION_M, MOUNT_ROTATION_DEG
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, Node, forms, key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +19,8 @@ class Mount:
 
     EXAMPLE: ClassVar = {"position_m": [0.12, 0, 0], "rotation_deg": [0, 5, 0]}
 
-    position_m: tuple[float, ...] = key(MOUNT_POSITION_M)
-    rotation_deg: tuple[float, ...] = key(MOUNT_ROTATION_DEG)
+    position_m: tuple[float, ...] = key(forms.MOUNT_POSITION_M)
+    rotation_deg: tuple[float, ...] = key(forms.MOUNT_ROTATION_DEG)
 
     @property
     def to_rig(self) -> NDArray[np.float64]:
@@ -40,9 +37,9 @@ class Trigger:
 
     EXAMPLE: ClassVar = {"every": 5, "first": 2}
 
-    every: int = key(COUNT, default=1, at_least=1, at_most=1_000_000_000)
+    every: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000_000)
     """Samples from one to the next."""
-    first: int = key(COUNT, default=0, at_least=0, at_most=1_000_000_000)
+    first: int = key(forms.COUNT, default=0, at_least=0, at_most=1_000_000_000)
     """The first one."""
 
     @staticmethod

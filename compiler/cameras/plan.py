@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 
 from scenec.compiler.cameras.paths.motion import Motion
 from scenec.compiler.cameras.sensor import SensorPlan
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import TRUTH, an, named
+from scenec.compiler.kinds import an, forms, key, named
 from scenec.compiler.scene.rig import Lidar
 
 
@@ -33,7 +32,7 @@ class Rig:
         named(an("lidar"), "One lidar.", by="lidar", least=1), sparse=True
     )
     """Lidars by name."""
-    allow_below: bool = key(TRUTH, default=False, sparse=True)
+    allow_below: bool = key(forms.TRUTH, default=False, sparse=True)
     """Whether its sensors may be below the ground, inside of objects or off the terrain. Otherwise
     a sensor that is there at any sample, or while its shutter is open, is an error of compile."""
 

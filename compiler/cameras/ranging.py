@@ -9,28 +9,15 @@ from typing import ClassVar
 import numpy as np
 
 from scenec.compiler.cameras.mount import Mount, Trigger
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    CONSTANT,
-    COUNT,
-    FRACTION_PER_BATCH,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    an,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, forms, key, list_of
 from scenec.compiler.scene import rig
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.spelling import shown
 
-_RANGE_M = list_of(bounded(CONSTANT, at_least=0, at_most=1e9, unit="m"), "A bound.", count=2)
-_DISTANCE = bounded(CONSTANT, at_least=0, at_most=1_000_000_000, unit="m")
-_UPWARD = bounded(CONSTANT, at_least=-90, at_most=90, unit="°")
-_AROUND = bounded(CONSTANT, at_least=-720, at_most=720, unit="°")
+_RANGE_M = list_of(bounded(forms.CONSTANT, at_least=0, at_most=1e9, unit="m"), "A bound.", count=2)
+_DISTANCE = bounded(forms.CONSTANT, at_least=0, at_most=1_000_000_000, unit="m")
+_UPWARD = bounded(forms.CONSTANT, at_least=-90, at_most=90, unit="°")
+_AROUND = bounded(forms.CONSTANT, at_least=-720, at_most=720, unit="°")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +36,11 @@ class Stereo:
     }
 
     TITLE: ClassVar = "Stereo depth"
-    baseline_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000.0)
+    baseline_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000.0)
     """Distance of the two cameras."""
-    noise_px: float = key(PER_BATCH, default=0.2, at_least=0, at_most=1000, unit="px")
+    noise_px: float = key(forms.PER_BATCH, default=0.2, at_least=0, at_most=1000, unit="px")
     """Standard deviation of disparities."""
-    step_px: float = key(PER_BATCH, default=0.0625, at_least=0, at_most=1000, unit="px")
+    step_px: float = key(forms.PER_BATCH, default=0.0625, at_least=0, at_most=1000, unit="px")
     """Disparities are multiples of it; 0: any number."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.3, 50])
     """Nearest and farthest depth that is answered."""
@@ -77,13 +64,13 @@ class TimeOfFlight:
     }
 
     TITLE: ClassVar = "Time-of-flight depth"
-    noise_m: float = key(LENGTH_PER_BATCH, default=0.01, at_least=0, at_most=1000)
+    noise_m: float = key(forms.LENGTH_PER_BATCH, default=0.01, at_least=0, at_most=1000)
     """Standard deviation of ranges at at_m, of a surface that faces the camera."""
-    at_m: float = key(LENGTH_PER_BATCH, default=2, above=0, at_most=1000000.0)
+    at_m: float = key(forms.LENGTH_PER_BATCH, default=2, above=0, at_most=1000000.0)
     """Range of that."""
-    ambiguity_m: float = key(LENGTH_PER_BATCH, default=15, above=0, at_most=1000000000.0)
+    ambiguity_m: float = key(forms.LENGTH_PER_BATCH, default=15, above=0, at_most=1000000000.0)
     """Ranges are told modulo this, c / (2 f): 15 m at 10 MHz."""
-    blur_px: float = key(PER_BATCH, default=0.4, at_least=0, at_most=16, unit="px")
+    blur_px: float = key(forms.PER_BATCH, default=0.4, at_least=0, at_most=16, unit="px")
     """Standard deviation of the spot that a pixel gathers light from; at outlines ranges mix."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.1, 15])
     """Nearest and farthest range that is answered."""
@@ -103,14 +90,14 @@ class LidarNoise:
     EXAMPLE: ClassVar = {"range_m": 0.02, "dropout": 0.01}
 
     TITLE: ClassVar = "Lidar's noise"
-    range_m: float = key(LENGTH_PER_BATCH, default=0.02, at_least=0, at_most=1000)
+    range_m: float = key(forms.LENGTH_PER_BATCH, default=0.02, at_least=0, at_most=1000)
     """Standard deviation of ranges, whatever the range."""
-    range_ratio: float = key(FRACTION_PER_BATCH, default=0)
+    range_ratio: float = key(forms.FRACTION_PER_BATCH, default=0)
     """Standard deviation of ranges as a share of the range, added in square to range_m."""
-    angle_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=0, at_most=10)
+    angle_deg: float = key(forms.ANGLE_PER_BATCH, default=0, at_least=0, at_most=10)
     """Standard deviation of azimuth and of elevation: a beam meets what lies that far beside the
     direction that is told."""
-    dropout: float = key(FRACTION_PER_BATCH, default=0)
+    dropout: float = key(forms.FRACTION_PER_BATCH, default=0)
     """Share of answers that are lost."""
 
 
@@ -130,7 +117,7 @@ class Lidar:
 
     mount: Mount = key(an("mount", drawn=True), default={})
     """Where the lidar sits on the rig; unturned it looks ahead, as a camera does."""
-    beams: int | None = key(COUNT, optional=True, at_least=1, at_most=65_536)
+    beams: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=65_536)
     """Number of beams, evenly spaced over elevation_deg."""
     elevation_deg: tuple[float, float] = key(
         list_of(_UPWARD, "Upward.", count=2), default=[15, -15]
@@ -140,7 +127,7 @@ class Lidar:
         list_of(_UPWARD, "Upward.", least=1, most=65536), optional=True
     )
     """Elevation of each beam."""
-    azimuths: int = key(COUNT, at_least=1, at_most=1_048_576)
+    azimuths: int = key(forms.COUNT, at_least=1, at_most=1_048_576)
     """Directions of each beam in a scan, evenly spaced over azimuth_deg."""
     azimuth_deg: tuple[float, float] = key(
         list_of(_AROUND, "Counterclockwise from above.", count=2), default=[180, -180]

@@ -9,12 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.cameras.mount import Mount, Trigger
 from scenec.compiler.geometry.lenses import sound_intrinsics
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, COUNT, OUTPUT, PER_BATCH, TEXT, an, list_of
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, draw_kind, key, list_of
+from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, COUNT, OUTPUT, PER_BATCH, TEXT
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import SceneError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -14,11 +14,8 @@ from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
 from scenec.compiler.cameras.paths.motion import Around, Built, Way
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import CHOICE, CONSTANT, PER_BATCH, an, file, list_of
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
+from scenec.compiler.kinds.forms import CHOICE, CONSTANT, PER_BATCH
 from scenec.schemas import stage as names
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import shown
@@ -127,7 +124,9 @@ class TrackWay:
 
     Attributes:
         times: Of the samples, after the first stamp, [s].
-        track, method, gaps, what, usd: As for ``resampled``.
+        method: One of ``se3.METHODS``.
+        what: Who asks, for messages.
+        usd: Whether the track's axes are USD's (and Blender's): y up, looking down -z.
     """
 
     times: NDArray[np.float64]
@@ -138,16 +137,48 @@ class TrackWay:
     usd: bool
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Poses at times after the first stamp, [n, 4, 4]; beyond the track, those of its ends.
+        """Poses while a shutter is open, [n, 4, 4]; beyond the track, those of its ends.
+
+        Args:
+            time_s: After the first stamp, float64 [n].
 
         Raises:
             SceneError: One falls into a gap.
         """
-        inside = np.clip(time_s, 0.0, self.track.time_s[-1])
-        what = f"while a shutter is open: {self.what}"
-        return resampled(
-            self.track, inside, self.method, self.gaps, what, self.usd, "the exposure at"
-        )
+        way = replace(self, what=f"while a shutter is open: {self.what}")
+        return way.resampled(np.clip(time_s, 0.0, self.track.time_s[-1]), "the exposure at")
+
+    def resampled(self, at_s: NDArray[np.float64], asked: str = "sample") -> NDArray[np.float64]:
+        """Rig-to-world matrices with OpenCV axes at times after the first stamp, [s, 4, 4].
+
+        Args:
+            at_s: Float64 [s].
+            asked: What is at each time, for messages: a "sample", which is named by its number, or
+                something else, by its time.
+
+        Raises:
+            SceneError: A sample falls into a gap.
+        """
+        track, longest = self.track, self.gaps.longest_s
+        # A gap's two ends are given poses: what lies between them is not.
+        at = at_s.copy()
+        if longest is not None and len(track.time_s) > 1:
+            last = len(track.time_s) - 2
+            i = np.clip(np.searchsorted(track.time_s, at, side="right") - 1, 0, last)
+            before, after = track.time_s[i], track.time_s[i + 1]
+            inside = (after - before > longest) & (at > before) & (at < after)
+            if inside.any() and not self.gaps.hold:
+                k = int(np.flatnonzero(inside)[0])
+                lines = track.lines[int(i[k])], track.lines[int(i[k]) + 1]
+                raise SceneError(
+                    f"{self.what}:{lines[1]}: {after[k] - before[k]:g} s without a pose after line "
+                    f"{lines[0]}, and {asked} {k if asked == 'sample' else f'{at[k]:g} s'} falls "
+                    f'into them: expected max_gap_s ({longest:g} s) at most, or gaps to be "hold"'
+                )
+            at[inside] = before[inside]
+        way = interpolate(track.time_s, track.position_m, track.quaternion, at, self.method)
+        poses = matrices(*way)
+        return poses * np.diag(_HALF_TURN) if self.usd else poses
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +263,7 @@ class TrackFile:
                 to_world = to_world * np.diag(_HALF_TURN) if usd else to_world
             else:
                 at = self.sampling.times(float(stamped.time_s[-1]), context.samples, what)
-                to_world = resampled(stamped, at, method, gaps, what, usd)
+                to_world = TrackWay(at, stamped, method, gaps, what, usd).resampled(at)
             times = stamped.begin_s + at
         way = TrackWay(at, stamped, method, gaps, what, usd) if context.between else None
         return TrackPlan(to_world, times, way)
@@ -257,48 +288,3 @@ class TrackPlan:
         """The poses; see ``Motion``."""
         way = None if self.way is None else Way(self.way.at, self.way.times)
         return Built(self.to_world, self.times, way=way)
-
-
-def resampled(
-    track: Stamped,
-    at_s: NDArray[np.float64],
-    method: str,
-    gaps: Gaps,
-    what: str,
-    usd: bool,
-    asked: str = "sample",
-) -> NDArray[np.float64]:
-    """Rig-to-world matrices with OpenCV axes at given times after the first stamp, [s, 4, 4].
-
-    Args:
-        at_s: Float64 [s].
-        method: One of ``se3.METHODS``.
-        gaps: What to do where stamps are missing.
-        what: Who asks, for messages.
-        usd: Whether the track's axes are USD's (and Blender's): y up, looking down -z.
-        asked: What is at each time, for messages: a "sample", which is named by its number, or
-            something else, by its time.
-
-    Raises:
-        SceneError: A sample falls into a gap.
-    """
-    # A gap's two ends are given poses: what lies between them is not.
-    at = at_s.copy()
-    if gaps.longest_s is not None and len(track.time_s) > 1:
-        i = np.clip(np.searchsorted(track.time_s, at, side="right") - 1, 0, len(track.time_s) - 2)
-        before, after = track.time_s[i], track.time_s[i + 1]
-        inside = (after - before > gaps.longest_s) & (at > before) & (at < after)
-        if inside.any() and not gaps.hold:
-            k = int(np.flatnonzero(inside)[0])
-            lines = track.lines[int(i[k])], track.lines[int(i[k]) + 1]
-            raise SceneError(
-                f"{what}:{lines[1]}: {after[k] - before[k]:g} s without a pose after line "
-                f"{lines[0]}, and {asked} {k if asked == 'sample' else f'{at[k]:g} s'} falls into "
-                f"them: expected max_gap_s "
-                f'({gaps.longest_s:g} s) at most, or gaps to be "hold"'
-            )
-        at[inside] = before[inside]
-    poses = matrices(*interpolate(track.time_s, track.position_m, track.quaternion, at, method))
-    if usd:
-        poses = poses * np.diag(_HALF_TURN)
-    return poses

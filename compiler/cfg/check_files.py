@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenec.compiler.cfg.resources import ResourceError, find_file
-from scenec.compiler.kinds.context import InputFile
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, InputFile, Node
 from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.table import loaded
 from scenec.schemas.errors import CfgError, Fault, SceneError
 from scenec.schemas.files import sha256
 from scenec.schemas.spelling import nearest, shown
@@ -120,7 +119,7 @@ def _check_texture_set(folder: Path, owner: Node, cfg: Node) -> Iterator[Finding
                 f"{', '.join(files.values())}"
             )
     for kind, name in files.items():
-        check = _check_heights if kind == "displacement" else _check_map
+        check = _CHECKS["heights" if kind == "displacement" else "map"]
         try:
             check(folder / name, owner, cfg)
         except SceneError as error:
@@ -302,22 +301,13 @@ def _check_map(file: Path, owner: Node, cfg: Node) -> None:
         raise SceneError(f"{file.name}: {error}") from error
 
 
-def _check_heights(file: Path, owner: Node, cfg: Node) -> None:
-    from scenec.compiler.assets.pictures import read_heights
+def _readable(place: str) -> Callable[[Path, Node, Node], None]:
+    """A check whether a file can be read by a function of the compiler, ``module:name``."""
 
-    read_heights(file)
+    def check(file: Path, _owner: Node, _cfg: Node) -> None:
+        loaded(place)(file)
 
-
-def _check_polyline(file: Path, owner: Node, cfg: Node) -> None:
-    from scenec.compiler.assets.polyline import read_polyline
-
-    read_polyline(file)
-
-
-def _check_density(file: Path, owner: Node, cfg: Node) -> None:
-    from scenec.compiler.assets.pictures import read_gray
-
-    read_gray(file)
+    return check
 
 
 def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:
@@ -331,14 +321,14 @@ def _check_label_map(file: Path, owner: Node, cfg: Node) -> None:
 #: What a file must be, by the keyword "x-file"; a SceneError speaks of the file itself.
 _CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding] | None]] = {
     "dem": _check_dem,
-    "density": _check_density,
-    "heights": _check_heights,
+    "density": _readable("assets.pictures:read_gray"),
+    "heights": _readable("assets.pictures:read_heights"),
     "image": _check_image,
     "label_map": _check_label_map,
     "map": _check_map,
     "mesh": _check_mesh,
     "model": _check_model,
-    "polyline": _check_polyline,
+    "polyline": _readable("assets.polyline:read_polyline"),
     "poses": _check_poses,
     "texture_set": _check_texture_set,
     "track": _check_track,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
 from scenec.compiler.cfg.check_files import check_files
-from scenec.compiler.cfg.check_kinds import check_kinds
 from scenec.compiler.cfg.check_names import check_names
 from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_schema import check_schema
@@ -19,11 +18,12 @@ from scenec.compiler.cfg.fill import Cfg, fill
 from scenec.compiler.cfg.slips import improbable
 from scenec.compiler.cfg.sources import folder_of, located, mixed, read
 from scenec.compiler.distributions.numbers import Distribution
-from scenec.compiler.kinds import schema
-from scenec.compiler.kinds.context import InputFile
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.node import Node, Tree
+from scenec.compiler.kinds import Finding, InputFile, Node, schema
+from scenec.compiler.kinds.node import Tree
+from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.table import loaded
 from scenec.schemas.errors import CfgError, Fault
+from scenec.schemas.plugins import load_kind
 from scenec.schemas.spelling import shown
 
 
@@ -92,11 +92,11 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     findings = [*duplicates, *schema_findings, *number_findings]
     findings += [finding for finding in mixes if not finding.is_warning]
     findings += check_names(cfg, sound=not (duplicates or schema_findings))
-    findings += check_kinds(fields, cfg)
+    findings += _check_kinds(fields, cfg)
     folder = folder_of(path)
     files, file_findings = check_files(fields, cfg, folder)
     findings += [finding for finding in file_findings if not finding.is_warning]
-    findings += check_kinds(fields, cfg, files)
+    findings += _check_kinds(fields, cfg, files)
     faults = locate(findings, document)
     if faults:
         raise CfgError(faults)
@@ -119,6 +119,29 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     )
 
 
+def _check_kinds(
+    fields: Iterable[Field], cfg: Node, files: Mapping[str, InputFile] | None = None
+) -> Iterator[Finding]:
+    """Yields what the ``check`` of each object finds that the cfg names; no other is imported.
+
+    Args:
+        fields: All places of the cfg; the keyword "x-check" says which class has a check,
+            "x-offered" which one of another package.
+        cfg: The whole.
+        files: Those that nothing is wrong with, by path: asked is then ``check_files``, of classes
+            that have it.
+    """
+    for place in fields:
+        if "x-check" in place.keywords and (node := cfg.at(*place.path)):
+            kind = loaded(place.keywords["x-check"])
+            if files is None:
+                yield from kind.check(node)
+            elif hasattr(kind, "check_files"):
+                yield from kind.check_files(node, files)
+        if files is None and "x-offered" in place.keywords and (node := cfg.at(*place.path)):
+            yield from load_kind(*place.keywords["x-offered"]).check(node)
+
+
 def digest_of(
     cfg: Mapping[str, Any], files: Mapping[str, InputFile], plugins: Mapping[str, str]
 ) -> str:
@@ -128,11 +151,7 @@ def digest_of(
         content["plugins"] = plugins
     # Keys are not sorted: the order of objects decides their instance ids.
     text = json.dumps(
-        content,
-        ensure_ascii=True,
-        allow_nan=False,
-        separators=(",", ":"),
-        default=_as_json,
+        content, ensure_ascii=True, allow_nan=False, separators=(",", ":"), default=_as_json
     )
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 

@@ -6,10 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scenec.compiler.kinds.declare import Form, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import COUNT, NAME, OUTPUT, TEXT, an, list_of, named
-from scenec.compiler.kinds.node import Node, unknown
+from scenec.compiler.kinds import Finding, Form, Node, an, forms, key, list_of, named, unknown
 from scenec.schemas.spelling import shown
 
 
@@ -30,17 +27,17 @@ class Cfg:
     "package:configs/NAME"."""
     version: Any = key(Form({"const": 1}))
     """Version of the cfg format."""
-    name: str = key(NAME)
+    name: str = key(forms.NAME)
     """Name of the dataset: letters, digits and underscores, no digit first."""
-    description: str = key(TEXT, default="")
+    description: str = key(forms.TEXT, default="")
     """What the dataset is for; not read."""
-    batches: int = key(COUNT, default=1, at_least=1, at_most=1_000_000)
+    batches: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000)
     """Number of batches. A batch is one terrain with its objects: one stage."""
-    samples: int = key(COUNT, default=1, at_least=1, at_most=1_000_000)
+    samples: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000)
     """Number of samples of each batch. A sample is one picture of every sensor: camera and light
     change, terrain and scattered objects do not."""
     outputs: Any = key(
-        list_of(OUTPUT, least=1, unique=True), default=["rgb", "label", "instance", "depth"]
+        list_of(forms.OUTPUT, least=1, unique=True), default=["rgb", "label", "instance", "depth"]
     )
     """Channels that are rendered and written."""
     labels: Mapping[str, Any] = key(an("labels"), default={})
@@ -71,7 +68,7 @@ class LabelChoice:
     EXAMPLE: ClassVar = {"class": "rock", "surface": "basalt"}
 
     KEYWORDS: ClassVar = {
-        "propertyNames": {**NAME.keywords},
+        "propertyNames": {**forms.NAME.keywords},
         "x-name": "level",
         "additionalProperties": {"description": "Name of a label of this level.", "type": "string"},
     }
@@ -106,12 +103,12 @@ class Labels:
     }
 
     KEYWORDS: ClassVar = {
-        "propertyNames": {**NAME.keywords},
+        "propertyNames": {**forms.NAME.keywords},
         "x-name": "level",
         "additionalProperties": {
             "description": "One level: its label names.",
             "type": "object",
-            "propertyNames": {**NAME.keywords},
+            "propertyNames": {**forms.NAME.keywords},
             "additionalProperties": {
                 "description": "Id of the label, unique in its level.",
                 "type": "integer",

@@ -77,6 +77,13 @@ def named(form: Form, text: str, *, by: str, least: int | None = None) -> Form:
     return Form({**{k: v for k, v in found.items() if v is not None}, "x-name": by})
 
 
+def word_or(word: str, form: Form) -> Form:
+    """Returns the form of a word, or of a list in its place."""
+    entries = {name: value for name, value in form.keywords.items() if name != "type"}
+    either = {"type": ["string", "array"], "if": {"type": "string"}, "then": {"enum": [word]}}
+    return Form({**either, "else": entries})
+
+
 NAME = Form({"type": "string", "pattern": "^[A-Za-z_][A-Za-z0-9_]*$(?!\\n)"}).but(
     description="A name: letters, digits and underscores, no digit first."
 )
@@ -101,6 +108,11 @@ LENGTH_PER_SAMPLE = bounded(PER_SAMPLE, unit="m")
 LENGTH_PER_INSTANCE = bounded(PER_INSTANCE, unit="m")
 ANGLE_PER_BATCH = bounded(PER_BATCH, unit="°")
 ANGLE_PER_SAMPLE = bounded(PER_SAMPLE, unit="°")
+#: Bearings and turns, and coordinates and heights, of whatever sign.
+TURN_PER_BATCH = bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000)
+TURN_PER_SAMPLE = bounded(ANGLE_PER_SAMPLE, at_least=-100_000, at_most=100_000)
+COORDINATE_PER_BATCH = bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000)
+COORDINATE_PER_SAMPLE = bounded(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
 WHOLE_PER_BATCH = PER_BATCH.but(x_kind="integer")
 RAGGED = an("condition_ragged", drawn=True).but(
     description="A noise that is added, so that the border is ragged and no contour line."
@@ -137,18 +149,13 @@ SUN_ELEVATION_DEG = bounded(ANGLE_PER_SAMPLE, at_least=-90, at_most=90).but(
     default=45, description="Angle above the horizon."
 )
 MOUNT_POSITION_M = list_of(
-    bounded(LENGTH_PER_BATCH, at_least=-1_000_000, at_most=1_000_000),
-    "Along one axis.",
-    count=3,
+    bounded(LENGTH_PER_BATCH, at_least=-1_000_000, at_most=1_000_000), "Along one axis.", count=3
 ).but(default=[0, 0, 0], description="Position: right, down, forward.")
-MOUNT_ROTATION_DEG = list_of(
-    bounded(ANGLE_PER_BATCH, at_least=-100_000, at_most=100_000), "About one axis.", count=3
-).but(default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis.")
+MOUNT_ROTATION_DEG = list_of(TURN_PER_BATCH, "About one axis.", count=3).but(
+    default=[0, 0, 0], description="Rotations about the rig's x, then y, then z axis."
+)
 POINT_M = list_of(
-    bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000),
-    "One coordinate.",
-    least=2,
-    most=2,
+    bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000), "One coordinate.", count=2
 )
 WAYPOINTS_M = list_of(POINT_M, "One point.", least=1).but(
     description="Points of the way in plan: x (east) and y (north), meters."
@@ -161,7 +168,7 @@ MASK = list_of(an("relief_mask"), "One condition.", least=1).but(
         "Where the operator acts: conditions whose product is the mask. Left out, everywhere."
     )
 )
-COLOR = list_of(FRACTION_PER_SAMPLE, "Linear Rec.709 red, green or blue.", least=3, most=3).but(
+COLOR = list_of(FRACTION_PER_SAMPLE, "Linear Rec.709 red, green or blue.", count=3).but(
     x_color=True
 )
 GROUND_COLOR = COLOR.but(

@@ -51,17 +51,19 @@ def definition(name: str) -> dict[str, Any]:
 
 def _number() -> dict[str, Any]:
     """Returns the definition of a constant or one of the laws that it is drawn from."""
+    kind = {"description": "Kind of distribution."}
+    per: Keys = {"per": (dict(forms.PER.keywords), False)}
     laws = {
         name: {
             "description": description(law),
             "examples": [vars(law)["EXAMPLE"]],
-            **_keys({"type": ({"description": "Kind of distribution.", "const": name}, True)}, law),
+            **_keys({"type": ({**kind, "const": name}, True)}, law, per),
         }
         for name, law in LAWS.items()
     }
     then = {
         "required": ["type"],
-        "properties": {"type": {"description": "Kind of distribution.", "enum": list(LAWS)}},
+        "properties": {"type": {**kind, "enum": list(LAWS)}},
         "allOf": _branches({name: f"number/$defs/{name}" for name in LAWS}),
     }
     return {**_NUMBER, "then": then, "$defs": laws}

@@ -1,12 +1,16 @@
-"""Declares the laws that a number of a cfg can be drawn from."""
+"""Declares the laws that a number of a cfg can be drawn from, and what it can be then."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import CONSTANT, PER, bounded, list_of
+from scenec.compiler.kinds.forms import CONSTANT, bounded, list_of
+
+_WEIGHTS = list_of(bounded(CONSTANT, at_least=0, at_most=1_000_000_000_000), "One weight.", least=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +26,6 @@ class Uniform:
     """Lower bound."""
     max: float = key(CONSTANT)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +38,6 @@ class LogUniform:
     """Lower bound."""
     max: float = key(CONSTANT, above=0)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +56,6 @@ class Normal:
     """Lower bound."""
     max: float = key(CONSTANT, optional=True)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +66,8 @@ class Choice:
 
     values: Any = key(list_of(CONSTANT, "One value.", least=1))
     """The values."""
-    weights: Any = key(
-        list_of(bounded(CONSTANT, at_least=0, at_most=1_000_000_000_000), "One weight.", least=1),
-        optional=True,
-    )
+    weights: Any = key(_WEIGHTS, optional=True)
     """How likely each value is, relative to the others; left out, all are equally likely."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +86,6 @@ class LogNormal:
     """Lower bound."""
     max: float = key(CONSTANT, optional=True, above=0)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +100,6 @@ class Exponential:
     """Lower bound."""
     max: float = key(CONSTANT)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +116,6 @@ class PowerLaw:
     """Lower bound."""
     max: float = key(CONSTANT, above=0)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +133,6 @@ class GolombekRapp:
     """Lower bound."""
     max: float = key(CONSTANT, above=0)
     """Upper bound, not below min."""
-    per: str | None = key(PER, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,14 +143,11 @@ class Histogram:
 
     edges: Any = key(list_of(CONSTANT, "One bound.", least=2))
     """Bounds of the intervals, rising."""
-    weights: Any = key(
-        list_of(bounded(CONSTANT, at_least=0, at_most=1_000_000_000_000), "One weight.", least=1)
-    )
+    weights: Any = key(_WEIGHTS)
     """How likely each interval is, relative to the others: one fewer than edges."""
-    per: str | None = key(PER, optional=True)
 
 
-#: By the ``type`` of a distribution.
+#: By the ``type`` of a distribution; each has ``per`` besides.
 LAWS = {
     "uniform": Uniform,
     "log_uniform": LogUniform,
@@ -169,3 +159,33 @@ LAWS = {
     "golombek_rapp": GolombekRapp,
     "histogram": Histogram,
 }
+
+
+def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
+    """The smallest and largest number that a sound number can be."""
+    if not isinstance(value, dict):
+        ends = value, value
+    elif value["type"] in ("choice", "histogram"):
+        values = value.get("values") or value["edges"]
+        ends = min(values), max(values)
+    else:
+        ends = ends_of(value, keywords)
+    return float(ends[0]) + 0.0, float(ends[1]) + 0.0
+
+
+def ends_of(value: Mapping[str, Any], keywords: Mapping[str, Any]) -> tuple[float, float]:
+    """The same of a law that may have bounds of its own, or the key's."""
+    low, high = -math.inf, math.inf
+    if value["type"] in ("normal", "log_normal"):
+        if "minimum" in keywords:
+            low = float(keywords["minimum"])
+        if "exclusiveMinimum" in keywords:
+            low = math.nextafter(float(keywords["exclusiveMinimum"]), math.inf)
+        if "maximum" in keywords:
+            high = float(keywords["maximum"])
+        if "exclusiveMaximum" in keywords:
+            high = math.nextafter(float(keywords["exclusiveMaximum"]), -math.inf)
+    if value["type"] == "log_normal":
+        # None is 0 or less; the smallest double is far below any that can be drawn.
+        low = max(low, math.ulp(0.0))
+    return float(value.get("min", low)), float(value.get("max", high))

@@ -58,9 +58,7 @@ def of_surfaces(kind: type[Any]) -> Keys:
 
 
 def of_skies(kind: type[Any]) -> Keys:
-    """Returns the labels of another package's sky."""
-    if not hasattr(kind, "SCHEMA"):
-        return {}
+    """Returns the labels, which every sky can have."""
     return _optional(labels=forms.SKY_LABELS, labels_below=forms.SKY_LABELS_BELOW)
 
 

@@ -165,14 +165,8 @@ _KINDS = {
         "none": "light.sky:BlackSky",
         "overcast": "light.overcast:OvercastSky",
     },
-    "light": {
-        "sun": "light.suns:Sun",
-        "earthshine": "light.earthshine:Earthshine",
-    },
-    "light_mount": {
-        "rig": "light.lamp:RigMount",
-        "world": "light.lamp:WorldMount",
-    },
+    "light": {"sun": "light.suns:Sun", "earthshine": "light.earthshine:Earthshine"},
+    "light_mount": {"rig": "light.lamp:RigMount", "world": "light.lamp:WorldMount"},
 }
 #: Objects of a cfg that have no ``type``.
 _OBJECTS = {
@@ -242,6 +236,13 @@ def _of(group: str, names: str = "") -> dict[str, str]:
 
 #: Conditions on a place; others are of objects alone.
 _PLACES = _of("condition", "height slope curvature flow crater_freshness noise point path")
+_CONDITIONS: dict[str, Any] = {
+    "of": "Kind of condition.",
+    "group": "scenec.conditions",
+    "shared": "of_conditions",
+    "check": "terrain.bounds:Bounds",
+    "prefix": "Condition",
+}
 CHOICES = {
     "clouds_layer": Choice(
         title="Clouds: layer",
@@ -292,11 +293,7 @@ CHOICES = {
         title="Ground: where",
         description="One condition on where a layer lies. Its border runs along the bound; the "
         "color fades over the softness about it.",
-        of="Kind of condition.",
-        group="scenec.conditions",
-        shared="of_conditions",
-        check="terrain.bounds:Bounds",
-        prefix="Condition",
+        **_CONDITIONS,
         kinds=_PLACES,
     ),
     "imaging_exposure": Choice(
@@ -336,11 +333,7 @@ CHOICES = {
     "objects_where": Choice(
         title="Objects: where",
         description="One condition on where objects lie; several multiply.",
-        of="Kind of condition.",
-        group="scenec.conditions",
-        shared="of_conditions",
-        check="terrain.bounds:Bounds",
-        prefix="Condition",
+        **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material", **_of("condition", "camera object")},
     ),
     "pose": Choice(
@@ -384,11 +377,7 @@ CHOICES = {
         title="Relief mask",
         description="One condition on where an operator acts; several multiply. A masked operator "
         "is a blend of before and after, so it conserves nothing.",
-        of="Kind of condition.",
-        group="scenec.conditions",
-        shared="of_conditions",
-        check="terrain.bounds:Bounds",
-        prefix="Condition",
+        **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material"},
     ),
     "sky": Choice(

@@ -10,18 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.context import Array
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    GROUND_COLOR,
-    LENGTH_PER_SAMPLE,
-    PER_SAMPLE,
-    SKY_LABELS,
-    SKY_LABELS_BELOW,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Array, Finding, Node, forms, key
 from scenec.compiler.light.atmosphere_planets import MEDIA, SUNS
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.latlong import luminance
@@ -49,24 +38,22 @@ class AtmosphereSky(Sky):
         "labels": {"class": "sky"},
     }
 
-    planet: Literal["earth", "mars", "moon"] = key(CHOICE, default="earth")
+    planet: Literal["earth", "mars", "moon"] = key(forms.CHOICE, default="earth")
     """Whose: "moon" has no air, so its sky is black."""
-    scattering: Literal["single", "multiple"] = key(CHOICE, default="single")
+    scattering: Literal["single", "multiple"] = key(forms.CHOICE, default="single")
     """How often light is scattered. "single" is Nishita's sky: exact for what is scattered once.
     "multiple" adds all further orders by an approximation, without which thick air and dust are too
     dark, black where the sun is low."""
-    air_density: Array = key(PER_SAMPLE, default=1, at_least=0, at_most=10)
+    air_density: Array = key(forms.PER_SAMPLE, default=1, at_least=0, at_most=10)
     """Factor on the gas."""
-    dust_density: Array = key(PER_SAMPLE, default=1, at_least=0, at_most=10)
+    dust_density: Array = key(forms.PER_SAMPLE, default=1, at_least=0, at_most=10)
     """Factor on dust and haze. 1 is clear air on Earth, and an optical depth of 0.5 on Mars."""
-    ozone_density: Array = key(PER_SAMPLE, default=1, at_least=0, at_most=10)
+    ozone_density: Array = key(forms.PER_SAMPLE, default=1, at_least=0, at_most=10)
     """Factor on Earth's ozone; 1 is 300 Dobson units. Mars has too little to be seen."""
-    altitude_m: Array = key(LENGTH_PER_SAMPLE, default=0, at_least=0, at_most=60_000)
+    altitude_m: Array = key(forms.LENGTH_PER_SAMPLE, default=0, at_least=0, at_most=60_000)
     """Height of the scene above the planet's mean level."""
-    ground_color: Array = key(GROUND_COLOR)
+    ground_color: Array = key(forms.GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

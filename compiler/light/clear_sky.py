@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.context import Array
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    COLOR,
-    GROUND_COLOR,
-    PER_SAMPLE,
-    SKY_LABELS,
-    SKY_LABELS_BELOW,
-)
-from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.kinds import Array, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.latlong import directions, far_ground, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
@@ -41,17 +31,15 @@ class ClearSky(Sky):
     }
 
     irradiance: Array = key(
-        PER_SAMPLE, default=200, above=0, at_most=1_000_000_000_000, unit="W/m²"
+        forms.PER_SAMPLE, default=200, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
     """Diffuse irradiance on a horizontal surface."""
-    zenith_color: Array = key(COLOR, default=[0.12, 0.3, 0.9])
+    zenith_color: Array = key(forms.COLOR, default=[0.12, 0.3, 0.9])
     """Color overhead, relative to the others. Not black together with the horizon."""
-    horizon_color: Array = key(COLOR, default=[0.45, 0.65, 0.95])
+    horizon_color: Array = key(forms.COLOR, default=[0.45, 0.65, 0.95])
     """Color at the horizon, relative to the others."""
-    ground_color: Array = key(GROUND_COLOR)
+    ground_color: Array = key(forms.GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

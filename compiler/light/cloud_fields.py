@@ -17,22 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import bounded, key, noise_key
-from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_SAMPLE,
-    COUNT,
-    FRACTION_PER_SAMPLE,
-    LENGTH_PER_BATCH,
-    LENGTH_PER_SAMPLE,
-    PER_SAMPLE,
-    an,
-    list_of,
+from scenec.compiler.kinds import (
+    Array,
+    Context,
+    Finding,
+    Node,
+    bounded,
+    draw_kind,
+    forms,
+    key,
+    kind_of,
+    noise_key,
 )
-from scenec.compiler.kinds.node import Node
-from scenec.compiler.kinds.table import kind_of
+from scenec.compiler.kinds.forms import an, list_of
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash3, mix
 from scenec.compiler.noise.worley import worley2
@@ -60,10 +57,9 @@ _KEY_WARP, _KEY_GROUPS, _KEY_CELLS, _KEY_TILE = range(1, 5)
 
 
 _OFFSET_M = list_of(
-    bounded(LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000),
+    bounded(forms.LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000),
     "Along one axis.",
-    least=2,
-    most=2,
+    count=2,
 ).but(
     default=[0, 0],
     description="Where the pattern is moved: to the east, to the north. If it is drawn for each "
@@ -82,15 +78,15 @@ class CumulusClouds:
 
     KEYWORDS: ClassVar = {"type": ["object", "null"]}
 
-    coverage: Array = key(FRACTION_PER_SAMPLE, default=0.35)
+    coverage: Array = key(forms.FRACTION_PER_SAMPLE, default=0.35)
     """Share of the ground that lies below clouds."""
-    optical_depth: Array = key(PER_SAMPLE, default=40, at_least=0, at_most=1000)
+    optical_depth: Array = key(forms.PER_SAMPLE, default=40, at_least=0, at_most=1000)
     """Of the tallest cloud, straight down."""
-    base_m: Array = key(LENGTH_PER_SAMPLE, default=1200, at_least=50, at_most=10_000)
+    base_m: Array = key(forms.LENGTH_PER_SAMPLE, default=1200, at_least=50, at_most=10_000)
     """Height of the base over the world's z = 0."""
-    thickness_m: Array = key(LENGTH_PER_SAMPLE, default=900, at_least=10, at_most=10_000)
+    thickness_m: Array = key(forms.LENGTH_PER_SAMPLE, default=900, at_least=10, at_most=10_000)
     """Height of the tallest cloud over the base."""
-    size_m: float = key(LENGTH_PER_BATCH, default=1800, at_least=10, at_most=100_000)
+    size_m: float = key(forms.LENGTH_PER_BATCH, default=1800, at_least=10, at_most=100_000)
     """Width of a cloud and the gap beside it; groups of clouds are three times as wide."""
     offset_m: Array = key(_OFFSET_M)
     key: int = noise_key()
@@ -108,16 +104,16 @@ class CirrusClouds:
 
     KEYWORDS: ClassVar = {"type": ["object", "null"]}
 
-    coverage: Array = key(FRACTION_PER_SAMPLE, default=0.5)
+    coverage: Array = key(forms.FRACTION_PER_SAMPLE, default=0.5)
     """Share of the sky, straight down, that has any."""
-    optical_depth: Array = key(PER_SAMPLE, default=0.5, at_least=0, at_most=10)
+    optical_depth: Array = key(forms.PER_SAMPLE, default=0.5, at_least=0, at_most=10)
     """Where it is thickest, straight down: 0.03 can hardly be seen, 0.3 is usual, 3 veils the sun.
     """
-    height_m: Array = key(LENGTH_PER_SAMPLE, default=9000, at_least=1000, at_most=20_000)
+    height_m: Array = key(forms.LENGTH_PER_SAMPLE, default=9000, at_least=1000, at_most=20_000)
     """Over the world's z = 0."""
-    size_m: float = key(LENGTH_PER_BATCH, default=4000, at_least=100, at_most=100_000)
+    size_m: float = key(forms.LENGTH_PER_BATCH, default=4000, at_least=100, at_most=100_000)
     """Width of streaks; they are five times as long."""
-    bearing_deg: Array = key(ANGLE_PER_SAMPLE, default=60, at_least=-100_000, at_most=100_000)
+    bearing_deg: Array = key(forms.TURN_PER_SAMPLE, default=60)
     """Compass bearing that streaks run along."""
     offset_m: Array = key(_OFFSET_M)
     key: int = noise_key()
@@ -137,7 +133,7 @@ class Clouds:
     """Cumulus; null for none."""
     cirrus: CirrusClouds | None = key(an("clouds_cirrus", drawn=True), default=None)
     """Cirrus; null for none."""
-    resolution: int = key(COUNT, default=768, at_least=8, at_most=8192, unit="px")
+    resolution: int = key(forms.COUNT, default=768, at_least=8, at_most=8192, unit="px")
     """Height of the sky's lat-long picture with clouds, in pixels; its width is twice that. One
     that light.sky makes larger keeps its own."""
     more: tuple[Any, ...] = key(list_of(an("clouds_layer"), "One layer."), sparse=True)

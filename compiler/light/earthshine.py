@@ -18,11 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, COLOR, PER_SAMPLE, SUN_ELEVATION_DEG
-from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.kinds import Context, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.suns import of_luminance_one
 from scenec.compiler.scene.light import SunLight
 
@@ -48,24 +44,24 @@ class Earthshine:
         "azimuth_deg": 200,
     }
 
-    phase_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=0, at_most=180)
+    phase_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=0, at_least=0, at_most=180)
     """Phase angle: that between the Sun and the Moon, seen from the Earth. 0 is a full Earth, 90
     half of one, 180 a dark one."""
-    elevation_deg: Any = key(SUN_ELEVATION_DEG)
-    azimuth_deg: Number = key(ANGLE_PER_SAMPLE, default=135, at_least=-100_000, at_most=100_000)
+    elevation_deg: Any = key(forms.SUN_ELEVATION_DEG)
+    azimuth_deg: Number = key(forms.TURN_PER_SAMPLE, default=135)
     """Compass bearing of the Earth, clockwise from +Y (north)."""
     solar_irradiance: Number = key(
-        PER_SAMPLE, default=1361, above=0, at_most=1_000_000_000_000, unit="W/m²"
+        forms.PER_SAMPLE, default=1361, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
     """What the Sun gives the Earth on a surface that faces it; in the units of the sun's
     irradiance."""
-    geometric_albedo: Number = key(PER_SAMPLE, default=0.367, above=0, at_most=1)
+    geometric_albedo: Number = key(forms.PER_SAMPLE, default=0.367, above=0, at_most=1)
     """The Earth's: 0.367 for visible light (Cox 2000). Of all solar light it is about 0.22, which
     with as much thermal infrared, that no camera sees, makes the 0.15 W/m² of Glenar et al. (2019).
     """
-    diameter_deg: Number = key(ANGLE_PER_SAMPLE, default=1.9, at_least=0, at_most=90)
+    diameter_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=1.9, at_least=0, at_most=90)
     """Angular diameter."""
-    color: Any = key(COLOR, default=[0.63, 0.74, 1])
+    color: Any = key(forms.COLOR, default=[0.63, 0.74, 1])
     """Color, scaled so that the irradiance is as said; not black. Bluish by default: the Earth's
     B-V is 0.2, the Sun's 0.65 (Cox 2000)."""
 

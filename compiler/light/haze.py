@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import LENGTH_PER_SAMPLE, PER_SAMPLE, list_of
+from scenec.compiler.kinds import Context, Finding, Form, bounded, forms, key, list_of, word_or
 from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light import Haze
@@ -19,10 +16,10 @@ from scenec.compiler.scene.light import Haze
 KOSCHMIEDER = 3.912
 
 
-def _rgb(most: float, unit: str | None = None) -> Form:
+def _rgb(most: float, unit: str | None = None, what: str = "Linear") -> Form:
     """Returns the form of a color of each sample."""
-    channel = bounded(PER_SAMPLE, at_least=0, at_most=most, unit=unit)
-    return list_of(channel, "Linear Rec.709 red, green or blue.", least=3, most=3)
+    channel = bounded(forms.PER_SAMPLE, at_least=0, at_most=most, unit=unit)
+    return list_of(channel, f"{what} Rec.709 red, green or blue.", count=3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,57 +44,30 @@ class HazeLayer:
 
     TITLE: ClassVar = "Haze"
     visibility_m: Number | None = key(
-        LENGTH_PER_SAMPLE, optional=True, at_least=0.001, at_most=1_000_000_000_000
+        forms.LENGTH_PER_SAMPLE, optional=True, at_least=0.001, at_most=1_000_000_000_000
     )
     """Distance at which 2 % of a black thing's contrast to the horizon are left (Koschmieder 1924):
     the extinction of luminance is 3.912 / visibility."""
-    color: Any = key(
-        _rgb(1000),
-        default=[1, 1, 1],
-    )
+    color: Any = key(_rgb(1000), default=[1, 1, 1])
     """Extinction by color, relative: more blue, as of small droplets, turns dark hills blue and
     bright snow yellow. Scaled so that the extinction of luminance is as said."""
-    extinction_per_m: Any | None = key(
-        _rgb(1_000_000, "1/m"),
-        optional=True,
-    )
+    extinction_per_m: Any | None = key(_rgb(1_000_000, "1/m"), optional=True)
     """Extinction itself, in place of visibility_m and color."""
     scale_height_m: Number = key(
-        LENGTH_PER_SAMPLE, default=1000, at_least=0.001, at_most=1_000_000_000
+        forms.LENGTH_PER_SAMPLE, default=1000, at_least=0.001, at_most=1_000_000_000
     )
     """Height over which it thins out by a factor e, from the world's z = 0, where it is as said:
     some meters for morning fog on meadows, 1 km for haze over land, 11 km for dust on Mars.
     Straight up, its optical depth is the extinction at z = 0 times this."""
-    asymmetry: Number = key(PER_SAMPLE, default=0.7, at_least=-0.9, at_most=0.9)
+    asymmetry: Number = key(forms.PER_SAMPLE, default=0.7, at_least=-0.9, at_most=0.9)
     """g of the phase function (Henyey and Greenstein 1941), the mean cosine of the angle by which
     light is turned: 0 in all directions alike, 0.65 dust, 0.7 haze, 0.85 fog, whose droplets glow
     around the sun."""
-    albedo: Any = key(
-        _rgb(1),
-        default=[1, 1, 1],
-    )
+    albedo: Any = key(_rgb(1), default=[1, 1, 1])
     """Part of the light it meets that it scatters and does not absorb, by color: 1 water, [0.97,
     0.92, 0.78] dust on Mars."""
     airlight: Any = key(
-        Form(
-            {
-                "type": ["string", "array"],
-                "if": {"type": "string"},
-                "then": {"enum": ["sky"]},
-                "else": {
-                    "minItems": 3,
-                    "maxItems": 3,
-                    "items": {
-                        **PER_SAMPLE.keywords,
-                        "description": "Radiance, linear Rec.709 red, green or blue.",
-                        "minimum": 0,
-                        "maximum": 1_000_000_000,
-                        "x-unit": "W/(m² sr)",
-                    },
-                },
-            }
-        ),
-        default="sky",
+        word_or("sky", _rgb(1_000_000_000, "W/(m² sr)", "Radiance, linear")), default="sky"
     )
     """Radiance that endless haze shows. "sky": what haze scatters of suns and sky. Or, in all
     directions, linear Rec.709 radiance, [red, green, blue] in W/(m² sr)."""

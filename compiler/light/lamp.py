@@ -11,27 +11,12 @@ from numpy.typing import NDArray
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.geometry.poses import from_euler
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_SAMPLE,
-    CHOICE,
-    COLOR,
-    FRACTION_PER_SAMPLE,
-    LENGTH_PER_SAMPLE,
-    MOUNT_POSITION_M,
-    MOUNT_ROTATION_DEG,
-    PER_SAMPLE,
-    TEXT,
-    an,
-)
+from scenec.compiler.kinds import Array, Context, Finding, an, bounded, draw_kind, forms, key
 from scenec.compiler.kinds.node import Node, black, is_black, off_terrain, unknown
 from scenec.compiler.light.suns import of_luminance_one
 from scenec.compiler.scene.light import SpotLight
 
-_COORDINATE = bounded(LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000)
+_COORDINATE = bounded(forms.LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +25,10 @@ class RigMount:
 
     EXAMPLE: ClassVar = {"type": "rig", "rig": "rover", "position_m": [0.2, 0, 0]}
 
-    rig: str = key(TEXT)
+    rig: str = key(forms.TEXT)
     """Name of the rig."""
-    position_m: tuple[float, float, float] = key(MOUNT_POSITION_M)
-    rotation_deg: tuple[float, float, float] = key(MOUNT_ROTATION_DEG)
+    position_m: tuple[float, float, float] = key(forms.MOUNT_POSITION_M)
+    rotation_deg: tuple[float, float, float] = key(forms.MOUNT_ROTATION_DEG)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -61,7 +46,7 @@ class RigMount:
 class Target:
     """A place that a lamp shines to."""
 
-    EXAMPLE: ClassVar = {"x_m": 4, "y_m": 0, "z_m": 0.5}
+    EXAMPLE: ClassVar[dict[str, Any]] = {"x_m": 4, "y_m": 0, "z_m": 0.5}
 
     TITLE: ClassVar = "Lamp's target"
     x_m: Array = key(_COORDINATE)
@@ -77,7 +62,7 @@ class Target:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldMount:
+class WorldMount(Target):
     """Standing in the world."""
 
     EXAMPLE: ClassVar = {
@@ -88,17 +73,13 @@ class WorldMount:
         "target": {"x_m": 4, "y_m": 0},
     }
 
-    x_m: Array = key(_COORDINATE)
-    """East."""
-    y_m: Array = key(_COORDINATE)
-    """North."""
     z_m: Array = key(_COORDINATE, default=0)
     """Height, see heights."""
-    heights: Literal["ground", "world"] = key(CHOICE, default="ground")
+    heights: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
     """What heights are over: the ground below, or the world's zero."""
-    bearing_deg: Array = key(ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    bearing_deg: Array = key(forms.TURN_PER_SAMPLE, default=0)
     """Compass bearing that it shines to, clockwise from +Y (north). Not with a target."""
-    elevation_deg: Array = key(ANGLE_PER_SAMPLE, default=-90, at_least=-90, at_most=90)
+    elevation_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=-90, at_least=-90, at_most=90)
     """Angle above the horizon that it shines to. Not with a target."""
     target: Target | None = key(an("light_target", drawn=True), optional=True)
     """A place that it shines to."""
@@ -122,10 +103,6 @@ class WorldMount:
         target = context.at(f"{context.path}/target").sampled(made.target)
         return replace(made, target=Target(**target))
 
-    def points(self) -> Array:
-        """Returns where it is at every sample, [s, 3]."""
-        return np.stack([self.x_m, self.y_m, self.z_m], axis=1)
-
 
 @dataclass(frozen=True, kw_only=True)
 class SpotLamp:
@@ -146,18 +123,18 @@ class SpotLamp:
     TITLE: ClassVar = "Lamp"
     mount: Mapping[str, Any] = key(an("light_mount"))
     """Where it is and where it shines."""
-    intensity: Number = key(PER_SAMPLE, at_least=0, at_most=1_000_000_000_000, unit="W/sr")
+    intensity: Number = key(forms.PER_SAMPLE, at_least=0, at_most=1_000_000_000_000, unit="W/sr")
     """On the axis, far away. An LED of F lumens that shines evenly into a cone of half angle a has
     about F / (300 · 2 pi (1 - cos a))."""
-    color: Any = key(COLOR, default=[1, 0.95, 0.88])
+    color: Any = key(forms.COLOR, default=[1, 0.95, 0.88])
     """Color, scaled so that the intensity is as said; not black."""
-    radius_m: Number = key(LENGTH_PER_SAMPLE, default=0.03, at_least=0, at_most=1000)
+    radius_m: Number = key(forms.LENGTH_PER_SAMPLE, default=0.03, at_least=0, at_most=1000)
     """Radius of the sphere; 0 is a point, whose shadows are sharp."""
     cone_deg: Any = key(
-        ANGLE_PER_SAMPLE.but(**{"x-usual-minimum": 4}), default=30, above=0, at_most=180
+        forms.ANGLE_PER_SAMPLE.but(**{"x-usual-minimum": 4}), default=30, above=0, at_most=180
     )
     """Angle between the axis and the cone's border; 180 shines everywhere."""
-    softness: Number = key(FRACTION_PER_SAMPLE, default=0.5)
+    softness: Number = key(forms.FRACTION_PER_SAMPLE, default=0.5)
     """Share of the cone's angle over which it fades to 0 at the border."""
 
     @staticmethod

@@ -7,25 +7,15 @@ fades as exp(-depth / sine of its height), so the sun of a sky worth the name is
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.context import Array
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    COLOR,
-    GROUND_COLOR,
-    PER_SAMPLE,
-    SKY_LABELS,
-    SKY_LABELS_BELOW,
-)
-from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.kinds import Array, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.latlong import far_ground, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLight, SunLight
@@ -49,19 +39,17 @@ class OvercastSky(Sky):
         "optical_depth": {"type": "log_uniform", "min": 10, "max": 60},
     }
 
-    optical_depth: Array = key(PER_SAMPLE, default=40, at_least=5, at_most=1000)
+    optical_depth: Array = key(forms.PER_SAMPLE, default=40, at_least=5, at_most=1000)
     """Of the cloud, straight down: 10 is bright, 40 usual, 100 the cloud of a thunderstorm."""
     irradiance: Array | None = key(
-        PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000_000, unit="W/m²"
+        forms.PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
     """Diffuse irradiance on a horizontal surface, in place of what the cloud lets through of
     light.sun."""
-    color: Array = key(COLOR, default=[0.92, 0.96, 1])
+    color: Array = key(forms.COLOR, default=[0.92, 0.96, 1])
     """Color of the sky, relative. Not black."""
-    ground_color: Array = key(GROUND_COLOR)
+    ground_color: Array = key(forms.GROUND_COLOR)
     resolution: int = key(ROWS)
-    labels: Mapping[str, Any] = key(SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -13,20 +13,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.label_maps import LARGEST_ID, code_of, decode
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import Form, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_SAMPLE,
-    CHOICE,
-    NAME,
-    PER_SAMPLE,
-    SKY_LABELS,
-    SKY_LABELS_BELOW,
-    an,
-    file,
-    list_of,
-)
+from scenec.compiler.kinds import Array, Context, Finding, Form, an, file, forms, key, list_of
 from scenec.compiler.kinds.node import Node, unknown
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
@@ -93,7 +80,7 @@ class LabelMaps:
     EXAMPLE: ClassVar = {"class": {"file": "overcast_labels.png", "values": {"7": "building"}}}
 
     KEYWORDS: ClassVar = {
-        "propertyNames": {**NAME.keywords},
+        "propertyNames": {**forms.NAME.keywords},
         "x-name": "level",
         "type": ["object", "null"],
         "additionalProperties": {
@@ -125,24 +112,24 @@ class ImageSky(Sky):
         )
     )
     """Pictures, one of which is used in each sample."""
-    pick: Literal["in_turn", "random", "shuffled"] = key(CHOICE, default="in_turn")
+    pick: Literal["in_turn", "random", "shuffled"] = key(forms.CHOICE, default="in_turn")
     """Which picture a sample gets: the next one, any, or any of those that were not shown yet,
     until all of the list were; then it begins anew in another order. Samples are counted on over
     batches."""
-    strength: Array = key(PER_SAMPLE, default=1, above=0, at_most=1_000_000_000)
+    strength: Array = key(forms.PER_SAMPLE, default=1, above=0, at_most=1_000_000_000)
     """Factor on the picture's radiance."""
-    rotation_deg: Array = key(ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    rotation_deg: Array = key(forms.TURN_PER_SAMPLE, default=0)
     """Turn about the vertical, clockwise seen from above, as compass bearings grow."""
-    sun: Literal["keep", "extract"] = key(CHOICE, default="keep")
+    sun: Literal["keep", "extract"] = key(forms.CHOICE, default="keep")
     """keep: the sun stays in the picture. extract: it is taken out of it and becomes a disc with
     the same irradiance, color and direction, so that its shadows do not depend on the picture's
     resolution; light.sun must be left out or null then. A picture in which no sun is found
     (overcast, indoors) stays as it is, which the report says."""
-    labels: Mapping[str, Any] = key(SKY_LABELS)
+    labels: Mapping[str, Any] = key(forms.SKY_LABELS)
     labels_below: Mapping[str, Any] = key(
-        SKY_LABELS_BELOW.but(
-            description=f"{SKY_LABELS_BELOW.keywords['description']} A level with a label map has "
-            "the map's."
+        forms.SKY_LABELS_BELOW.but(
+            description=f"{forms.SKY_LABELS_BELOW.keywords['description']} A level with a label "
+            "map has the map's."
         )
     )
     label_maps: Any | None = key(

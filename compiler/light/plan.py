@@ -6,13 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.draw import draw_kind, draw_object
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import an, named
+from scenec.compiler.kinds import Context, Finding, an, draw_kind, draw_object, key, kind_of, named
 from scenec.compiler.kinds.node import Node
-from scenec.compiler.kinds.table import kind_of
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:

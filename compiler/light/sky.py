@@ -7,13 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.forms import COUNT, SKY_LABELS, SKY_LABELS_BELOW
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Array, Context, Node, bounded, forms
 from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
 
-ROWS = bounded(COUNT, at_least=8, at_most=4096, unit="px").but(
+ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
     default=128,
     description="Height of the lat-long picture that is made, in pixels; its width is twice that.",
 )
@@ -84,9 +81,6 @@ class BlackSky(Sky):
     """A black sky, which can have labels all the same."""
 
     EXAMPLE: ClassVar = {"type": "none"}
-
-    labels: Mapping[str, Any] = key(SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(SKY_LABELS_BELOW)
 
     def draw(self, context: Context) -> None:
         """Returns None."""

@@ -9,11 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Array, Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, COLOR, PER_SAMPLE, SUN_ELEVATION_DEG
-from scenec.compiler.kinds.node import Node, black, is_black
+from scenec.compiler.kinds import Array, Context, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light import SunLight
 
@@ -49,16 +45,16 @@ class Sun:
     KEYWORDS: ClassVar = {"type": ["object", "null"]}
 
     irradiance: Number = key(
-        PER_SAMPLE, default=1000, above=0, at_most=1_000_000_000_000, unit="W/m²"
+        forms.PER_SAMPLE, default=1000, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
     """On a surface that faces the sun. With a sky of the type atmosphere: above the atmosphere, and
     if left out 1361 (Earth, Moon) or 590 (Mars). With an overcast one: above the cloud."""
-    elevation_deg: Any = key(SUN_ELEVATION_DEG)
-    azimuth_deg: Number = key(ANGLE_PER_SAMPLE, default=135, at_least=-100_000, at_most=100_000)
+    elevation_deg: Any = key(forms.SUN_ELEVATION_DEG)
+    azimuth_deg: Number = key(forms.TURN_PER_SAMPLE, default=135)
     """Compass bearing of the sun, clockwise from +Y (north)."""
-    diameter_deg: Number = key(ANGLE_PER_SAMPLE, default=0.53, at_least=0, at_most=90)
+    diameter_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=0.53, at_least=0, at_most=90)
     """Angular diameter. With a sky of the type atmosphere on Mars: if left out, 0.35."""
-    color: Any = key(COLOR, default=[1, 0.94, 0.86])
+    color: Any = key(forms.COLOR, default=[1, 0.94, 0.86])
     """Color, scaled so that the irradiance is as said; not black. With a sky of the type
     atmosphere, a factor on the color of sunlight: if left out, none."""
 

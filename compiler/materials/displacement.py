@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds import Context, draw_kind
 from scenec.compiler.materials.heights import file_relief, stamp, surface_relief
 from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.plan import MaterialPlan

@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH
+from scenec.compiler.kinds import forms, key
 from scenec.compiler.materials.periodic import Plane
 from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
@@ -28,7 +27,7 @@ class Sand(Surface):
 
     grain_m: float = key(GRAIN_M, default=0.0015)
     """Width of a grain. A quarter of size_m at most; what is finer than the pixels fades."""
-    ripple_m: float = key(LENGTH_PER_BATCH, default=0.09, at_least=0, at_most=1_000_000)
+    ripple_m: float = key(forms.LENGTH_PER_BATCH, default=0.09, at_least=0, at_most=1_000_000)
     """Wavelength of the ripples; 0: none."""
 
     SIZE_M: ClassVar[float] = 1.5
@@ -112,7 +111,7 @@ class MudCracks(Surface):
 
     grain_m: float = key(GRAIN_M, default=0.2)
     """Width of a polygon. A quarter of size_m at most; what is finer than the pixels fades."""
-    gape: float = key(FRACTION_PER_BATCH, default=0.06)
+    gape: float = key(forms.FRACTION_PER_BATCH, default=0.06)
     """Width of the cracks, in widths of a polygon."""
 
     SIZE_M: ClassVar[float] = 2.0
@@ -153,9 +152,9 @@ class Regolith(Surface):
     grain_m: float = key(GRAIN_M, default=0.04)
     """Size of what is of middle size: the largest craters are three times as wide, the smallest
     fragments a tenth. A quarter of size_m at most; what is finer than the pixels fades."""
-    craters: float = key(FRACTION_PER_BATCH, default=0.5)
+    craters: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for small craters that have one."""
-    stones: float = key(FRACTION_PER_BATCH, default=0.6)
+    stones: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Share of the places for fragments that have one."""
 
     SIZE_M: ClassVar[float] = 2.0
@@ -201,7 +200,7 @@ class Soil(Surface):
     grain_m: float = key(GRAIN_M, default=0.02)
     """Width of a clod of middle size. A quarter of size_m at most; what is finer than the pixels
     fades."""
-    litter: float = key(FRACTION_PER_BATCH, default=0.3)
+    litter: float = key(forms.FRACTION_PER_BATCH, default=0.3)
     """Share of the places for bits of plants that have one."""
 
     SIZE_M: ClassVar[float] = 1.5
@@ -250,9 +249,9 @@ class Pavement(Surface):
     grain_m: float = key(GRAIN_M, default=0.03)
     """Width of what is of middle size: the largest stones are four times as wide, the smallest
     granules a tenth. A quarter of size_m at most; what is finer than the pixels fades."""
-    stones: float = key(FRACTION_PER_BATCH, default=0.5)
+    stones: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for stones that have one, on average."""
-    darkness: float = key(FRACTION_PER_BATCH, default=0.5)
+    darkness: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """How much darker than the fines stones are: 0 not at all, 1 black."""
 
     SIZE_M: ClassVar[float] = 2.0

@@ -7,20 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Context, Finding, Node, an, draw_kind, file, forms, key
 from scenec.compiler.kinds.finding import Path as Place
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    FRACTION_PER_BATCH,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    an,
-    file,
-)
-from scenec.compiler.kinds.node import Node
 from scenec.compiler.materials.plan import Sources
 from scenec.compiler.scene.material import Cells, Far, MaterialMaps
 from scenec.schemas.maps import MAP_CHANNELS
@@ -45,7 +33,7 @@ class CellsKeys:
 
     EXAMPLE: ClassVar = {"size_m": 1.5}
 
-    size_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
+    size_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
     """Side of the lattice; left out, size_m of the maps, so that hardly a cell shows one place of
     the picture twice. Larger cells keep larger forms whole."""
 
@@ -58,9 +46,9 @@ class FarKeys:
 
     EXAMPLE: ClassVar = {"factor": 7, "share": 0.5}
 
-    factor: float = key(PER_BATCH, default=7.3, at_least=1, at_most=1000)
+    factor: float = key(forms.PER_BATCH, default=7.3, at_least=1, at_most=1000)
     """How much larger; not a whole number, or the two repeat together."""
-    share: float = key(FRACTION_PER_BATCH, default=0.5)
+    share: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """How much of it shows."""
 
 
@@ -74,11 +62,11 @@ class MapsKeys:
 
     EXAMPLE: ClassVar = {"folder": "textures/gravel", "size_m": 1.2, "cells": {}}
 
-    projection: Literal["above", "triplanar", "uv"] | None = key(CHOICE, optional=True)
+    projection: Literal["above", "triplanar", "uv"] | None = key(forms.CHOICE, optional=True)
     """Where the pictures lie: along the vertical (above), along the world's three axes, mixed by
     the surface's normal (triplanar), or by the texture coordinates of a mesh from a file (uv). Left
     out: triplanar for a material that objects have, else above."""
-    size_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
+    size_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
     """Side of one repeat, of above and triplanar; required, but of procedural pictures, whose kinds
     have their own."""
     folder: Path | None = key(file("texture_set"), optional=True)
@@ -87,7 +75,7 @@ class MapsKeys:
     OAISYS name theirs (Color, diff, albedo; rough, gloss; nor_gl, NormalDX; AO, disp, height,
     metal, arm, emission ...). A key beside it takes the place of the file in it. What in it is not
     understood is reported."""
-    resolution: Literal["seen", "as_is"] = key(CHOICE, default="seen")
+    resolution: Literal["seen", "as_is"] = key(forms.CHOICE, default="seen")
     """seen: a picture that has more texels than pixels wherever a camera of the batch sees it is
     made smaller, by powers of two; one that no camera sees becomes its mean. as_is: files stay as
     they are."""
@@ -104,18 +92,18 @@ class MapsKeys:
     """Metallic part, raw, in place of the number."""
     normal: Path | None = key(file("map"), optional=True)
     """Normals n = 2 rgb - 1, raw, x to the right in the picture."""
-    normal_convention: Literal["opengl", "directx"] = key(CHOICE, default="opengl")
+    normal_convention: Literal["opengl", "directx"] = key(forms.CHOICE, default="opengl")
     """Where the normals' y points: up in the picture (opengl) or down (directx)."""
     ambient_occlusion: Path | None = key(file("map"), optional=True)
     """What of the sky small hollows see, raw: multiplies the albedo, at compile time."""
-    ambient_occlusion_strength: float = key(FRACTION_PER_BATCH, default=1)
+    ambient_occlusion_strength: float = key(forms.FRACTION_PER_BATCH, default=1)
     """How much it does: albedo (1 - strength (1 - picture))."""
     displacement: Path | None = key(file("heights"), optional=True)
     """Heights, raw, about their mean: become geometry, with displacement_m, where a camera is near
     enough to see them; and what height_blend of the ground's layers goes by. Of materials of the
     ground, projected from above."""
     displacement_m: float | None = key(
-        LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000
+        forms.LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000
     )
     """Height of white above black in the picture of displacement, the key's or the folder's; left
     out, it stays flat."""

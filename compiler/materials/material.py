@@ -6,12 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.draw import draw_kind, draw_object
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Context, Finding, Form, Node, bounded, draw_kind, draw_object, key
 from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, an, list_of
-from scenec.compiler.kinds.node import Node
 from scenec.compiler.materials.maps import MapsKeys, becomes_geometry, users
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.scene.material import Material

@@ -5,24 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, PER_BATCH
+from scenec.compiler.kinds import Context, bounded, forms, key
 from scenec.compiler.scene.material import Reflectance
 
-_B = bounded(PER_BATCH, at_least=0, at_most=0.9).but(
+_B = bounded(forms.PER_BATCH, at_least=0, at_most=0.9).but(
     description="How pointed the lobes of a grain's phase function are (double Henyey-Greenstein, "
     "Hapke 2012, eq. 6.7a)."
 )
-_C = bounded(PER_BATCH, at_least=-1, at_most=1).but(
+_C = bounded(forms.PER_BATCH, at_least=-1, at_most=1).but(
     description="Which way a grain scatters: 1 back to the light, -1 forth. Hapke's relation to b: "
     "c = 3.29 exp(-17.4 b^2) - 0.908."
 )
-_OPPOSITION = bounded(PER_BATCH, at_least=0, at_most=3).but(
+_OPPOSITION = bounded(forms.PER_BATCH, at_least=0, at_most=3).but(
     description="B0: how much brighter grains are with the light behind the viewer, where they "
     "hide their shadows."
 )
-_OPPOSITION_WIDTH = bounded(PER_BATCH, at_least=0.002, at_most=0.5).but(
+_OPPOSITION_WIDTH = bounded(forms.PER_BATCH, at_least=0.002, at_most=0.5).but(
     description="h: that rise has fallen to half at a phase angle of 2 arctan(h)."
 )
 
@@ -73,7 +71,7 @@ class Hapke:
     c: float = key(_C, default=0.16)
     opposition: float = key(_OPPOSITION, default=1.993)
     opposition_width: float = key(_OPPOSITION_WIDTH, default=0.06)
-    roughness_deg: float = key(ANGLE_PER_BATCH, default=23.657, at_least=0, at_most=60)
+    roughness_deg: float = key(forms.ANGLE_PER_BATCH, default=23.657, at_least=0, at_most=60)
     """Mean slope of what is too small to be drawn (theta bar, Hapke 1984). Measured values hold for
     relief up to the size of the instrument's pixels: what the scene's relief and displacement draw
     themselves counts twice."""

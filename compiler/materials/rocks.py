@@ -11,8 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH
+from scenec.compiler.kinds import forms, key
 from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
 
@@ -64,7 +63,7 @@ class Basalt(Surface):
     grain_m: float = key(GRAIN_M, default=0.01)
     """Width of a bubble of middle size. A quarter of size_m at most; what is finer than the pixels
     fades."""
-    vesicles: float = key(FRACTION_PER_BATCH, default=0.5)
+    vesicles: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for bubbles that have one."""
 
     SIZE_M: ClassVar[float] = 0.6
@@ -107,7 +106,7 @@ class Sandstone(Surface):
 
     grain_m: float = key(GRAIN_M, default=0.0012)
     """Width of a grain. A quarter of size_m at most; what is finer than the pixels fades."""
-    bedding: float = key(FRACTION_PER_BATCH, default=0.5)
+    bedding: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """How much beds differ: 0 not at all."""
     bed_m: float = key(GRAIN_M, default=0.15)
     """Thickness of the thickest beds."""
@@ -148,7 +147,7 @@ class Breccia(Surface):
     grain_m: float = key(GRAIN_M, default=0.05)
     """Width of a piece of middle size. A quarter of size_m at most; what is finer than the pixels
     fades."""
-    clasts: float = key(FRACTION_PER_BATCH, default=1)
+    clasts: float = key(forms.FRACTION_PER_BATCH, default=1)
     """Share of the places for pieces that have one."""
 
     SIZE_M: ClassVar[float] = 1.2
@@ -190,7 +189,7 @@ class Weathered(Surface):
 
     grain_m: float = key(GRAIN_M, default=0.05)
     """Width of a knob. A quarter of size_m at most; what is finer than the pixels fades."""
-    cracks: float = key(FRACTION_PER_BATCH, default=0.6)
+    cracks: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """How much of its cracks is open."""
 
     SIZE_M: ClassVar[float] = 1.2

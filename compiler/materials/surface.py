@@ -6,16 +6,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from scenec.compiler.kinds.declare import bounded, key, noise_key
-from scenec.compiler.kinds.forms import (
-    LENGTH_PER_BATCH,
-    SURFACE_CONTRAST,
-    SURFACE_RELIEF_M,
-    SURFACE_RESOLUTION,
-)
+from scenec.compiler.kinds import bounded, forms, key, noise_key
 from scenec.compiler.materials.tile import Look, Tile
 
-GRAIN_M = bounded(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+GRAIN_M = bounded(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,9 +18,9 @@ class Surface(ABC):
 
     grain_m: float = key(GRAIN_M)
     """Width of what it consists of: crystals, stones, polygons."""
-    relief_m: float | None = key(SURFACE_RELIEF_M, optional=True)
-    contrast: float = key(SURFACE_CONTRAST)
-    resolution: int = key(SURFACE_RESOLUTION)
+    relief_m: float | None = key(forms.SURFACE_RELIEF_M, optional=True)
+    contrast: float = key(forms.SURFACE_CONTRAST)
+    resolution: int = key(forms.SURFACE_RESOLUTION)
     #: Whether the relief becomes geometry on the ground: the last key of each (``kinds.shared``).
     displacement: bool = False
     key: int = noise_key()

@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH
+from scenec.compiler.kinds import forms, key
 from scenec.compiler.materials.periodic import Cells, Plane
 from scenec.compiler.materials.surface import GRAIN_M, Surface
 from scenec.compiler.materials.tile import Look, Tile, mix, number, only, shade, step
@@ -32,7 +31,7 @@ class Turf(Surface):
     grain_m: float = key(GRAIN_M, default=0.06)
     """Width of a tuft of middle size. A quarter of size_m at most; what is finer than the pixels
     fades."""
-    fresh: float = key(FRACTION_PER_BATCH, default=0.6)
+    fresh: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Share of the blades that are green; more and less of them in patches."""
 
     SIZE_M: ClassVar[float] = 1.2

@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds import Context, draw_kind
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.mesh.mesh import Meshing

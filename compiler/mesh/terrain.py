@@ -7,21 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    COUNT,
-    FRACTION_PER_BATCH,
-    GAIN,
-    LACUNARITY,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    TEXT,
-    WHOLE_PER_BATCH,
-    an,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node, unknown
+from scenec.compiler.kinds import Finding, Form, Node, an, bounded, forms, key, list_of, unknown
 from scenec.schemas.spelling import shown
 
 #: Height samples of a terrain at most (2 GiB of float64).
@@ -44,14 +30,14 @@ class Terrain:
 
     size_m: tuple[float, float] = key(
         list_of(
-            bounded(LENGTH_PER_BATCH, above=0, at_most=10_000_000),
+            bounded(forms.LENGTH_PER_BATCH, above=0, at_most=10_000_000),
             "Extent along one axis.",
             least=2,
             most=2,
         )
     )
     """Extent in x (east) and y (north)."""
-    spacing_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    spacing_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """Largest distance between neighboring height samples."""
     relief: tuple[Any, ...] = key(list_of(an("relief"), "One relief operator.", least=1))
     """Operators that shape the terrain, in order; the first must be a base (plane or dem)."""
@@ -125,17 +111,17 @@ class TerrainHorizon:
         "labels": {"class": "ground"},
     }
 
-    reach_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    reach_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """How far it goes beyond the border."""
-    spacing_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
+    spacing_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
     """Largest distance between height samples of its relief; left out, a 256th of what it spans.
     Noises show what is finer all the same."""
-    blend_m: float = key(LENGTH_PER_BATCH, default=60, above=0, at_most=1_000_000)
+    blend_m: float = key(forms.LENGTH_PER_BATCH, default=60, above=0, at_most=1_000_000)
     """Width over which heights and materials of the border give way to its own."""
     relief: tuple[Any, ...] = key(list_of(an("relief"), "One relief operator.", least=1))
     """Operators that shape it, in order, about the terrain's center; the first must be a base
     (plane or dem)."""
-    material: str = key(TEXT)
+    material: str = key(forms.TEXT)
     """Name of a material; its displacement does not show. Pictures of a size_m of some hundred
     meters give far slopes stones and hollows down to the pixel."""
     labels: Mapping[str, Any] = key(an("label_choice"), default={})
@@ -174,7 +160,7 @@ class GroundBase:
         "x-unknown": dict.fromkeys(("noise", "sharpness", "threshold", "coverage"), _OF_LATER)
     }
 
-    material: str = key(TEXT)
+    material: str = key(forms.TEXT)
     """Name of a material."""
     labels: Mapping[str, Any] = key(an("label_choice"), default={})
     """The layer's label on every level."""
@@ -194,7 +180,7 @@ class GroundLayer:
     }
     TITLE: ClassVar = "Ground: later layer"
 
-    material: str = key(TEXT)
+    material: str = key(forms.TEXT)
     """Name of a material."""
     labels: Mapping[str, Any] = key(an("label_choice"), default={})
     """The layer's label on every level."""
@@ -203,15 +189,15 @@ class GroundLayer:
     says."""
     where: Any | None = key(list_of(an("ground_where"), "One condition.", least=1), optional=True)
     """Conditions that must all hold where the layer lies."""
-    sharpness: float = key(PER_BATCH, default=5, above=0, at_most=1_000_000)
+    sharpness: float = key(forms.PER_BATCH, default=5, above=0, at_most=1_000_000)
     """How fast the color changes across the border; larger is sharper."""
-    threshold: float = key(PER_BATCH, default=0.5, above=0, below=1)
+    threshold: float = key(forms.PER_BATCH, default=0.5, above=0, below=1)
     """Weight of the color at the border: at 0.5 it runs along the conditions' bounds, above it
     within them. Not together with coverage."""
-    coverage: float | None = key(FRACTION_PER_BATCH, optional=True)
+    coverage: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
     """Fraction of the area that the layer covers: moves the noise's border in place of threshold,
     within what the conditions leave."""
-    height_blend: float = key(FRACTION_PER_BATCH, default=0)
+    height_blend: float = key(forms.FRACTION_PER_BATCH, default=0)
     """Depth over which the height maps of the layer and of what lies below it decide which of the
     two is seen, as a share of the maps' range, so that stones stand out of sand; 0: the weights
     alone blend them. Labels never heed it."""
@@ -251,13 +237,13 @@ class GroundNoise:
 
     EXAMPLE: ClassVar = {"scale_m": 9, "octaves": 4, "gain": 0.45}
 
-    scale_m: float = key(LENGTH_PER_BATCH, default=10, above=0, at_most=1_000_000_000)
+    scale_m: float = key(forms.LENGTH_PER_BATCH, default=10, above=0, at_most=1_000_000_000)
     """Size of the largest patches."""
-    octaves: int = key(WHOLE_PER_BATCH, default=4, at_least=1, at_most=24)
+    octaves: int = key(forms.WHOLE_PER_BATCH, default=4, at_least=1, at_most=24)
     """Number of octaves."""
-    gain: float = key(GAIN)
-    lacunarity: float = key(LACUNARITY)
-    distortion: float = key(PER_BATCH, default=0, at_least=0, at_most=10)
+    gain: float = key(forms.GAIN)
+    lacunarity: float = key(forms.LACUNARITY)
+    distortion: float = key(forms.PER_BATCH, default=0, at_least=0, at_most=10)
     """How far the patches are warped, as a fraction of their size."""
 
 
@@ -270,9 +256,9 @@ class Showing:
     EXAMPLE: ClassVar = {"type": "material", "material": "lava"}
     TITLE: ClassVar = "Mask: material"
 
-    material: str = key(TEXT)
+    material: str = key(forms.TEXT)
     """Material of a ground layer; all layers of it count."""
-    layer: int | None = key(COUNT, optional=True, at_least=0, at_most=1000)
+    layer: int | None = key(forms.COUNT, optional=True, at_least=0, at_most=1000)
     """The one layer that counts, where the material has more than one: its index in ground, 0 for
     the base."""
 

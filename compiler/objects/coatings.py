@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.icosphere import EDGE
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, TEXT
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.objects import Coating, Prototype
@@ -40,18 +39,18 @@ class CoatingPlan:
     EXAMPLE: ClassVar = {"material": "dust", "tops": 0.7, "foot_height": 0.2}
 
     TITLE: ClassVar = "Objects: rocks: coating"
-    material: str = key(TEXT)
+    material: str = key(forms.TEXT)
     """Name of a material."""
-    tops: float = key(FRACTION_PER_BATCH, default=0.8)
+    tops: float = key(forms.FRACTION_PER_BATCH, default=0.8)
     """Share of what faces up that it covers; ridges stay bare."""
-    max_slope_deg: float = key(PER_BATCH, default=35, at_least=0, at_most=180, unit="deg")
+    max_slope_deg: float = key(forms.PER_BATCH, default=35, at_least=0, at_most=180, unit="deg")
     """Steepest slope that it lies on; it thins out over 12 degrees to either side."""
-    hollows: float = key(FRACTION_PER_BATCH, default=0.6)
+    hollows: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Share that it covers of hollows, unless they face down."""
-    foot: float = key(FRACTION_PER_BATCH, default=1)
+    foot: float = key(forms.FRACTION_PER_BATCH, default=1)
     """Share that it covers of a rock next to the ground, where the mean embed of its class puts
     that."""
-    foot_height: float = key(PER_BATCH, default=0.15, at_least=0.01, at_most=1)
+    foot_height: float = key(forms.PER_BATCH, default=0.15, at_least=0.01, at_most=1)
     """How far up from the ground the foot reaches, in parts of a rock's height."""
     key: int = noise_key()
 

@@ -15,20 +15,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pictures import read_gray
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.distributions.laws import arrivals
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    BACKGROUND,
-    CHOICE,
-    FRACTION_PER_BATCH,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    TEXT,
-    WHOLE_PER_BATCH,
-    file,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, file, forms, key, noise_key
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.octaves import BLOCK
 from scenec.compiler.noise.worley import worley2_points
@@ -91,11 +78,11 @@ class NoiseDensity(Everywhere):
 
     EXAMPLE: ClassVar = {"type": "noise", "scale_m": 20, "contrast": 3}
 
-    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    scale_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Size of the clusters."""
-    contrast: float = key(PER_BATCH, default=2, at_least=0, at_most=100)
+    contrast: float = key(forms.PER_BATCH, default=2, at_least=0, at_most=100)
     """How much the clusters stand out; 0 is uniform."""
-    octaves: int = key(WHOLE_PER_BATCH, default=3, at_least=1, at_most=24)
+    octaves: int = key(forms.WHOLE_PER_BATCH, default=3, at_least=1, at_most=24)
     """Number of octaves."""
     key: int = noise_key()
 
@@ -112,15 +99,15 @@ class WorleyDensity(Everywhere):
 
     EXAMPLE: ClassVar = {"type": "worley", "scale_m": 6, "distance": "f2-f1"}
 
-    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
+    scale_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
     """Width of a cell."""
-    distance: Literal["f1", "f2-f1"] = key(CHOICE, default="f1")
+    distance: Literal["f1", "f2-f1"] = key(forms.CHOICE, default="f1")
     """f1: heaps about scattered points, (1 - F1)^sharpness. f2-f1: along the borders of their
     cells, as in cracks, (1 - (F2 - F1))^sharpness. Distances are in cells, and nothing is below 0.
     """
-    sharpness: float = key(PER_BATCH, default=3, at_least=0, at_most=100)
+    sharpness: float = key(forms.PER_BATCH, default=3, at_least=0, at_most=100)
     """Exponent: how much heaps or lines stand out; 0 is uniform."""
-    jitter: float = key(FRACTION_PER_BATCH, default=1)
+    jitter: float = key(forms.FRACTION_PER_BATCH, default=1)
     """How far the points are from a square lattice."""
     key: int = noise_key()
 
@@ -206,16 +193,16 @@ class Clusters:
 
     EXAMPLE: ClassVar = {"type": "clusters", "parents": 9, "sigma_m": 7, "background": 0.15}
 
-    parents: int | None = key(WHOLE_PER_BATCH, optional=True, at_least=1, at_most=1_000_000)
+    parents: int | None = key(forms.WHOLE_PER_BATCH, optional=True, at_least=1, at_most=1_000_000)
     """Number of parents per terrain; those around it come on top. One of parents and parents_per_m2
     is given."""
     parents_per_m2: float | None = key(
-        PER_BATCH, optional=True, above=0, at_most=1000000.0, unit="1/m^2"
+        forms.PER_BATCH, optional=True, above=0, at_most=1000000.0, unit="1/m^2"
     )
     """Number of parents per square meter, on average: they are a Poisson process."""
-    sigma_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
+    sigma_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
     """Standard deviation of objects about their parent, along each axis."""
-    background: float = key(BACKGROUND)
+    background: float = key(forms.BACKGROUND)
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -287,14 +274,14 @@ class PathDensity(Density):
     file: Path = key(file("polyline"))
     """CSV of the path's points, columns x_m and y_m: relative to the cfg, or "package:NAME/path".
     """
-    law: Literal["gaussian", "band"] = key(CHOICE, default="gaussian")
+    law: Literal["gaussian", "band"] = key(forms.CHOICE, default="gaussian")
     """gaussian: width_m is the standard deviation of the distance from offset_m; band: even over
     width_m on either side of it."""
-    width_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
+    width_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
     """Width, see law."""
-    offset_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
+    offset_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
     """Distance from the path at which they are densest, as in the berms of a track."""
-    background: float = key(BACKGROUND)
+    background: float = key(forms.BACKGROUND)
 
     def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """At the middles of cells."""
@@ -322,16 +309,16 @@ class AroundDensity(Density):
 
     EXAMPLE: ClassVar = {"type": "around", "of": "boulders", "reach": 1.6}
 
-    of: str = key(TEXT)
+    of: str = key(forms.TEXT)
     """The class."""
-    reach: float = key(PER_BATCH, default=1.5, above=0, at_most=1000)
+    reach: float = key(forms.PER_BATCH, default=1.5, above=0, at_most=1000)
     """How far it reaches, in radii of the ball around an object, from the circle around it."""
-    inside: float = key(FRACTION_PER_BATCH, default=0.6)
+    inside: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Where it begins, in the same radii from the middle: rocks are narrower than the circle around
     them."""
-    min_size_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
+    min_size_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
     """Smaller objects have none, by the diameter of the ball."""
-    background: float = key(BACKGROUND)
+    background: float = key(forms.BACKGROUND)
 
     def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """At the middles of cells."""

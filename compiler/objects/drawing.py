@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2, pick
 from scenec.compiler.distributions.numbers import Distribution, Number, draw_number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.draw import draw_kind
+from scenec.compiler.kinds import Context, draw_kind
 from scenec.compiler.objects.conditions import OffTerrain, OnMaterial, OnRelief, PlacementCondition
 from scenec.compiler.objects.families.shape import Turn
 from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.distributions.numbers import Number, draw_number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import FRACTION_PER_INSTANCE, PER_INSTANCE
+from scenec.compiler.kinds import Context, forms, key
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.bodies import Bodies, vertices_of
@@ -50,11 +48,11 @@ class Fillet:
 
     TITLE: ClassVar = "Objects: rocks: fillet"
     height: Number = key(
-        FRACTION_PER_INSTANCE, default={"type": "uniform", "min": 0.04, "max": 0.12}
+        forms.FRACTION_PER_INSTANCE, default={"type": "uniform", "min": 0.04, "max": 0.12}
     )
     """Height where it meets the rock, in parts of the rock's size."""
     reach: Number = key(
-        PER_INSTANCE,
+        forms.PER_INSTANCE,
         default={"type": "uniform", "min": 0.25, "max": 0.6},
         at_least=0.01,
         at_most=10,

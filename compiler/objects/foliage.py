@@ -166,10 +166,7 @@ def _half(alive: NDArray[np.int64], group: NDArray[np.int64], level: int) -> NDA
 
 
 def _part_of(
-    finest: Prototype,
-    kept: NDArray[np.bool_],
-    used: NDArray[np.bool_],
-    move: NDArray[np.float64],
+    finest: Prototype, kept: NDArray[np.bool_], used: NDArray[np.bool_], move: NDArray[np.float64]
 ) -> Prototype:
     """Some faces of a prototype, with the vertices that they use, moved."""
     faces = finest.faces[kept]
@@ -208,10 +205,7 @@ def _moves(
 
 
 def _rms(
-    move: NDArray[np.float64],
-    corners: NDArray[np.int32],
-    pieces: _Pieces,
-    kept: NDArray[np.bool_],
+    move: NDArray[np.float64], corners: NDArray[np.int32], pieces: _Pieces, kept: NDArray[np.bool_]
 ) -> float:
     """Of what the corners of kept leaves move by, each leaf by its area."""
     own = pieces.of_face[kept]

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.rotations import turned
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import COUNT
+from scenec.compiler.kinds import forms, key
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
@@ -29,7 +28,7 @@ class ObjectDetail:
     EXAMPLE: ClassVar = {"max_triangles": 20_000_000}
 
     TITLE: ClassVar = "Object detail"
-    max_triangles: int | None = key(COUNT, optional=True, at_least=1, at_most=10_000_000_000)
+    max_triangles: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=10_000_000_000)
     """Most triangles of all objects together, each instance counted as if it were written out, as
     some renderers do. Levels of detail are then chosen for errors larger than lod_px, by one factor
     for all classes; the report says by how much. Left out, lod_px alone decides."""

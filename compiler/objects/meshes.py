@@ -7,16 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    FRACTION_PER_BATCH,
-    FRACTION_PER_INSTANCE,
-    PER_INSTANCE,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, forms, key
 from scenec.compiler.objects.models import (
     MATERIAL,
     MODELS,
@@ -46,15 +37,15 @@ class Meshes(Scattered):
     models: tuple[Mapping[str, Any], ...] = key(MODELS)
     material: str | None = key(MATERIAL, optional=True)
     parts: Mapping[str, Any] = key(PARTS, default={})
-    scale: Number = key(PER_INSTANCE, default=1, above=0, at_most=1_000_000)
+    scale: Number = key(forms.PER_INSTANCE, default=1, above=0, at_most=1_000_000)
     """Factor on a model's size."""
-    variation: float = key(FRACTION_PER_BATCH, default=0)
+    variation: float = key(forms.FRACTION_PER_BATCH, default=0)
     """How much the albedo of the files' own materials varies from instance to instance: base_color
     (1 + variation v), v in [-1, 1]."""
-    seat: Literal["origin", "touch"] = key(CHOICE, default="origin")
+    seat: Literal["origin", "touch"] = key(forms.CHOICE, default="origin")
     """What stands on the ground: origin, the file's, where plants and made things have their foot;
     or touch, whichever vertex meets it first, as rocks do."""
-    embed: Number = key(FRACTION_PER_INSTANCE, default=0)
+    embed: Number = key(forms.FRACTION_PER_INSTANCE, default=0)
     """Fraction of an object's own height that is below the surface."""
 
     check_files = staticmethod(check_parts)

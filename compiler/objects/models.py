@@ -7,12 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from scenec.compiler.kinds.context import Context, InputFile
-from scenec.compiler.kinds.declare import Form, key
-from scenec.compiler.kinds.draw import draw_object
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import CHOICE, CONSTANT, TEXT, WORDS, an, file, list_of
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Form, InputFile, Node, bounded, draw_object, key
+from scenec.compiler.kinds.forms import CHOICE, CONSTANT, TEXT, WORDS, an, file, list_of, word_or
 from scenec.compiler.scene.labels import Labels
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
@@ -34,6 +30,8 @@ PARTS = Form(
         "a face, the last counts.",
     }
 )
+
+_COORDINATE = bounded(CONSTANT, at_least=-1_000_000_000, at_most=1_000_000_000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,25 +55,7 @@ class ModelFile:
     """The file's upward axis. Left out, what the file says: y in glTF, upAxis in USD, z in .blend;
     OBJ, PLY, STL and OFF say nothing."""
     origin: str | tuple[float, float, float] | None = key(
-        Form(
-            {
-                "type": ["string", "array"],
-                "if": {"type": "string"},
-                "then": {"enum": ["base"]},
-                "else": {
-                    "minItems": 3,
-                    "maxItems": 3,
-                    "items": {
-                        "description": "Along one axis.",
-                        "type": "number",
-                        "minimum": -1_000_000_000,
-                        "maximum": 1_000_000_000,
-                    },
-                },
-            }
-        ),
-        optional=True,
-        unit="m",
+        word_or("base", list_of(_COORDINATE, "Along one axis.", count=3)), optional=True, unit="m"
     )
     """Which of its points stands on the pose, is what scales and turns leave in place. Left out,
     the file's own origin; base: the middle of its extent in plan, at its lowest height; or a point:

@@ -13,20 +13,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    COUNT,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    TRUTH,
-    an,
-    file,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
+from scenec.compiler.kinds.forms import CHOICE, COUNT, LENGTH_PER_BATCH, PER_BATCH, TRUTH
 from scenec.compiler.objects.models import (
     MATERIAL,
     MODELS,
@@ -38,6 +26,8 @@ from scenec.compiler.objects.models import (
 
 if TYPE_CHECKING:
     from scenec.compiler.objects.placed import PlacedPlan
+
+_ANGLE = bounded(PER_BATCH, at_least=-360, at_most=360, unit="deg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +44,7 @@ class ObjectPose:
     z_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-1000000000.0, at_most=1000000000.0)
     """Height of the object's origin, see heights."""
     rotation_deg: Any = key(
-        list_of(
-            bounded(PER_BATCH, at_least=-360, at_most=360, unit="deg"),
-            "About one axis.",
-            least=3,
-            most=3,
-        ),
-        default=[0, 0, 0],
-        unit="deg",
+        list_of(_ANGLE, "About one axis.", count=3), default=[0, 0, 0], unit="deg"
     )
     """Turns about the world's x, y and z, in that order; the last is counterclockwise seen from
     above."""

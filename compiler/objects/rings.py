@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import given, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import BACKGROUND, PER_BATCH
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, Node, forms, given, key
 from scenec.compiler.objects.density import Density, with_background
 from scenec.compiler.objects.lattice import Circles, Lattice, splat, table
 from scenec.compiler.objects.surroundings import Surroundings
@@ -38,14 +35,14 @@ class RingDensity(Density):
 
     EXAMPLE: ClassVar = {"type": "rings", "min_radii": 1, "max_radii": 3, "background": 0.4}
 
-    min_radii: float = key(PER_BATCH, default=0.9, at_least=0, at_most=100)
+    min_radii: float = key(forms.PER_BATCH, default=0.9, at_least=0, at_most=100)
     """Inner border, in radii of the crater, 1 is the rim; within it they fade over a fifth of it.
     """
-    max_radii: float = key(PER_BATCH, default=5, above=0, at_most=100)
+    max_radii: float = key(forms.PER_BATCH, default=5, above=0, at_most=100)
     """Outer border, in radii of the crater."""
-    freshness: float = key(PER_BATCH, default=2, at_least=0, at_most=20)
+    freshness: float = key(forms.PER_BATCH, default=2, at_least=0, at_most=20)
     """Exponent on freshness: 0 treats all craters alike, larger ones favor fresh craters."""
-    background: float = key(BACKGROUND)
+    background: float = key(forms.BACKGROUND)
     craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
     """With the conditions of their masks, which are taken at their middles."""
 

@@ -96,12 +96,7 @@ def _mesh(
     rounded = points.astype(np.float32)
     normals = vertex_normals(rounded.astype(np.float64), faces).astype(np.float32)
     return Prototype(
-        name,
-        rounded,
-        faces,
-        normals,
-        variation.astype(np.float32),
-        rounding=rounding_of(points),
+        name, rounded, faces, normals, variation.astype(np.float32), rounding=rounding_of(points)
     )
 
 

@@ -7,22 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    CONSTANT,
-    FRACTION_PER_INSTANCE,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    PER_INSTANCE,
-    TEXT,
-    TRUTH,
-    WHOLE_PER_BATCH,
-    an,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node, unknown
+from scenec.compiler.kinds import Finding, Node, an, forms, key, list_of, unknown
 from scenec.schemas.spelling import shown
 
 #: Least ``beyond_m`` in the terrain's longer sides: 8 cells of the 384 that the land is taken in
@@ -38,12 +23,12 @@ class Spacing:
 
     EXAMPLE: ClassVar = {"gap_m": 1, "radius": 0.3}
 
-    gap_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
+    gap_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
     """Least gap between two circles."""
-    radius: float = key(PER_BATCH, default=1, at_least=0, at_most=100)
+    radius: float = key(forms.PER_BATCH, default=1, at_least=0, at_most=100)
     """A circle's radius, in radii of the ball around its object. Rocks are narrower than their
     ball: 1 keeps all apart, 0.7 lets some touch."""
-    of: tuple[str, ...] | None = key(list_of(TEXT, least=1, unique=True), optional=True)
+    of: tuple[str, ...] | None = key(list_of(forms.TEXT, least=1, unique=True), optional=True)
     """Classes to keep apart from: this one, or earlier ones, whose own apart does not matter. Left
     out: this one."""
 
@@ -61,46 +46,52 @@ class Scattered:
     }
 
     SHARED: ClassVar = "objects_scattered"
-    count: int | None = key(WHOLE_PER_BATCH, optional=True, at_least=0, at_most=100_000_000)
+    count: int | None = key(forms.WHOLE_PER_BATCH, optional=True, at_least=0, at_most=100_000_000)
     """Number of instances, met exactly. One of count and per_m2 is given, or neither where size_m
     is drawn from golombek_rapp, which says itself how many there are."""
     per_m2: float | None = key(
-        PER_BATCH, optional=True, at_least=0, at_most=1000000000000.0, unit="1/m^2"
+        forms.PER_BATCH, optional=True, at_least=0, at_most=1000000000000.0, unit="1/m^2"
     )
     """Number per square meter of the terrain in plan: the count is this times the terrain's area,
     times the part of the density that where leaves, rounded up or down at random."""
     labels: Mapping[str, Any] = key(an("label_choice"), default={})
     """The objects' label on every level."""
-    instances: bool = key(TRUTH, default=True)
+    instances: bool = key(forms.TRUTH, default=True)
     """Whether each object has an instance id."""
     density: Mapping[str, Any] = key(an("density"), default={"type": "uniform"})
     """How many there are in one place compared with another."""
     where: tuple[Mapping[str, Any], ...] = key(list_of(an("objects_where")), default=[])
     """Conditions on the place, multiplied with the density."""
-    beyond_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
+    beyond_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
     """Where given, they lie on the land of terrain.horizon instead: from the terrain's border up to
     so far beyond it. per_m2 and size_m are then of that land, and conditions are of its heights; it
     has no materials or craters that a condition or density could ask for. At least a 46th of the
     terrain's longer side."""
     apart: Spacing | None = key(an("objects_apart", drawn=True), optional=True)
     """Keeps objects from overlapping in plan; left out, they may."""
-    shortfall: Literal["error", "fewer"] = key(CHOICE, default="error")
+    shortfall: Literal["error", "fewer"] = key(forms.CHOICE, default="error")
     """What to do where not all of them can be placed: error, or fewer, which leaves gaps in the
     ids."""
-    clearance_m: float = key(CONSTANT, default=0, at_least=-1_000_000, at_most=1000000.0, unit="m")
+    clearance_m: float = key(
+        forms.CONSTANT, default=0, at_least=-1_000_000, at_most=1000000.0, unit="m"
+    )
     """Least distance from any camera of any sample to an object's geometry; an object that is
     nearer is put elsewhere, so at 0 no camera is inside of one, and may be under a tree's crown.
     Below 0, cameras may also be in the geometry, so far within the ball around it; -1000000:
     anywhere. The geometry counts as a 48th of its size larger at most."""
-    orientation: Literal["random", "upright", "normal"] | None = key(CHOICE, optional=True)
+    orientation: Literal["random", "upright", "normal"] | None = key(forms.CHOICE, optional=True)
     """random: any; upright: turned about the vertical only; normal: turned about the ground's
     normal only. Left out: normal for slabs, random for other rocks, upright for meshes."""
-    lean_deg: Number | None = key(PER_INSTANCE, optional=True, at_least=0, at_most=180, unit="deg")
+    lean_deg: Number | None = key(
+        forms.PER_INSTANCE, optional=True, at_least=0, at_most=180, unit="deg"
+    )
     """How far the axis that orientation keeps leans over, toward a random side; not for random,
     which is any already."""
-    embed: Number = key(FRACTION_PER_INSTANCE, default={"type": "uniform", "min": 0.1, "max": 0.4})
+    embed: Number = key(
+        forms.FRACTION_PER_INSTANCE, default={"type": "uniform", "min": 0.1, "max": 0.4}
+    )
     """Fraction of an object's own height that is below the surface."""
-    lod_px: float = key(CONSTANT, default=0.5, at_least=0, at_most=1000)
+    lod_px: float = key(forms.CONSTANT, default=0.5, at_least=0, at_most=1000)
     """Largest error of an object's shape (of plants, the root mean square by which corners of
     leaves move), in pixels of the nearest view: each gets the coarsest level that keeps to it. 0:
     always the finest level, as without cameras."""

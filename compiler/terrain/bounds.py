@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, Node
 
 
 class Bounds:

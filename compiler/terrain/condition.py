@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key, keys_of, noise_key
-from scenec.compiler.kinds.draw import draw_kind, draw_object
+from scenec.compiler.kinds import Context, draw_kind, draw_object, file, key, kind_of, noise_key
+from scenec.compiler.kinds.declare import keys_of
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_BATCH,
     GAIN,
@@ -29,9 +28,7 @@ from scenec.compiler.kinds.forms import (
     RAGGED,
     SOFTNESS_M,
     WHOLE_PER_BATCH,
-    file,
 )
-from scenec.compiler.kinds.table import kind_of
 from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import octaves_shown

@@ -21,10 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import given, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, RAGGED
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, Node, forms, given, key
 from scenec.compiler.terrain.condition import Condition, Interval, Quantity, Ragged, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
@@ -57,14 +54,14 @@ class Freshness(Quantity):
 
     EXAMPLE: ClassVar = {"type": "crater_freshness", "min": 0.7, "softness": 0.2}
 
-    min: float | None = key(FRACTION_PER_BATCH, optional=True)
+    min: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
     """Smallest freshness; left out, no bound."""
-    max: float | None = key(FRACTION_PER_BATCH, optional=True)
+    max: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
     """Largest freshness; left out, no bound."""
-    softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
+    softness: float = key(forms.PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
     """Width over which it fades about a bound: half of it on either side. On the ground at least an
     eighth of what changes over a spacing there."""
-    ragged: Ragged | None = key(RAGGED, optional=True)
+    ragged: Ragged | None = key(forms.RAGGED, optional=True)
     craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
     """What was laid, in order, each with the conditions of its mask, which are taken on the relief
     that is asked about."""

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from small import small_cfg, write_cfg
 
 from scenec.compiler.assets.tracks import read_stamped
-from scenec.compiler.cameras.tracks import Gaps, Sampling, resampled
+from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError, SceneError
@@ -144,14 +144,16 @@ def test_missing_stamps_are_an_error_or_hold_the_pose_before_them(tmp_path):
     at = np.array([0.5, 1.0, 1.5, 4.999, 5.0, 5.5])
 
     def x(gaps):
-        return resampled(track, at, "linear", gaps, "here: t.txt", False)[:, 0, 3].tolist()
+        way = TrackWay(at, track, "linear", gaps, "here: t.txt", False)
+        return way.resampled(at)[:, 0, 3].tolist()
 
     assert x(Gaps()) == pytest.approx([0.5, 1, 2, 8.998, 9, 9.5])
     assert x(Gaps(2.0, hold=True)) == [0.5, 1, 1, 1, 9, 9.5]
     with pytest.raises(SceneError, match=r"t\.txt:3: 4 s without a pose after line 2, .* sample 2"):
         x(Gaps(2.0))
     # The ends of a gap are given poses.
-    assert resampled(track, at[[1, 4]], "linear", Gaps(2.0), "", False)[:, 0, 3].tolist() == [1, 9]
+    way = TrackWay(at, track, "linear", Gaps(2.0), "", False)
+    assert way.resampled(at[[1, 4]])[:, 0, 3].tolist() == [1, 9]
     times = {"times_s": [0, 0.2, 1, 3, 4, 5, 6]}
     with pytest.raises(SceneError, match="sample 3 falls into"):
         planned(tmp_path, 7, file="t.txt", format="tum", sampling=times, max_gap_s=2)

@@ -10,10 +10,7 @@ import numpy as np
 
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, level_bearing, poses
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, SAMPLING
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, Node, forms, key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,34 +30,31 @@ class Descent:
         "pitch_deg": -90,
     }
 
-    x_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    x_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Touchdown point, to the east."""
-    y_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    y_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Touchdown point, to the north."""
-    entry_height_m: float = key(LENGTH_PER_BATCH, above=0, at_most=10_000_000)
+    entry_height_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=10_000_000)
     """Height above the ground at the touchdown point where it begins."""
-    touchdown_height_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
+    touchdown_height_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
     """Height there at which it ends: that of the rig on its legs."""
-    entry_speed_m_s: float = key(PER_BATCH, default=10, above=0, at_most=10_000_000, unit="m/s")
+    entry_speed_m_s: float = key(
+        forms.PER_BATCH, default=10, above=0, at_most=10_000_000, unit="m/s"
+    )
     """Downward speed at the beginning."""
     touchdown_speed_m_s: float = key(
-        PER_BATCH, default=1, at_least=0, at_most=10_000_000, unit="m/s"
+        forms.PER_BATCH, default=1, at_least=0, at_most=10_000_000, unit="m/s"
     )
     """Downward speed at the end."""
-    drift_m_s: float = key(PER_BATCH, default=0, at_least=0, at_most=10_000_000, unit="m/s")
+    drift_m_s: float = key(forms.PER_BATCH, default=0, at_least=0, at_most=10_000_000, unit="m/s")
     """Level speed at the beginning; it falls evenly to nothing."""
-    drift_deg: float = key(
-        ANGLE_PER_BATCH,
-        default={"type": "uniform", "min": 0, "max": 360},
-        at_least=-100_000,
-        at_most=100_000,
-    )
+    drift_deg: float = key(forms.TURN_PER_BATCH, default={"type": "uniform", "min": 0, "max": 360})
     """Compass bearing of the drift."""
-    heading_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    heading_deg: float = key(forms.TURN_PER_BATCH, default=0)
     """Compass bearing of the picture's top, looking down."""
-    pitch_deg: float = key(ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
+    pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
     """Elevation of the view."""
-    sampling: Sampling = key(SAMPLING)
+    sampling: Sampling = key(forms.SAMPLING)
     needs_objects: ClassVar = False
 
     @staticmethod

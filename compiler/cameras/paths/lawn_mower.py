@@ -12,14 +12,7 @@ from scenec.compiler.cameras.paths.legs import Legs, Pen
 from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import strip_width
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    CHOICE,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    SAMPLING,
-)
+from scenec.compiler.kinds import forms, key
 from scenec.schemas.errors import SceneError
 
 _QUARTER = 0.5 * elementary.PI
@@ -41,34 +34,36 @@ class LawnMower:
         "height_m": 3,
     }
 
-    x_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    x_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Middle of the rectangle, to the east."""
-    y_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    y_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Middle of the rectangle, to the north."""
-    along_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
+    along_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
     """Extent along the lines."""
-    across_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
+    across_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
     """Extent across the lines."""
-    bearing_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    bearing_deg: float = key(forms.TURN_PER_BATCH, default=0)
     """Compass bearing of the first line; the others follow to its right."""
-    spacing_m: float | None = key(LENGTH_PER_BATCH, optional=True, above=0, at_most=10_000_000)
+    spacing_m: float | None = key(
+        forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=10_000_000
+    )
     """Distance of the lines at most; left out, from the overlap."""
-    overlap: float = key(PER_BATCH, default=0.6, at_least=0, at_most=0.99)
+    overlap: float = key(forms.PER_BATCH, default=0.6, at_least=0, at_most=0.99)
     """Share of its width that a strip has in common with the next one, where the rig's first sensor
     looks straight down at level ground."""
-    height_m: float = key(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000)
+    height_m: float = key(forms.COORDINATE_PER_BATCH)
     """Height of the flight."""
-    above: Literal["ground", "mean", "world"] = key(CHOICE, default="ground")
+    above: Literal["ground", "mean", "world"] = key(forms.CHOICE, default="ground")
     """What the height is above: ground (below each point, followed exactly), mean (the mean ground
     along the way: a level flight) or world (z itself)."""
-    speed_m_s: float = key(PER_BATCH, default=2, above=0, at_most=10_000_000, unit="m/s")
+    speed_m_s: float = key(forms.PER_BATCH, default=2, above=0, at_most=10_000_000, unit="m/s")
     """Speed in plan."""
-    turn_radius_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
+    turn_radius_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
     """Radius of every turn; where it is larger than half of the spacing, turns swing out to the
     other side first."""
-    pitch_deg: float = key(ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
+    pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
     """Elevation of the view; -90 looks straight down, the picture's top ahead."""
-    sampling: Sampling = key(SAMPLING)
+    sampling: Sampling = key(forms.SAMPLING)
     needs_objects: ClassVar = False
 
     def built(self, around: Around) -> Built:

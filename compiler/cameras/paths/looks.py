@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
+from scenec.compiler.kinds import Finding, Node, key
 from scenec.compiler.kinds.forms import (
     ANGLE_PER_BATCH,
     ANGLE_PER_SAMPLE,
+    COORDINATE_PER_BATCH,
+    COORDINATE_PER_SAMPLE,
     FRACTION_PER_BATCH,
     LENGTH_PER_BATCH,
-    LENGTH_PER_SAMPLE,
+    TURN_PER_SAMPLE,
 )
-from scenec.compiler.kinds.node import Node
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +29,7 @@ class LookDirection:
         "pitch_deg": -15,
     }
 
-    bearing_deg: Number = key(
-        ANGLE_PER_SAMPLE,
-        default={"type": "uniform", "min": 0, "max": 360},
-        at_least=-100_000,
-        at_most=100_000,
-    )
+    bearing_deg: Number = key(TURN_PER_SAMPLE, default={"type": "uniform", "min": 0, "max": 360})
     """Compass bearing, clockwise from +Y (north)."""
     pitch_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-90, at_most=90)
     """Elevation of the view; -90 looks straight down."""
@@ -46,11 +41,11 @@ class LookPoint:
 
     EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0}
 
-    x_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    x_m: Number = key(COORDINATE_PER_SAMPLE)
     """Position, to the east."""
-    y_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    y_m: Number = key(COORDINATE_PER_SAMPLE)
     """Position, to the north."""
-    height_m: Number = key(LENGTH_PER_SAMPLE, default=0, at_least=-10_000_000, at_most=10_000_000)
+    height_m: Number = key(COORDINATE_PER_SAMPLE, default=0)
     """Height above the ground there."""
 
 
@@ -60,7 +55,7 @@ class Limits:
 
     EXAMPLE: ClassVar = {"clearance_m": 0.3, "max_sky": 0.4}
 
-    clearance_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    clearance_m: float = key(COORDINATE_PER_BATCH, default=0)
     """Least distance from any object, and from the ground where the height is the world's.
     Scattered objects also keep clear of cameras by themselves."""
     min_distance_m: float | None = key(
@@ -93,21 +88,9 @@ class Limits:
             low, high = node.span(f"min_{of}"), node.span(f"max_{of}")
             if low and high and low[0] > high[1]:
                 yield node.fault(
-                    f"{low[0]:g} is above max_{of} ({high[1]:g}): nothing lies between",
-                    f"min_{of}",
+                    f"{low[0]:g} is above max_{of} ({high[1]:g}): nothing lies between", f"min_{of}"
                 )
 
-    @property
-    def distance_m(self) -> tuple[float | None, float | None]:
-        """Least and largest, None: any."""
-        return self.min_distance_m, self.max_distance_m
-
-    @property
-    def elevation_deg(self) -> tuple[float | None, float | None]:
-        """Least and largest, None: any."""
-        return self.min_elevation_deg, self.max_elevation_deg
-
-    @property
-    def incidence_deg(self) -> tuple[float | None, float | None]:
-        """Least and largest, None: any."""
-        return self.min_incidence_deg, self.max_incidence_deg
+    def bounds(self, of: str) -> tuple[float | None, float | None]:
+        """Returns the least and the largest of a quantity, such as "distance_m"; None: any."""
+        return getattr(self, f"min_{of}"), getattr(self, f"max_{of}")

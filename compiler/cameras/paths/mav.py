@@ -13,17 +13,7 @@ from scenec.compiler.cameras.paths.motion import Around, Built, bearing_of, fram
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.rotations import products, upright_to
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    COUNT,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    SAMPLING,
-    TRUTH,
-    WAYPOINTS_M,
-)
+from scenec.compiler.kinds import Context, forms, key
 from scenec.schemas.errors import SceneError
 
 #: Points along the way at which its height above the ground is looked after, at most.
@@ -42,30 +32,32 @@ class Mav:
     EXAMPLE: ClassVar = {"type": "mav", "goals": 4, "height_m": 3, "speed_m_s": 4}
     TITLE: ClassVar = "Pose: MAV"
 
-    waypoints_m: Sequence[Sequence[float]] | None = key(WAYPOINTS_M, optional=True)
-    goals: int = key(COUNT, default=5, at_least=1, at_most=10_000)
+    waypoints_m: Sequence[Sequence[float]] | None = key(forms.WAYPOINTS_M, optional=True)
+    goals: int = key(forms.COUNT, default=5, at_least=1, at_most=10_000)
     """Number of waypoints that are drawn over the terrain, where none are given."""
-    margin: float = key(PER_BATCH, default=0.2, at_least=0, at_most=0.49)
+    margin: float = key(forms.PER_BATCH, default=0.2, at_least=0, at_most=0.49)
     """How far drawn waypoints keep from the terrain's border, as a share of its size."""
-    height_m: float = key(LENGTH_PER_BATCH, above=0, at_most=10_000_000)
+    height_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=10_000_000)
     """Height above the highest ground nearby."""
-    follow_m: float = key(LENGTH_PER_BATCH, default=5, above=0, at_most=10_000_000)
+    follow_m: float = key(forms.LENGTH_PER_BATCH, default=5, above=0, at_most=10_000_000)
     """Length over which the height follows the ground; lower hills between are flown over level."""
-    clearance_m: float = key(LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=10_000_000)
+    clearance_m: float = key(forms.LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=10_000_000)
     """Least height above the ground anywhere along the flight."""
-    speed_m_s: float = key(PER_BATCH, default=5, above=0, at_most=10_000_000, unit="m/s")
+    speed_m_s: float = key(forms.PER_BATCH, default=5, above=0, at_most=10_000_000, unit="m/s")
     """Largest speed."""
-    acceleration_m_s2: float = key(PER_BATCH, default=3, above=0, at_most=10_000_000, unit="m/s²")
+    acceleration_m_s2: float = key(
+        forms.PER_BATCH, default=3, above=0, at_most=10_000_000, unit="m/s²"
+    )
     """Largest acceleration."""
-    jerk_m_s3: float = key(PER_BATCH, default=6, above=0, at_most=10_000_000, unit="m/s³")
+    jerk_m_s3: float = key(forms.PER_BATCH, default=6, above=0, at_most=10_000_000, unit="m/s³")
     """Largest change of the acceleration."""
-    pitch_deg: float = key(ANGLE_PER_BATCH, default=-30, at_least=-90, at_most=90)
+    pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-30, at_least=-90, at_most=90)
     """Elevation of the view; with tilt, above the body's own level."""
-    tilt: bool = key(TRUTH, default=False)
+    tilt: bool = key(forms.TRUTH, default=False)
     """Whether the body tilts with its acceleration, as one that hangs on fixed rotors does."""
-    gravity_m_s2: float = key(PER_BATCH, default=9.81, above=0, at_most=1000, unit="m/s²")
+    gravity_m_s2: float = key(forms.PER_BATCH, default=9.81, above=0, at_most=1000, unit="m/s²")
     """Gravity that the rotors hold the body against."""
-    sampling: Sampling = key(SAMPLING)
+    sampling: Sampling = key(forms.SAMPLING)
     drawn: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     """Drawn waypoints as shares of the terrain's size from its middle, float64 [n, 2]."""
     needs_objects: ClassVar = False

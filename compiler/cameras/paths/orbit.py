@@ -12,19 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import given, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    COUNT,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    SAMPLING,
-    WORDS,
-    an,
-)
-from scenec.compiler.kinds.node import Node, unknown
+from scenec.compiler.kinds import Context, Finding, Node, an, forms, given, key, unknown
 from scenec.schemas.errors import SceneError
 
 
@@ -34,11 +22,11 @@ class PointAim:
 
     EXAMPLE: ClassVar = {"type": "point", "x_m": 0, "y_m": 0, "height_m": 0.5}
 
-    x_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    x_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Position, to the east."""
-    y_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    y_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Position, to the north."""
-    height_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    height_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Height above the ground there."""
 
     def at(self, around: Around) -> NDArray[np.float64]:
@@ -64,9 +52,9 @@ class ObjectAim:
         }
     }
 
-    object: str = key(WORDS)
+    object: str = key(forms.WORDS)
     """Name of a class of objects."""
-    id: int | None = key(COUNT, optional=True, at_least=1, at_most=2_147_483_647)
+    id: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=2_147_483_647)
     """Id of the object within its class, from 1; left out, one is drawn."""
     pick_u: float = given(_pick)
     """In [0, 1): which one it is, without an id."""
@@ -122,20 +110,20 @@ class Orbit:
 
     center: PointAim | ObjectAim = key(an("pose_center", drawn=True), default={"type": "point"})
     """What it goes around."""
-    radius_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
+    radius_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=10_000_000)
     """Level distance from the center."""
-    height_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-10_000_000, at_most=10_000_000)
+    height_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Height above the center."""
-    start_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=-100_000, at_most=100_000)
+    start_deg: float = key(forms.TURN_PER_BATCH, default=0)
     """Compass bearing from the center to the first pose, clockwise from +Y (north)."""
-    sweep_deg: float = key(ANGLE_PER_BATCH, default=360, at_least=-100_000, at_most=100_000)
+    sweep_deg: float = key(forms.TURN_PER_BATCH, default=360)
     """How far it goes around, clockwise from above; below 0 the other way. Samples that are spread
     over whole turns do not repeat the first pose at the end."""
-    period_s: float = key(PER_BATCH, default=60, above=0, at_most=1000000000.0, unit="s")
+    period_s: float = key(forms.PER_BATCH, default=60, above=0, at_most=1000000000.0, unit="s")
     """Time of a whole turn."""
-    clearance_m: float = key(LENGTH_PER_BATCH, default=0.5, at_least=0, at_most=10_000_000)
+    clearance_m: float = key(forms.LENGTH_PER_BATCH, default=0.5, at_least=0, at_most=10_000_000)
     """Least height above the ground below it: there it rises."""
-    sampling: Sampling = key(SAMPLING)
+    sampling: Sampling = key(forms.SAMPLING)
 
     @property
     def needs_objects(self) -> bool:

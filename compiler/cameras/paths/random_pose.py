@@ -27,17 +27,7 @@ from scenec.compiler.distributions.numbers import Number, at_uniforms
 from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.geometry.voxels import Cubes
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_SAMPLE,
-    CHOICE,
-    COUNT,
-    LENGTH_PER_SAMPLE,
-    POINT_M,
-    an,
-    list_of,
-)
+from scenec.compiler.kinds import Context, an, forms, key, list_of
 from scenec.compiler.noise.lattice import hash2, unit
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
@@ -62,21 +52,21 @@ class RandomPose:
         "limits": {"max_sky": 0.5},
     }
 
-    region_m: Sequence[Sequence[float]] = key(list_of(POINT_M, "One point.", least=2))
+    region_m: Sequence[Sequence[float]] = key(list_of(forms.POINT_M, "One point.", least=2))
     """Where in plan: two opposite corners of a box, or the corners of a polygon in order."""
-    height_m: Number = key(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
+    height_m: Number = key(forms.COORDINATE_PER_SAMPLE)
     """Height."""
-    above: Literal["ground", "world"] = key(CHOICE, default="ground")
+    above: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
     """What the height is above: the ground, or world (z itself)."""
     look: LookDirection | LookPoint | ObjectAim = key(
         an("pose_look", drawn=True), default={"type": "direction"}
     )
     """What it looks at."""
-    roll_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    roll_deg: Number = key(forms.TURN_PER_SAMPLE, default=0)
     """Turn about the line of sight, clockwise as the rig sees it."""
     limits: Limits = key(an("pose_limits", drawn=True), default={})
     """What it must keep."""
-    tries: int = key(COUNT, default=200, at_least=1, at_most=100_000)
+    tries: int = key(forms.COUNT, default=200, at_least=1, at_most=100_000)
     """Poses that are drawn for a sample at most."""
     keys: Mapping[str, int] = field(default_factory=dict)
     """Of the hashes that numbers are drawn with, by place below the pose: "look/pitch_deg"."""
@@ -215,19 +205,22 @@ class RandomPose:
         reach = float(hits(around.surface.field, span, eye, forward[None])[0])
         if isinstance(self.look, LookDirection):
             distance = reach
-        if not _between(distance, limits.distance_m):
-            return None, f"with a distance not {_said(limits.distance_m, 'm')} (distance)"
+        distances, elevations, incidences = (
+            limits.bounds(of) for of in ("distance_m", "elevation_deg", "incidence_deg")
+        )
+        if not _between(distance, distances):
+            return None, f"with a distance not {_said(distances, 'm')} (distance)"
         elevation = elementary.asin(min(max(float(forward[2]), -1.0), 1.0)) * _DEGREES
-        if not _between(elevation, limits.elevation_deg):
-            return None, f"with a view not {_said(limits.elevation_deg, 'degrees')} (elevation)"
-        if limits.incidence_deg != (None, None):
+        if not _between(elevation, elevations):
+            return None, f"with a view not {_said(elevations, 'degrees')} (elevation)"
+        if incidences != (None, None):
             if reach == np.inf:
                 return None, "looking past the ground (incidence)"
             at = eye + reach * forward
             normal = normal_at(around.surface.field, float(at[0]), float(at[1]))
             cosine = min(max(-float((normal * forward).sum()), -1.0), 1.0)
-            if not _between(elementary.acos(cosine) * _DEGREES, limits.incidence_deg):
-                said = _said(limits.incidence_deg, "degrees")
+            if not _between(elementary.acos(cosine) * _DEGREES, incidences):
+                said = _said(incidences, "degrees")
                 return None, f"with an incidence not {said} (incidence)"
         if isinstance(self.look, ObjectAim) and reach < distance - own - 1e-9 * distance:
             return None, "with the ground between it and its target"

@@ -14,11 +14,8 @@ from scenec.compiler.cameras.paths.motion import Around, Built
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.geometry.poses import bearing_vector, look_at
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import ANGLE_PER_SAMPLE, LENGTH_PER_SAMPLE
-from scenec.compiler.kinds.node import Node, off_terrain
+from scenec.compiler.kinds import Context, Finding, Form, Node, bounded, key, off_terrain
+from scenec.compiler.kinds.forms import COORDINATE_PER_SAMPLE, LENGTH_PER_SAMPLE, TURN_PER_SAMPLE
 
 
 def _object(needed: Sequence[str], **keys: Form) -> Form:
@@ -67,17 +64,17 @@ class RandomTarget:
             distance_m=bounded(LENGTH_PER_SAMPLE, above=0, at_most=10_000_000).but(
                 description="Horizontal distance from the rig."
             ),
-            bearing_deg=bounded(ANGLE_PER_SAMPLE, at_least=-100_000, at_most=100_000).but(
+            bearing_deg=TURN_PER_SAMPLE.but(
                 description="Compass bearing from the rig, clockwise from +Y (north).",
                 default={"type": "uniform", "min": 0, "max": 360},
             ),
-            height_m=bounded(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000).but(
+            height_m=COORDINATE_PER_SAMPLE.but(
                 description="Height of the target above the ground there.", default=0
             ),
         )
     )
     """What the rig looks at."""
-    roll_deg: Number = key(ANGLE_PER_SAMPLE, default=0, at_least=-100_000, at_most=100_000)
+    roll_deg: Number = key(TURN_PER_SAMPLE, default=0)
     """Turn about the line of sight, clockwise as the rig sees it."""
 
     @staticmethod

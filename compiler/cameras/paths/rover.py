@@ -16,16 +16,7 @@ from scenec.compiler.cameras.paths.route import Passable, driven_over, passable
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.normals import cross_products
 from scenec.compiler.geometry.rotations import products
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    COUNT,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    SAMPLING,
-    WAYPOINTS_M,
-)
+from scenec.compiler.kinds import Context, forms, key
 from scenec.schemas.errors import SceneError
 
 _DEGREES = 180.0 / elementary.PI
@@ -51,30 +42,30 @@ class Rover:
         "max_slope_deg": 20,
     }
 
-    waypoints_m: Sequence[Sequence[float]] | None = key(WAYPOINTS_M, optional=True)
-    goals: int = key(COUNT, default=4, at_least=1, at_most=10_000)
+    waypoints_m: Sequence[Sequence[float]] | None = key(forms.WAYPOINTS_M, optional=True)
+    goals: int = key(forms.COUNT, default=4, at_least=1, at_most=10_000)
     """Number of goals that are drawn on ground that can be reached, where no waypoints are given;
     the first is where the drive begins."""
-    wheel_base_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=1000)
+    wheel_base_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=1000)
     """Distance between front and rear wheels."""
-    track_width_m: float = key(LENGTH_PER_BATCH, default=0.8, above=0, at_most=1000)
+    track_width_m: float = key(forms.LENGTH_PER_BATCH, default=0.8, above=0, at_most=1000)
     """Distance between left and right wheels."""
-    height_m: float = key(LENGTH_PER_BATCH, default=1.5, above=0, at_most=10_000_000)
+    height_m: float = key(forms.LENGTH_PER_BATCH, default=1.5, above=0, at_most=10_000_000)
     """Height of the rig above the plane through the wheels' lowest points, along its normal; with
     the highest of its sensors, it is the vehicle's height."""
-    speed_m_s: float = key(PER_BATCH, default=0.5, above=0, at_most=10_000_000, unit="m/s")
+    speed_m_s: float = key(forms.PER_BATCH, default=0.5, above=0, at_most=10_000_000, unit="m/s")
     """Largest speed in plan; it is slower in turns that would exceed the turn rate."""
-    turn_rate_deg_s: float = key(PER_BATCH, default=20, above=0, at_most=100_000, unit="°/s")
+    turn_rate_deg_s: float = key(forms.PER_BATCH, default=20, above=0, at_most=100_000, unit="°/s")
     """Largest turn rate."""
-    max_slope_deg: float = key(ANGLE_PER_BATCH, default=20, at_least=0, at_most=90)
+    max_slope_deg: float = key(forms.ANGLE_PER_BATCH, default=20, at_least=0, at_most=90)
     """Ground that is steeper over a wheel base is driven around."""
-    max_object_m: float = key(LENGTH_PER_BATCH, default=0.25, at_least=0, at_most=10_000_000)
+    max_object_m: float = key(forms.LENGTH_PER_BATCH, default=0.25, at_least=0, at_most=10_000_000)
     """Objects whose ball has a larger radius are driven around, where their geometry is between the
     ground and the vehicle's height; over smaller ones it drives as if they were not there, and
     report.json lists them."""
-    pitch_deg: float = key(ANGLE_PER_BATCH, default=-15, at_least=-90, at_most=90)
+    pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-15, at_least=-90, at_most=90)
     """Elevation of the view above the body's own level."""
-    sampling: Sampling = key(SAMPLING)
+    sampling: Sampling = key(forms.SAMPLING)
     goals_u: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, _GOAL_TRIES, 2)))
     """Candidates of each goal as numbers in [0, 1), float64 [goals, tries, 2]: the first that can
     be reached is taken."""

@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, key
-from scenec.compiler.kinds.draw import draw_object
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    FRACTION_PER_BATCH,
-    LENGTH_PER_INSTANCE,
-    PER_BATCH,
-    TEXT,
-    WHOLE_PER_BATCH,
-    an,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Form, Node, an, draw_object, forms, key, list_of
 from scenec.compiler.kinds.table import loaded
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.scattered import Scattered
@@ -65,7 +52,7 @@ class Rocks(Scattered):
 
     KEYWORDS: ClassVar = {"x-kinds": "family"}
 
-    material: str = key(TEXT)
+    material: str = key(forms.TEXT)
     """Name of a material."""
     family: str = key(Form({"x-open": "scenec.rocks", "enum": list(FAMILIES)}), default="weathered")
     """Kind of rock. weathered: worn blocks with spalls and pits, by angularity. angular: broken
@@ -76,27 +63,27 @@ class Rocks(Scattered):
     that is drawn for the batch. bedded: blocks of layered rock, soft beds weathered back. breccia:
     angular pieces in a matrix that has weathered back. Ventifacts and bedded blocks stand upright
     on the ground unless orientation says otherwise."""
-    prototypes: int = key(WHOLE_PER_BATCH, default=6, at_least=1, at_most=64)
+    prototypes: int = key(forms.WHOLE_PER_BATCH, default=6, at_least=1, at_most=64)
     """Number of different shapes."""
-    subdivisions: int = key(WHOLE_PER_BATCH, default=3, at_least=1, at_most=6)
+    subdivisions: int = key(forms.WHOLE_PER_BATCH, default=3, at_least=1, at_most=6)
     """Subdivisions of a shape's icosahedron: 20 * 4^n triangles at the finest level."""
-    size_m: Number = key(LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
+    size_m: Number = key(forms.LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
     """Diameter of a rock."""
-    elongation: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=0.9)
+    elongation: float | None = key(forms.PER_BATCH, optional=True, at_least=0, at_most=0.9)
     """How much narrower than long a rock is: 1 - b/a, on average over the shapes. Left out, it is
     that of the family: weathered 0.18, angular 0.29, rounded 0.22, slab 0.25, vesicular 0.2,
     ventifact 0.28, bedded 0.25, breccia 0.22."""
-    flatness: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=0.9)
+    flatness: float | None = key(forms.PER_BATCH, optional=True, at_least=0, at_most=0.9)
     """How much lower than long a rock is: 1 - c/a, on average over the shapes. Left out, it is that
     of the family: weathered 0.4, angular 0.5, rounded 0.45, slab 0.8, vesicular 0.35, ventifact
     0.5, bedded 0.45, breccia 0.4."""
-    angularity: float = key(FRACTION_PER_BATCH, default=0.6)
+    angularity: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """From rounded (0) to broken along flat faces (1); of the family weathered only."""
-    wear: float | None = key(FRACTION_PER_BATCH, optional=True)
+    wear: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
     """How far edges are worn off: 0 is freshly broken; of all families but weathered. Left out, it
     is that of the family: angular 0.1, rounded 0.7, slab 0.15, vesicular 0.4, ventifact 0.12,
     bedded 0.35, breccia 0.4."""
-    bumpiness: float = key(FRACTION_PER_BATCH, default=0.3)
+    bumpiness: float = key(forms.FRACTION_PER_BATCH, default=0.3)
     """Height of the small relief on a rock; 0 is smooth."""
     coatings: tuple[Mapping[str, Any], ...] = key(
         list_of(an("objects_rocks_coating"), "One coating.", most=8), default=[]

@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.noise.perlin import fbm3, perlin3
-from scenec.compiler.objects.families.shape import (
-    Carved,
-    Fine,
-    Usual,
-    block,
-    rough,
-    sampling,
-)
+from scenec.compiler.objects.families.shape import Carved, Fine, Usual, block, rough, sampling
 from scenec.schemas.kernels import kernel
 
 _MOST_SIDES = 8

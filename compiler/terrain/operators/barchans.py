@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number, draw_number
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    ANGLE_PER_BATCH,
-    LENGTH_PER_INSTANCE,
-    WHOLE_PER_BATCH,
-    WIND_DEG,
-)
+from scenec.compiler.kinds import Context, forms, key
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.kernels import kernel
 
@@ -42,12 +35,12 @@ class BarchanField:
         "wind_deg": 45,
     }
 
-    count: int = key(WHOLE_PER_BATCH, at_least=0, at_most=100_000)
+    count: int = key(forms.WHOLE_PER_BATCH, at_least=0, at_most=100_000)
     """Number of dunes."""
-    height_m: Number = key(LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
+    height_m: Number = key(forms.LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
     """Height of a dune; it is ten heights wide."""
-    wind_deg: float = key(WIND_DEG)
-    repose_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=15, at_most=60)
+    wind_deg: float = key(forms.WIND_DEG)
+    repose_deg: float = key(forms.ANGLE_PER_BATCH, default=33, at_least=15, at_most=60)
     """Slope of the slip faces: the angle of repose."""
 
     def draw(self, context: Context) -> Barchans:

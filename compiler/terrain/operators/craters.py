@@ -14,16 +14,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.laws import arrivals
 from scenec.compiler.distributions.numbers import Number, draw_number
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    FRACTION_PER_INSTANCE,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    PER_INSTANCE,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Context, Finding, Node, forms, key
 from scenec.compiler.noise.lattice import hash2, subkeys, whole
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
 from scenec.compiler.terrain.grid import Applied, Grid
@@ -65,27 +56,29 @@ class CraterLaw:
         "degradation": 0.5,
     }
 
-    min_diameter_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    min_diameter_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """Smallest diameter from rim to rim; craters narrower than three spacings are left out."""
-    max_diameter_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    max_diameter_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """Largest diameter."""
-    density_per_m2: float = key(PER_BATCH, default=0.033572, at_least=0, at_most=1_000_000_000)
+    density_per_m2: float = key(
+        forms.PER_BATCH, default=0.033572, at_least=0, at_most=1_000_000_000
+    )
     """Craters larger than reference_diameter_m in a square meter. The default is the equilibrium
     that small lunar craters are in: 0.0218 · 1.54 above 1 m."""
-    reference_diameter_m: float = key(LENGTH_PER_BATCH, default=1, above=0, at_most=1_000_000)
+    reference_diameter_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=1_000_000)
     """Diameter that density_per_m2 is given for."""
-    exponent: float = key(PER_BATCH, default=2, above=0, at_most=10)
+    exponent: float = key(forms.PER_BATCH, default=2, above=0, at_most=10)
     """The law's exponent b in N(>D) ∝ D^-b: 2 in equilibrium, about 3 where craters have not yet
     destroyed each other."""
-    depth_ratio: Number = key(FRACTION_PER_INSTANCE, default=0.2)
+    depth_ratio: Number = key(forms.FRACTION_PER_INSTANCE, default=0.2)
     """Depth below the rim of a fresh crater over its diameter: about 0.2 above 400 m, down to 0.1
     for the smallest lunar ones."""
-    rim_ratio: Number = key(PER_INSTANCE, default=0.04, at_least=0, at_most=0.5)
+    rim_ratio: Number = key(forms.PER_INSTANCE, default=0.04, at_least=0, at_most=0.5)
     """Height of a fresh crater's rim over its diameter."""
-    degradation: float = key(PER_BATCH, default=0.4, at_least=0, at_most=2)
+    degradation: float = key(forms.PER_BATCH, default=0.4, at_least=0, at_most=2)
     """How worn the oldest craters are: κt/R² of the diffusion that wore them. 0 leaves all fresh;
     at 0.1 the depth has fallen to 55 %, at 0.5 to 16 %. Ages are uniform."""
-    irregularity: float = key(PER_BATCH, default=0.08, at_least=0, at_most=0.5)
+    irregularity: float = key(forms.PER_BATCH, default=0.08, at_least=0, at_most=0.5)
     """How far outlines are from circles, as a part of the radius."""
 
     @staticmethod

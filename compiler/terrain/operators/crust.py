@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.noise.lattice import hash2, mix, subkey
 from scenec.compiler.noise.worley import feature_point, worley2_cell
@@ -64,11 +63,11 @@ class Crust:
 
     EXAMPLE: ClassVar = {"type": "crust", "height_m": 0.02, "plate_m": 0.3}
 
-    height_m: float = key(LENGTH_PER_BATCH, default=0.02, above=0, at_most=1_000_000)
+    height_m: float = key(forms.LENGTH_PER_BATCH, default=0.02, above=0, at_most=1_000_000)
     """Thickness: how high plates stand above the loose soil."""
-    plate_m: float = key(LENGTH_PER_BATCH, default=0.3, above=0, at_most=1_000_000_000)
+    plate_m: float = key(forms.LENGTH_PER_BATCH, default=0.3, above=0, at_most=1_000_000_000)
     """Width of a plate."""
-    missing: float = key(FRACTION_PER_BATCH, default=0.25)
+    missing: float = key(forms.FRACTION_PER_BATCH, default=0.25)
     """Share of the plates that are gone, in gaps of several."""
     key: int = noise_key()
 

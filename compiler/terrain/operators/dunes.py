@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, WIND_DEG
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.lattice import subkey, subkeys
 from scenec.compiler.noise.octaves import Octaves, octave_at, tabulate
 from scenec.compiler.terrain.grid import Applied, Grid
@@ -50,14 +49,14 @@ class Dunes:
         "order": 0.2,
     }
 
-    height_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    height_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """Height of a crest."""
-    wavelength_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    wavelength_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Mean distance of crests. Below four spacings there are none."""
-    wind_deg: float = key(WIND_DEG)
-    repose_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=1, at_most=60)
+    wind_deg: float = key(forms.WIND_DEG)
+    repose_deg: float = key(forms.ANGLE_PER_BATCH, default=33, at_least=1, at_most=60)
     """Slope of the slip faces: the angle of repose."""
-    order: float = key(PER_BATCH, default=0.3, at_least=0, at_most=100)
+    order: float = key(forms.PER_BATCH, default=0.3, at_least=0, at_most=100)
     """How regular the crests are: at 0 they end and fork most often, above 1 they only wind."""
     key: int = noise_key()
 
@@ -136,9 +135,9 @@ class Ripples(Dunes):
 
     EXAMPLE: ClassVar = {"type": "ripples", "height_m": 0.05, "wavelength_m": 0.7, "wind_deg": 45}
 
-    repose_deg: float = key(ANGLE_PER_BATCH, default=28, at_least=1, at_most=60)
+    repose_deg: float = key(forms.ANGLE_PER_BATCH, default=28, at_least=1, at_most=60)
     """Steepest slope of the lee sides."""
-    order: float = key(PER_BATCH, default=0.4, at_least=0, at_most=100)
+    order: float = key(forms.PER_BATCH, default=0.4, at_least=0, at_most=100)
     """How regular the crests are: at 0 they end and fork most often, above 1 they only wind."""
     rounded: ClassVar[bool] = True
 

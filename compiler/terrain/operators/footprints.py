@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, WHOLE_PER_BATCH
+from scenec.compiler.kinds import Context, forms, key
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned
 from scenec.compiler.terrain.detail import Finer, Spectrum, finer, finer_than
@@ -71,16 +69,16 @@ class Walks:
 
     EXAMPLE: ClassVar = {"type": "footprints", "walks": 4, "depth_m": 0.03}
 
-    walks: int = key(WHOLE_PER_BATCH, default=1, at_least=0, at_most=10_000)
+    walks: int = key(forms.WHOLE_PER_BATCH, default=1, at_least=0, at_most=10_000)
     """Number of walks. Each crosses the terrain through a point of its inner half."""
-    stride_m: float = key(LENGTH_PER_BATCH, default=1.3, above=0, at_most=1_000_000)
+    stride_m: float = key(forms.LENGTH_PER_BATCH, default=1.3, above=0, at_most=1_000_000)
     """Distance between prints of the same foot; the other foot's are half way."""
-    length_m: float = key(LENGTH_PER_BATCH, default=0.33, above=0, at_most=1_000_000)
+    length_m: float = key(forms.LENGTH_PER_BATCH, default=0.33, above=0, at_most=1_000_000)
     """Length of a sole; it is two fifths as wide. Grids with fewer than three samples a rib (16 on
     a sole) show prints near cameras only, where the mesh is finer than they are."""
-    depth_m: float = key(LENGTH_PER_BATCH, default=0.025, at_least=0, at_most=1_000_000)
+    depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.025, at_least=0, at_most=1_000_000)
     """How deep boots sink; prints scatter by three tenths of it."""
-    tread_m: float = key(LENGTH_PER_BATCH, default=0.006, at_least=0, at_most=1_000_000)
+    tread_m: float = key(forms.LENGTH_PER_BATCH, default=0.006, at_least=0, at_most=1_000_000)
     """Height of the ribs that soles leave; 0 for smooth soles."""
 
     def draw(self, context: Context) -> Footprints:

@@ -9,16 +9,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    GAIN,
-    LACUNARITY,
-    LENGTH_PER_BATCH,
-    NOISE_SCALE_M,
-    PER_BATCH,
-    WHOLE_PER_BATCH,
-)
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.fractal import WARP_LACUNARITY, Fractal, warp_keys
 from scenec.compiler.terrain.detail import Spectrum, octave_spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
@@ -137,22 +128,24 @@ class Multifractal(OctaveRelief):
         "octaves": 8,
     }
 
-    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000)
+    amplitude_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000)
     """Height of the first octave's extremes."""
-    scale_m: float = key(NOISE_SCALE_M)
-    octaves: int = key(WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
+    scale_m: float = key(forms.NOISE_SCALE_M)
+    octaves: int = key(forms.WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
     """Number of octaves at most; those finer than the spacing can show are left out."""
-    lacunarity: float = key(LACUNARITY)
-    gain: float = key(GAIN)
-    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"] = key(CHOICE, default="hetero")
+    lacunarity: float = key(forms.LACUNARITY)
+    gain: float = key(forms.GAIN)
+    variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"] = key(
+        forms.CHOICE, default="hetero"
+    )
     """fbm: a plain sum; hetero: rough where it is high, smooth in the valleys; hybrid: smooth in
     valleys at every height; ridged: sharp crests; billow: round hills between creases."""
-    offset: float = key(PER_BATCH, default=0.7, at_least=-100, at_most=100)
+    offset: float = key(forms.PER_BATCH, default=0.7, at_least=-100, at_most=100)
     """The multifractal offset: how much the fine octaves show in the valleys (hetero, hybrid), how
     high the crests are (ridged)."""
-    distortion: float = key(PER_BATCH, default=0, at_least=-10, at_most=10)
+    distortion: float = key(forms.PER_BATCH, default=0, at_least=-10, at_most=10)
     """Domain warp: how far, in units of scale_m, the noise is moved about by another noise."""
-    distortion_octaves: int = key(WHOLE_PER_BATCH, default=2, at_least=1, at_most=24)
+    distortion_octaves: int = key(forms.WHOLE_PER_BATCH, default=2, at_least=1, at_most=24)
     """Octaves of the noise that warps; their gain is 1/2."""
     key: int = noise_key()
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.worley import Worley
@@ -37,15 +36,15 @@ class Polygons:
 
     EXAMPLE: ClassVar = {"type": "polygons", "scale_m": 5, "depth_m": 0.25, "width_m": 0.9}
 
-    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    scale_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Width of a polygon."""
-    depth_m: float = key(LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=1_000_000)
+    depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=1_000_000)
     """How deep the middles of the troughs are."""
-    width_m: float = key(LENGTH_PER_BATCH, default=0.8, above=0, at_most=1_000_000)
+    width_m: float = key(forms.LENGTH_PER_BATCH, default=0.8, above=0, at_most=1_000_000)
     """Width of the troughs. Those narrower than three spacings are left out."""
-    shoulder_m: float = key(LENGTH_PER_BATCH, default=0.05, at_least=0, at_most=1_000_000)
+    shoulder_m: float = key(forms.LENGTH_PER_BATCH, default=0.05, at_least=0, at_most=1_000_000)
     """Height of the shoulders beside them."""
-    irregularity: float = key(FRACTION_PER_BATCH, default=0.6)
+    irregularity: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """How irregular the polygons are and their sides are bent."""
     key: int = noise_key()
 

@@ -9,14 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import (
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    WHOLE_PER_BATCH,
-    list_of,
-    one_of,
-)
+from scenec.compiler.kinds import key, list_of, one_of
+from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, PER_BATCH, WHOLE_PER_BATCH
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.drainage import (
     SIDES,

@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash2, unit
 from scenec.compiler.terrain.detail import Spectrum
@@ -37,17 +36,17 @@ class Terraces:
 
     EXAMPLE: ClassVar = {"type": "terraces", "step_m": 0.3, "riser": 0.75, "irregularity": 0.8}
 
-    step_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    step_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Mean thickness of a layer."""
-    riser: float = key(PER_BATCH, default=0.3, above=0, at_most=1)
+    riser: float = key(forms.PER_BATCH, default=0.3, above=0, at_most=1)
     """Part of a layer's thickness that is steep."""
-    tread_slope: float = key(FRACTION_PER_BATCH, default=0.2)
+    tread_slope: float = key(forms.FRACTION_PER_BATCH, default=0.2)
     """Part of their slope that the treads between the steep parts keep; 1 changes nothing."""
-    irregularity: float = key(FRACTION_PER_BATCH, default=0.5)
+    irregularity: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """How uneven the thicknesses of layers are."""
-    bend_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
+    bend_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
     """How far layers bend up and down."""
-    bend_scale_m: float = key(LENGTH_PER_BATCH, default=100, above=0, at_most=1_000_000_000)
+    bend_scale_m: float = key(forms.LENGTH_PER_BATCH, default=100, above=0, at_most=1_000_000_000)
     """Size of the bends."""
     key: int = noise_key()
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import cosines, elementary
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH
+from scenec.compiler.kinds import forms, key
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed, halving_error
 from scenec.compiler.terrain.operators.smooth import laplacian_eigenvalues
@@ -46,7 +45,7 @@ class Thermal:
     EXAMPLE: ClassVar = {"type": "thermal", "angle_deg": 32}
     TITLE: ClassVar = "Relief: thermal erosion"
 
-    angle_deg: float = key(ANGLE_PER_BATCH, default=33, at_least=1, at_most=89)
+    angle_deg: float = key(forms.ANGLE_PER_BATCH, default=33, at_least=1, at_most=89)
     """The angle of repose."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.polyline import read_polyline
-from scenec.compiler.kinds.declare import key
-from scenec.compiler.kinds.forms import CHOICE, LENGTH_PER_BATCH, file
+from scenec.compiler.kinds import file, forms, key
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.smooth import diffuse
 from scenec.compiler.terrain.polyline import project
@@ -70,18 +69,18 @@ class Tracks:
     file: Path = key(file("polyline"))
     """CSV of the path of the rover's middle, columns x_m and y_m: relative to the cfg, or
     "package:NAME/path"."""
-    wheel_distance_m: float = key(LENGTH_PER_BATCH, default=2, above=0, at_most=1000)
+    wheel_distance_m: float = key(forms.LENGTH_PER_BATCH, default=2, above=0, at_most=1000)
     """Between the middles of the left and the right wheels."""
-    wheel_width_m: float = key(LENGTH_PER_BATCH, default=0.4, above=0, at_most=1000)
+    wheel_width_m: float = key(forms.LENGTH_PER_BATCH, default=0.4, above=0, at_most=1000)
     """Width of a wheel. Wheels narrower than three spacings leave no track."""
-    depth_m: float = key(LENGTH_PER_BATCH, default=0.04, at_least=0, at_most=1000)
+    depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.04, at_least=0, at_most=1000)
     """How deep wheels sink."""
-    grouser_spacing_m: float = key(LENGTH_PER_BATCH, default=0.12, above=0, at_most=1000)
+    grouser_spacing_m: float = key(forms.LENGTH_PER_BATCH, default=0.12, above=0, at_most=1000)
     """Distance of grousers along the track. Closer than three spacings they leave none of their
     own."""
-    grouser_depth_m: float = key(LENGTH_PER_BATCH, default=0.012, at_least=0, at_most=1000)
+    grouser_depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.012, at_least=0, at_most=1000)
     """How much deeper grousers press; 0 for smooth wheels."""
-    pattern: Literal["bars", "chevrons"] = key(CHOICE, default="bars")
+    pattern: Literal["bars", "chevrons"] = key(forms.CHOICE, default="bars")
     """Straight bars across the track, or chevrons."""
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:

@@ -8,15 +8,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    FRACTION_PER_BATCH,
-    GAIN,
-    LACUNARITY,
-    LENGTH_PER_BATCH,
-    WHOLE_PER_BATCH,
-)
+from scenec.compiler.kinds import forms, key, noise_key
 from scenec.compiler.noise.lattice import subkeys
 from scenec.compiler.noise.octaves import BLOCK, next_octave
 from scenec.compiler.noise.worley import blocks2_points, worley2_points
@@ -48,22 +40,22 @@ class Worley(OctaveRelief):
     EXAMPLE: ClassVar = {"type": "worley", "amplitude_m": 0.4, "scale_m": 3, "distance": "f2-f1"}
     TITLE: ClassVar = "Relief: Worley"
 
-    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
+    amplitude_m: float = key(forms.LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
     """Height a cell's width away from a feature point (f1) or a border (f2-f1), or of a block as
     high as a cell is wide; below 0 for pits and ridges."""
-    scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
+    scale_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Width of a cell."""
-    distance: Literal["f1", "f2-f1", "blocks"] = key(CHOICE, default="f1")
+    distance: Literal["f1", "f2-f1", "blocks"] = key(forms.CHOICE, default="f1")
     """f1: distance to the nearest feature point; f2-f1: how much farther the second nearest is,
     which is 0 on the cells' borders. blocks: no distance, but the height of the highest of angular
     blocks with sloping sides and tilted tops, one a cell, and 0 between them: rubble, the clinker
     of lava."""
-    jitter: float = key(FRACTION_PER_BATCH, default=1)
+    jitter: float = key(forms.FRACTION_PER_BATCH, default=1)
     """How far feature points are from a square lattice: 0 on it, 1 anywhere in their cells."""
-    octaves: int = key(WHOLE_PER_BATCH, default=1, at_least=0, at_most=24)
+    octaves: int = key(forms.WHOLE_PER_BATCH, default=1, at_least=0, at_most=24)
     """Number of octaves at most; those finer than the spacing can show are left out."""
-    lacunarity: float = key(LACUNARITY)
-    gain: float = key(GAIN)
+    lacunarity: float = key(forms.LACUNARITY)
+    gain: float = key(forms.GAIN)
     key: int = noise_key()
 
     #: As a relief of a material, at any fineness.

@@ -11,18 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.dem_file import read_dem
 from scenec.compiler.assets.geotiff import GeoReference
-from scenec.compiler.kinds.declare import Form, bounded, key
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    CONSTANT,
-    COUNT,
-    FRACTION_PER_BATCH,
-    LENGTH_PER_BATCH,
-    PER_BATCH,
-    WORDS,
-    file,
-    list_of,
-)
+from scenec.compiler.kinds import Form, bounded, file, forms, key, list_of
 from scenec.compiler.terrain.grid import Applied, Grid, bicubic
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import SceneError
@@ -31,10 +20,10 @@ from scenec.schemas.threads import over_threads
 
 # Holes are filled from what lies within so many pixels of the terrain.
 _FILL_MARGIN = 256
-_PIXEL = bounded(LENGTH_PER_BATCH, above=0, at_most=1_000_000).but(
+_PIXEL = bounded(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000).but(
     description="Size along one axis."
 )
-_HEIGHT = bounded(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
+_HEIGHT = bounded(forms.LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
 
 
 @dataclass(frozen=True)
@@ -61,7 +50,7 @@ class Dem:
     """A .npz or .npy file, a GeoTIFF that lies upright in its coordinates, or a gray picture of 8
     or 16 bits: relative to the cfg, or "package:NAME/path" in an installed Python package, where *
     stands for any part of a name."""
-    array: str | None = key(WORDS, optional=True)
+    array: str | None = key(forms.WORDS, optional=True)
     """Member of an .npz file; left out, its only two-dimensional one."""
     pixel_m: float | tuple[float, float] | None = key(
         Form(
@@ -77,7 +66,9 @@ class Dem:
     )
     """Size that a pixel gets: one number, or [x, y]. Left out, that of a GeoTIFF whose coordinates
     are lengths."""
-    height_scale: float = key(PER_BATCH, default=1, at_least=-1_000_000_000, at_most=1_000_000_000)
+    height_scale: float = key(
+        forms.PER_BATCH, default=1, at_least=-1_000_000_000, at_most=1_000_000_000
+    )
     """Factor on the file's heights."""
     height_offset_m: float | None = key(
         Form(
@@ -91,10 +82,11 @@ class Dem:
         unit="m",
     )
     """Added to the scaled heights; null puts their mean at 0."""
-    first_row: Literal["north", "south"] = key(CHOICE, default="north")
+    first_row: Literal["north", "south"] = key(forms.CHOICE, default="north")
     """Whether the file's first row is its northern or its southern one."""
     center: tuple[float, float] = key(
-        list_of(FRACTION_PER_BATCH, "Fraction along one axis.", least=2, most=2), default=[0.5, 0.5]
+        list_of(forms.FRACTION_PER_BATCH, "Fraction along one axis.", least=2, most=2),
+        default=[0.5, 0.5],
     )
     """Which point of the DEM lies at the terrain's center, as fractions of its width (from the
     west) and height (from the south)."""
@@ -102,16 +94,16 @@ class Dem:
     """Value in the file that marks holes, besides NaN and what the file itself declares. Values
     that look like an undeclared mark (-32768, -9999 …, far from all other heights) are refused
     without it, and 0 far from all other samples is warned of; null says that they are heights."""
-    band: int | None = key(COUNT, optional=True, at_least=1, at_most=65_535)
+    band: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=65_535)
     """Band of a GeoTIFF that holds the heights, counted from 1. Left out, its only one, not
     counting alpha."""
-    unit_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
+    unit_m: float | None = key(forms.CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
     """Meters per unit of the file's heights. Left out, what a GeoTIFF says (m, km, ft, us-ft …, of
     its band or its vertical axis), else 1. Its own scale and offset are applied before."""
-    edge: Literal["error", "clamp"] = key(CHOICE, default="error")
+    edge: Literal["error", "clamp"] = key(forms.CHOICE, default="error")
     """What happens where the terrain is larger than the DEM: an error, or the border's heights go
     on."""
-    holes: Literal["error", "fill"] = key(CHOICE, default="error")
+    holes: Literal["error", "fill"] = key(forms.CHOICE, default="error")
     """What happens where there is no data under the terrain: an error, or a membrane stretched over
     the hole (Laplace's equation)."""
     height_range_m: tuple[float, float] | None = key(

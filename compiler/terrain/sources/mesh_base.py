@@ -12,22 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model, read_model
 from scenec.compiler.geometry import affine
-from scenec.compiler.kinds.declare import bounded, key, noise_key
-from scenec.compiler.kinds.finding import Finding
-from scenec.compiler.kinds.forms import (
-    CHOICE,
-    CONSTANT,
-    GAIN,
-    LENGTH_PER_BATCH,
-    NOISE_SCALE_M,
-    PER_BATCH,
-    WHOLE_PER_BATCH,
-    WORDS,
-    an,
-    file,
-    list_of,
-)
-from scenec.compiler.kinds.node import Node
+from scenec.compiler.kinds import Finding, Node, an, bounded, file, forms, key, list_of, noise_key
 from scenec.compiler.terrain.grid import Applied, Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import octaves_shown
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
@@ -49,14 +34,14 @@ class Roughness:
     EXAMPLE: ClassVar = {"amplitude_m": 0.02, "scale_m": 0.5}
     TITLE: ClassVar = "Relief: mesh, roughness"
 
-    amplitude_m: float = key(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000)
+    amplitude_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=1_000_000)
     """Of the first octave. Where it is larger than the surface's radius of curvature, the surface
     can cross itself."""
-    scale_m: float = key(NOISE_SCALE_M)
-    octaves: int = key(WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
+    scale_m: float = key(forms.NOISE_SCALE_M)
+    octaves: int = key(forms.WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
     """Number of octaves at most; those finer than two edges of the mesh are left out. Each is half
     the size of the one before."""
-    gain: float = key(GAIN)
+    gain: float = key(forms.GAIN)
     key: int = noise_key()
 
 
@@ -72,29 +57,29 @@ class MeshBase:
     """A .obj, .ply, .stl, .off, .glb, .gltf, .usd, .usda, .usdc or .usdz file; what a model looks
     like is not read, buffers beside a .gltf are: relative to the cfg, or "package:NAME/path" in an
     installed Python package, where * stands for any part of a name."""
-    surface: Literal["mesh", "heights"] = key(CHOICE, default="mesh")
+    surface: Literal["mesh", "heights"] = key(forms.CHOICE, default="mesh")
     """What becomes of it. mesh: its triangles are the ground, halved until no edge is longer than
     the spacing; relief after it moves them up and down, and objects lie on every floor. heights:
     its topmost surface, sampled on the grid; what is under an overhang is lost, and reported."""
-    part: str | None = key(WORDS, optional=True)
+    part: str | None = key(forms.WORDS, optional=True)
     """One of the file's meshes: a name, or a path down to it; what stands under that name comes
     along. Left out, all of them."""
-    unit_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
+    unit_m: float | None = key(forms.CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
     """Meters per unit of the file. Left out, what the file says: 1 in glTF, metersPerUnit in USD;
     OBJ, PLY, STL and OFF say nothing."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = key(CHOICE, optional=True)
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = key(forms.CHOICE, optional=True)
     """The file's upward axis. Left out, what the file says: y in glTF, upAxis in USD; OBJ, PLY, STL
     and OFF say nothing."""
-    scale: float = key(PER_BATCH, default=1, above=0, at_most=1_000_000_000)
+    scale: float = key(forms.PER_BATCH, default=1, above=0, at_most=1_000_000_000)
     """Factor on its size."""
-    rotation_deg: float = key(PER_BATCH, default=0, at_least=-360, at_most=360, unit="deg")
+    rotation_deg: float = key(forms.PER_BATCH, default=0, at_least=-360, at_most=360, unit="deg")
     """Turn about the vertical, counterclockwise seen from above."""
-    place: Literal["center", "keep"] = key(CHOICE, default="center")
+    place: Literal["center", "keep"] = key(forms.CHOICE, default="center")
     """center: the middle of its extent in plan lies at the terrain's center. keep: its coordinates
     are the terrain's."""
     position_m: tuple[float, float, float] = key(
         list_of(
-            bounded(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000),
+            bounded(forms.LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000),
             "Along one axis.",
             least=3,
             most=3,
@@ -103,7 +88,7 @@ class MeshBase:
         unit="m",
     )
     """Moved by this: x, y, z."""
-    holes: Literal["error", "fill"] = key(CHOICE, default="error")
+    holes: Literal["error", "fill"] = key(forms.CHOICE, default="error")
     """What happens where there is no mesh over or under the terrain: an error; or fill: heights
     become a membrane there (Laplace's equation). Where surface is mesh, the ground has a hole there
     all the same."""

@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.kinds.declare import bounded, key
-from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, PER_BATCH, list_of
+from scenec.compiler.kinds import bounded, forms, key, list_of
 from scenec.compiler.terrain.grid import Applied, Grid
 
 
@@ -25,12 +24,12 @@ class Plane:
     EXAMPLE: ClassVar = {"type": "plane", "slope": [0.05, 0]}
 
     height_m: float = key(
-        LENGTH_PER_BATCH, default=0, at_least=-1_000_000_000, at_most=1_000_000_000
+        forms.LENGTH_PER_BATCH, default=0, at_least=-1_000_000_000, at_most=1_000_000_000
     )
     """Height at the terrain's center."""
     slope: tuple[float, float] = key(
         list_of(
-            bounded(PER_BATCH, at_least=-1_000_000, at_most=1_000_000),
+            bounded(forms.PER_BATCH, at_least=-1_000_000, at_most=1_000_000),
             "Rise over run along one axis.",
             least=2,
             most=2,
