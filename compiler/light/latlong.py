@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.errors import SceneError
-from scenec.schemas.exr import read_rgb
 
 #: Luminance of linear Rec.709.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -96,6 +95,8 @@ def read_picture(file: Path) -> NDArray[np.float32]:
         SceneError: The file is no EXR with R, G, B.
     """
     try:
+        from scenec.schemas.exr import read_rgb
+
         picture = read_rgb(file)
     except ValueError as error:
         raise SceneError(f"{file.name}: {error}") from error

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Array, Context, Finding, Node, black, forms, is_black, key
-from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light import SunLight
+
+if TYPE_CHECKING:
+    # A cfg is checked without what shines.
+    from scenec.compiler.scene.light import SunLight
 
 
 def of_luminance_one(color: Array) -> Array:
     """Returns colors [s, 3] scaled to luminance 1; black stays black."""
+    from scenec.compiler.light.latlong import luminance
+
     level = luminance(color)
     return color / np.where(level > 0.0, level, 1.0)[:, None]
 
@@ -67,6 +71,8 @@ class Sun:
 
     def draw(self, context: Context) -> SunLight:
         """Returns the sun at every sample; one without a color is white."""
+        from scenec.compiler.scene.light import SunLight
+
         drawn = {"color": np.ones((context.samples, 3)), **context.sampled(self)}
         drawn["color"] = of_luminance_one(drawn["color"])
         return SunLight(**drawn)

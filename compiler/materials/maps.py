@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from scenec.compiler.kinds import Context, Finding, Node, an, draw_kind, file, forms, key
 from scenec.compiler.kinds.finding import Path as Place
-from scenec.compiler.materials.plan import Sources
-from scenec.compiler.scene.material import Cells, Far, MaterialMaps
 from scenec.schemas.maps import MAP_CHANNELS
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
     # A cfg is checked without what paints.
+    from scenec.compiler.materials.plan import Sources
     from scenec.compiler.materials.surface import Surface
+    from scenec.compiler.scene.material import MaterialMaps
 
 #: Keys that are files of pictures.
 _FILES = (
@@ -139,6 +139,8 @@ class MapsKeys:
         """
         # Imported here: a cfg without files is checked without what reads them.
         from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
+        from scenec.compiler.materials.plan import Sources
+        from scenec.compiler.scene.material import Cells, Far, MaterialMaps
 
         given = {kind: getattr(self, kind) for kind in _FILES if getattr(self, kind) is not None}
         own, found, convention = frozenset(given), TextureSet({}, None, (), ()), None

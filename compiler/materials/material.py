@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.kinds import Context, Finding, Form, Node, bounded, draw_kind, draw_object, key
 from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, an, list_of
 from scenec.compiler.materials.maps import MapsKeys, becomes_geometry, users
-from scenec.compiler.materials.plan import MaterialPlan
-from scenec.compiler.scene.material import Material
 from scenec.schemas.spelling import shown
+
+if TYPE_CHECKING:
+    # A cfg is checked without what is drawn of it.
+    from scenec.compiler.materials.plan import MaterialPlan
 
 
 def _color(form: Form) -> Form:
@@ -84,6 +86,9 @@ class MaterialKeys:
 
     def draw(self, context: Context, *, worn: bool) -> MaterialPlan:
         """The material and its pictures, which are not made yet; ``worn``: objects have it."""
+        from scenec.compiler.materials.plan import MaterialPlan
+        from scenec.compiler.scene.material import Material
+
         emission = self.emission or (0.0, 0.0, 0.0)
         maps = surface = sources = reflectance = None
         if self.maps is not None:
