@@ -25,6 +25,7 @@ from scenec.compiler.kinds.declare import given, key
 from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, RAGGED
 from scenec.compiler.kinds.node import Node
+from scenec.compiler.terrain.bounds import Bounds
 from scenec.compiler.terrain.condition import Condition, Interval, Quantity, Ragged, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
@@ -72,6 +73,7 @@ class Freshness(Quantity):
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
         """Findings on the relief: only craters leave fresh ground; masks see those laid before."""
+        yield from Bounds.check(node)
         path = node.path
         is_mask = path[0] == "terrain" and "relief" in path
         of = path[: path.index("relief")] if is_mask else ("terrain",)
