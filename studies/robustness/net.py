@@ -8,13 +8,15 @@
 Each cfg and template that ships has an entry for its digest, its values with defaults filled in,
 the streams of randomness that two seeds ask for, and the faults (place, text, order) of some
 hundred mistakes in it; the schema and the page of keys have one for each object. Values count, and
-the order of keys; the layout of JSON does not. A commit that changes digests on purpose writes
-them anew and does nothing else.
+the order of keys; the layout of JSON does not. Entries of ``kinds_…`` are of the cfgs in
+``net_kinds.json``: objects and kinds of the schema with all keys set, many to distributions. A
+commit that changes digests on purpose writes them anew and does nothing else.
 """
 
 from __future__ import annotations
 
 import argparse
+import base64
 import copy
 import hashlib
 import importlib.metadata
@@ -45,9 +47,12 @@ from scenec.studies.pages.cfg_reference import make as reference_page
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
 GOLDEN = Path(__file__).with_name("net.json")
+KINDS = Path(__file__).with_name("net_kinds.json")
 SEEDS = (1, 2)
 #: Mistakes of each cfg that are tried.
 MISTAKES = 200
+#: The same, of each of ``KINDS``.
+KINDS_MISTAKES = 60
 PASSES = ("depth", "face", "instance", "label", "normal")
 
 Texts = dict[str, str]
@@ -106,15 +111,38 @@ def texts(whole: bool, only: str = "") -> Texts:
         if only not in file.stem:
             continue
         spec = load(file)
-        found[f"spec/{file.stem}"] = spec.digest
-        found[f"filled/{file.stem}"] = _json(spec.cfg)
-        found[f"streams/{file.stem}"] = _streams(spec)
-        found[f"faults/{file.stem}"] = "\n".join(_faults(file))
+        found |= _texts(spec, MISTAKES)
         if whole:
             for seed in SEEDS:
                 found |= {f"whole/{file.stem}/{seed}/{k}": v for k, v in _made(spec, seed).items()}
         print(f"{file.stem}: done", file=sys.stderr)
+    with tempfile.TemporaryDirectory() as folder:
+        for file in _kinds(Path(folder)):
+            if only in file.stem:
+                found |= _texts(load(file), KINDS_MISTAKES)
     return found
+
+
+def _texts(spec: Spec, mistakes: int) -> Texts:
+    """Returns what is compared of each cfg before it is compiled."""
+    return {
+        f"spec/{spec.path.stem}": spec.digest,
+        f"filled/{spec.path.stem}": _json(spec.cfg),
+        f"streams/{spec.path.stem}": _streams(spec),
+        f"faults/{spec.path.stem}": "\n".join(_faults(spec.path, mistakes)),
+    }
+
+
+def _kinds(folder: Path) -> Iterator[Path]:
+    """Writes the cfgs of ``KINDS`` and the files that they name into a folder; yields the cfgs."""
+    made = json.loads(KINDS.read_text(encoding="utf-8"))
+    for name, content in made["files"].items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(base64.b64decode(content))
+    for number, cfg in enumerate(made["cfgs"]):
+        file = folder / f"kinds_{number:02}.json"
+        file.write_text(json.dumps(cfg), encoding="utf-8")
+        yield file
 
 
 def _json(value: Any) -> str:
@@ -170,7 +198,8 @@ def _streams(spec: Spec) -> str:
     def asked_uniforms(self: Streams, path: str, n: int, sample: int | None = None) -> Any:
         values = uniforms(self, path, n, sample)
         digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:12]
-        lines.append(f"uniforms {path} {n} {sample} {digest}")
+        if n:
+            lines.append(f"uniforms {path} {n} {sample} {digest}")
         return values
 
     def asked_key(self: Streams, path: str, sample: int | None = None) -> int:
@@ -185,16 +214,17 @@ def _streams(spec: Spec) -> str:
                 draw(spec, seed, 0, 0)
             except ScenecError as error:
                 lines.append(f"fault {error}")
-            lines[before:] = [f"seed {seed}", *sorted(lines[before:])]
+            # How often a stream is asked for changes nothing, nor does asking for no number.
+            lines[before:] = [f"seed {seed}", *sorted(set(lines[before:]))]
     return "\n".join(lines)
 
 
-def _faults(file: Path) -> Iterator[str]:
+def _faults(file: Path, mistakes: int) -> Iterator[str]:
     """Yields the messages about a cfg with each of some mistakes in it."""
     cfg = json_positions.parse(file.read_bytes()).value
     tried = [(at, name) for at in _places(cfg, ()) for name in _MISTAKES]
     # Spread over all of the cfg, the same ones each time.
-    step = max(1, len(tried) // MISTAKES)
+    step = max(1, len(tried) // mistakes)
     with tempfile.TemporaryDirectory() as folder:
         for at, name in tried[::step]:
             wrong = copy.deepcopy(cfg)

@@ -14,6 +14,7 @@ from small import small_cfg, write_cfg
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
+from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.compiler.mesh.cover import lay
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.freshness import Freshness
@@ -145,6 +146,14 @@ def test_faults_in_conditions_are_found_in_the_cfg(tmp_path, layer, pointer, wor
     (fault,) = caught.value.faults
     assert fault.pointer == f"/terrain/ground/1/{pointer}"
     assert words in fault.message
+
+
+@pytest.mark.parametrize("name", CHOICES["ground_where"].kinds)
+def test_every_condition_has_to_have_bounds(tmp_path, name):
+    example = kind_of("ground_where", name).EXAMPLE
+    where = [{key: v for key, v in example.items() if not key.startswith(("min", "max"))}]
+    with pytest.raises(CfgError, match="no bounds: expected a smallest value"):
+        load(write(tmp_path, {"where": where}))
 
 
 def test_freshness_without_craters_is_a_fault(tmp_path):
