@@ -54,7 +54,11 @@ class Sky(ABC):
 
     @staticmethod
     def takes_clouds(sky: Node) -> bool:
-        """Returns whether clouds can be drawn before a sky of a cfg: it has a ``ground_color``."""
+        """Returns whether clouds can be drawn before a sky: ``ground_color`` is one of its fields.
+
+        Args:
+            sky: As the cfg has it; asked is this before anything is drawn.
+        """
         return False
 
 

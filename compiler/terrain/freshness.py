@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Finding, Node, forms, given, key
+from scenec.compiler.terrain.bounds import Bounds
 from scenec.compiler.terrain.condition import Condition, Interval, Quantity, Ragged, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
@@ -68,7 +69,9 @@ class Freshness(Quantity):
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
-        """Findings on the relief: only craters leave fresh ground; masks see those laid before."""
+        """Yields a relief without craters, before it if it is a mask, and faults of its bounds."""
+        # Its own check stands in place of that of all conditions.
+        yield from Bounds.check(node)
         path = node.path
         is_mask = path[0] == "terrain" and "relief" in path
         of = path[: path.index("relief")] if is_mask else ("terrain",)
