@@ -47,7 +47,7 @@ _DIGITS = 12
 _codes: dict[tuple[str, tuple[str, ...]], str] = {}
 #: Where the code lies that was loaded, and whose it is.
 _loaded: dict[Path, str] = {}
-#: Names that kinds were loaded by.
+#: Names that kinds were loaded by; also of the classes that they draw.
 _names: dict[tuple[str, Any], str] = {}
 
 
@@ -239,7 +239,7 @@ def load_kind(group: str, name: str) -> type[Any]:
     lacks = sorted(set(keys) - {field.name for field in dataclasses.fields(made)})
     if lacks:
         raise ScenecError(f"{who}: SCHEMA: the class has no field {shown(lacks[0])}")
-    _names.setdefault((group, made), name)
+    give_name(group, made, name)  # type: ignore[arg-type]
     return made  # type: ignore[return-value]
 
 
@@ -252,26 +252,13 @@ def _declares(made: Any) -> bool:
 
 
 def plugin_name(group: str, kind: type[Any]) -> str:
-    """Returns the name that a class was loaded by."""
+    """Returns the name that a class was loaded by, or that what was loaded by it has drawn."""
     return _names[group, kind]
 
 
-class Kinds[T](dict[str, T]):
-    """Classes by the name that a cfg gives; other packages' are loaded when they are asked for."""
-
-    def __init__(self, group: str, ours: Mapping[str, T]) -> None:
-        """Takes a group of entry points, and scenec's own classes, which go first."""
-        super().__init__(ours)
-        self.group = group
-
-    def __missing__(self, name: str) -> T:
-        made: T = load_kind(self.group, name)  # type: ignore[assignment]
-        return made
-
-    def name_of(self, kind: T) -> str:
-        """The name that a class goes by."""
-        ours = next((name for name, found in self.items() if found is kind), None)
-        return ours or _names[self.group, kind]
+def give_name(group: str, kind: type[Any], name: str) -> None:
+    """Remembers by which name a class was loaded, or what was loaded by it has drawn one."""
+    _names.setdefault((group, kind), name)
 
 
 @cache

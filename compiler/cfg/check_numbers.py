@@ -18,8 +18,8 @@ from scenec.compiler.cfg.check_schema import check_value
 from scenec.compiler.distributions.normal import MAX_SIGMAS
 from scenec.compiler.distributions.numbers import Distribution, Number
 from scenec.compiler.kinds.finding import Finding, Path
-from scenec.compiler.kinds.laws import ends_of, support
 from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.support import ends_of, support
 from scenec.schemas.spelling import shown
 
 # Beyond it, whole numbers are no longer told apart by a double.

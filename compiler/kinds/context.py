@@ -111,7 +111,7 @@ def _keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
     # Imported here: few cfgs have any.
     from scenec.compiler.kinds.generate import with_forms
 
-    return dict(with_forms(kind.SCHEMA)["properties"])
+    return dict(with_forms(kind.SCHEMA.get("properties", {})))
 
 
 def _is_of_samples(keywords: Mapping[str, Any]) -> bool:

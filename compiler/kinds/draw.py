@@ -10,7 +10,8 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import Form, keys_of, made_of_context
 from scenec.compiler.kinds.forms import RAGGED, SAMPLING, file
-from scenec.compiler.kinds.table import CHOICES, class_of, kind_of
+from scenec.compiler.kinds.table import BASES, CHOICES, class_of, is_own, kind_of
+from scenec.schemas.plugins import give_name
 
 #: What a kind with a ``SCHEMA`` gets under these keys.
 _FOREIGN = {"file": file(""), "ragged": RAGGED, "sampling": SAMPLING}
@@ -30,7 +31,12 @@ def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context)
     context = dataclasses.replace(context, choice=choice)
     kind = kind_of(choice, node["type"])
     made = _made(kind, {k: v for k, v in node.items() if k != "type"}, path, context)
-    return made.draw(context.at(path)) if hasattr(made, "draw") else made
+    # What a class with a ``SCHEMA`` calls so is its own affair, unless its base says what it is.
+    if hasattr(made, "draw") and (CHOICES[choice].group in BASES or not hasattr(kind, "SCHEMA")):
+        made = made.draw(context.at(path))
+    if not is_own(kind) and not is_own(type(made)):
+        give_name(CHOICES[choice].group, type(made), node["type"])
+    return made
 
 
 def draw_object(name: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
@@ -44,6 +50,20 @@ def _made(kind: type[Any], node: Mapping[str, Any], path: str, context: Context)
     if "x-kinds" in vars(kind).get("KEYWORDS", {}):
         # What another package's kind, which one of the keys names, adds to them.
         added = {"added": {key: drawn.pop(key) for key in [*drawn] if key not in keys}}
+    values = values_of(kind, drawn, path, context)
+    return kind(**values, **added, **made_of_context(kind, context.at(path), values))
+
+
+def values_of(
+    kind: type[Any], drawn: Mapping[str, Any], path: str, context: Context
+) -> dict[str, Any]:
+    """Returns what a class gets of its keys: tuples, paths of files, objects that have a class.
+
+    Args:
+        drawn: Keys with their numbers drawn.
+        path: Where they stand.
+    """
+    keys = keys_of(kind)
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in drawn.items()
     }
@@ -52,6 +72,6 @@ def _made(kind: type[Any], node: Mapping[str, Any], path: str, context: Context)
         if value is not None and "x-file" in form.keywords:
             values[key] = context.files[f"{path}/{key}"].path
         elif value is not None and form.drawn:
-            drawn = draw_kind if form.drawn in CHOICES else draw_object
-            values[key] = drawn(form.drawn, value, f"{path}/{key}", context)
-    return kind(**values, **added, **made_of_context(kind, context.at(path), values))
+            draw = draw_kind if form.drawn in CHOICES else draw_object
+            values[key] = draw(form.drawn, value, f"{path}/{key}", context)
+    return values

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from scenec.compiler.kinds.finding import Finding, Path
-from scenec.compiler.kinds.laws import support
 from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.support import support
 from scenec.schemas.spelling import nearest, shown
 
 

@@ -21,7 +21,7 @@ from typing import Any
 from scenec.compiler.kinds.finding import Path
 from scenec.compiler.kinds.forms import DEFS
 from scenec.schemas.errors import ScenecError
-from scenec.schemas.plugins import KINDS, entry_points_of, load_kind, names_of, origin
+from scenec.schemas.plugins import KINDS, entry_points_of, names_of, origin
 
 ROOT, NUMBER = f"{DEFS}cfg", f"{DEFS}number"
 
@@ -163,8 +163,9 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     from jsonschema import Draft202012Validator, SchemaError
 
     from scenec.compiler.kinds.generate import foreign, with_forms
+    from scenec.compiler.kinds.table import offered_kind
 
-    kind = load_kind(group, name)
+    kind = offered_kind(group, name)
     try:
         whole = foreign(group, kind)
         Draft202012Validator.check_schema(whole)

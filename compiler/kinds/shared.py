@@ -9,6 +9,7 @@ from typing import Any
 
 from scenec.compiler.kinds import forms
 from scenec.compiler.kinds.declare import Form, bounded
+from scenec.compiler.kinds.table import is_own
 
 #: Keys with their keywords, and whether they must be given.
 Keys = dict[str, tuple[dict[str, Any], bool]]
@@ -16,11 +17,6 @@ Keys = dict[str, tuple[dict[str, Any], bool]]
 
 def _optional(**keys: Form) -> Keys:
     return {name: (dict(form.keywords), False) for name, form in keys.items()}
-
-
-def is_own(kind: type[Any]) -> bool:
-    """Whether a kind is one of this package."""
-    return kind.__module__.startswith("scenec.compiler.")
 
 
 def of_relief(kind: type[Any]) -> Keys:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from scenec.schemas.plugins import load_kind, plugin_name
+from scenec.schemas.errors import ScenecError
+from scenec.schemas.plugins import KINDS, load_kind, plugin_name
 
 
 @dataclass(frozen=True)
@@ -399,6 +400,12 @@ CHOICES = {
         kinds=_of("surface"),
     ),
 }
+#: What kinds of other packages have to derive from, by group, as in ``CLASSES``; else anything.
+BASES = {
+    "scenec.clouds": "light.sky:CloudLayer",
+    "scenec.rocks": "objects.families.shape:Shape",
+    "scenec.skies": "light.sky:Sky",
+}
 
 
 def class_of(name: str) -> type[Any]:
@@ -414,16 +421,39 @@ def kind_of(choice: str, name: str) -> type[Any]:
         ScenecError: No package offers it, or what it offers is no kind.
     """
     found = CHOICES[choice]
-    return class_of(found.kinds[name]) if name in found.kinds else load_kind(found.group, name)
+    return class_of(found.kinds[name]) if name in found.kinds else offered_kind(found.group, name)
+
+
+def offered_kind(group: str, name: str) -> type[Any]:
+    """Returns the class of a kind that another package offers.
+
+    Raises:
+        ScenecError: No package offers it, or what it offers is no kind of its group.
+    """
+    kind = load_kind(group, name)
+    base = loaded(BASES[group]) if group in BASES else object
+    if not issubclass(kind, base):
+        raise ScenecError(
+            f"{KINDS[group]} {name} ({kind.__module__}.{kind.__qualname__}): expected a subclass "
+            f"of {base.__module__}.{base.__qualname__}"
+        )
+    return kind
 
 
 def name_of(choice: str, kind: type[Any]) -> str:
-    """Returns the ``type`` that a class goes by; what a kind draws says it by its ``KIND``."""
+    """Returns the ``type`` that a class goes by; what an own kind draws says it by its ``KIND``."""
+    if not is_own(kind):
+        return plugin_name(CHOICES[choice].group, kind)
     if "KIND" in vars(kind):
         return str(kind.KIND)
     place = f"{kind.__module__.removeprefix('scenec.compiler.')}:{kind.__qualname__}"
     own = (name for name, of in CHOICES[choice].kinds.items() if CLASSES[of] == place)
-    return next(own, "") or plugin_name(CHOICES[choice].group, kind)
+    return next(own, kind.__name__)
+
+
+def is_own(kind: type[Any]) -> bool:
+    """Whether a kind is one of this package."""
+    return kind.__module__.startswith("scenec.compiler.")
 
 
 @cache

@@ -7,7 +7,6 @@ Both are spheres with two scatterers whose density falls exponentially with heig
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,10 +142,3 @@ def mars(count: int, air: float, dust: float, ozone: float) -> Medium:
 
 #: By name.
 MEDIA = {"earth": earth, "mars": mars}
-#: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
-#: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.
-SUNS: dict[str, dict[str, Any]] = {
-    "earth": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
-    "mars": {"irradiance": 590.0, "diameter_deg": 0.35, "color": None},
-    "moon": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
-}

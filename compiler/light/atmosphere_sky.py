@@ -4,22 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Array, Finding, Node, forms, key
-from scenec.compiler.light.atmosphere_planets import MEDIA, SUNS
-from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
-from scenec.compiler.light.latlong import luminance
 from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
-from scenec.compiler.scene.light import SkyLight, SunLight
+
+if TYPE_CHECKING:
+    # A cfg is checked without what shines.
+    from scenec.compiler.scene.light import SunLight
 
 #: At which optical depths are reported, nm.
 _REPORTED_NM = 550.0
 _RADIAN = elementary.PI / 180.0
+
+#: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
+#: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.
+SUNS: dict[str, dict[str, Any]] = {
+    "earth": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
+    "mars": {"irradiance": 590.0, "diameter_deg": 0.35, "color": None},
+    "moon": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +94,10 @@ class AtmosphereSky(Sky):
         """
         # Imported here: a cfg's faults are told without it.
         from scenec.compiler.light import atmosphere
+        from scenec.compiler.light.atmosphere_planets import MEDIA
+        from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
+        from scenec.compiler.light.latlong import luminance
+        from scenec.compiler.scene.light import SkyLight
 
         assert sun is not None, "an atmosphere without a sun"
         count = atmosphere.WAVELENGTHS
@@ -142,6 +154,8 @@ def resolution_error(picture: NDArray[np.float64]) -> float:
     Halfway between texels a linear reading errs by an eighth of the second difference: of the
     luminance, its root mean square over the sky, relative to the sky's mean.
     """
+    from scenec.compiler.light.latlong import luminance
+
     height = len(picture)
     level = luminance(picture[: height // 2])
     if level.shape[0] < 3 or not level.any():

@@ -15,7 +15,9 @@ from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.clouds import add_clouds
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.plan import LightPlan
+from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
+from scenec.schemas.errors import SceneError
 
 
 @dataclass(frozen=True)
@@ -57,12 +59,15 @@ def build_light(
     sun = plan.sun
     facts: dict[str, Any] = {}
     if plan.sky is not None:
-        sky, sun, facts["sky"] = plan.sky.build(sun, samples)
+        sky, sun, facts["sky"] = _held(plan.sky, plan.sky.build(sun, samples))
         if plan.clouds is not None:
-            assert sky is not None, "clouds before no sky"
-            ground, more = plan.sky.ground_color, []
+            ground, more = getattr(plan.sky, "ground_color", None), []
+            if sky is None or ground is None:
+                raise SceneError("light/clouds: the sky has no pictures or no ground_color")
             for layer in plan.clouds.more or ():
-                sky, sun, told = layer.add(sky, sun, samples)
+                sky, sun, told = _held(layer, layer.add(sky, sun, samples))
+                if sky is None:
+                    raise SceneError(f"{_who(layer)}: returned no sky: expected pictures")
                 more.append(told)
             sky, sun, facts["clouds"] = add_clouds(plan.clouds, sky, sun, ground, samples, land)
             facts["clouds"] |= {"more": more} if more else {}
@@ -73,6 +78,23 @@ def build_light(
             irradiance[i] += shares[i] * luminance(level_sun_irradiance(one, i))
     haze = plan.haze if plan.haze is not None and plan.haze.extinction.any() else None
     return Light(sun, sky, plan.more_suns, haze, label_maps, irradiance, facts)
+
+
+def _held(kind: Sky | CloudLayer, made: Any) -> SkyAndSun:
+    """Returns what a sky or a layer of clouds made; checks another package's.
+
+    Raises:
+        SceneError: It is not what ``SkyAndSun`` says.
+    """
+    types = (SkyLight | None, SunLight | None, dict)
+    is_held = isinstance(made, tuple) and len(made) == len(types)
+    if not is_held or not all(map(isinstance, made, types)):
+        raise SceneError(f"{_who(kind)}: returned {made!r:.60}: expected a SkyAndSun")
+    return made
+
+
+def _who(kind: Sky | CloudLayer) -> str:
+    return f"sky or clouds {type(kind).__module__}:{type(kind).__qualname__}"
 
 
 def _sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:

@@ -33,6 +33,7 @@ from scenec.compiler.kinds.forms import an, list_of
 from scenec.compiler.noise.fractal import Fractal
 from scenec.compiler.noise.lattice import hash3, mix
 from scenec.compiler.noise.worley import worley2
+from scenec.schemas.errors import ScenecError
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -144,7 +145,11 @@ class Clouds:
         """Yields whether there is no sky that they can be drawn into."""
         light = node.whole().at("light")
         sky = light.at("sky")
-        if "sky" in light and not (sky["type"] and kind_of("sky", sky["type"]).takes_clouds(sky)):
+        try:
+            takes = sky["type"] and kind_of("sky", sky["type"]).takes_clouds(sky)
+        except ScenecError:
+            return  # Told where the sky stands: its package cannot be used.
+        if "sky" in light and not takes:
             yield light.key_fault(
                 "clouds need a sky that is made, of air with water in it: expected one of the type "
                 '"atmosphere" (planet "earth") or "clear"',

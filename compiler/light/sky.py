@@ -5,10 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from scenec.compiler.kinds import Array, Context, Node, bounded, forms
-from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
+
+if TYPE_CHECKING:
+    # A cfg is checked without what shines.
+    from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
 
 ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
     default=128,
@@ -54,7 +57,11 @@ class Sky(ABC):
 
     @staticmethod
     def takes_clouds(sky: Node) -> bool:
-        """Returns whether clouds can be drawn before a sky of a cfg: it has a ``ground_color``."""
+        """Returns whether clouds can be drawn before a sky: ``ground_color`` is one of its fields.
+
+        Args:
+            sky: As the cfg has it; asked is this before anything is drawn.
+        """
         return False
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model, cached_model, require_near_origin
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.kinds.table import is_own
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.coatings import coat
 from scenec.compiler.objects.feet import heap
@@ -85,7 +86,7 @@ def build_objects(
             else:
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
-                near = around.only(_others(plan), plan.beyond_m)
+                near = around.only(_others(plan, around.objects), plan.beyond_m)
                 levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
                 own |= facts_of_it
                 own["float32_error_max_m"] += _rounding_m(levels.scatter)
@@ -140,8 +141,14 @@ def _without_files(plan: ScatterPlan) -> ScatterPlan:
     return replace(plan, source=replace(plan.source, models=(), rules=()))
 
 
-def _others(plan: ScatterPlan) -> set[str]:
-    """Classes that a plan refers to: density and conditions by ``of``, as the cfg says it."""
+def _others(plan: ScatterPlan, there: Iterable[str]) -> set[str]:
+    """Classes that a plan refers to: density and conditions by ``of``, as the cfg says it.
+
+    Args:
+        there: All; another package's density can refer to any of them, by any key.
+    """
+    if not is_own(type(plan.density)):
+        return {*there}
     found = {part.of for part in (plan.density, *plan.where) if hasattr(part, "of")}
     return found | set((plan.spacing and plan.spacing.of) or ())
 

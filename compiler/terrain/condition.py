@@ -80,6 +80,9 @@ class Condition(ABC):
 class Quantity(ABC):
     """What a relief, a noise or a distance is at a place."""
 
+    #: Values of keys that are left out, where that depends on where the condition stands.
+    USUAL: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+
     @abstractmethod
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """At the samples, where it is held against bounds: float64 [ny, nx]."""
@@ -440,7 +443,7 @@ def draw_condition(node: Mapping[str, Any], context: Context) -> Interval:
     """
     path, name = context.path, node["type"]
     kind = kind_of(context.choice, name)
-    usual: Mapping[str, Any] = getattr(kind, "USUAL", {}).get(context.choice, {})
+    usual: Mapping[str, Any] = kind.USUAL.get(context.choice, {})
     node = {**node, **{key: value for key, value in usual.items() if node[key] is None}}
     # Their names end with the unit.
     ends = [

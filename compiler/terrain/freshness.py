@@ -69,7 +69,8 @@ class Freshness(Quantity):
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
-        """Findings on the relief: only craters leave fresh ground; masks see those laid before."""
+        """Yields a relief without craters, before it if it is a mask, and faults of its bounds."""
+        # Its own check stands in place of that of all conditions.
         yield from Bounds.check(node)
         path = node.path
         is_mask = path[0] == "terrain" and "relief" in path

@@ -10,6 +10,7 @@ from small_cfg import changed, load_cfg
 from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
+from scenec.compiler.draw import draw
 
 _UNIFORM = {"type": "uniform", "min": 10, "max": 20}
 _STREAMS = Streams(1, 0)
@@ -43,6 +44,35 @@ def test_instance_numbers_are_left_to_be_drawn_for_each(tmp_path):
     assert isinstance(rocks["size_m"], Distribution)
     sizes = draw_number(rocks["size_m"], _STREAMS, "objects/rocks/size_m", rocks["count"])
     assert np.unique(sizes).size == rocks["count"]
+
+
+def test_all_instances_share_a_number_that_the_cfg_draws_once_a_batch(tmp_path):
+    rocks = "/objects/rocks"
+    once = {**_UNIFORM, "per": "batch"}
+    small = {"type": "uniform", "min": 0.1, "max": 0.2, "per": "batch"}
+    changes = {
+        f"{rocks}/size_m": once, f"{rocks}/embed": small, f"{rocks}/orientation": "upright",
+        f"{rocks}/lean_deg": once, f"{rocks}/fillet": {"height": small, "reach": small},
+        "/terrain/relief": [
+            {"type": "plane"},
+            {"type": "craters", "min_diameter_m": 1, "max_diameter_m": 8, "rim_ratio": small},
+        ],
+    }  # fmt: skip
+    plan = draw(load_cfg(changed(changes), tmp_path), 1, 0)
+    own, craters = plan.objects[0], plan.terrain.relief[1]
+    assert len(own.scale) > 1
+    assert len(craters.rim_ratio) > 1
+    for path, drawn in (
+        ("size_m", own.scale), ("embed", own.embed), ("fillet/height", own.fillet.height),
+        ("fillet/reach", own.fillet.reach),
+    ):  # fmt: skip
+        low, high = (10, 20) if path == "size_m" else (0.1, 0.2)
+        u = _STREAMS.uniforms(f"objects/rocks/{path}", 1)[0]
+        assert drawn.tolist() == [low + (high - low) * u] * len(drawn)
+    # An axis that leans by t is at cos t to the vertical: 1 - 2 (x^2 + y^2) of its quaternion.
+    x, y, _, _ = own.orientations.T
+    assert np.ptp(x * x + y * y) < 1e-12
+    assert np.unique(craters.rim_ratio).size == 1
 
 
 def test_another_class_of_objects_changes_no_other_draw(tmp_path):

@@ -21,7 +21,8 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_columns import chapman, columns
-from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, SUNS, Medium, earth, mars
+from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, Medium, earth, mars
+from scenec.compiler.light.atmosphere_sky import SUNS
 from scenec.compiler.light.atmosphere_spectra import (
     GRID_NM,
     SUNLIGHT,

@@ -60,6 +60,7 @@ def load_with(folder, **change: Any) -> None:
             "expected 2",
         ),
         ({"where": [CRATERS]}, "/where/0/type", "no craters in the relief"),
+        ({"where": [{"type": "crater_freshness"}]}, "/where/0", "no bounds"),
         ({"shortfall": "less"}, "/shortfall", "one of error, fewer"),
         ({"clearance_m": -1e7}, "/clearance_m", "at least -1000000 m"),
     ],

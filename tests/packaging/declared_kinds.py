@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -16,15 +16,20 @@ from scenec.compiler.kinds.forms import (
     CHOICE,
     CONSTANT,
     FRACTION_PER_BATCH,
+    GROUND_COLOR,
     LENGTH_PER_BATCH,
     PER_BATCH,
+    PER_SAMPLE,
     SAMPLING,
+    list_of,
 )
 from scenec.compiler.kinds.node import Node
+from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Look
 from scenec.compiler.objects.density import Everywhere
 from scenec.compiler.objects.families.shape import Shape
+from scenec.compiler.scene.light import SkyLight
 from scenec.compiler.terrain.condition import Quantity
 
 
@@ -58,7 +63,6 @@ class Lifted:
 
     by_m: float
     path: str
-    KIND: ClassVar = "lift"
 
     def apply(self, grid: Any, height: Any) -> Any:
         """Heights, and nothing to tell."""
@@ -97,6 +101,10 @@ class Ball(Shape):
 
     dents: float = key(FRACTION_PER_BATCH, default=0.25)
     """How deep, in radii."""
+    wear: float = key(FRACTION_PER_BATCH, default=0.5)
+    """A key that rocks have, too."""
+    weights: tuple[float, ...] = key(list_of(CONSTANT), default=[1, 2])
+    """Of nothing."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -153,8 +161,66 @@ class Dim:
         return (picture / self.by).astype(np.uint8)
 
 
+@dataclass(frozen=True)
+class West(Everywhere):
+    """Says its keys in a schema; what else it has is its own affair."""
+
+    SCHEMA: ClassVar = {"description": "Things lie on the western half."}
+
+    def draw(self, x: Any) -> Any:
+        """Nothing that scenec asks for."""
+        return np.where(x < 0.0, 1.0, 0.0)
+
+    def at(self, x: Any, y: Any) -> Any:
+        """Relative density at points."""
+        return self.draw(x)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Even(Sky):
+    """As bright everywhere."""
+
+    radiance: Any = key(PER_SAMPLE, above=0)
+    """Of all of it."""
+    ground_color: Any = key(GROUND_COLOR)
+
+    @staticmethod
+    def takes_clouds(sky: Node) -> bool:
+        """Any."""
+        return True
+
+    def build(self, sun: Any, samples: int) -> SkyAndSun:
+        """White."""
+        picture = np.ones((8, 16, 3), np.float32)
+        names = ("even.exr",) * samples
+        return SkyLight({"even.exr": picture}, names, self.radiance, np.zeros(samples)), sun, {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mist(CloudLayer):
+    """Hides a part of the sun."""
+
+    hides: Any = key(PER_SAMPLE, at_least=0, at_most=1)
+    """How much."""
+
+    def add(self, sky: SkyLight, sun: Any, samples: int) -> SkyAndSun:
+        """What is left."""
+        return sky, replace(sun, irradiance=sun.irradiance * (1.0 - self.hides)), {}
+
+
+class Bare:
+    """What is called a sky and is none."""
+
+    SCHEMA: ClassVar = {"description": "Nothing."}
+
+
+@dataclass(frozen=True)
+class BareSky(Bare):
+    """A dataclass, but no ``Sky``."""
+
+
 GROUPS = {
     "relief": ("lift", Lift), "conditions": ("east", East), "densities": ("half", Half),
     "rocks": ("ball", Ball), "surfaces": ("plain", Plain), "poses": ("hover", Hover),
-    "effects": ("dim", Dim),
+    "effects": ("dim", Dim), "skies": ("even", Even), "clouds": ("mist", Mist),
 }  # fmt: skip

@@ -319,6 +319,8 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         f"[scenec.{group}]\n{name} = declared_kinds:{kind.__name__}\n"
         for group, (name, kind) in declared_kinds.GROUPS.items()
     ]
+    lines.append("[scenec.skies]\nbare = declared_kinds:BareSky\n")
+    lines.append("[scenec.densities]\nwest = declared_kinds:West\n")
     (info / "entry_points.txt").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     document = cfg()
@@ -331,6 +333,8 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     document["materials"]["stubble"]["maps"]["procedural"] = {"type": "plain", "resolution": 64}
     clods = document["objects"]["clods"]
     clods |= {"family": "ball", "dents": uniform | {"max": 0.6}, "density": {"type": "half"}}
+    clods["wear"] = 0.25
+    document["light"]["sky"] = {"type": "even", "radiance": {"type": "uniform", "min": 2, "max": 3}}
     del clods["crumble"]
     document["rigs"]["drone"]["pose"] = {"type": "hover", "height_m": 3}
     eye["effects"] = [{"type": "dim"}]
@@ -343,7 +347,7 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     path = tmp_path / "farm.json"
     path.write_text(json.dumps(declared))
     spec = load(path)
-    assert len(spec.plugins) == 7
+    assert len(spec.plugins) == 8
     plan = draw(spec, 3, 0)
     masked = plan.terrain.relief[1]
     lift = masked.operator
@@ -354,7 +358,11 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     # East of x = -1 m, where twice x is above -2.
     assert (heights[:, grid.x() < -1.01] == 0.0).all()
     assert heights[:, grid.x() > -0.99] == pytest.approx(lift.by_m)
-    scene = build(plan, BuildLog())
+    (ball, *_) = plan.objects[0].source.shapes
+    assert (ball.wear, ball.weights) == (0.25, (1.0, 2.0))
+    log = BuildLog()
+    scene = build(plan, log)
+    assert [step["type"] for step in log.facts["relief"]] == ["plane", "lift"]
     (clods,) = scene.objects
     assert (clods.positions[:, 0] > 0.0).all()
     (rig,) = scene.rigs
@@ -362,6 +370,45 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     assert rig.to_world[:, 2, 3] == pytest.approx(lift.by_m + 3.0)
     picture = np.full((2, 2, 3), 100, np.uint8)
     assert (apply(picture, rig.sensors[0].effects, 0) == 50).all()
+
+
+def test_skies_and_clouds_can_declare_their_keys(declared: dict[str, Any], tmp_path: Path) -> None:
+    from scenec.compiler.light.build import build_light
+
+    light = declared["light"]
+    declared["labels"]["class"]["glow"] = 3
+    light["sky"]["labels"] = {"class": "glow"}
+    light["clouds"] = {"more": [{"type": "mist", "hides": {"type": "choice", "values": [0.5]}}]}
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(declared))
+    plan = draw(load(path), 3, 0)
+    assert plan.sky_labels == {"class": 3}
+    built = build_light(plan.light, 2, True, True)
+    assert built.sky is not None
+    assert built.sun is not None
+    # An even sky of radiance L gives pi L; the sun half of what is left.
+    of_sky = (built.irradiance - 250.0) / np.pi
+    assert ((of_sky > 1.9) & (of_sky < 3.1)).all()
+    assert built.sun.irradiance.tolist() == [500.0, 500.0]
+
+
+def test_what_is_no_sky_is_told_where_the_cfg_names_it(
+    declared: dict[str, Any], tmp_path: Path
+) -> None:
+    declared["light"] |= {"sky": {"type": "bare"}, "clouds": {"cumulus": {}}}
+    found = dict(faults(tmp_path / "farm.json", declared))
+    assert list(found) == ["/light/sky"]
+    assert found["/light/sky"].endswith("expected a subclass of scenec.compiler.light.sky.Sky")
+
+
+def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(
+    declared: dict[str, Any], tmp_path: Path
+) -> None:
+    declared["objects"]["clods"]["density"] = {"type": "west"}
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(declared))
+    (clods,) = build(draw(load(path), 3, 0), BuildLog()).objects
+    assert (clods.positions[:, 0] < 0.0).all()
 
 
 def test_faults_of_declared_keys_read_as_those_of_our_own(

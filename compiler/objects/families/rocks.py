@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.distributions.numbers import Number
-from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds import Context, Finding, Form, Node, an, draw_object, forms, key, list_of
-from scenec.compiler.kinds.table import loaded
+from scenec.compiler.kinds.declare import keys_of
+from scenec.compiler.kinds.draw import values_of
+from scenec.compiler.kinds.table import loaded, offered_kind
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.scattered import Scattered
-from scenec.schemas.plugins import load_kind
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def family_of(name: str) -> type[Any]:
         ScenecError: No package offers it, or what it offers is no kind.
     """
     if name not in FAMILIES:
-        return load_kind("scenec.rocks", name)
+        return offered_kind("scenec.rocks", name)
     found: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}")
     return found
 
@@ -135,7 +135,7 @@ class Rocks(Scattered):
 
         path, family = context.path, family_of(self.family)
         shapes = tuple(
-            self._shape(family, f"{path}/prototypes/{i}", context.streams)
+            self._shape(family, f"{path}/prototypes/{i}", context)
             for i in range(int(self.prototypes))
         )
         coatings = tuple(
@@ -157,10 +157,11 @@ class Rocks(Scattered):
         fillet = self.fillet.draw(context.at(f"{path}/fillet"), len(plan.scale))
         return replace(plan, fillet=fillet)
 
-    def _shape(self, family: type[Any], path: str, streams: Streams) -> Shape:
-        own = self.elongation, self.flatness, self.wear
+    def _shape(self, family: type[Any], path: str, context: Context) -> Shape:
+        streams = context.streams
+        given = self.elongation, self.flatness, self.wear
         elongation, flatness, wear = (
-            usual if said is None else said for said, usual in zip(own, family.USUAL, strict=True)
+            usual if said is None else said for said, usual in zip(given, family.USUAL, strict=True)
         )
         if family.READS == "angularity":
             wear = 1.0 - self.angularity
@@ -168,12 +169,22 @@ class Rocks(Scattered):
         u = streams.uniforms(f"{path}/axes", 2)
         middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
         low = 1.0 - flatness * (0.75 + 0.5 * u[1])
-        ours = self.family in FAMILIES
+        if self.family in FAMILIES:
+            own = {"drawn": family.draw(path, streams, wear)}
+        else:
+            own = self._of_package(family, context)
         made: Shape = family(
             key=streams.key(path),
             bumpiness=self.bumpiness,
             axes=(1.0, middle, min(max(low, 0.05), middle)),
             subdivisions=int(self.subdivisions),
-            **({"drawn": family.draw(path, streams, wear)} if ours else self.added),
+            **own,
         )
         return made
+
+    def _of_package(self, family: type[Any], context: Context) -> dict[str, Any]:
+        """Returns keys of another package's family; rocks can have some of them themselves."""
+        declared = not hasattr(family, "SCHEMA")
+        names = keys_of(family) if declared else family.SCHEMA.get("properties", {})
+        own = {name: self.added.get(name, getattr(self, name, None)) for name in names}
+        return values_of(family, own, context.path, context) if declared else own
