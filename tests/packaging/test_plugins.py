@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -310,7 +311,7 @@ def test_a_broken_package_is_named_at_its_place_in_the_cfg(
 
 
 @pytest.fixture
-def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     """A package whose kinds declare their keys, installed, and a cfg that names all of them."""
     info = tmp_path / "site" / "declared-1.0.dist-info"
     info.mkdir(parents=True)
@@ -338,7 +339,12 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     del clods["crumble"]
     document["rigs"]["drone"]["pose"] = {"type": "hover", "height_m": 3}
     eye["effects"] = [{"type": "dim"}]
-    return document
+    # Other tests' packages may have kinds of these names.
+    for found in (plugins.load_kind, schema.own_schema):
+        found.cache_clear()
+    yield document
+    for found in (plugins.load_kind, schema.own_schema):
+        found.cache_clear()
 
 
 def test_kinds_of_all_groups_can_declare_their_keys(
