@@ -139,7 +139,8 @@ def _check_kinds(
             elif hasattr(kind, "check_files"):
                 yield from kind.check_files(node, files)
         if files is None and "x-offered" in place.keywords and (node := cfg.at(*place.path)):
-            yield from load_kind(*place.keywords["x-offered"]).check(node)
+            # A package's check may end without a word.
+            yield from load_kind(*place.keywords["x-offered"]).check(node) or ()
 
 
 def digest_of(

@@ -417,6 +417,16 @@ def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(
     assert (clods.positions[:, 0] < 0.0).all()
 
 
+def test_a_check_that_returns_nothing_finds_nothing(
+    declared: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = plugins.load_kind("scenec.relief", "lift")
+    monkeypatch.setattr(kind, "check", staticmethod(lambda node: None))
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(declared))
+    assert load(path).cfg["terrain"]["relief"][1]["type"] == "lift"
+
+
 def test_faults_of_declared_keys_read_as_those_of_our_own(
     declared: dict[str, Any], tmp_path: Path
 ) -> None:
