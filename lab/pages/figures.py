@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lights import CASES, make_cfg
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.backends.run.render import render
@@ -24,6 +23,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.kinds.table import CHOICES
 from scenec.datasets.colors import label_colors, paint_instances, paint_labels
 from scenec.lab.pages.gallery import save
+from scenec.lab.pages.lights import CASES, make_cfg
 from scenec.lab.runner import ROOT, Page, names, run
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import Frame, read_frame
