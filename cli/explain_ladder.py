@@ -6,7 +6,8 @@ import argparse
 import textwrap
 from pathlib import Path
 
-from scenec.cli.output import print_json, say, table
+from scenec.api.text import table
+from scenec.cli.output import print_json, say
 from scenec.schemas.files import atomic, check_output
 from scenec.studies.ladder import Ladder, LadderReport, climb
 from scenec.studies.ladder.plots import draw

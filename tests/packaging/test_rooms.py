@@ -17,6 +17,7 @@ HOUSE = (
     ("schemas",),
     ("compiler", "backends", "datasets"),
     ("importers", "settle", "studies"),
+    ("api",),
     ("cli",),
 )
 #: The same within a folder, of its rooms and of what stands in no room.
@@ -69,6 +70,11 @@ FLOORS = {
         ("made", "scene", "source"),
         ("assets", "output"),
         ("blenderproc", "oaisys", "usd"),
+    ),
+    "api": (
+        ("text",),
+        ("explain", "outputs"),
+        ("preview",),
     ),
     "studies": (
         ("runner", "converge", "ladder", "ground_statistics"),
