@@ -1,8 +1,10 @@
-"""The scene that benchmarks of large numbers change: rocks on hills, one camera."""
+"""What several scripts change: a scene of rocks on hills with one camera, and a noise."""
 
 from __future__ import annotations
 
 from typing import Any
+
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 
 def rocks_on_hills(
@@ -59,3 +61,13 @@ def rocks_on_hills(
         },
     }
     return cfg | change
+
+
+def fbm(
+    key: int, amplitude_m: float, scale_m: float, octaves: int = 8, **more: Any
+) -> Multifractal:
+    """A noise of halving octaves, unless ``more`` says another variant, gain or offset."""
+    usual = {"lacunarity": 2.0, "gain": 0.5, "variant": "fbm", "offset": 0.7}
+    return Multifractal(
+        key=key, amplitude_m=amplitude_m, scale_m=scale_m, octaves=octaves, **usual | more
+    )

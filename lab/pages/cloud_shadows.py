@@ -19,7 +19,7 @@ from scenec.compiler.geometry.poses import facing
 from scenec.compiler.light.cloud_fields import Cirrus, Cumulus
 from scenec.compiler.light.cloud_rays import beam_left
 from scenec.compiler.light.cloud_shadows import Land, cloud_shadows
-from scenec.lab.runner import Page, held, in_turns, table
+from scenec.lab.runner import Page, held, in_turns
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop
@@ -85,7 +85,7 @@ HEATH: dict[str, Any] = {
 }
 
 
-def shadows(page: Page, layer: Callable[..., Cumulus], none: Cirrus) -> str:
+def shadows(page: Page, layer: Callable[..., Cumulus], none: Cirrus) -> None:
     """A view, errors and costs.
 
     Args:
@@ -102,18 +102,11 @@ def shadows(page: Page, layer: Callable[..., Cumulus], none: Cirrus) -> str:
     with atomic(page.picture("shadows")) as target:
         row = Image.fromarray(np.concatenate(panels, axis=1))
         row.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
-    return (
-        "## Shadows on the land\n\nHills 2.4 km wide and land beyond, from 40 m above, by "
-        f"{', '.join(BACKENDS)}.\n\n"
-        + page.shown("shadows", "Shadows of cumulus on hills in three renderers")
-        + "\n"
-        + _errors(page, layer(0.4), none)
-        + "\n"
-        + _frames(page, out / "stage.usda")
-    )
+    _errors(page, layer(0.4), none)
+    _frames(page, out / "stage.usda")
 
 
-def _errors(page: Page, cumulus: Cumulus, none: Cirrus) -> str:
+def _errors(page: Page, cumulus: Cumulus, none: Cirrus) -> None:
     """Against beams to all of the sun's disc, by the size of the land."""
     rows: list[list[str | float]] = []
     count = 40 if page.fast else 400
@@ -147,15 +140,7 @@ def _errors(page: Page, cumulus: Cumulus, none: Cirrus) -> str:
                     f"{100.0 * np.percentile(np.abs(off), 99):.1f} %",
                 ]
             )  # fmt: skip
-    return (
-        f"The share of the sun that comes through, at {count} places of land of some width and a "
-        "tenth of that half high, against beams to all of the sun's disc; CPU seconds of a "
-        "picture:\n\n"
-        + table(
-            ["land, m", "sun, °", "texels", "a texel, m", "CPU s", "mean error", "99th percentile"],
-            rows,
-        )
-    )
+    page.rows(rows)
 
 
 def _of_disc(
@@ -174,20 +159,14 @@ def _of_disc(
     return total / 64.0
 
 
-def _frames(page: Page, stage: Path) -> str:
+def _frames(page: Page, stage: Path) -> None:
     """What a frame costs more with shadows than without, by renderer."""
     rows = []
     for name in BACKENDS:
         with held() as process:
             cost, over = process(frame_cost, name, stage, 2 if page.fast else 7).value
         rows.append([name, f"{cost:.2f}", f"{100.0 * (over - 1.0):+.1f} %"])
-    return (
-        "A frame of 320 × 240 pixels of that view, 32 samples, and what shadows add to it; the "
-        "least of frames in turns (a few percent either way are the machine's). Cycles sends each "
-        "ray to the sun and the sky through a plane, and draws the sky's light as well: half of "
-        "what is added is its table of directions, once a sample. That halves its noise in the "
-        "shade.\n\n" + table(["", "CPU s", "with shadows"], rows)
-    )
+    page.rows(rows)
 
 
 def frame_cost(name: str, stage: Path, runs: int) -> tuple[float, float]:

@@ -40,7 +40,7 @@ from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
 from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
 from scenec.lab.pages import cloud_shadows
-from scenec.lab.runner import ROOT, Page, run, table
+from scenec.lab.runner import ROOT, Page, run
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
 from scenec.schemas.kernels import kernel
@@ -57,12 +57,6 @@ _GAP, _LEGEND, _INK = 6, 22, (34, 34, 34)
 TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 #: Of the volume that Mitsuba renders: half its width and a cell, meters; the view's pixels.
 HALF_M, CELL_M, PIXELS = 9000.0, 25.0, (32, 20)
-
-HEAD = """# Clouds, measured
-
-What [`light.clouds` and overcast skies](light.md#skies) look like, what they err and what they
-cost. CPU seconds on {cores} cores; {versions}.
-"""
 
 
 def cumulus(coverage: float = 0.35, key: int = 11, **more: float) -> Cumulus:
@@ -120,7 +114,7 @@ def ways(bearing: float, elevation: float, size: tuple[int, int], fov: float) ->
     return np.asarray(out / np.sqrt((out * out).sum(axis=-1, keepdims=True)))
 
 
-def pictures(page: Page) -> str:
+def pictures(page: Page) -> None:
     """Six skies through a camera."""
     rows = 128 if page.fast else 768
     gray = overcast_sky(rows, np.array([0.95, 1.0, 1.07]), GROUND).astype(np.float64)
@@ -148,10 +142,9 @@ def pictures(page: Page) -> str:
         draw.text((x + 2, y + height + 3), name, _INK, font)
     with atomic(page.picture("looks")) as target:
         sheet.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
-    return "## What they look like\n\n" + page.shown("looks", "Six skies with clouds")
 
 
-def scenes(page: Page) -> str:
+def scenes(page: Page) -> None:
     """Shipped ground under three skies, as a renderer draws it."""
     cfg = json.loads((ROOT / "configs" / "volcanic_desert.json").read_text())
     labels = cfg["light"]["sky"].get("labels", {})
@@ -190,14 +183,9 @@ def scenes(page: Page) -> str:
     with atomic(page.picture("scenes")) as target:
         row = Image.fromarray(np.concatenate(panels, axis=1))
         row.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
-    return (
-        "## In a scene\n\n`configs/volcanic_desert.json` as pyrender draws it, exposed by its "
-        f"meter; from the left: {', '.join(told)}.\n\n"
-        + page.shown("scenes", "A desert below cumulus, in its shadow and below an overcast sky")
-    )
 
 
-def coverage(page: Page) -> str:
+def coverage(page: Page) -> None:
     """What is asked for and what there is, over places and over the sky."""
     count = 200 if page.fast else 4000
     rng = np.random.default_rng(4)
@@ -212,12 +200,7 @@ def coverage(page: Page) -> str:
             left[k] = [beam_left(way, 0.0, 0.0, there, no_cirrus()) for way in (up, low)]
         shares = [(left[:, 0] < 0.95).mean(), left[:, 0].mean(), left[:, 1].mean()]
         rows.append([f"{asked:g}", *(f"{share:.2f}" for share in shares)])
-    return (
-        "## How much they cover\n\nThe share of the ground that lies below cumulus, and the mean "
-        "share of a sun overhead and of one at 20° that comes through: clouds are as high as wide, "
-        f"so a low sun is hidden more often. Over {count} places.\n\n"
-        + table(["coverage", "below clouds", "sun overhead", "sun at 20°"], rows)
-    )
+    page.rows(rows)
 
 
 @kernel
@@ -236,7 +219,7 @@ def _look(layer, shine, to, texel, left, out):  # type: ignore[no-untyped-def]
         left[k], _ = through_cumulus(layer, shine, to[k], texel, out[k])
 
 
-def volumes(page: Page) -> str:
+def volumes(page: Page) -> None:
     """The sun's light in cumulus, against all that Mitsuba follows through the same densities."""
     from scenec.backends.mitsuba.variant import load_mitsuba
 
@@ -266,24 +249,7 @@ def volumes(page: Page) -> str:
         where = {0.0: "behind the eye", 90.0: "aside", 180.0: "before the eye"}[aside]
         cells = (f"{100.0 * error:+.0f} %" for error in errors)
         rows.append([f"{elevation:g}°, {where}", f"{other.mean():.0f}", *cells])
-    return (
-        "## Against a volume in Mitsuba\n\nThe same densities in cells of "
-        f"{CELL_M:g} m, droplets of asymmetry 0.85 that absorb nothing, a sun of 1000 W/m², no "
-        "sky and no ground, by `volpath` with up to 1,000 scatterings; pixels that clouds fill.\n\n"
-        + table(
-            [
-                "sun",
-                "Mitsuba's mean, W/(m² sr)",
-                "error of the mean",
-                "of the brightest quarter",
-                "of the darker half",
-            ],
-            rows,
-        )
-        + "\nA point is lit as in a slab: light that leaves a cloud at its sides is not missed, "
-        "and what crosses from cloud to cloud is not there. Under a low sun next to none of its "
-        "light gets to the shaded sides; here some does.\n"
-    )
+    page.rows(rows)
 
 
 def _blocks(picture: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -322,7 +288,7 @@ def rendered(
     return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=3))[..., 0].astype(float)
 
 
-def below(page: Page) -> str:
+def below(page: Page) -> None:
     """Daylight below an overcast sky: against photons, and against what is measured."""
     rng = np.random.Generator(np.random.Philox(key=7))
     rows: list[list[str | float]] = []
@@ -343,19 +309,11 @@ def below(page: Page) -> str:
                 f"{1000.0 * sine * share / (1.0 - 0.2 * reflected(np.array([depth]))[0]):.0f}"
             )
         measured.append(row)
-    return (
-        "## Below an overcast sky\n\nDiffuse light that comes through a layer of droplets over "
-        "black ground, over the beam's on level ground, by photons and by the two-stream "
-        "equations:\n\n"
-        + table(["depth", "sun, °", "photons", "two streams"], rows)
-        + "\nIrradiance on level ground of albedo 0.2, W/m², below the default sun of 1000 W/m². "
-        "The second column is what Krochmann and Seidl (1974) fitted to measurements, 300 + 21,000 "
-        "sin(elevation) lux, at 100 lux for 1 W/m²:\n\n"
-        + table(["sun, °", "measured", "depth 20", "depth 40 (default)", "depth 60"], measured)
-    )
+    page.rows(rows)
+    page.rows(measured)
 
 
-def cost(page: Page) -> str:
+def cost(page: Page) -> None:
     """CPU seconds of a picture."""
     sky_with(50.0, cumulus(), cirrus(), 32)
     start = time.process_time()
@@ -387,14 +345,7 @@ def cost(page: Page) -> str:
             f"{np.sqrt((off * off).mean()):.1f}",
             f"{100.0 * (off.max(axis=-1) > 16).mean():.1f} %",
         ]
-    return (
-        "## Cost\n\nCPU seconds of a picture with the clear sky behind; all threads share the "
-        f"work. The pattern, once a batch, takes {fields[0]:.1f} s for cumulus and {fields[1]:.1f} "
-        "s for cirrus. Samples alike in light and clouds share a picture. Last columns: the "
-        "first clouds in pictures of 640 × 480 pixels and 90° against the most rows: root mean "
-        "square of 8-bit codes, and pixels off by more than 16 of them.\n\n"
-        + table(["rows", "cumulus, coverage 0.35", "coverage 0.7", "cirrus", "rms", "pixels"], rows)
-    )
+    page.rows(rows)
 
 
 def _shadows(page: Page) -> str:

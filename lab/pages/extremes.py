@@ -28,7 +28,7 @@ from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
-from scenec.lab.runner import Page, apart, run, table
+from scenec.lab.runner import Page, apart, run
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.frames import Frame, frame_stem, read_frame
@@ -50,14 +50,6 @@ PASSES = ("label", "instance", "depth", "range")
 #: Rays along a pixel's side by which its exact coverage is told.
 FINE = 8
 SPP = 16
-
-HEAD = """# Cameras at their limits
-
-This page tries cameras at the ends of every range. Each case goes the whole way: cfg, `scenec
-compile`, `scenec render` with every backend, `scenec check --exact`. {cores} cores, shared with
-other work ({versions}): seconds are single readings and tell the order of magnitude only.
-`tests/backends/test_extremes.py` tests the same facts.
-"""
 
 
 @dataclass
@@ -126,7 +118,7 @@ def witness(drawn: Drawn, backend: str, folder: Path) -> None:
         drawn.seen[backend, case] = "-" if seen is None else str(found.differing)
 
 
-def annotation(drawn: Drawn) -> str:
+def annotation(drawn: Drawn) -> None:
     """Against the closed form, and against the definition."""
     rows = []
     for case in CASES:
@@ -148,23 +140,7 @@ def annotation(drawn: Drawn) -> str:
         rows.append(row)
     agreement = check_exact(drawn.folder)
     values = sum(one.pixels for one in agreement.comparisons)
-    return (
-        "## Annotation\n\n"
-        "The terrain is the plane z = x/16 − y/32, 512 m × 512 m, with 3,000 stones on it. It "
-        f"took {drawn.compile_s:.1f} s to compile with one rig for each case. *Footprint* counts "
-        "the pixels where a ray by the lens's formula in 80-bit arithmetic meets the plane and the "
-        "frame shows nothing, or the other way round. *Depth* is the largest relative error "
-        "against the closed form on ground, in float64 (frames on disk hold float32: 6e-8). For "
-        "each "
-        "renderer the table has the pixels where its own first hit is another face or object "
-        "than the exact one → the values of all passes of its frame that differ from the "
-        "annotation; *-* means that it cannot follow such rays.\n\n"
-        + table(["case", "pixels", "ground seen", "footprint wrong", "depth", *DRAWING], rows)
-        + "\nMost cameras stand over an edge of the mesh: 1 × 1 pixel and half of 20,000 × 1 "
-        "pixels look straight at it, where two faces are equally near and the lowest counts.\n"
-        + f"\n`scenec check --exact`: {values:,} values of {agreement.frames} frames, "
-        f"{agreement.differing} differ.\n"
-    )
+    page.rows(rows)
 
 
 def _depth_error(
@@ -178,7 +154,7 @@ def _depth_error(
     return float((np.abs(found[where] - parameter[where]) / parameter[where]).max())
 
 
-def light(drawn: Drawn, folder: Path) -> str:
+def light(drawn: Drawn, folder: Path) -> None:
     """Radiance: finite, covering what it should, as bright as another renderer's."""
     stage = drawn.folder / "batch_0000" / "stage.usda"
     inside = {name: _covered(drawn.scene, camera) for name, camera in drawn.cameras.items()}
@@ -210,19 +186,8 @@ def light(drawn: Drawn, folder: Path) -> str:
         "Its annotation can be made (`--passes label,depth`); `mitsuba` and `pyrender` draw it."
         for (backend, name), line in drawn.refusals.items()
     ]
-    return (
-        "## Light\n\n"
-        f"{SPP} samples a pixel. *Covered*: by {FINE} × {FINE} exact rays a pixel. For each "
-        "renderer the table has: the mean radiance of the pixels that surfaces fill, over "
-        "Mitsuba's · the mean coverage · the full or empty pixels whose coverage is neither 1 "
-        "nor 0. All radiance is finite unless the table says otherwise. `cycles` and `pyrender` "
-        "draw lenses as pinhole views that are resampled, so the rim of an image circle is a "
-        "pixel wide there.\n\n"
-        + table(["case", "covered", *DRAWING], rows)
-        + "\nWhat cannot be drawn, in one line each:\n\n"
-        + "\n".join(lines)
-        + "\n"
-    )
+    page.rows(rows)
+    "\n".join(lines)
 
 
 def _mean(part: dict[str, Any], whole: NDArray[np.bool_]) -> float | None:
@@ -260,7 +225,7 @@ def _radiance(stage: Path, backend: str, wanted: list[str]) -> dict[str, Any]:
     return found
 
 
-def costs(drawn: Drawn) -> str:
+def costs(drawn: Drawn) -> None:
     """Seconds and memory."""
     rows = []
     for case in CASES:
@@ -270,14 +235,10 @@ def costs(drawn: Drawn) -> str:
             seconds = sum(v for k, v in sidecar["seconds"].items() if k != "load")
             row.append(f"{seconds:.2f} s, {sidecar['peak_memory_gb']:.2f} GB")
         rows.append(row)
-    return (
-        "## What a frame cost\n\n"
-        "Time for all passes and for writing, without loading the scene, and the worker's peak "
-        "memory.\n\n" + table(["case", *BACKENDS], rows)
-    )
+    page.rows(rows)
 
 
-def near_and_far(page: Page) -> str:
+def near_and_far(page: Page) -> None:
     """Something a centimeter away before something 10,000 km away."""
     stage = near_and_far_stage(page.scratch)
     rows = []
@@ -291,21 +252,10 @@ def near_and_far(page: Page) -> str:
         rows.append([f"`{backend}`", str(int(near.sum())), str(int(far.sum())),
                      f"{float(frame.passes['depth'].max() / frame.passes['depth'].min()):.3g}",
                      str(after)])  # fmt: skip
-    return (
-        "## Near and far in one picture\n\n"
-        "One sheet, 1 cm in front of the camera, hides the left half of the picture; another one "
-        "is 10,000 km behind it. The scene is a USD file without a cfg. A usual depth buffer "
-        "between 1 cm and 10,000 km keeps no digit of what is far, so `pyrender` draws "
-        "reversed float32 depth with its far plane at infinity, and depth itself comes from the "
-        "exact caster. `mitsuba` has float32 coordinates around the scene's middle, here 5,000 km "
-        "away, whose step is half a meter, so its picture would lose the near sheet. Annotation "
-        "does not. Avoid scenes that are "
-        "10⁷ times as large as the distance to what their pictures show.\n\n"
-        + table(["backend", "pixels at 1 cm", "at 10,000 km", "ratio", "wrong values"], rows)
-    )
+    page.rows(rows)
 
 
-def poses(page: Page) -> str:
+def poses(page: Page) -> None:
     """Tracks of many poses, and of none to go."""
     count = 100_000
     cfg = many_poses_cfg(page.scratch, count)
@@ -320,18 +270,9 @@ def poses(page: Page) -> str:
     pose = read_frame(report.frames[-1]).sidecar["camera_to_world"]
     asked = np.loadtxt(page.scratch / "many.csv", delimiter=",")[last, 1:4]
     off = float(np.abs(np.array(pose)[:3, 3] - asked).max())
-    return (
-        "## Many poses\n\n"
-        f"A track of {count:,} poses, each a sample: compiled in {compiled:.1f} s, "
-        f"{size / 1e6:.1f} MB of stage; the first, the middle and the last frame rendered in "
-        f"{rendered:.1f} s with starting and reading the stage. The last pose in its sidecar is "
-        f"off the track's by {off:.0e} m. A track of length 0, sampled at any time, gives its one "
-        "pose (`tests/backends/test_extremes.py`). Beyond 256 views pruning uses coarser "
-        "horizons, so memory hardly grows.\n"
-    )
 
 
-def sizes(page: Page) -> str:
+def sizes(page: Page) -> None:
     """Memory and seconds over picture sizes, in bands and in one piece."""
     cfg = write_cfg(page.scratch, small_cfg(samples=1))
     stage = compile_cfg(cfg, seed=4, out=page.scratch / "sizes").out / "batch_0000" / "stage.usda"
@@ -350,17 +291,7 @@ def sizes(page: Page) -> str:
                 row += ["", ""]
             rows.append(row)
     header = ["backend", "pixels", "bands", "peak, GB", "CPU s", "in one piece, GB", "CPU s"]
-    return SIZES + table(header, rows)
-
-
-SIZES = """## Large pictures
-
-Above 2048 × 2048 pixels annotation goes band by band, radiance by tiles of 4 million pixels at most
-(`backends/camera/tiles.py`). Annotation is the same to the bit as in one piece: the script
-compares digests. Radiance has the noise of other seeds. Passes `label` (two levels), `instance`,
-`depth`; the peak is that of the process with interpreter, renderer and scene.
-
-"""
+    page.rows(rows)
 
 
 def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
@@ -392,7 +323,7 @@ def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
 def main(page: Page) -> None:
     """Writes the page."""
     drawn = draw_cases(page)
-    page.write(HEAD, ("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained"), [
+    page.refresh(("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained"), [
         lambda _: annotation(drawn), lambda page: light(drawn, page.scratch), near_and_far, sizes,
         poses, lambda _: costs(drawn),
     ])  # fmt: skip

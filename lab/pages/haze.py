@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scenec.backends.picture.airlight import FAR_M, Air, air_of, ambient, arrive, phase
 from scenec.backends.picture.sky import Sky
 from scenec.backends.stage.scene import UPRIGHT, Haze, Sun
-from scenec.lab.runner import Page, run, table
+from scenec.lab.runner import Page, run
 
 #: Sun's irradiance above the layer, radiance of the sky, part that the ground reflects.
 SUN, SKY, GROUND = 1000.0, 20.0, 0.2
@@ -35,13 +35,6 @@ VOLUMES = [
     (0.5, 0.65, 0.9, 30, 0.2, LOW_M), (3.0, 0.85, 1.0, 9, 0.2, LOW_M),
     (3.0, 0.85, 1.0, 9, 0.2, HALF_M), (5.0, 0.65, 0.97, 30, 0.2, HALF_M),
 ]  # fmt: skip
-
-HEAD = """# Haze, measured
-
-What [haze](light.md#haze) computes, against quadrature and against a volume that Mitsuba renders,
-from next to nothing to beyond all that lets light through; and what a frame costs.
-{cores} cores; {versions}.
-"""
 
 
 def toward(elevation_deg: float, bearing_deg: float) -> NDArray[np.float64]:
@@ -94,7 +87,7 @@ def dense(of: Air, way: NDArray[np.float64], top: float, depth: float) -> float:
     return total + float(blurred * around[0])
 
 
-def quadrature(page: Page) -> str:
+def quadrature(page: Page) -> None:
     """The closed form against the integral, over all depths, heights and elevations."""
     heights = (1e-6, 1.0, 1e6)
     depths = (1e-6, 1.0, 1e6) if page.fast else (1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6)
@@ -120,16 +113,10 @@ def quadrature(page: Page) -> str:
                 most = max(most, abs(truth))
                 worst = max(worst, abs(value - truth) / max(truth, 1e-9))
         rows.append([f"{height:g}", f"{depth:g}", f"{worst:.0e}", "yes" if finite else "NO"])
-    return (
-        "## Against quadrature\n\nScale height and optical depth of the layer, straight up; the "
-        "worst relative error over suns at 0.3°, 30° and 90°, eyes on the ground and 1 and 12 "
-        "scale heights above it, and nine elevations from straight down over level to straight "
-        "up, to the ground or the sky (6,720 nodes; below 1e-9 W/(m² sr) absolute).\n\n"
-        + table(["scale height, m", "depth", "worst error", "finite, not negative"], rows)
-    )
+    page.rows(rows)
 
 
-def volumes(page: Page) -> str:
+def volumes(page: Page) -> None:
     """All light against Mitsuba's, which follows it through as many scatterings as there are."""
     from scenec.backends.mitsuba.variant import load_mitsuba
 
@@ -159,19 +146,7 @@ def volumes(page: Page) -> str:
         cells = zip(of_all, ("+.0f", ".0f", "+.0f", ".1f"), strict=True)
         case = [f"{depth:g}", f"{g:g}", f"{albedo:g}", f"{sun}°", f"{reflected:g}", f"{eye_m:g} m"]
         rows.append([*case, *(f"{value:{digits}} %" for value, digits in cells)])
-    return (
-        "## Against a volume in Mitsuba\n\nRadiance along nine rays, air and what is behind it, by "
-        f"`volpath` in an exponential layer of {LAYER_M:g} m over level ground, sun {SUN:g} W/m² "
-        f"and a sky of {SKY:g} W/(m² sr); the eye is {LOW_M:g} m up, or {HALF_M:g} m with half of "
-        "the depth above it. What is scattered once is exact; the rest is computed for 16 sines "
-        "and 16 modes of azimuth (discrete ordinates). Mitsuba's noise is the largest standard "
-        "error of a ray.\n\n"
-        + table(
-            ["depth", "g", "albedo", "sun", "ground", "eye", "mean error", "std over rays",
-             "worst", "Mitsuba's noise"],
-            rows,
-        )
-    )  # fmt: skip
+    page.rows(rows)
 
 
 def rendered(
@@ -224,7 +199,7 @@ def rendered(
     return float(pixels.mean()), float(pixels.std() / 8.0)
 
 
-def cost(page: Page) -> str:
+def cost(page: Page) -> None:
     """CPU seconds of a frame's haze but for rays at edges."""
     rng = np.random.default_rng(0)
     rows: list[list[str | float]] = []
@@ -242,15 +217,7 @@ def cost(page: Page) -> str:
                 cpu(lambda m=made, o=origins, w=ways, d=t, s=glow: arrive(m, o, w[:, None], d, s)),
             ]
             rows.append([name, what, *(f"{one:.3f}" for one in seconds)])
-    return (
-        "## Cost\n\nCPU seconds of one sample's light (once for all its cameras), of looking up "
-        "the light of sky and ground, and of transmittance and airlight. Where surfaces leave some "
-        "of a pixel to the sky the last two are due twice. At edges up to an eighth of a ray a "
-        "pixel is cast beside, of 1 to 5 microseconds each.\n\n"
-        + table(
-            ["picture", "haze", "light of a sample", "look-up", "transmittance, airlight"], rows
-        )
-    )
+    page.rows(rows)
 
 
 def cpu(work: Callable[[], object]) -> float:
@@ -265,7 +232,7 @@ def cpu(work: Callable[[], object]) -> float:
 
 def main(page: Page) -> None:
     """Writes the page."""
-    page.write(HEAD, ("numpy", "numba", "mitsuba"), (quadrature, volumes, cost))
+    page.refresh(("numpy", "numba", "mitsuba"), (quadrature, volumes, cost))
 
 
 if __name__ == "__main__":

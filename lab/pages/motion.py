@@ -19,7 +19,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.lab.benchmarks.tracks import motion, quaternions
-from scenec.lab.runner import Page, run, table
+from scenec.lab.runner import Page, run
 from scenec.testing.small import small_cfg
 
 MOTIONS: dict[str, dict[str, Any]] = {
@@ -34,7 +34,7 @@ MOTIONS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def made(page: Page) -> str:
+def made(page: Page) -> None:
     """All motions that are made, over one terrain."""
     samples = 200 if page.fast else 2000
     cfg = small_cfg(samples=samples)
@@ -75,16 +75,11 @@ def made(page: Page) -> str:
              f"{(at[:, 2] - ground).min():.2f}", f"{(at[:, 2] - ground).max():.2f}"]
         )  # fmt: skip
     header = ["motion", "seconds", "speed, m/s", "acceleration, m/s²", "lowest, m", "highest, m"]
-    return (
-        f"## Made motions\n\nOver one terrain, {samples} samples each; all of them took "
-        f"{seconds:.2f} s, with what they ask of the objects.\n\n"
-        + page.save(figure, "made", 60) + "\n" + table(header, rows)
-        + "\nThe accelerations of lawn mowers and rovers are those of their turns, because they "
-        "start at full speed.\n"
-    )  # fmt: skip
+    page.save(figure, "made", 60)
+    page.rows(rows)
 
 
-def tracks(page: Page) -> str:
+def tracks(page: Page) -> None:
     """Errors between keys."""
     at = np.linspace(1.0, 9.0, 2000)
     place, turn = motion(at)
@@ -106,12 +101,8 @@ def tracks(page: Page) -> str:
         axis.set_xlabel("keys a second")
         axis.set_title(f"largest error of {what}")
         axis.legend()
-    return (
-        "## Tracks between their keys\n\nA camera swings at up to 5 rad/s. Its track is sampled "
-        "at a rate and interpolated; the table shows the largest error.\n\n"
-        + page.save(figure, "error", 60) + "\n"
-        + table(["method", "rate, Hz", "position, mm", "turn, degrees"], rows)
-    )  # fmt: skip
+    page.save(figure, "error", 60)
+    page.rows(rows)
 
 
 def main(page: Page) -> None:

@@ -26,22 +26,14 @@ from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.lab.runner import Page, run, table, times
+from scenec.lab.runner import Page, run, times
 from scenec.schemas.polygons import triangulate
 from scenec.testing.outlines import comb
 from scenec.testing.scenes import affine, mesh, scene
 from scenec.testing.small import small_cfg, write_cfg
 
-HEAD = """# Error against run time, and stability over extreme values
 
-The error of each elementary approximation, beside its cost. Seconds are single readings on {cores}
-cores ({versions});
-errors do not depend on the machine. Tests check the same facts; this page makes them readable.
-The errors of the relief operators, over extents, origins and steps, are in [relief.md](relief.md).
-"""
-
-
-def elementary_functions(page: Page) -> str:
+def elementary_functions(page: Page) -> None:
     """Ulps against exact values, time against NumPy's."""
     mpmath.mp.prec = 200
     rng = np.random.default_rng(0)
@@ -69,12 +61,10 @@ def elementary_functions(page: Page) -> str:
         a, b = page.timed(lambda x=x, f=ours: f(x)), page.timed(lambda x=x, f=theirs: f(x))
         span = f"{low:g} … {high:g}"
         rows.append([f"`{name}`", span, f"{worst:.2f}", f"{a * 1e3:.1f}", f"{b * 1e3:.1f}"])
-    return "## Elementary functions with the same bits everywhere\n\n" + table(
-        ["function", "range", "largest error, ulp", "ms a million", "NumPy's, ms"], rows
-    )
+    page.rows(rows)
 
 
-def label_lines(page: Page) -> str:
+def label_lines(page: Page) -> None:
     """Chord error and wrongly labeled area of the cut, over spacings."""
     merge = Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5)
     rows = []
@@ -96,25 +86,7 @@ def label_lines(page: Page) -> str:
                 f"{seconds:.3f}",
             ]
         )
-    return (
-        "## Labels as geometry: the cut along label lines\n\n"
-        "40 m × 40 m, a 9 m noise of three octaves. *Wrong area* is the share of the area where a "
-        "face's label differs from the merge function's, by 10⁶ random points. Near saddles, and "
-        "for islands that cross no edge, the line's distance is large although the area is "
-        "small.\n\n"
-        + table(
-            [
-                "spacing, m",
-                "chord rms, m",
-                "chord worst, m",
-                "snapped, m",
-                "wrong area, %",
-                "faces",
-                "s",
-            ],
-            rows,
-        )
-    )
+    page.rows(rows)
 
 
 def wrong_area(tiles: tuple, merge: Merge) -> float:
@@ -136,7 +108,7 @@ def wrong_area(tiles: tuple, merge: Merge) -> float:
     return float(wrong / total)
 
 
-def spheres(page: Page) -> str:
+def spheres(page: Page) -> None:
     """Depth of a tessellated sphere against the true one."""
     rows = []
     rng = np.random.default_rng(2)
@@ -156,12 +128,10 @@ def spheres(page: Page) -> str:
         bound = edge * edge / 6.0 * np.sqrt(2.0)
         rows.append([f"{len(faces):,}", f"{np.sqrt((error**2).mean()):.2e}", f"{error.max():.2e}",
                      f"{bound:.2e}", f"{seconds:.3f}"])  # fmt: skip
-    return "## Depth of a tessellated sphere of radius 1\n\n" + table(
-        ["triangles", "rms error, m", "worst, m", "chord bound, m", "100,000 rays, s"], rows
-    )
+    page.rows(rows)
 
 
-def polygons(page: Page) -> str:
+def polygons(page: Page) -> None:
     """Tabulates area, winding and time of triangulated polygons that are no fans."""
     rng = np.random.default_rng(0)
     c = np.array(
@@ -193,12 +163,7 @@ def polygons(page: Page) -> str:
         rows.append(
             [name, f"{len(parts):,}", f"{float(error):g}", wrong, f"{1e3 * min(cost.cpu):.2f}"]
         )
-    return (
-        "## Polygons as triangles\n\n"
-        "*Error*: of the sum of the triangles' areas, each without its sign, in exact arithmetic. "
-        "Time grows with the square of the corners at worst; a convex quad takes 0.05 µs.\n\n"
-        + table(["polygon", "triangles", "error of area", "wound wrongly", "CPU ms"], rows)
-    )
+    page.rows(rows)
 
 
 def _twice(outline: list[tuple[Fraction, Fraction]]) -> Fraction:
@@ -208,7 +173,7 @@ def _twice(outline: list[tuple[Fraction, Fraction]]) -> Fraction:
     )
 
 
-def monte_carlo(page: Page) -> str:
+def monte_carlo(page: Page) -> None:
     """Noise of rgb: the estimate in the sidecar, the true error, the time."""
     cfg = small_cfg(samples=1)
     cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [160, 120]
@@ -230,19 +195,13 @@ def monte_carlo(page: Page) -> str:
         estimate = compose(radiance, session.scene, camera, 0).noise.relative_rms
         rows.append([str(spp), f"{100 * estimate:.2f}", f"{100 * error:.2f}", f"{seconds:.3f}"])
     slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    return (
-        "## Noise of the picture\n\n"
-        "Mitsuba, 160 × 120, RMSE over the mean on surfaces, against 16,384 samples. The "
-        "estimate, which sidecars state, comes from the two half renders alone. Slope of the error "
-        f"over samples: {slope:.2f} (independent samples: −0.5).\n\n"
-        + table(["samples per pixel", "estimated, %", "true, %", "seconds"], rows)
-    )
+    page.rows(rows)
 
 
 def main(page: Page) -> None:
     """Writes the page."""
     parts = (elementary_functions, label_lines, spheres, polygons, monte_carlo)
-    page.write(HEAD, ("scenec", "numpy", "numba", "mitsuba"), parts)
+    page.refresh(("scenec", "numpy", "numba", "mitsuba"), parts)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from scenec.lab.pages.placement_field import (
     rotations,
     stand,
 )
-from scenec.lab.runner import Page, table
+from scenec.lab.runner import Page
 from scenec.schemas.errors import ScenecError
 
 _SMALL = {"type": "log_uniform", "min": 0.05, "max": 0.5}
@@ -137,34 +137,15 @@ def _rows(page: Page) -> list[list[str]]:
     return rows
 
 
-def extremes(page: Page) -> str:
+def extremes(page: Page) -> None:
     """One row each."""
     folder = page.scratch
     _maps(folder)
-    return (
-        "## At the ends of every range\n\n"
-        f"Rocks on {SIZE[0]:g} m × {SIZE[1]:g} m of hills, relief every 0.4 m, 0.05 m to 0.5 m "
-        "large unless the row says otherwise, at their finest level. Everything goes through the "
-        "checks of the cfg, as in `scenec compile`. The error is the distance of the deepest "
-        "vertex from its requested depth, against the ground with all its detail, measured from "
-        "the stage's numbers with all vertices of up to 500 rocks; the next column has it in "
-        "percent of the largest rock. Where no view would show half a pixel of it, detail is "
-        "followed only at a rock's middle, which causes most of the error; the last column is "
-        "the report's error in pixels of the view that shows it largest. If a case is refused, "
-        "the table has the message, and nothing is written.\n\n"
-        + table(
-            ["case", "asked", "placed, or the message", "s", "largest error, m",
-             "% of the largest", "px"], _rows(page),
-        )
-        + "\nTwo errors are large. At heights of 1e7 m, positions, which the stage holds in "
-        "float32, are off by up to half a meter (use heights near 0; a DEM's offset is recorded "
-        "instead). Hills of 100 m that are 2 m wide have detail between the samples that is far "
-        "taller than a rock. A rock's 32 lowest vertices do not find it, so rocks sink.\n"
-        + "\n" + _single(page)
-    )  # fmt: skip
+    page.rows(_rows(page))
+    _single(page)
 
 
-def _single(page: Page) -> str:
+def _single(page: Page) -> None:
     """Placed objects."""
     folder = page.scratch
     (folder / "box.obj").write_text(
@@ -204,17 +185,7 @@ def _single(page: Page) -> str:
             continue
         rows.append([name, f"{len(poses):,}", *_errors(stood, poses, "heights" in change,
                                                        "orientation" in change)])  # fmt: skip
-    return (
-        "### Single objects\n\n"
-        "A box at given poses on the same hills. The error of its place is measured against the "
-        "surface below it. The error of its turn and scale is the largest difference of its "
-        "matrix, over the scale, from the requested rotations (about x, then y, then z); along "
-        "the normal it is that of the upright axis' length.\n\n"
-        + table(
-            ["case", "asked", "placed, or the message", "s", "error of place, m",
-             "error of turn and scale"], rows,
-        )
-    )  # fmt: skip
+    page.rows(rows)
 
 
 def _errors(stood: Stood, poses: list[dict[str, Any]], world: bool, tilted: bool) -> list[str]:

@@ -17,7 +17,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.lab.pages.placement_field import number
-from scenec.lab.runner import Page, table
+from scenec.lab.runner import Page
 
 Cdf = Callable[[NDArray], NDArray]
 _LOW, _HIGH = 0.1, 5.0
@@ -97,7 +97,7 @@ class _Even:
         return (np.arange(n) + 0.5) / n
 
 
-def kolmogorov(page: Page) -> str:
+def kolmogorov(page: Page) -> None:
     """Every law's distance from its distribution function."""
     n = 10_000 if page.fast else 100_000
     critical = 1.63 / np.sqrt(n)
@@ -117,19 +117,8 @@ def kolmogorov(page: Page) -> str:
         verdict = "yes" if distance < critical else "no"
         rows.append([name, f"{bias:.0e}", f"{distance:.5f}", verdict, f"{np.median(at):.4g}",
                      f"{seconds:.2f}"])  # fmt: skip
-    return (
-        "## Sizes: each law against its distribution function\n\n"
-        f"Diameters from {_LOW:g} m to {_HIGH:g} m. The Kolmogorov-Smirnov statistic is the "
-        f"largest difference between the share of {n:,} drawn sizes below a size and the "
-        "expected share, by closed forms (SciPy's normal distribution and exponential integral "
-        f"E₂). One sound law in a hundred lies above the 1 % critical value {critical:.5f} by "
-        "chance. The error of the law alone, without chance, is the same difference for evenly "
-        "spaced uniform numbers: (i + ½)/n. The number behind a name is its shape: exponent, "
-        f"scale in m, median and sigma, k (cfgs take 0.001 and more). Seconds are for {many:,} "
-        "sizes.\n\n"
-        + table(["law", "error of the law", "statistic", "below critical", "median, m", "s"], rows)
-        + "\n" + _numbers_of_rocks(page)
-    )  # fmt: skip
+    page.rows(rows)
+    _numbers_of_rocks(page)
 
 
 def _by_quadrature(low: float, k: float) -> float:
@@ -141,7 +130,7 @@ def _by_quadrature(low: float, k: float) -> float:
     return float(4.0 * k * q / np.pi * value)
 
 
-def _numbers_of_rocks(page: Page) -> str:
+def _numbers_of_rocks(page: Page) -> None:
     """Golombek and Rapp's numbers: published, integrated, realized."""
     side = 50.0 if page.fast else 300.0
     rows = []
@@ -169,12 +158,4 @@ def _numbers_of_rocks(page: Page) -> str:
     header = ["k"]
     for low in ("0.1", "0.5"):
         header += [f"N(>{low} m) a m², table", "integral", "ours off, %", "drawn", "off, %"]
-    return (
-        "### The number of rocks by Golombek and Rapp (1997)\n\n"
-        "N(>D) = ∫ 4kq exp(−qD) / (πD²) dD, q = 1.79 + 0.152/k, up to 50 m; without a `count` that "
-        f"many are drawn, here on {side:g} m × {side:g} m. The columns *table* come from another "
-        "program. The integral is SciPy's adaptive quadrature, and *ours off* is the error of "
-        "our Simpson's rule against it. Above 0.1 m the number is the expected one, rounded; "
-        "above 0.5 m it is a sample, with its standard deviation after ±. As k falls to 0 so "
-        "does the number of rocks, without overflow or error.\n\n" + table(header, rows)
-    )
+    page.rows(rows)

@@ -16,14 +16,14 @@ from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.views.resolution import views_of
 from scenec.lab.pages.placement_field import PLANE, cfg, gaps, stand
-from scenec.lab.runner import Page, table
+from scenec.lab.runner import Page
 from scenec.schemas.errors import SceneError
 
 #: Octaves far below the grid's spacing: detail that only the mesh near cameras shows.
 _ROUGH = {"type": "multifractal", "amplitude_m": 1.5, "scale_m": 10, "octaves": 11, "gain": 0.55}
 
 
-def seats(page: Page) -> str:
+def seats(page: Page) -> None:
     """Error against cost of seating on what is finer than the grid."""
     count = 300 if page.fast else 5000
     thing = {
@@ -79,23 +79,10 @@ def seats(page: Page) -> str:
         rows.append([name, f"{max(off.max(), 0.0):.2e}", f"{max(-off.min(), 0.0):.2e}",
                      f"{rms:.2e}", f"{100 * float(np.median(np.abs(off) / size)):.2f}",
                      f"{seconds:.3f}"])  # fmt: skip
-    return (
-        "## Seats: error against cost\n\n"
-        f"{count:,} rocks of 0.1 m to 1.5 m, {vertices} vertices each, on relief every 0.5 m with "
-        f"detail down to {10 / 2**10:.2g} m (about {surface.amplitude_m():.2f} m high in all). "
-        "Each way of lowering them is compared with the surface with all its detail, at all "
-        "vertices. *Float* and *sink* are how far the deepest vertex is above or below the "
-        "requested depth, in meters; the median is in percent of a rock's size. `scenec compile` "
-        "takes the second way where no view shows the difference larger than half a pixel, and "
-        "the 32 lowest vertices elsewhere.\n\n"
-        + table(
-            ["vertices held against it", "float, m", "sink, m", "rms, m", "median, % of size", "s"],
-            rows,
-        )
-    )
+    page.rows(rows)
 
 
-def levels(page: Page) -> str:
+def levels(page: Page) -> None:
     """Levels of detail by error and by budget."""
     count = 1000 if page.fast else 20_000
     thing = {
@@ -139,13 +126,5 @@ def levels(page: Page) -> str:
                           f"{facts['lod_error_max_px']:.3f}", f"{seconds:.4f}"])  # fmt: skip
         except SceneError as error:
             spent.append([f"{budget:,}", f"refused: {str(error).split(': ', 1)[1]}", "", "", ""])
-    return (
-        "## Levels of detail, and a budget\n\n"
-        f"{count:,} rocks of 0.05 m to 1 m on 120 m × 96 m, one camera of 640 × 480; eight shapes "
-        f"with all levels took {shapes:.2f} s. The worst error is that of the coarsest rock in "
-        "the view that shows it largest. Seconds are those of choosing the levels.\n\n"
-        + table(["`lod_px`", "triangles", "% of the finest", "worst, px", "s"], rows)
-        + "\nWith `lod_px` 0.5 and `max_triangles`: the factor by which errors exceed the "
-        "request.\n\n"
-        + table(["`max_triangles`", "triangles", "factor", "worst, px", "s"], spent)
-    )  # fmt: skip
+    page.rows(rows)
+    page.rows(spent)

@@ -33,7 +33,7 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.lab.pages.placement_field import PLANE, SIZE, cfg, stand
-from scenec.lab.runner import Page, table
+from scenec.lab.runner import Page
 from scenec.schemas.kernels import kernel
 
 _NOWHERE = np.zeros((0, 3))
@@ -183,7 +183,7 @@ def _chi_square(x: NDArray, y: NDArray, wanted: NDArray) -> tuple[float, int]:
     return float(chi), int(there.sum()) - 1
 
 
-def densities(page: Page) -> str:
+def densities(page: Page) -> None:
     """Every spatial law: a picture, chi-square, seconds."""
     grid = Grid.with_spacing(SIZE, 0.4)
     hills = Multifractal(
@@ -233,33 +233,7 @@ def densities(page: Page) -> str:
     picture = page.save(figure, "densities")
     small = Image.open(page.picture("densities")).convert("L").quantize(16)
     small.save(page.picture("densities"), optimize=True)
-    return (
-        "## Places: each law of density against its formula\n\n"
-        f"{SIZE[0]:g} m × {SIZE[1]:g} m, relief every 0.4 m; {shown:,} objects of each law, from "
-        "above, north up.\n\n" + picture + "\n"
-        f"{n:,} objects counted in squares of 2 m, beside the numbers by the formula, "
-        f"integrated over squares of {_FINE:g} m (from the noises' own values there). Chi-square "
-        "per degree of freedom is about 1 for a sound law; the next column says by how many "
-        "standard deviations it is off. The density is taken as constant over each cell, which is "
-        "the "
-        "only approximation. Seconds are for the cells and all places.\n\n"
-        "Slope, height and curvature are known at the relief's samples and evaluated at the "
-        "middles of cells, and the last row is compared with that. On these hills, whose slopes "
-        f"change from sample to sample, {astray:.0f} % of the objects lie where the slope between "
-        "the samples is beyond the bound and its softness. `over_m` gives smoother slopes, a "
-        "smaller `spacing_m` finer ones.\n\n"
-        + table(
-            [
-                "density",
-                "degrees of freedom",
-                "χ² / degree",
-                "standard deviations",
-                "cells, m",
-                "s",
-            ],
-            rows,
-        )
-    )
+    page.rows(rows)
 
 
 @kernel
@@ -276,7 +250,7 @@ def _worst(x, y, reach):  # type: ignore[no-untyped-def]
     return worst
 
 
-def apart(page: Page) -> str:
+def apart(page: Page) -> None:
     """From few objects to as many as fit."""
     area = SIZE[0] * SIZE[1]
     laws: tuple[tuple[str, Any, float], ...] = (
@@ -324,27 +298,4 @@ def apart(page: Page) -> str:
                     f"{max(-worst, 0.0):.1e}",
                 ]
             )
-    return (
-        "## Without overlap: from few to as many as fit\n\n"
-        f"Circles on {SIZE[0]:g} m × {SIZE[1]:g} m, dart throwing with up to 512 tries each, the "
-        'largest first, `"shortfall": "fewer"`: equal ones of 0.3 m, and diameters of a power '
-        "law of exponent 2.5 from 0.1 m to 2 m. Coverage is the sum of the circles over the area. "
-        "Random sequential adsorption of equal discs jams at 0.547 (Feder 1980), and approaches "
-        "that only after endless tries. A law of sizes, the largest first, gets farther. The "
-        "worst overlap and the least gap are measured by brute force over all pairs, from the "
-        "stage's numbers, between the balls around the finished rocks.\n\n"
-        + table(
-            [
-                "sizes",
-                "coverage asked",
-                "got",
-                "asked",
-                "placed",
-                "most tries",
-                "s",
-                "worst overlap, m",
-                "least gap, m",
-            ],
-            rows,
-        )
-    )
+    page.rows(rows)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,16 +15,21 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
+from scenec.compiler.build import BuildLog, build, build_surface
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
+from scenec.compiler.mesh.horizon import Land
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.dem import Dem
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
-from scenec.lab.runner import Page, table
+from scenec.compiler.views.resolution import pixels_of_balls, views_of
+from scenec.lab.benchmarks.cfgs import fbm
+from scenec.lab.runner import Page
 from scenec.testing.small import scaled, small_cfg, write_cfg
 
 PASSES = ("depth", "range", "label", "instance", "face", "normal", "position")
@@ -36,66 +43,37 @@ def _noise(
     grid: Grid, variant: str, octaves: int, lacunarity: float, gain: float, amplitude: float
 ) -> NDArray:
     scale = grid.size_m[0] / 3.0
-    if variant in ("f1", "f2-f1"):
-        worley = Worley(
-            key=3,
-            amplitude_m=amplitude,
-            scale_m=scale,
-            distance=variant,
-            octaves=octaves,
-            lacunarity=lacunarity,
-            gain=gain,
-        )
-        return worley.apply(grid, np.zeros(grid.shape))[0]
-    fractal = Multifractal(
-        key=3,
-        amplitude_m=amplitude,
-        scale_m=scale,
-        octaves=octaves,
-        lacunarity=lacunarity,
-        gain=gain,
-        variant=variant,
-        offset=0.7,
-        distortion=0.5,
+    shape: dict[str, Any] = {"lacunarity": lacunarity, "gain": gain}
+    operator: ReliefOperator = fbm(
+        3, amplitude, scale, octaves, variant=variant, distortion=0.5, **shape
     )
-    return fractal.apply(grid, np.zeros(grid.shape))[0]
+    if variant in ("f1", "f2-f1"):
+        operator = Worley(
+            key=3, amplitude_m=amplitude, scale_m=scale, distance=variant, octaves=octaves, **shape
+        )
+    return operator.apply(grid, np.zeros(grid.shape))[0]
 
 
-def noises(page: Page) -> str:
+def noises(page: Page) -> None:
     """All noises at the ends of their parameters' ranges."""
     rows = []
     for variant in NOISES:
         worst, finite, zero, count = 0.0, True, True, 0
         for size in (1e-3, 1.0, 1e3, 1e6):
             grid = Grid.with_spacing((size, size), size / 24)
-            for octaves in (0, 24) if page.fast else (0, 1, 8, 24):
-                for lacunarity in (1.0, 2.0, 8.0):
-                    for gain in (0.0, 0.5, 2.0):
-                        for amplitude in (0.0, 1e6):
-                            out = _noise(grid, variant, octaves, lacunarity, gain, amplitude)
-                            finite &= bool(np.isfinite(out).all())
-                            count += 1
-                            if amplitude == 0.0 or octaves == 0:
-                                zero &= not out.any()
-                            else:
-                                worst = max(worst, float(np.abs(out).max()) / amplitude)
+            octaves_tried = (0, 24) if page.fast else (0, 1, 8, 24)
+            ranges = product(octaves_tried, (1.0, 2.0, 8.0), (0.0, 0.5, 2.0), (0.0, 1e6))
+            for octaves, lacunarity, gain, amplitude in ranges:
+                out = _noise(grid, variant, octaves, lacunarity, gain, amplitude)
+                finite &= bool(np.isfinite(out).all())
+                count += 1
+                if amplitude == 0.0 or octaves == 0:
+                    zero &= not out.any()
+                else:
+                    worst = max(worst, float(np.abs(out).max()) / amplitude)
         rows.append([variant, str(count), "all" if finite else "not all",
                      "all" if zero else "not all", f"{worst:.3g}"])  # fmt: skip
-    return (
-        "## Noise at the ends of its ranges\n\n"
-        "Extents of 1 mm, 1 m, 1 km and 1,000 km; octaves 0, 1, 8, 24; lacunarity 1, 2, 8; gain 0, "
-        "0.5, 2; amplitude 0 and 10⁶ m; fractals warped by half a feature. Zero amplitude or no "
-        "octaves must give exactly 0.\n\n"
-        + table(
-            ["noise", "combinations", "finite", "exact zeros", "largest height / amplitude"], rows
-        )
-        + "\n"
-        + _by_octaves(page)
-    )
-
-
-def _by_octaves(page: Page) -> str:
-    """A plot of the largest height over the number of octaves."""
+    page.rows(rows)
     grid = Grid.with_spacing((1.0, 1.0), 1.0 / 64)
     octaves = (0, 1, 8, 24) if page.fast else range(25)
     figure, plots = plt.subplots(1, 2, figsize=(9.6, 3.6))
@@ -107,17 +85,10 @@ def _by_octaves(page: Page) -> str:
         axes.set(xlabel="octaves", ylabel="largest height / amplitude", title=f"gain {gain:g}")
         axes.grid(alpha=0.3)
     plots[0].legend(fontsize=8)
-    return page.save(figure, "octaves")
+    page.save(figure, "octaves")
 
 
-def _frames(batch: Path) -> dict[str, NDArray]:
-    """All annotation of the first sample."""
-    session = Session.open(batch / "stage.usda", "reference")
-    camera = session.scene.cameras[0][0]
-    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1)[0]
-
-
-def extents(page: Page) -> str:
+def extents(page: Page) -> None:
     """A scene compiled and seen from a millimeter to a thousand kilometers."""
     rows, promised, made = [], [], []
     exponents = (-3, 0, 3, 6) if page.fast else tuple(range(-3, 7))
@@ -167,24 +138,11 @@ def extents(page: Page) -> str:
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
-    return (
-        "## Extents: from a millimeter to a thousand kilometers\n\n"
-        "One scene, with every length multiplied, is compiled to a stage and annotated by "
-        "`reference`. Vertices are float32 in tiles, so the promise is 6e-8 of the extent; the "
-        "table has it in meters, and in pixels where the ground is largest (`compile` and "
-        "`explain` print it, and `compile` warns above 0.05 pixels). Depth is compared with the "
-        "relief in float64. Scaled by powers of two, all annotation is equal to the last bit "
-        "(`tests/compiler/test_extents.py`).\n\n"
-        + table(
-            ["extent, m", "promised, m", "promised, px", "error, m", "error, px", "sky",
-             "depth, m", "error of depth / depth", "compile, s"],
-            rows,
-        )
-        + "\n" + page.save(figure, "extents")
-    )  # fmt: skip
+    page.rows(rows)
+    page.save(figure, "extents")
 
 
-def origins(page: Page) -> str:
+def origins(page: Page) -> None:
     """Frames of a scene on a DEM that lies at different places of a planet."""
     import rasterio
 
@@ -203,34 +161,23 @@ def origins(page: Page) -> str:
         cfg["terrain"]["relief"][0] = {"type": "dem", "file": "dem.tif", "height_scale": 0.3}
         batch = compile_cfg(write_cfg(own, cfg), seed=5, out=own / "out").out / "batch_0000"
         place = json.loads((batch / "report.json").read_text())["relief"][0]["georeference"]
-        frame, geometry = _frames(batch), (batch / "terrain.usdc").read_bytes()
+        geometry = (batch / "terrain.usdc").read_bytes()
+        session = Session.open(batch / "stage.usda", "reference")
+        camera = session.scene.cameras[0][0]
+        frame = session.render(camera, 0, session.passes(PASSES, camera), 1, 1)[0]
         if first is None:
             first, bytes_of_first = frame, geometry
-        other = sum(int((frame[name] != first[name]).sum() - _both_nan(frame[name], first[name]))
-                    for name in frame)  # fmt: skip
+        other = sum(int(((a != b) & ~((a != a) & (b != b))).sum())
+                    for a, b in ((frame[name], first[name]) for name in frame))  # fmt: skip
         rows.append([
             f"{origin[0]:,.1f}, {origin[1]:,.1f}", ", ".join(f"{c:,.1f}" for c in place["center"]),
             "the same" if geometry == bytes_of_first else "others",
             f"{other} of {sum(array.size for array in frame.values()):,}",
         ])  # fmt: skip
-    return (
-        "## Origins: up to 10⁷ m off\n\n"
-        "A DEM's georeference is recorded on the stage and in the report, and never enters the "
-        "arithmetic: noise and meshes use local coordinates. The table moves a scene on a "
-        "GeoTIFF (with noise, label lines and rocks) to different places, and counts the values "
-        "of "
-        f"{', '.join(PASSES)} that differ from the first row's. The plot above shows the step of "
-        "float32 if the georeference did enter.\n\n"
-        + table(["corner of the DEM, m", "recorded center, m", "bytes of the terrain", "differ"],
-                rows)
-    )  # fmt: skip
+    page.rows(rows)
 
 
-def _both_nan(a: NDArray, b: NDArray) -> int:
-    return int((np.isnan(a) & np.isnan(b)).sum()) if a.dtype.kind == "f" else 0
-
-
-def dems(page: Page) -> str:
+def dems(page: Page) -> None:
     """Places on a planet, holes, single rows."""
     y, x = np.mgrid[:80, :100].astype(float)
     field = 30 * np.sin(0.11 * x) * np.cos(0.07 * y) + 0.4 * x
@@ -272,11 +219,57 @@ def dems(page: Page) -> str:
         axes.imshow(picture, cmap=colors, vmin=field.min(), vmax=field.max(), origin="lower")
         axes.set_title(name, fontsize=8)
         axes.set_axis_off()
-    return (
-        "## DEMs with holes, thin ones\n\n"
-        "Holes (NaN, or the nodata value of the file or the cfg) are an error, or are filled by a "
-        "membrane: Laplace's equation over the hole's pixels, so nothing rises above or falls "
-        "below the rim.\n\n"
-        + table(["DEM", "", ""], rows)
-        + "\n" + page.save(figure, "holes")
-    )  # fmt: skip
+    page.rows(rows)
+    page.save(figure, "holes")
+
+
+#: Land beyond the border.
+_FAR = {
+    "reach_m": 6000, "spacing_m": 30, "material": "sand",
+    "relief": [
+        {"type": "plane"},
+        {"type": "multifractal", "variant": "fbm", "amplitude_m": 9, "scale_m": 420, "gain": 0.42},
+        {"type": "multifractal", "variant": "ridged", "amplitude_m": 300, "scale_m": 2500,
+         "octaves": 9,
+         "mask": [{"type": "point", "x_m": 0, "y_m": 0, "min_m": 1500, "softness_m": 2500}]},
+    ],
+}  # fmt: skip
+
+
+def horizon(page: Page) -> None:
+    """Errors of the mesh, in pixels of what is seen, by tolerance."""
+    cfg = small_cfg()
+    cfg["terrain"]["horizon"] = _FAR
+    for sensor in cfg["rigs"]["rover"]["sensors"].values():
+        sensor |= {"resolution": [640, 480], "fov_deg": 60}
+    plan = draw(load(write_cfg(page.scratch, cfg)), 1, 0)
+    far = plan.terrain.horizon
+    assert far is not None
+    size = (plan.terrain.size_m[0] + 2 * far.reach_m, plan.terrain.size_m[1] + 2 * far.reach_m)
+    relief = run(far.relief, Grid.with_spacing(size, far.spacing_m))
+    terrain = build_surface(plan, BuildLog())
+    land = Land.around(terrain, Surface(relief.field, details=relief.details), far.blend_m)
+    rows = []
+    for tolerance in (0.25, 0.5, 1.0, 2.0):
+        meshing = replace(plan.terrain.meshing, tolerance_px=tolerance)
+        asked = replace(plan, terrain=replace(plan.terrain, meshing=meshing))
+        without = replace(asked, terrain=replace(asked.terrain, horizon=None))
+        seconds = []
+        for one in (without, asked):
+            begun = time.process_time()
+            scene = build(one, BuildLog())
+            seconds.append(time.process_time() - begun)
+        assert scene.ground.horizon is not None
+        tile = scene.ground.horizon.tile
+        shares = np.random.default_rng(1).dirichlet([1, 1, 1], (len(tile.faces), 16))
+        corners = tile.points.astype(float)[tile.faces]
+        at = (shares[..., None] * corners[:, None]).sum(axis=2).reshape(-1, 3)
+        # Within a cell of the border its roughness fades out, which the land does not have.
+        at = at[land.distance_m(at[:, 0], at[:, 1]) > 1.0]
+        error = np.abs(land.height_at(*np.ascontiguousarray(at[:, :2].T)) - at[:, 2])
+        pixels = error * pixels_of_balls(views_of(scene.rigs), at, np.zeros(len(at)), 0.0, 1.0)
+        seen = pixels[pixels > 0.0]
+        share = (float(v) for v in np.percentile(seen, [50.0, 99.0, 99.9]))
+        rows.append((tolerance, len(tile.faces), len(seen), *share, float(seen.max()),
+                     seconds[1] - seconds[0]))  # fmt: skip
+    page.rows(rows)

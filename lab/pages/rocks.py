@@ -20,21 +20,9 @@ from scenec.backends.run.render import render
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.objects.rocks import build_chains
-from scenec.lab.runner import Page, run, table
+from scenec.lab.runner import Page, run
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import develop
-
-HEAD = """# Rocks
-
-The families of `objects` of type `rocks` ([keys](cfg.md#objects-rocks)). Every rock is a radius
-over the directions from a point inside of it, on a subdivided icosahedron: its mesh is closed,
-manifold, and cannot meet itself. Vertices near the creases of broken blocks and of slabs are moved
-onto them.
-({versions}; {cores} cores.)
-
-Each sheet shows four stones of a family as Mitsuba draws them under a grazing sun, each 0.5 m wide
-and 300 pixels or so, at 81,920 triangles, with the surface that is named.
-"""
 
 
 class Family(NamedTuple):
@@ -257,20 +245,15 @@ def keep(page: Page, picture: Image.Image, name: str) -> str:
     return page.shown(name)
 
 
-def family_part(page: Page, family: str) -> str:
+def family_part(page: Page, family: str) -> None:
     """A family's contact sheet."""
     of = FAMILIES[family]
     content = sheet_cfg(family, of.surface, 3 if page.fast else 6)
     picture, _ = shot(page, content, 4 if page.fast else 32)
     surface = f"Surface: `{of.surface['type']}`." if of.surface else "A plain material."
-    return (
-        f"## {family.capitalize()}\n\n{of.what} {surface}\n\n"
-        f"{keep(page, picture, family)}\nUnlike stones in nature: {of.unlike[0].lower()}"
-        f"{of.unlike[1:]}\n"
-    )
 
 
-def coatings(page: Page) -> str:
+def coatings(page: Page) -> None:
     """One family with several coatings."""
     content = sheet_cfg("ventifact", FAMILIES["ventifact"].surface, 3 if page.fast else 6)
     for (_, keys, material), stone in zip(COATINGS, content["objects"].values(), strict=True):
@@ -283,21 +266,11 @@ def coatings(page: Page) -> str:
     picture, _ = shot(page, content, 4 if page.fast else 32)
     rows = [[name, f"`{json.dumps(keys)}`" if material else ""]
             for name, keys, material in COATINGS]  # fmt: skip
-    return (
-        "## Coatings\n\n"
-        "`coatings` ([keys](cfg.md#objects-rocks-coating)) lie on a class's rocks as they rest: on "
-        "what faces up, in hollows, and next to the ground. Each is a material, merged over the "
-        "rock's own by a weight at the vertices, in all renderers alike; so borders are as fine as "
-        "the mesh, and rocks turned at random have none. The foot lies where the mean `embed` of "
-        "the class puts the ground. MaterialX in the stage shows the rock's own material; preview "
-        "surfaces show the mix, as displayColor.\n\n"
-        + keep(page, picture, "coatings")
-        + "\n"
-        + table(["stone", "keys beside the material"], rows)
-    )
+    keep(page, picture, "coatings")
+    page.rows(rows)
 
 
-def levels(page: Page) -> str:
+def levels(page: Page) -> None:
     """Errors of the levels, axis ratios, seconds, and what views come to."""
     subdivisions = 4
     rows, speed = [], []
@@ -312,16 +285,11 @@ def levels(page: Page) -> str:
                      f"{ratios[1]:.2f}", f"{ratios[2]:.2f}"])  # fmt: skip
         speed.append(f"{family} {page.timed(partial(build_chains, plan.source.shapes)):.2f}")
     header = ["family", *(f"{20 * 4**s:,}" for s in range(subdivisions - 1, -1, -1))]
-    return (
-        "## Levels\n\nThe distance of each level from the finest (5,120 triangles) in percent of "
-        "the rock's size, as the mean of eight shapes, and the shapes' mean axis ratios.\n\n"
-        + table([*header, "b/a", "c/a"], rows)
-        + f"\nSeconds to make eight shapes with all levels: {', '.join(speed)}.\n\n"
-        + _views(page)
-    )
+    page.rows(rows)
+    _views(page)
 
 
-def _views(page: Page) -> str:
+def _views(page: Page) -> None:
     """What levels save, and that nobody sees it."""
     spp = 4 if page.fast else 48
     sheet = Image.new("RGB", (3 * _SIZE[0] + 2 * _GAP, _SIZE[1]), (255, 255, 255))
@@ -337,19 +305,14 @@ def _views(page: Page) -> str:
             f"{facts['triangles']:,}", f"{lod_px:g}", f"{facts['lod_error_max_px']:.2f}",
         ])  # fmt: skip
     header = ["view", "rocks", "triangles, finest", "triangles", "px asked", "px worst"]
-    return (
-        "Angular rocks from about 1 m at the default `lod_px` of 0.5, the same with `lod_px` 10, "
-        "and thousands from 3 m up, out to 60 m:\n\n"
-        + keep(page, sheet, "levels")
-        + "\n"
-        + table(header, rows)
-    )
+    keep(page, sheet, "levels")
+    page.rows(rows)
 
 
 def main(page: Page) -> None:
     """Writes the page and its pictures."""
     parts = [*(partial(family_part, family=family) for family in FAMILIES), coatings, levels]
-    page.write(HEAD, ("scenec", "numpy", "numba", "mitsuba"), parts)
+    page.refresh(("scenec", "numpy", "numba", "mitsuba"), parts)
 
 
 if __name__ == "__main__":

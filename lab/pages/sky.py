@@ -25,7 +25,7 @@ from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_sky import resolution_error
 from scenec.compiler.light.atmosphere_spectra import black_body, weights, weights_of
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance
-from scenec.lab.runner import ROOT, Page, run, table
+from scenec.lab.runner import ROOT, Page, run
 from scenec.testing import nishita, photons
 
 SAND, RUST = (0.3, 0.26, 0.22), (0.3, 0.16, 0.09)
@@ -52,16 +52,6 @@ BESIDE = [
     (50.0, 2000.0, (1.0, 0.0, 1.0)),
 ]
 
-HEAD = f"""# Skies by scattering
-
-`light.sky.type = "atmosphere"` bakes the sky of Earth or Mars: sunlight scattered once by gas and
-aerosol on a sphere (Nishita et al. 1993), at {atmosphere.WAVELENGTHS} wavelengths, in W/(m² sr).
-The sunlight that the air lets through goes into the stage's DistantLight; the picture has no
-disc. This page shows such skies, compares them with Blender's, and measures their error and cost.
-Seconds are single readings on {{cores}} cores ({{versions}}), with other work beside them; errors
-do not depend on the machine.
-"""
-
 
 def baked(case: Case, height: int, **how: Any) -> NDArray:
     """A sky under sunlight of luminance 1."""
@@ -80,7 +70,7 @@ def displayed(picture: NDArray, gray: float) -> NDArray:
     return np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def pictures(page: Page) -> str:
+def pictures(page: Page) -> None:
     """Skies from the zenith to 20 degrees below the horizon."""
     height = 64 if page.fast else 180
     figure, axes = plt.subplots(len(ROWS), 2, figsize=(13, 1.6 * len(ROWS)))
@@ -106,15 +96,6 @@ def pictures(page: Page) -> str:
     axis.axhline(1.0, color="gray", linewidth=0.7)
     axis.set(xlabel="bearing off the sun's, degrees", ylabel="red / blue")
     plot = page.save(figure, "aureole")
-    return (
-        "## What they look like\n\nThe sun is in the middle of each picture, and each picture has "
-        'its own exposure. On the left `scattering: "single"`, on the right `"multiple"`. '
-        "The number is the zenith's luminance under sunlight of 1 W/m² above the air.\n\n"
-        + text
-        + "\nDust on Mars absorbs blue light, and diffracts it into a narrower cone than red "
-        f"light. At the height of a sun 6° up, red over blue is {ratio[0]:.2f} at the sun and "
-        f"{ratio[180]:.2f} at a right angle to it:\n\n" + plot
-    )
 
 
 def blenders(kind: str, height: int) -> list[NDArray]:
@@ -128,7 +109,7 @@ def blenders(kind: str, height: int) -> list[NDArray]:
             return [found[name][: height // 2].astype(float) for name in found.files]
 
 
-def beside_blender(page: Page) -> str:
+def beside_blender(page: Page) -> None:
     """Relative difference to Blender's single scattering, and what its sums err."""
     height = 32 if page.fast else 64
     up = (np.pi / 2 - np.pi * (np.arange(height // 2) + 0.5) / height)[:, None]
@@ -188,45 +169,10 @@ def beside_blender(page: Page) -> str:
         axis.set_title(name, fontsize=9)
     plot = page.save(figure, "blender")
     scale = 1361.0 / nishita.unit()
-    return (
-        "## Beside Blender's sky texture\n\n"
-        "Blender's `SINGLE_SCATTERING`, rendered by Cycles through a panoramic camera, has the "
-        "same "
-        "model with the same constants, at 21 wavelengths. Its unit is W/(m² sr) of the eye's "
-        f"luminance, under a black body of 5777 K that has {nishita.unit():.2f} in it; ours is "
-        "scaled "
-        "so that sunlight above the air has the luminance `light.sun.irradiance`: a factor of "
-        f"{scale:.3f} for 1361 W/m². We take measured sunlight instead of the black body, which "
-        "makes "
-        f"the factor {', '.join(f'{v:.3f}' for v in scale / tint)} for red, green and blue; "
-        "the tables below compare with these. Over the sky more than 10° from the sun and above "
-        f"{90 / height:.1f}°, percent of luminance (the last column: of the worst channel):\n\n"
-        + table(
-            [
-                "sun, altitude, air/dust/ozone",
-                "mean",
-                "mean above 30°",
-                "worst",
-                "Blender's sums done anew, against Blender",
-                "ours against the model summed finely",
-                "ours with what Blender's sums err, against Blender",
-                "worst channel",
-            ],
-            rows,
-        )
-        + "\nWhere the two differ by more than 2 %, Blender errs: it takes 32 equal steps through "
-        "60 km "
-        "of air, which are longer than its aerosol is thick (1.2 km) and, along the horizon, 27 "
-        "km, "
-        "and looks up its table half a texel too low and too far from the sun. The same model in "
-        "NumPy (`testing/nishita.py`) with Blender's steps gives Blender's picture (fifth "
-        "column), and with fine ones ours (sixth). With that error taken out the luminance is "
-        "within 2 % everywhere (seventh), and so is every channel but where a low sun leaves next "
-        "to no blue at the horizon: there it matters which sunlight it was.\n\n" + plot
-    )
+    page.rows(rows)
 
 
-def left_out(page: Page) -> str:
+def left_out(page: Page) -> None:
     """Single scattering against Blender's approximation of multiple scattering."""
     height = 32
     single, multiple = (blenders(f"{kind}_SCATTERING", height) for kind in ("SINGLE", "MULTIPLE"))
@@ -245,30 +191,10 @@ def left_out(page: Page) -> str:
             + [f"{p[2] / p[0]:.2f}" for p in (a, b)]
             + [f"{own[1] / own[0]:.2f}"]
         )
-    return (
-        "## What single scattering leaves out\n\n"
-        "Blender's `MULTIPLE_SCATTERING` is another model (other aerosol, other ozone, ground of "
-        "albedo 0.3, a fit for all light scattered twice or more), so the table shows a "
-        "difference, not an error: its skylight on level ground over that of single scattering, "
-        "the same for the lowest 20°, and blue over red in either.\n\n"
-        + table(
-            [
-                "sun, altitude, air/dust/ozone",
-                "skylight, times",
-                "near the horizon, times",
-                "blue / red, single",
-                "blue / red, multiple",
-                'skylight, times, with our `"multiple"`',
-            ],
-            rows,
-        )
-        + "\nSo single scattering makes skylight too weak, most of all in hazy air and near the "
-        "horizon. Under much dust, as on Mars with a low sun, the horizon away from the sun is "
-        "too dark.\n"
-    )
+    page.rows(rows)
 
 
-def several(page: Page) -> str:
+def several(page: Page) -> None:
     """The approximation of multiple scattering against photons."""
     rows = []
     for depth, albedo, forward, g in photons.SLABS:
@@ -287,20 +213,7 @@ def several(page: Page) -> str:
         page.timed(lambda both=both: baked(ROWS["Mars, sun at 6°"], 128, multiple=both))
         for both in (False, True)
     ]
-    return (
-        '## What `scattering: "multiple"` adds\n\nAll further orders, approximated '
-        "(`compiler/light/atmosphere_multiple.py`: Hillaire 2020, with the forward lobe taken out "
-        "first). Skylight on level black ground under a slab of gray dust of some optical depth "
-        f"and albedo, against {photons.PHOTONS:,} photons followed one by one (noise 0.3 %), over "
-        "the sun's irradiance; errors in percent:\n\n"
-        + table(
-            ["depth", "albedo", "forward lobe", "sun, °", "photons", "single, %", "multiple, %"],
-            rows,
-        )
-        + f"\nAt 128 rows a sky takes {times[0]:.2f} s with single scattering, {times[1]:.2f} s "
-        "with multiple. It makes two further errors: light that was scattered several times has "
-        "no lobe but the forward one, and the ground illuminates the air only once.\n"
-    )
+    page.rows(rows)
 
 
 CURVE: list[Case] = [
@@ -309,7 +222,7 @@ CURVE: list[Case] = [
 ]
 
 
-def curves(page: Page) -> str:
+def curves(page: Page) -> None:
     """Error against seconds over steps, wavelengths, bearings and rows."""
     height = 32
     best = {"steps": 192, "wavelengths": 41, "bearings": 97}
@@ -361,24 +274,11 @@ def curves(page: Page) -> str:
         for count in ((32, 64, 128) if page.fast else (32, 64, 128, 256))
     ]
     names = [f"{c[0]} {c[1]:g}°, %" for c in cases]
-    return (
-        "## Error against seconds\n\n"
-        f"Root mean square difference to the converged picture ({best['steps']} steps up or down, "
-        f"{best['wavelengths']} wavelengths, {best['bearings']} bearings) over that picture's root "
-        "mean square, above the horizon, one setting changed at a time; seconds with the others at "
-        "their defaults, the mean of these skies.\n\n"
-        + table(["setting", *names, "s"], rows)
-        + "\n"
-        + plot
-        + "\nThe defaults leave an error below 1 %. Half of the bearings would suffice, except "
-        "for the few texels at the edge of the planet's shadow. The next table shows the error "
-        "of linear interpolation between texels (`resolution_error` in report.json), relative to "
-        "the sky's mean, for different heights of the picture:\n\n"
-        + table(["rows", *names, "s"], sizes)
-    )
+    page.rows(rows)
+    page.rows(sizes)
 
 
-def extremes(page: Page) -> str:
+def extremes(page: Page) -> None:
     """Smallest, largest, steps between neighbors and seconds over the corners of the ranges."""
     rows = []
     elevations = (-10.0, 0.0, 90.0) if page.fast else (-90.0, -10.0, -1.0, 0.0, 1.0, 90.0)
@@ -404,23 +304,14 @@ def extremes(page: Page) -> str:
                     f"{seconds:.2f}",
                 ]
             )
-    return (
-        "## Extremes\n\n64 rows, all densities alike, under sunlight of luminance 1. The step is "
-        "the "
-        "largest between neighboring texels over the picture's largest: without air, it is the "
-        "horizon between black and ground.\n\n"
-        + table(
-            ["planet", "density", "altitude, km", "sun, °", "min", "max", "finite", "step", "s"],
-            rows,
-        )
-    )
+    page.rows(rows)
 
 
 def main(page: Page) -> None:
     """Writes the page."""
     baked(ROWS["Earth, sun at 60°"], 16)
     parts = (pictures, beside_blender, left_out, several, curves, extremes)
-    page.write(HEAD, ("numpy", "numba", "bpy"), parts)
+    page.refresh(("numpy", "numba", "bpy"), parts)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,249 @@
+"""For docs/relief.md: diffusion, rivers and slides, over steps and drops of many decades."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from unittest import mock
+
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.operators import thermal
+from scenec.compiler.terrain.operators.drainage import SIDES, drain, drainage_area, outlet_samples
+from scenec.compiler.terrain.operators.halving import rms
+from scenec.compiler.terrain.operators.smooth import Smooth
+from scenec.compiler.terrain.operators.stream_power import StreamPower
+from scenec.compiler.terrain.operators.thermal import Thermal
+from scenec.lab.benchmarks.cfgs import fbm
+from scenec.lab.runner import Cell, Page
+
+
+def _diffused(height: NDArray, spacing: float, strength: float) -> NDArray:
+    """One step of kappa * dt, square meters."""
+    ny, nx = height.shape
+    grid = Grid(((nx - 1) * spacing, (ny - 1) * spacing), height.shape)
+    return Smooth(float(np.sqrt(2.0 * strength))).apply(grid, height)[0]
+
+
+def diffusion(page: Page) -> None:
+    """Takes one exact step over twelve decades: range kept, mean kept, seconds."""
+    n = 64 if page.fast else 256
+    grid = Grid((n - 1.0, n - 1.0), (n, n))
+    rng = np.random.default_rng(1)
+    fields = [
+        np.where(rng.random(grid.shape) < 0.05, 100.0, rng.normal(size=grid.shape)),
+        np.where(grid.x() > 0.0, 1e6, 0.0)[None, :] + np.zeros(grid.shape),
+        np.full(grid.shape, 1234.5),
+    ]
+    rows = []
+    for exponent in range(-6, 7):
+        cells = [f"1e{exponent}"]
+        for height in fields:
+            out = _diffused(height, 1.0, 10.0**exponent)
+            drift = abs(out.mean() - height.mean()) / max(abs(height.mean()), 1e-300)
+            over = max(out.max() - height.max(), height.min() - out.min(), 0.0)
+            cells += [f"{drift:.1e}", f"{over / (float(np.ptp(height)) or 1.0):.1e}"]
+        seconds = page.timed(lambda k=10.0**exponent: _diffused(fields[0], 1.0, k))
+        rows.append([*cells, f"{seconds:.4f}"])
+    page.rows(rows)
+
+
+def decay(page: Page) -> None:
+    """Holds one step against the analytic decay of a cosine mode: second order in the spacing."""
+    duration = 0.0032
+    rows, previous = [], None
+    for n in (16, 32, 64) if page.fast else (16, 32, 64, 128, 256, 512, 1024):
+        at = (np.arange(n) + 0.5) / n
+        height = np.cos(3 * np.pi * at)[None, :] * np.cos(2 * np.pi * at)[:, None]
+        exact = height * np.exp(-duration * np.pi**2 * (3**2 + 2**2))
+        worst = float(np.abs(_diffused(height, 1.0 / n, duration) - exact).max())
+        seconds = page.timed(lambda h=height, s=1.0 / n: _diffused(h, s, duration))
+        order = "" if previous is None else f"{np.log2(previous / worst):.3f}"
+        previous = worst
+        rows.append([f"{n}²", f"{worst:.2e}", order, f"{seconds:.4f}"])
+    page.rows(rows)
+
+
+def rivers(page: Page) -> None:
+    """Holds slopes against the slope-area law, at steps far beyond the explicit limit."""
+    grid = Grid((4000.0, 3000.0), (61, 81))
+    dx = grid.spacing_m[0]
+    noise = np.random.default_rng(2).normal(size=grid.shape)
+    outlets = outlet_samples(grid.shape, SIDES)
+    inner = ~outlets.ravel()
+    k, uplift = 1e-5, 1e-3
+    largest = drainage_area(drain(noise, outlets, dx, dx), dx * dx).max()
+    limit = dx / (k * np.sqrt(largest))
+    rows = []
+    figure, (axes, right) = plt.subplots(1, 2, figsize=(9.6, 3.6))
+    numbers = (1.0, 1e4) if page.fast else (1e-2, 0.1, 1.0, 10.0, 1e2, 1e3, 1e4, 1e6)
+    for m, n in ((0.5, 1.0), (0.4, 1.3)):
+        operator = StreamPower(
+            erodibility=k, area_exponent=m, slope_exponent=n, uplift_m_per_a=uplift,
+            duration_a=1e9, steps=100,
+        )  # fmt: skip
+        steady, deviations = operator.apply(grid, noise)[0], []
+        for number in numbers:
+            run = replace(operator, duration_a=40 * number * limit, steps=40)
+            out = run.apply(grid, steady)[0]
+            ways = drain(out, outlets, dx, dx)
+            area = drainage_area(ways, dx * dx)[inner]
+            slope = (out.ravel() - out.ravel()[ways.receiver])[inner] / ways.distance[inner]
+            law = (uplift / (k * area**m)) ** (1.0 / n)
+            deviations.append(100 * np.abs(slope / law - 1).max())
+            wild, report = replace(run, uplift_m_per_a=0.0, steps=3, duration_a=3 * number * limit
+                                   ).apply(grid, 50.0 * noise)  # fmt: skip
+            rows.append([
+                f"{m:g}, {n:g}", f"{number:g}", f"{deviations[-1]:.1e}",
+                str(_pits(out, outlets)), str(_pits(wild, outlets)),
+                "none" if np.isfinite(wild).all() else "some",
+                f"{report['filled_m3'] / (4000 * 3000):.3g}",
+            ])  # fmt: skip
+        axes.loglog(area, slope, ".", markersize=3, label=f"m = {m:g}, n = {n:g}")
+        order = np.argsort(area, kind="stable")
+        axes.loglog(area[order], law[order], "k-", linewidth=0.8)
+        right.loglog(numbers, deviations, "o-", label=f"m = {m:g}, n = {n:g}")
+    axes.set(xlabel="drainage area, m²", ylabel="slope", title="Steady state and the law (lines)")
+    right.axhline(1.0, color="k", linestyle="--", linewidth=0.8, label="asked: 1 %")
+    right.set(xlabel="step / explicit limit", ylabel="%", title="Largest deviation from the law",
+              ylim=(1e-15, 10))  # fmt: skip
+    for each in (axes, right):
+        each.grid(alpha=0.3)
+        each.legend(fontsize=8)
+    page.save(figure, "slope_area")
+    page.rows(rows)
+
+
+def _pits(height: NDArray, outlets: NDArray) -> int:
+    """Counts samples with no lower neighbor that are no outlets."""
+    padded = np.pad(height, 1, constant_values=np.inf)
+    ny, nx = height.shape
+    lower = np.zeros(height.shape, bool)
+    for a in range(3):
+        for b in range(3):
+            lower |= padded[a : a + ny, b : b + nx] < height
+    return int((~lower & ~outlets).sum())
+
+
+def _cases(number: int) -> list[tuple[Grid, NDArray[np.float64], StreamPower]]:
+    """Draws terrains and rivers: 30 m to 30 km, short and long, with and without all that is."""
+    found = []
+    for k in range(100, 100 + number):
+        rng = np.random.default_rng(k)
+        n, size = 49, float(10 ** rng.uniform(1.5, 4.5))
+        grid = Grid((size, size), (n, n))
+        amplitude = size * float(10 ** rng.uniform(-2.3, -1.0))
+        hills = fbm(k, amplitude, size / rng.uniform(1, 4), 7, offset=0.9)
+        m, exponent = float(rng.uniform(0.3, 0.6)), float(rng.choice([1.0, 1.0, 0.7, 1.5]))
+        years, courant = float(10 ** rng.uniform(3, 6)), float(10 ** rng.uniform(-1, 2.5))
+        slope = amplitude / size
+        erodibility = (
+            courant * size / n / (0.2 * size * size) ** m / years * slope ** (1 - exponent)
+        )
+        found.append((grid, hills.apply(grid, np.zeros(grid.shape))[0], StreamPower(
+            erodibility=erodibility, area_exponent=m, slope_exponent=exponent,
+            channel_area_m2=float(rng.choice([0.0, 20 * (size / n) ** 2])),
+            diffusivity_m2_per_a=float(rng.choice([0.0, 1.0])) * (size / n * 3) ** 2 / years,
+            uplift_m_per_a=float(rng.choice([0.0, 1.0, 10.0])) * amplitude / years,
+            duration_a=years, steps=1,
+            outlets=[SIDES, ("south",), ("west", "north")][int(rng.integers(3))],
+        )))  # fmt: skip
+    return found
+
+
+def river_steps(page: Page) -> None:
+    """Tables the error of the steps of rivers, and how often the stated one held."""
+    numbers = (8, 16, 32) if page.fast else (4, 8, 16, 32, 64, 128)
+    drawn = _cases(3 if page.fast else 40)
+    truths = [operator.run(grid, height, 8 * numbers[-1])[0] for grid, height, operator in drawn]
+    rows = []
+    for number in numbers:
+        found, start = [], time.process_time()
+        for (grid, height, operator), truth in zip(drawn, truths, strict=True):
+            out, report = replace(operator, steps=number).apply(grid, height)
+            off = np.abs(out - truth)
+            found.append([
+                rms(off) / max(report["change_rms_m"], 1e-300),
+                rms(off) / max(report["error_rms_m"], 1e-300),
+                float(np.quantile(off, 0.99)) / max(report["error_99_m"], 1e-300),
+            ])  # fmt: skip
+        seconds = time.process_time() - start
+        part, ratio, high = np.array(found).T
+        rows.append([
+            str(number), f"{100 * np.median(part):.2g}", f"{100 * np.quantile(part, 0.9):.2g}",
+            f"{np.median(ratio):.2f}", f"{100 * (ratio <= 1).mean():.0f}",
+            f"{100 * (ratio <= 2).mean():.0f}", f"{ratio.max():.1f}",
+            f"{100 * (high <= 1).mean():.0f}", f"{high.max():.1f}",
+            f"{seconds / len(drawn):.3f}",
+        ])  # fmt: skip
+    page.rows(rows)
+
+
+def hillslopes(page: Page) -> None:
+    """Holds hillslopes between fixed outlets against a parabola, over steps of any size."""
+    grid = Grid((200.0, 200.0), (41, 41))
+    x = grid.x()[None, :]
+    parabola = 1e-3 / (2.0 * 0.05) * (100.0**2 - x * x) + np.zeros(grid.shape)
+    rough = np.random.default_rng(1).normal(size=grid.shape)
+    rows = []
+    for decade in (0, 5) if page.fast else range(-5, 6):
+        operator = StreamPower(
+            erodibility=0.0, diffusivity_m2_per_a=0.05, uplift_m_per_a=1e-3,
+            duration_a=25.0 / 0.05 * 10.0**decade, steps=1, outlets=("west", "east"),
+        )  # fmt: skip
+        start = time.process_time()
+        off = operator.run(grid, parabola, 1)[0] - parabola
+        spent = time.process_time() - start
+        moved = operator.run(grid, rough, 1)[0] - rough
+        rows.append([f"1e{decade}", f"{np.abs(off).max() / parabola.max():.1e}",
+                     f"{np.abs(moved[:, [0, -1]]).max():.0e}", f"{spent:.4f}"])  # fmt: skip
+    page.rows(rows)
+
+
+def slides(page: Page) -> None:
+    """Lets cliffs and noise slide over six decades of drops; holds the stated error to truth."""
+    grid = Grid((199.0, 199.0), (200, 200))
+    rng = np.random.default_rng(4).random(grid.shape)
+    x = grid.x()[None, :] + np.zeros(grid.shape)
+    rows = []
+    for drop in (1.0, 1e6) if page.fast else (1.0, 10.0, 100.0, 1e3, 1e4, 1e6):
+        cliff = np.where(x < 0.0, drop, 0.0)
+        out, report = Thermal(33.0).apply(grid, cliff)
+        ramp = np.clip(0.5 * drop - np.tan(np.deg2rad(33.0)) * x, 0.0, drop)
+        noisy, of_noise = Thermal(33.0).apply(grid, drop * rng)
+        seconds = page.timed(lambda d=drop: Thermal(33.0).apply(grid, d * rng), 1)
+        rows.append([
+            f"{drop:g}", f"{np.abs(out - ramp).max():.2e}", f"{report['slope_max_deg']:.2f}",
+            f"{abs(out.mean() - cliff.mean()) / cliff.mean():.1e}",
+            f"{of_noise['slope_max_before_deg']:.2f}", f"{of_noise['slope_max_deg']:.2f}",
+            f"{100 * of_noise['steep_fraction_left']:.3f}",
+            f"{abs(noisy.mean() - drop * rng.mean()) / (drop * rng.mean()):.1e}", f"{seconds:.2f}",
+        ])  # fmt: skip
+    page.rows(rows)
+    page.rows(_stated(page))
+
+
+def _stated(page: Page) -> list[list[Cell]]:
+    """Errors of slides after the operator's iterations, and what it says of them."""
+    grid = Grid((128.0, 128.0), (129, 129))
+    x, y = grid.x()[None, :], grid.y()[:, None]
+    flat, rng = np.zeros(grid.shape), np.random.default_rng(4)
+    grounds = {
+        "noise of 100 m": 100.0 * rng.random(grid.shape),
+        "hills": fbm(3, 40.0, 60.0, 7, offset=0.9).apply(grid, flat)[0],
+        "a cliff of 30 m": np.where(x > 0.0, 30.0, 0.0) + flat,
+        "a cone": np.clip(60.0 - 2.0 * np.hypot(x, y), 0.0, None),
+        "a slope of 45°": x + flat,
+    }
+    rows: list[list[Cell]] = []
+    for name, height in grounds.items():
+        with mock.patch.object(thermal, "_FINE", 400 if page.fast else 3200):
+            truth = Thermal(33.0).apply(grid, height)[0]
+        out, report = Thermal(33.0).apply(grid, height)
+        off = np.abs(out - truth)
+        rows.append([name, f"{rms(off):.1e}", f"{report['error_rms_m']:.1e}",
+                     f"{np.quantile(off, 0.99):.1e}", f"{report['error_99_m']:.1e}"])  # fmt: skip
+    return rows
