@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import integrate, special, stats
 
+from scenec.compiler.cfg.check_numbers import check_number, read_number
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
-from scenec.compiler.distributions.numbers import draw_number
+from scenec.compiler.distributions.numbers import Distribution, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
-from scenec.lab.pages.placement_field import number
+from scenec.compiler.kinds.schema import Field
 from scenec.lab.runner import Page
 
 Cdf = Callable[[NDArray], NDArray]
@@ -89,6 +90,17 @@ def laws() -> list[tuple[str, dict[str, Any], Cdf]]:
     return [*found, ("histogram", value, lambda d: np.interp(d, edges, cumulative))]
 
 
+def _number(value: dict[str, Any]) -> Distribution:
+    keywords: dict[str, Any] = {
+        "x-per": "instance", "x-per-allowed": ["instance"], "exclusiveMinimum": 0, "maximum": 1e6,
+    }  # fmt: skip
+    faults = list(check_number(Field((), value, keywords, True)))
+    assert not faults, faults
+    read = read_number(value, keywords)
+    assert isinstance(read, Distribution)
+    return read
+
+
 class _Even:
     """Uniform numbers without chance: what is left is the error of a law alone."""
 
@@ -104,7 +116,7 @@ def kolmogorov(page: Page) -> None:
     many = 100_000 if page.fast else 1_000_000
     rows = []
     for i, (name, value, cdf) in enumerate(laws()):
-        law = number(value)
+        law = _number(value)
         streams = Streams(11, i)
         at = np.sort(draw_number(law, streams, "size", n))
         assert _LOW <= at[0] <= at[-1] <= _HIGH
