@@ -293,7 +293,7 @@ class Page(Study):
         """Puts a text between ``<!--name-->`` and ``<!--/name-->``."""
         self._values[name] = text
 
-    def refresh(self, packages: Iterable[str], parts: Iterable[Callable[[Page], object]]) -> None:
+    def refresh(self, packages: Sequence[str], parts: Iterable[Callable[[Page], object]]) -> None:
         """Makes the parts, and writes the page anew with their tables, numbers and versions.
 
         The page's own text is docs/NAME.md: whoever wants another text edits it there.
@@ -311,8 +311,9 @@ class Page(Study):
             about = (getattr(part, "__doc__", None) or "").splitlines() or [""]
             print(f"{time.perf_counter() - start:6.1f} s  {about[0]}", file=sys.stderr, flush=True)
         text = (ROOT / "docs" / f"{self.name}.md").read_text(encoding="utf-8")
-        text = _VERSIONS.sub(_versions(packages), text, count=1)
-        text = re.sub(r"\b\d+ cores", f"{os.cpu_count()} cores", text, count=1)
+        if packages:
+            text = _VERSIONS.sub(_versions(packages), text, count=1)
+            text = re.sub(r"\b\d+ cores", f"{os.cpu_count()} cores", text, count=1)
         for name, value in self._values.items():
             text, count = re.subn(
                 f"(<!--{name}-->).*?(<!--/{name}-->)", lambda m, v=value: m[1] + v + m[2], text

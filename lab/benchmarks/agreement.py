@@ -102,7 +102,7 @@ def drawn_cfg(number: int) -> dict[str, Any]:
                 "elevation_deg": uniform(3, 90),
                 "azimuth_deg": uniform(0, 360),
                 "diameter_deg": uniform(0.1, 2.0),
-            },
+            }
         },
         "rigs": {
             "rig": {

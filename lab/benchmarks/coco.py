@@ -111,10 +111,7 @@ def paint(
     size = float(np.exp(draw.uniform(np.log(4), np.log(26))))
     cx, cy = draw.uniform(0, WIDTH), draw.uniform(110, HEIGHT)
     low = np.maximum([int(cy - 1.5 * size), int(cx - 1.5 * size)], 0)
-    part = (
-        slice(low[0], int(cy + 1.5 * size) + 1),
-        slice(low[1], int(cx + 1.5 * size) + 1),
-    )
+    part = (slice(low[0], int(cy + 1.5 * size) + 1), slice(low[1], int(cx + 1.5 * size) + 1))
     dx, dy = x[part] - cx, (y[part] - cy) * 1.3
     angle = np.arctan2(dy, dx)
     edge = size * (1 + 0.15 * np.sin(3 * angle + rank) + 0.08 * np.sin(11 * angle - rank))

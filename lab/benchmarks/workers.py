@@ -85,8 +85,7 @@ def main(study: Study) -> None:
     study.table(["backend", "workers", "frames/h whole", "frames/h steady", "load"], rates())
     units = 50 if study.fast else 1000
     study.table(
-        ["workers", "ms a unit"],
-        ([name, 1e3 * cost_of_a_unit(*who, units)] for name, *who in WHO),
+        ["workers", "ms a unit"], ([name, 1e3 * cost_of_a_unit(*who, units)] for name, *who in WHO)
     )
 
 

@@ -200,10 +200,7 @@ def dems(page: Page) -> None:
         out, report = replace(base, file=page.scratch / "holes.npy").apply(
             grid, np.zeros(grid.shape)
         )
-        pictures += [
-            (name, samples),
-            ("filled", fill_holes(np.nan_to_num(samples), holes)[0]),
-        ]
+        pictures += [(name, samples), ("filled", fill_holes(np.nan_to_num(samples), holes)[0])]
         rows.append([f"{name}, in hills of ±30 m", f"{report['holes_filled']:,} under the terrain",
                      f"heights {out.min():.1f} to {out.max():.1f} m, whole field "
                      f"{field.min():.1f} to {field.max():.1f} m"])  # fmt: skip

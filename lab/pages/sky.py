@@ -247,8 +247,7 @@ def curves(page: Page) -> None:
             for case, true in zip(cases, truth, strict=True):
                 got = baked(case, height, **{**best, what: value})
                 seconds += page.timed(
-                    lambda c=case, v=value, w=what: baked(c, 128, **{**usual, w: v}),
-                    repeat=1,
+                    lambda c=case, v=value, w=what: baked(c, 128, **{**usual, w: v}), repeat=1
                 )
                 level = luminance(true[: height // 2])
                 wrong = luminance(np.abs(got - true)[: height // 2])
