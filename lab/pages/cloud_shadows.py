@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,79 +11,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from scenec.backends.registry import open_backend
-from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.geometry.poses import facing
 from scenec.compiler.light.cloud_fields import Cirrus, Cumulus
 from scenec.compiler.light.cloud_rays import beam_left
 from scenec.compiler.light.cloud_shadows import Land, cloud_shadows
+from scenec.lab.pictures import frames, photograph, save, sheet
 from scenec.lab.runner import Page, held, in_turns
-from scenec.schemas.files import atomic
-from scenec.schemas.frames import read_frame
-from scenec.schemas.picture import develop
 
 BACKENDS = ("mitsuba", "cycles", "pyrender")
 RADIUS = float(np.radians(0.265))
 #: Hills of heath and sand, 2.4 km wide, seen from 40 m above.
-HEATH: dict[str, Any] = {
-    "version": 1,
-    "name": "heath",
-    "batches": 1,
-    "samples": 1,
-    "outputs": ["rgb"],
-    "labels": {"class": {"sky": 1, "ground": 2}},
-    "terrain": {
-        "size_m": [2400, 2400],
-        "spacing_m": 5,
-        "relief": [
-            {"type": "plane"},
-            {"type": "multifractal", "amplitude_m": 22, "scale_m": 420, "octaves": 7},
-        ],
-        "ground": [
-            {"material": "heath", "labels": {"class": "ground"}},
-            {
-                "material": "sand",
-                "labels": {"class": "ground"},
-                "noise": {"scale_m": 130, "octaves": 5, "distortion": 0.3},
-                "coverage": 0.25,
-            },
-        ],
-        "horizon": {
-            "reach_m": 7000,
-            "spacing_m": 60,
-            "relief": [
-                {"type": "plane"},
-                {"type": "multifractal", "amplitude_m": 60, "scale_m": 1500, "octaves": 8},
-            ],
-            "material": "heath",
-            "labels": {"class": "ground"},
-        },
-    },
-    "materials": {
-        "heath": {"base_color": [0.11, 0.14, 0.05], "variation": 0.35},
-        "sand": {"base_color": [0.35, 0.28, 0.17], "variation": 0.2},
-    },
-    "objects": {},
-    "light": {
-        "sun": {"elevation_deg": 42, "azimuth_deg": 250},
-        "sky": {"type": "atmosphere", "scattering": "multiple", "labels": {"class": "sky"}},
-        "haze": {"visibility_m": 40000},
-        "clouds": {"cumulus": {"coverage": 0.25, "base_m": 800, "size_m": 450, "thickness_m": 250}},
-    },
-    "rigs": {
-        "view": {
-            "pose": {
-                "type": "random_target",
-                "position": {"x_m": 0, "y_m": -900, "height_m": 40},
-                "target": {"distance_m": 700, "bearing_deg": 10, "height_m": 0},
-            },
-            "sensors": {"eye": {"resolution": [460, 300], "fov_deg": 75}},
-        }
-    },
-}
+HEATH: dict[str, Any] = json.loads(
+    Path(__file__).with_name("heath.json").read_text(encoding="utf-8")
+)
 
 
 def shadows(page: Page, layer: Callable[..., Cumulus], none: Cirrus) -> None:
@@ -93,17 +37,13 @@ def shadows(page: Page, layer: Callable[..., Cumulus], none: Cirrus) -> None:
         layer: Makes a layer of cumulus of a coverage.
         none: No cirrus.
     """
-    out = page.batch(HEATH)
-    panels = []
+    out, tiles = page.scratch / "heath", []
     for name in BACKENDS:
-        report = render(out.parent, name, spp=4 if page.fast else 48)
-        frame = read_frame(report.frames[0])
-        panels.append(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
-    with atomic(page.picture("shadows")) as target:
-        row = Image.fromarray(np.concatenate(panels, axis=1))
-        row.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
+        (frame,) = frames(page.cfg(HEATH), out, name, spp=4 if page.fast else 48)
+        tiles.append(("", photograph(frame)))
+    save(sheet([tiles], 460), page.picture("shadows"))
     _errors(page, layer(0.4), none)
-    _frames(page, out / "stage.usda")
+    _frames(page, out / "batch_0000" / "stage.usda")
 
 
 def _errors(page: Page, cumulus: Cumulus, none: Cirrus) -> None:

@@ -1,4 +1,4 @@
-"""Writes docs/clouds.md: skies with clouds, their error against rendered volumes and their cost.
+"""Makes what docs/clouds.md shows: skies with clouds, their error against volumes, their cost.
 
     python lab/pages/clouds.py [--fast] [-o FOLDER]
 
@@ -13,13 +13,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from scenec.backends.picture.exposure import expose
 from scenec.backends.picture.metering import Seen
 from scenec.backends.picture.sky import Sky, lookup
-from scenec.backends.run.render import render
-from scenec.compiler.compile import compile_cfg
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import weights
@@ -39,10 +37,10 @@ from scenec.compiler.light.cloud_rays import Shine, beam_left, through_cumulus
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
 from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
+from scenec.lab.benchmarks.cfgs import looking
 from scenec.lab.pages import cloud_shadows
+from scenec.lab.pictures import beside_assets, frames, photograph, save, sheet
 from scenec.lab.runner import ROOT, Page, run
-from scenec.schemas.files import atomic
-from scenec.schemas.frames import read_frame
 from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import develop
 from scenec.testing import photons
@@ -52,7 +50,6 @@ GROUND = np.array([0.2, 0.2, 0.15])
 SUN = 1361.0
 #: A view: pixels, and how wide it is.
 SIZE, FOV_DEG = (460, 300), 75.0
-_GAP, _LEGEND, _INK = 6, 22, (34, 34, 34)
 #: The dome's frame to the world: +Y is up in the one, +Z in the other; north is the other's -Z.
 TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 #: Of the volume that Mitsuba renders: half its width and a cell, meters; the view's pixels.
@@ -127,21 +124,16 @@ def pictures(page: Page) -> None:
         "both, sun at 6°, aside": (6, cumulus(0.35, key=12), cirrus(), 110, 18),
         "overcast": (0, none, bare, 0, 20),
     }
-    width, height = SIZE
-    sheet = Image.new("RGB", (2 * width + _GAP, 3 * (height + _LEGEND)), (255, 255, 255))
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)
-    for k, (name, (sun, heaps, streaks, bearing, up)) in enumerate(views.items()):
+    tiles = []
+    for name, (sun, heaps, streaks, bearing, up) in views.items():
         picture = gray if name == "overcast" else sky_with(sun, heaps, streaks, rows)
         sky = Sky(np.ascontiguousarray(picture, np.float32), TO_WORLD)
         to = ways(bearing, up, SIZE, FOV_DEG)
         seen = lookup(sky, np.ascontiguousarray(to.reshape(-1, 3))).reshape(to.shape)
         level = luminance(seen).astype(np.float64).ravel()
         shown = develop(seen, expose(Seen(np.zeros(0), level), 1).ev + 1.0)
-        x, y = (k % 2) * (width + _GAP), (k // 2) * (height + _LEGEND)
-        sheet.paste(Image.fromarray(shown), (x, y))
-        draw.text((x + 2, y + height + 3), name, _INK, font)
-    with atomic(page.picture("looks")) as target:
-        sheet.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
+        tiles.append((name, Image.fromarray(shown)))
+    save(sheet([tiles[k : k + 2] for k in (0, 2, 4)], SIZE[0]), page.picture("looks"))
 
 
 def scenes(page: Page) -> None:
@@ -157,32 +149,21 @@ def scenes(page: Page) -> None:
         "in its shadow": {"sun": sun, "sky": made, "clouds": {"cumulus": shade, "cirrus": {}}},
         "overcast": {"sun": sun, "sky": {"type": "overcast", "labels": labels}},
     }
-    pose = {
-        "type": "random_target",
-        "position": {"x_m": 18, "y_m": -26, "height_m": 2.0},
-        "target": {"distance_m": 24, "bearing_deg": 335, "height_m": 4.0},
-    }
-    sensors = {"eye": {"resolution": list(SIZE), "fov_deg": FOV_DEG}}
-    cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb"]}
-    cfg |= {"rigs": {"view": {"pose": pose, "sensors": sensors}}}
+    rig = looking((18, -26, 2.0), 24, 4.0, 335, resolution=list(SIZE), fov_deg=FOV_DEG)
+    cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb"], "rigs": {"view": rig}}
     cfg.pop("$schema", None)
-    (page.scratch / "configs").mkdir()
-    (page.scratch / "assets").symlink_to(ROOT / "assets")
-    panels, told = [], []
+    folder = beside_assets(page.scratch)
+    tiles, told = [], []
     for k, (name, light) in enumerate(lights.items()):
-        file = page.scratch / "configs" / f"light{k}.json"
+        file, out = folder / f"light{k}.json", page.scratch / f"out{k}"
         file.write_text(json.dumps(cfg | {"light": light}))
-        out = page.scratch / f"out{k}"
-        compile_cfg(file, seed=2, out=out)
-        report = render(out, "pyrender", spp=4 if page.fast else 16)
-        frame = read_frame(report.frames[0])
-        panels.append(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+        (frame,) = frames(file, out, "pyrender", seed=2, spp=4 if page.fast else 16)
+        tiles.append(("", photograph(frame)))
         facts = json.loads((out / "batch_0000" / "report.json").read_text())
         left = facts.get("clouds", {}).get("sun_transmittance", [0.0])[0]
         told.append(f"{name} ({100.0 * left:.0f} % of the sun)")
-    with atomic(page.picture("scenes")) as target:
-        row = Image.fromarray(np.concatenate(panels, axis=1))
-        row.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
+    save(sheet([tiles], SIZE[0]), page.picture("scenes"))
+    page.value("scenes", ", ".join(told))
 
 
 def coverage(page: Page) -> None:
@@ -316,12 +297,10 @@ def below(page: Page) -> None:
 def cost(page: Page) -> None:
     """CPU seconds of a picture."""
     sky_with(50.0, cumulus(), cirrus(), 32)
-    start = time.process_time()
-    cumulus()
-    fields = [time.process_time() - start]
-    start = time.process_time()
-    cirrus()
-    fields.append(time.process_time() - start)
+    for name, work in (("heaps", cumulus), ("streaks", cirrus)):
+        start = time.process_time()
+        work()
+        page.value(name, f"{time.process_time() - start:.1f} s")
     rows: list[list[str | float]] = []
     shown: list[NDArray[np.float64]] = []
     to = ways(150.0, 30.0, (640, 480), 90.0)
@@ -348,18 +327,15 @@ def cost(page: Page) -> None:
     page.rows(rows)
 
 
-def _shadows(page: Page) -> str:
-    """Shadows on the land."""
-    return cloud_shadows.shadows(page, cumulus, no_cirrus())
+def shadows(page: Page) -> None:
+    """Draws and measures shadows on the land."""
+    cloud_shadows.shadows(page, cumulus, no_cirrus())
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    page.write(
-        HEAD,
-        ("numpy", "numba", "mitsuba", "pyrender-maintained"),
-        (pictures, scenes, _shadows, coverage, volumes, below, cost),
-    )
+    """Refreshes the page."""
+    packages = ("numpy", "numba", "mitsuba", "pyrender-maintained")
+    page.refresh(packages, (pictures, scenes, shadows, coverage, volumes, below, cost))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Writes docs/sky.md: skies by scattering, beside Blender's, with their error and cost.
+"""Makes what docs/sky.md shows: skies by scattering, beside Blender's, with their error and cost.
 
     python lab/pages/sky.py [--fast] [-o FOLDER]
 
@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
-from scenec.compiler.light.atmosphere_sky import resolution_error
 from scenec.compiler.light.atmosphere_spectra import black_body, weights, weights_of
-from scenec.compiler.light.latlong import horizontal_irradiance, luminance
+from scenec.compiler.light.latlong import luminance
 from scenec.lab.runner import ROOT, Page, run
 from scenec.testing import nishita, photons
 
@@ -85,7 +84,7 @@ def pictures(page: Page) -> None:
             axis.set_title(f"{name}, {how} (zenith {zenith:.1e}/sr)", fontsize=8)
             axis.set_yticks((0, 30, 60, 90))
             axis.set_xticks(())
-    text = page.save(figure, "rows")
+    page.save(figure, "rows")
     low = baked(ROWS["Mars, sun at 6°"], 360)
     angle = np.radians(6.0)
     row = round(360 * (0.5 - angle / np.pi))
@@ -95,12 +94,14 @@ def pictures(page: Page) -> None:
     axis.plot(degrees, ratio)
     axis.axhline(1.0, color="gray", linewidth=0.7)
     axis.set(xlabel="bearing off the sun's, degrees", ylabel="red / blue")
-    plot = page.save(figure, "aureole")
+    page.save(figure, "aureole")
+    page.value("at", f"{ratio[0]:.2f}")
+    page.value("aside", f"{ratio[180]:.2f}")
 
 
-def blenders(kind: str, height: int) -> list[NDArray]:
+def blenders(height: int) -> list[NDArray]:
     """Blender's skies above the horizon, under sunlight of luminance 1 (single scattering's)."""
-    asked = json.dumps([[kind, e, a, *factors] for e, a, factors in BESIDE])
+    asked = json.dumps([["SINGLE_SCATTERING", e, a, *factors] for e, a, factors in BESIDE])
     script = ROOT / "testing" / "blender_sky.py"
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "sky.npz")
@@ -118,7 +119,7 @@ def beside_blender(page: Page) -> None:
     count = atmosphere.WAVELENGTHS
     ours_sun = weights(count).sum(axis=0)
     tint = weights_of(black_body(5777.0), count).sum(axis=0) / ours_sun
-    single = blenders("SINGLE_SCATTERING", height)
+    single = blenders(height)
     figure, axes = plt.subplots(len(BESIDE), 3, figsize=(11, 1.9 * len(BESIDE)))
     rows = []
     for case, theirs, row in zip(BESIDE, single, axes, strict=True):
@@ -151,46 +152,16 @@ def beside_blender(page: Page) -> None:
         worst = [np.abs(m)[away].max() for m in maps]
         channel = 100.0 * np.abs(ours * (there / fine) / blender - 1.0)[away].max()
         high = away & (up > np.radians(30.0))
-        rows.append(
-            [
-                name,
-                f"{np.abs(maps[0])[away].mean():.2f}",
-                f"{np.abs(maps[0])[high].mean():.2f}",
-                f"{worst[0]:.1f}",
-                f"{np.abs(differ(there, blender))[away].max():.2f}",
-                f"{np.abs(differ(ours, fine))[away].max():.2f}",
-                f"{worst[2]:.2f}",
-                f"{channel:.2f}",
-            ]
-        )
+        means = (np.abs(maps[0])[part].mean() for part in (away, high))
+        others = (worst[0], np.abs(differ(there, blender))[away].max(),
+                  np.abs(differ(ours, fine))[away].max(), worst[2], channel)  # fmt: skip
+        cells = zip((*means, *others), (2, 2, 1, 2, 2, 2, 2), strict=True)
+        rows.append([name, *(f"{value:.{digits}f}" for value, digits in cells)])
     for axis, name in zip(
         axes[0], ("ours against Blender's", "what Blender's sums err", "the rest"), strict=True
     ):
         axis.set_title(name, fontsize=9)
-    plot = page.save(figure, "blender")
-    scale = 1361.0 / nishita.unit()
-    page.rows(rows)
-
-
-def left_out(page: Page) -> None:
-    """Single scattering against Blender's approximation of multiple scattering."""
-    height = 32
-    single, multiple = (blenders(f"{kind}_SCATTERING", height) for kind in ("SINGLE", "MULTIPLE"))
-    rows = []
-    for (elevation, altitude, factors), one, more in zip(BESIDE, single, multiple, strict=True):
-        case: Case = ("earth", elevation, altitude, factors)
-        own = [
-            luminance(horizontal_irradiance(baked(case, 64, multiple=both)))
-            for both in (False, True)
-        ]
-        name = f"{elevation:g}°, {altitude:g} m, {', '.join(f'{f:g}' for f in factors)}"
-        a, b = (horizontal_irradiance(np.concatenate([p, 0 * p])) for p in (one, more))
-        near = [luminance(p[-4:]).mean() for p in (one, more)]
-        rows.append(
-            [name, f"{luminance(b) / luminance(a):.2f}", f"{near[1] / near[0]:.2f}"]
-            + [f"{p[2] / p[0]:.2f}" for p in (a, b)]
-            + [f"{own[1] / own[0]:.2f}"]
-        )
+    page.save(figure, "blender")
     page.rows(rows)
 
 
@@ -209,72 +180,10 @@ def several(page: Page) -> None:
                 + [f"{truth:.4f}"]
                 + [f"{100.0 * (value / truth - 1.0):+.1f}" for value in light]
             )
-    times = [
-        page.timed(lambda both=both: baked(ROWS["Mars, sun at 6°"], 128, multiple=both))
-        for both in (False, True)
-    ]
+    for name, both in (("single", False), ("multiple", True)):
+        took = page.timed(lambda both=both: baked(ROWS["Mars, sun at 6°"], 128, multiple=both))
+        page.value(name, f"{took:.2f} s")
     page.rows(rows)
-
-
-CURVE: list[Case] = [
-    ROWS[name]
-    for name in ("Earth, sun at 60°", "Earth, sun at 0.5°", "Earth, sun at -5°", "Mars, sun at 6°")
-]
-
-
-def curves(page: Page) -> None:
-    """Error against seconds over steps, wavelengths, bearings and rows."""
-    height = 32
-    best = {"steps": 192, "wavelengths": 41, "bearings": 97}
-    tried = {
-        "steps": (8, 16, 24, 32, 48, 64),
-        "wavelengths": (5, 7, 9, 11, 17, 21),
-        "bearings": (9, 17, 33, 65),
-    }
-    usual = {
-        "steps": atmosphere.STEPS,
-        "wavelengths": atmosphere.WAVELENGTHS,
-        "bearings": atmosphere.BEARINGS,
-    }
-    cases = CURVE[:2] if page.fast else CURVE
-    truth = [baked(case, height, **best) for case in cases]
-    rows = []
-    figure, axis = plt.subplots(figsize=(6.5, 3.4))
-    for what, values in tried.items():
-        points = []
-        for value in values:
-            errors, seconds = [], 0.0
-            for case, true in zip(cases, truth, strict=True):
-                got = baked(case, height, **{**best, what: value})
-                seconds += page.timed(
-                    lambda c=case, v=value, w=what: baked(c, 128, **{**usual, w: v}), repeat=1
-                )
-                level = luminance(true[: height // 2])
-                wrong = luminance(np.abs(got - true)[: height // 2])
-                errors.append(100 * np.sqrt((wrong**2).mean() / (level**2).mean()))
-            points.append((seconds / len(cases), max(errors)))
-            mark = " (default)" if value == usual[what] else ""
-            rows.append(
-                [f"{what} {value}{mark}"]
-                + [f"{e:.3f}" for e in errors]
-                + [f"{seconds / len(cases):.2f}"]
-            )
-        x, y = np.array(points).T
-        axis.loglog(x, np.maximum(y, 1e-4), "o-", label=what)
-        for value, (px, py) in zip(values, points, strict=True):
-            axis.annotate(str(value), (px, max(py, 1e-4)), fontsize=7)
-    axis.set(xlabel="seconds a sky, 128 rows", ylabel="worst relative rms error, %")
-    axis.legend()
-    plot = page.save(figure, "curves")
-    sizes = [
-        [f"{count}{' (default)' if count == 128 else ''}"]
-        + [f"{100 * resolution_error(baked(case, count)):.2f}" for case in cases]
-        + [f"{page.timed(lambda count=count: baked(CURVE[0], count), 1):.2f}"]
-        for count in ((32, 64, 128) if page.fast else (32, 64, 128, 256))
-    ]
-    names = [f"{c[0]} {c[1]:g}°, %" for c in cases]
-    page.rows(rows)
-    page.rows(sizes)
 
 
 def extremes(page: Page) -> None:
@@ -290,26 +199,18 @@ def extremes(page: Page) -> None:
             level = luminance(picture)
             steps = max(np.abs(np.diff(level, axis=k)).max() for k in (0, 1))
             share = steps / level.max() if level.any() else 0.0
-            rows.append(
-                [
-                    planet,
-                    f"{density:g}",
-                    f"{altitude / 1000:g}",
-                    f"{elevation:g}",
-                    f"{picture.min():.1e}",
-                    f"{picture.max():.1e}",
-                    "yes" if np.isfinite(picture).all() else "NO",
-                    f"{share:.2f}",
-                    f"{seconds:.2f}",
-                ]
-            )
+            rows.append([
+                planet, f"{density:g}", f"{altitude / 1000:g}", f"{elevation:g}",
+                f"{picture.min():.1e}", f"{picture.max():.1e}",
+                "yes" if np.isfinite(picture).all() else "NO", f"{share:.2f}", f"{seconds:.2f}",
+            ])  # fmt: skip
     page.rows(rows)
 
 
 def main(page: Page) -> None:
     """Writes the page."""
     baked(ROWS["Earth, sun at 60°"], 16)
-    parts = (pictures, beside_blender, left_out, several, curves, extremes)
+    parts = (pictures, beside_blender, several, extremes)
     page.refresh(("numpy", "numba", "bpy"), parts)
 
 
