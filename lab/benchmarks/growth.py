@@ -11,9 +11,9 @@ quarter of the terrain. *mesh*: thirty cameras over a hectare, then the ground a
 triangles, the fastest of three; memory is that above the smallest mesh before it. *memory*: peaks
 of compiling beside what ``compiler/estimate.py`` says before; each scene makes one key large,
 ``--cfgs`` adds those that ship. *million*: compiled and rendered by every backend; *rocks* have
-levels of detail, of *finest* and *trees* (oaks, birches, spruces) each is as it was made (``lod_px``
-0). Seconds are of the whole command, the peak of a render is its worker's, beside what loading was
-estimated to take.
+levels of detail, of *finest* and *trees* (oaks, birches, spruces) each is as it was made. Seconds
+are of the whole command, the peak of a render is its worker's, beside what loading was estimated to
+take.
 """
 
 from __future__ import annotations

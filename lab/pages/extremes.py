@@ -1,4 +1,4 @@
-"""Writes docs/extremes.md: cameras at their limits, cfg to checked frames, in every renderer.
+"""Makes the tables of docs/extremes.md: cameras at their limits, cfg to checked frames.
 
     python lab/pages/extremes.py [--fast] [-o FOLDER]
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.runner import Page, apart, run
-from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.manifest import find_batches
@@ -38,7 +38,6 @@ from scenec.testing.extreme_scenes import (
     CASES,
     GROUND,
     extreme_cfg,
-    many_poses_cfg,
     near_and_far_stage,
     true_plane,
 )
@@ -61,64 +60,47 @@ class Drawn:
         scene: Its stage.
         frames: By backend and case.
         seen: Pixels that a renderer itself sees otherwise, by backend and case, in words.
-        refusals: What a backend said it cannot draw, by backend and case.
         cameras: By case.
-        compile_s: Seconds of compiling.
     """
 
     folder: Path
     scene: RenderScene
     frames: dict[tuple[str, str], Frame] = field(default_factory=dict)
     seen: dict[tuple[str, str], str] = field(default_factory=dict)
-    refusals: dict[tuple[str, str], str] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
-    compile_s: float = 0.0
 
 
 def draw_cases(page: Page) -> Drawn:
-    """Compiles and renders all cases with all backends."""
+    """Compiles and renders all cases with all backends, and asks renderers for their own hits."""
     start = time.perf_counter()
     out = compile_cfg(extreme_cfg(page.scratch), seed=1, out=page.scratch / "out").out
-    compiled = time.perf_counter() - start
-    batch = out / "batch_0000"
-    drawn = Drawn(out, read_stage(batch / "stage.usda"), compile_s=compiled)
-    drawn.cameras = {camera.name.removesuffix("_eye"): camera for camera in drawn.scene.cameras[0]}
+    page.value("compiled", f"{time.perf_counter() - start:.1f} s")
+    (batch,) = find_batches(out)
+    folder = out / "batch_0000"
+    drawn = Drawn(out, read_stage(folder / "stage.usda"))
+    caster, cameras = ExactCaster(drawn.scene), drawn.scene.cameras[0]
+    drawn.cameras = {camera.name.removesuffix("_eye"): camera for camera in cameras}
     for backend in BACKENDS:
-        limited = [case for case in CASES if backend in case.limits]
-        for case in limited:
-            try:
-                render(out, backend, spp=2, cameras=[f"{case.name}_eye"])
-            except ScenecError as error:
-                drawn.refusals[backend, case.name] = str(error)
-        passes = PASSES if backend == "annotation" else ("rgb", *PASSES)
-        others = [f"{case.name}_eye" for case in CASES if case not in limited]
-        render(out, backend, spp=SPP, passes=passes, cameras=others)
-        if limited:
-            names = [f"{case.name}_eye" for case in limited]
-            render(out, "annotation", passes=PASSES, cameras=names)
-        for case in CASES:
-            by = "annotation" if case in limited else backend
-            stem = frame_stem(batch, by, f"{case.name}_eye", 0)
-            drawn.frames[backend, case.name] = read_frame(stem)
-        if backend in DRAWING:
-            witness(drawn, backend, page.scratch)
+        # What a backend cannot draw has its annotation.
+        of = {case.name: "annotation" if backend in case.limits else backend for case in CASES}
+        for by in dict.fromkeys(of.values()):
+            names = [f"{name}_eye" for name, one in of.items() if one == by]
+            passes = PASSES if by == "annotation" else ("rgb", *PASSES)
+            render(out, by, spp=SPP, passes=passes, cameras=names)
+        for name, by in of.items():
+            drawn.frames[backend, name] = read_frame(frame_stem(folder, by, f"{name}_eye", 0))
+        if backend not in DRAWING:
+            continue
+        told = ask(batch, RenderPlan(backend, ("rgb",)), [(0, i) for i in range(len(cameras))])
+        for (name, camera), seen in zip(drawn.cameras.items(), told, strict=True):
+            found = Witness()
+            if seen is not None:
+                found.add(caster, camera_rays(camera), seen)
+            drawn.seen[backend, name] = "-" if seen is None else str(found.differing)
     return drawn
 
 
-def witness(drawn: Drawn, backend: str, folder: Path) -> None:
-    """Pixels of each case of which a renderer itself sees another face or object than exact."""
-    caster, cameras = ExactCaster(drawn.scene), drawn.scene.cameras[0]
-    (batch,) = find_batches(drawn.folder)
-    told = ask(batch, RenderPlan(backend, ("rgb",)), [(0, i) for i in range(len(cameras))])
-    for camera, seen in zip(cameras, told, strict=True):
-        found = Witness()
-        if seen is not None:
-            found.add(caster, camera_rays(camera), seen)
-        case = camera.name.removesuffix("_eye")
-        drawn.seen[backend, case] = "-" if seen is None else str(found.differing)
-
-
-def annotation(drawn: Drawn) -> None:
+def annotation(page: Page, drawn: Drawn) -> None:
     """Against the closed form, and against the definition."""
     rows = []
     for case in CASES:
@@ -140,6 +122,8 @@ def annotation(drawn: Drawn) -> None:
         rows.append(row)
     agreement = check_exact(drawn.folder)
     values = sum(one.pixels for one in agreement.comparisons)
+    differ = f"{values:,} values of {agreement.frames} frames, {agreement.differing} differ"
+    page.value("exact", differ)
     page.rows(rows)
 
 
@@ -154,7 +138,7 @@ def _depth_error(
     return float((np.abs(found[where] - parameter[where]) / parameter[where]).max())
 
 
-def light(drawn: Drawn, folder: Path) -> None:
+def light(page: Page, drawn: Drawn) -> None:
     """Radiance: finite, covering what it should, as bright as another renderer's."""
     stage = drawn.folder / "batch_0000" / "stage.usda"
     inside = {name: _covered(drawn.scene, camera) for name, camera in drawn.cameras.items()}
@@ -181,13 +165,7 @@ def light(drawn: Drawn, folder: Path) -> None:
             ratio += "" if finite else ", NOT FINITE"
             row.append(f"{ratio} · {part['coverage'].mean():.3f} · {wrong}")
         rows.append(row)
-    lines = [
-        f"- `{backend}`, {next(c.what for c in CASES if c.name == name)}: `{line}` "
-        "Its annotation can be made (`--passes label,depth`); `mitsuba` and `pyrender` draw it."
-        for (backend, name), line in drawn.refusals.items()
-    ]
     page.rows(rows)
-    "\n".join(lines)
 
 
 def _mean(part: dict[str, Any], whole: NDArray[np.bool_]) -> float | None:
@@ -225,7 +203,7 @@ def _radiance(stage: Path, backend: str, wanted: list[str]) -> dict[str, Any]:
     return found
 
 
-def costs(drawn: Drawn) -> None:
+def costs(page: Page, drawn: Drawn) -> None:
     """Seconds and memory."""
     rows = []
     for case in CASES:
@@ -255,23 +233,6 @@ def near_and_far(page: Page) -> None:
     page.rows(rows)
 
 
-def poses(page: Page) -> None:
-    """Tracks of many poses, and of none to go."""
-    count = 100_000
-    cfg = many_poses_cfg(page.scratch, count)
-    start = time.perf_counter()
-    out = compile_cfg(cfg, seed=1, out=page.scratch / "many").out
-    compiled = time.perf_counter() - start
-    size = sum(f.stat().st_size for f in (out / "batch_0000").rglob("*") if f.is_file())
-    start = time.perf_counter()
-    last = count - 1
-    report = render(out, "annotation", samples=[0, count // 2, last], passes=("depth", "label"))
-    rendered = time.perf_counter() - start
-    pose = read_frame(report.frames[-1]).sidecar["camera_to_world"]
-    asked = np.loadtxt(page.scratch / "many.csv", delimiter=",")[last, 1:4]
-    off = float(np.abs(np.array(pose)[:3, 3] - asked).max())
-
-
 def sizes(page: Page) -> None:
     """Memory and seconds over picture sizes, in bands and in one piece."""
     cfg = write_cfg(page.scratch, small_cfg(samples=1))
@@ -290,7 +251,6 @@ def sizes(page: Page) -> None:
             else:
                 row += ["", ""]
             rows.append(row)
-    header = ["backend", "pixels", "bands", "peak, GB", "CPU s", "in one piece, GB", "CPU s"]
     page.rows(rows)
 
 
@@ -321,11 +281,11 @@ def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
+    """Refreshes the page."""
     drawn = draw_cases(page)
     page.refresh(("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained"), [
-        lambda _: annotation(drawn), lambda page: light(drawn, page.scratch), near_and_far, sizes,
-        poses, lambda _: costs(drawn),
+        partial(annotation, drawn=drawn), partial(light, drawn=drawn), near_and_far, sizes,
+        partial(costs, drawn=drawn),
     ])  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Writes docs/leaving_out.md: what stages leave out, what that spares, and what it changes.
+"""Makes the tables of docs/leaving_out.md: what stages leave out, and what that changes.
 
     python lab/pages/leaving_out.py [--fast] [-o FOLDER]
 
@@ -25,20 +25,15 @@ from scenec.testing.pruned_scenes import annotation, compiled, difference
 
 #: Outputs that need more and more of a stage.
 OUTPUTS: tuple[tuple[str, ...], ...] = (
-    ("depth",),
-    ("instance", "depth"),
-    ("label", "depth"),
-    ("label", "instance", "depth"),
-    ("rgb",),
-    ("rgb", "label", "instance", "depth"),
-)
+    ("depth",), ("instance", "depth"), ("label", "depth"), ("label", "instance", "depth"),
+    ("rgb",), ("rgb", "label", "instance", "depth"),
+)  # fmt: skip
 SPP = 64
 SHIPPED = (
     "forest_edge", "jacksboro", "landing_site", "lunar_mare", "mars_yard", "meadow_edge",
     "volcanic_desert",
 )  # fmt: skip
 
-#: What the columns of light and cost say.
 #: Samples a pixel for cfgs that ship, whose pictures are large.
 SHIPPED_SPP = 8
 
@@ -156,15 +151,11 @@ def differing(pruned: Path, whole: Path) -> int:
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    head = HEAD
-    for name, value in (
-        ("least", f"{MIN_VIEW_FACTOR:.2g}"),
-        ("near", f"{0.05 / MIN_VIEW_FACTOR**0.5:.0f}"),
-        ("sharp", f"{SHARP:.0f}"),
-    ):
-        head = head.replace("{" + name + "}", value)
-    page.write(head, ("usd-core", "mitsuba"), (by_outputs, shipped, extremes))
+    """Refreshes the page."""
+    page.value("least", f"{MIN_VIEW_FACTOR:.2g}")
+    page.value("near", f"{0.05 / MIN_VIEW_FACTOR**0.5:.0f} m")
+    page.value("sharp", f"{SHARP:.0f}")
+    page.refresh(("usd-core", "mitsuba"), (by_outputs, shipped, extremes))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Writes docs/numerics.md: the error of every approximation beside its run time, over whole ranges.
+"""Makes the tables of docs/numerics.md: errors of elementary approximations beside run times.
 
     python lab/pages/numerics.py [--fast] [-o FOLDER]
 
@@ -75,17 +75,11 @@ def label_lines(page: Page) -> None:
         tiles, report = build_tiles(Surface(field, (merge,)), 1, color=False)
         seconds = time.perf_counter() - start
         cut = report["cuts"][0]
-        rows.append(
-            [
-                f"{spacing:g}",
-                f"{cut['chord_error_rms_m']:.2e}",
-                f"{cut['chord_error_max_m']:.2e}",
-                f"{cut['snap_max_m']:.1e}",
-                f"{100 * wrong_area(tiles, merge):.4f}",
-                f"{report['faces']:,}",
-                f"{seconds:.3f}",
-            ]
-        )
+        rows.append([
+            f"{spacing:g}", f"{cut['chord_error_rms_m']:.2e}", f"{cut['chord_error_max_m']:.2e}",
+            f"{cut['snap_max_m']:.1e}", f"{100 * wrong_area(tiles, merge):.4f}",
+            f"{report['faces']:,}", f"{seconds:.3f}",
+        ])  # fmt: skip
     page.rows(rows)
 
 
@@ -194,12 +188,12 @@ def monte_carlo(page: Page) -> None:
         errors.append(error)
         estimate = compose(radiance, session.scene, camera, 0).noise.relative_rms
         rows.append([str(spp), f"{100 * estimate:.2f}", f"{100 * error:.2f}", f"{seconds:.3f}"])
-    slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    page.value("slope", f"{np.polyfit(np.log(counts), np.log(errors), 1)[0]:.2f}")
     page.rows(rows)
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
+    """Refreshes the page."""
     parts = (elementary_functions, label_lines, spheres, polygons, monte_carlo)
     page.refresh(("scenec", "numpy", "numba", "mitsuba"), parts)
 

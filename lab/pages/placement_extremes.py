@@ -24,7 +24,7 @@ _FEW = {"count": 3, "size_m": 200}
 
 
 def _of_size(size: float) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Rocks of a size on the usual terrain, and on one whose lengths go with it: 40 m for 0.25 m."""
+    """Rocks of a size on the usual terrain, and on one whose lengths go with it."""
     unit = size / 0.25
     thing = _MANY | {"size_m": size, "clearance_m": 0}
     scene = {"size_m": (SIZE[0] * unit, SIZE[1] * unit), "spacing_m": 0.4 * unit,
@@ -51,7 +51,8 @@ ROCKS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
      {"count": 3000, "size_m": 1, "apart": {}, "shortfall": "fewer"}, {}),
     ("a map that is zero everywhere",
      _MANY | {"density": {"type": "image", "file": "black.png"}}, {}),
-    ("a map of one cell that is not", _MANY | {"density": {"type": "image", "file": "one.png"}}, {}),
+    ("a map of one cell that is not",
+     _MANY | {"density": {"type": "image", "file": "one.png"}}, {}),
     ("all masked away", _MANY | {"where": _HIGH}, {}),
     ("all masked away, per_m2 1", {"per_m2": 1, "where": _HIGH}, {}),
     ("masked to one spot of 0.5 m",
