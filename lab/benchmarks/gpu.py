@@ -26,7 +26,7 @@ from scenec.backends.registry import backend_class, backend_names
 from scenec.backends.run.doctor import start
 from scenec.backends.run.executors import ask
 from scenec.backends.run.units import OfBackend
-from scenec.lab.benchmarks.million import cfg
+from scenec.lab.benchmarks.growth import of_kind
 from scenec.lab.runner import ROOT, SCENEC, Cell, Study, command, names, run
 from scenec.schemas.errors import BackendError
 from scenec.schemas.exr import read_exr
@@ -146,7 +146,7 @@ def main(study: Study) -> None:
     count = 10_000 if study.fast else options.count
     scenes = {
         "demo": ROOT / "configs/jacksboro.json",
-        f"{count:,} rocks": study.cfg(cfg("rocks", count) | {"samples": frames}, "rocks"),
+        f"{count:,} rocks": study.cfg(of_kind("rocks", count) | {"samples": frames}, "rocks"),
     }
 
     def rows() -> Iterator[list[Cell]]:

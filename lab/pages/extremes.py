@@ -38,7 +38,6 @@ from scenec.testing.extreme_scenes import (
     CASES,
     GROUND,
     extreme_cfg,
-    near_and_far_stage,
     true_plane,
 )
 from scenec.testing.small import small_cfg, write_cfg
@@ -216,23 +215,6 @@ def costs(page: Page, drawn: Drawn) -> None:
     page.rows(rows)
 
 
-def near_and_far(page: Page) -> None:
-    """Something a centimeter away before something 10,000 km away."""
-    stage = near_and_far_stage(page.scratch)
-    rows = []
-    truth = None
-    for backend in BACKENDS:
-        report = render(stage, backend, passes=("depth", "instance", "label", "face"))
-        frame = read_frame(report.frames[0])
-        truth = frame if truth is None else truth
-        near, far = (np.isclose(frame.passes["depth"], d, rtol=1e-6, atol=0) for d in (0.01, 1e7))
-        after = sum(int((frame.passes[k] != v).sum()) for k, v in truth.passes.items())
-        rows.append([f"`{backend}`", str(int(near.sum())), str(int(far.sum())),
-                     f"{float(frame.passes['depth'].max() / frame.passes['depth'].min()):.3g}",
-                     str(after)])  # fmt: skip
-    page.rows(rows)
-
-
 def sizes(page: Page) -> None:
     """Memory and seconds over picture sizes, in bands and in one piece."""
     cfg = write_cfg(page.scratch, small_cfg(samples=1))
@@ -284,7 +266,7 @@ def main(page: Page) -> None:
     """Refreshes the page."""
     drawn = draw_cases(page)
     page.refresh(("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained"), [
-        partial(annotation, drawn=drawn), partial(light, drawn=drawn), near_and_far, sizes,
+        partial(annotation, drawn=drawn), partial(light, drawn=drawn), sizes,
         partial(costs, drawn=drawn),
     ])  # fmt: skip
 

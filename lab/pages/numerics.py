@@ -8,29 +8,20 @@ Times are single readings on the machine that runs it; errors are facts of the c
 from __future__ import annotations
 
 import time
-from fractions import Fraction
-from itertools import pairwise
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
-from scenec.backends.picture.compose import compose
-from scenec.backends.run.session import Session
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.compile import compile_cfg
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.lab.runner import Page, run, times
-from scenec.schemas.polygons import triangulate
-from scenec.testing.outlines import comb
+from scenec.lab.runner import Page, run
 from scenec.testing.scenes import affine, mesh, scene
-from scenec.testing.small import small_cfg, write_cfg
 
 
 def elementary_functions(page: Page) -> None:
@@ -125,77 +116,10 @@ def spheres(page: Page) -> None:
     page.rows(rows)
 
 
-def polygons(page: Page) -> None:
-    """Tabulates area, winding and time of triangulated polygons that are no fans."""
-    rng = np.random.default_rng(0)
-    c = np.array(
-        [(-1, 0), (1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2)], np.float64
-    )
-    outlines: dict[str, NDArray[np.float64]] = {
-        "C, 2 m": c,
-        "C, 2e-9 m": 1e-9 * c,
-        "C, 2e9 m": 1e9 * c,
-        "C, 2 m, 4,000 km from the origin": c + np.array([3e6, -3e6]),
-        "C, 2 m × 2e-9 m": c * np.array([1.0, 1e-9]),
-    }
-    for n in (100, 1000) if page.fast else (100, 1000, 10_000):
-        outlines |= {f"comb, {n:,} corners": np.array(comb(rng, n), np.float64)}
-        angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, n))
-        ring = rng.uniform(0.1, 1.0, n) * np.stack([np.cos(angle), np.sin(angle)])
-        outlines |= {f"star, {n:,} corners": ring.T}
-    rows = []
-    for name, outline in outlines.items():
-        points = np.column_stack([outline, np.zeros(len(outline))])
-        faces, counts = np.arange(len(points)), np.array([len(points)])
-        cost = times(lambda p=points, f=faces, k=counts: triangulate(p, f, k), 3)
-        exact = [(Fraction(x), Fraction(y)) for x, y in outline.tolist()]
-        area = _twice(exact)
-        parts = [_twice([exact[k] for k in corners])
-                 for corners in triangulate(points, faces, counts).corners.tolist()]  # fmt: skip
-        error = abs(sum(map(abs, parts)) - abs(area)) / abs(area)
-        wrong = sum(part * area <= 0 for part in parts)
-        rows.append(
-            [name, f"{len(parts):,}", f"{float(error):g}", wrong, f"{1e3 * min(cost.cpu):.2f}"]
-        )
-    page.rows(rows)
-
-
-def _twice(outline: list[tuple[Fraction, Fraction]]) -> Fraction:
-    """Returns twice the signed area."""
-    return sum(
-        (a[0] * b[1] - a[1] * b[0] for a, b in pairwise([*outline, outline[0]])), Fraction(0)
-    )
-
-
-def monte_carlo(page: Page) -> None:
-    """Noise of rgb: the estimate in the sidecar, the true error, the time."""
-    cfg = small_cfg(samples=1)
-    cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [160, 120]
-    out = compile_cfg(write_cfg(page.scratch, cfg), seed=4, out=page.scratch / "out").out
-    session = Session.open(out / "batch_0000" / "stage.usda", "mitsuba")
-    camera = session.scene.cameras[0][0]
-    session.backend.load(session.scene)
-    best = session.backend.radiance(camera, 0, 256 if page.fast else 16384, 99)
-    covered = best.coverage > 0.0
-    reference = best.halves.astype(np.float64).mean(axis=0)[covered]
-    rows, errors, counts = [], [], (4, 16) if page.fast else (4, 16, 64, 256, 1024)
-    for spp in counts:
-        start = time.perf_counter()
-        radiance = session.backend.radiance(camera, 0, spp, spp)
-        seconds = time.perf_counter() - start
-        mean = radiance.halves.astype(np.float64).mean(axis=0)[covered]
-        error = np.sqrt(((mean - reference) ** 2).mean()) / reference.mean()
-        errors.append(error)
-        estimate = compose(radiance, session.scene, camera, 0).noise.relative_rms
-        rows.append([str(spp), f"{100 * estimate:.2f}", f"{100 * error:.2f}", f"{seconds:.3f}"])
-    page.value("slope", f"{np.polyfit(np.log(counts), np.log(errors), 1)[0]:.2f}")
-    page.rows(rows)
-
-
 def main(page: Page) -> None:
     """Refreshes the page."""
-    parts = (elementary_functions, label_lines, spheres, polygons, monte_carlo)
-    page.refresh(("scenec", "numpy", "numba", "mitsuba"), parts)
+    parts = (elementary_functions, label_lines, spheres)
+    page.refresh(("scenec", "numpy", "numba"), parts)
 
 
 if __name__ == "__main__":

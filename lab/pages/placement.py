@@ -19,7 +19,7 @@ from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.views.resolution import views_of
 from scenec.lab.benchmarks.growth import measure
-from scenec.lab.pages import placement_extremes, placement_laws, placement_space
+from scenec.lab.pages import placement_extremes, placement_space
 from scenec.lab.pages.placement_field import PLANE, gaps, stand
 from scenec.lab.runner import Page, apart, run
 from scenec.schemas.errors import SceneError
@@ -134,8 +134,8 @@ def growth(page: Page) -> None:
 def main(page: Page) -> None:
     """Refreshes the page and its picture."""
     page.refresh(("scenec", "numpy", "numba", "scipy"), [
-        placement_laws.kolmogorov, placement_space.densities, placement_space.isolated, seats,
-        levels, placement_extremes.rocks, placement_extremes.single, growth,
+        placement_space.densities, placement_space.isolated, seats,
+        levels, placement_extremes.rocks, growth,
     ])  # fmt: skip
 
 

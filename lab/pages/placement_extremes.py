@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
-from scenec.compiler.scene.objects import Placed
-from scenec.lab.pages.placement_field import HILLS, PLANE, SIZE, Stood, gaps, stand
+from scenec.lab.pages.placement_field import HILLS, PLANE, SIZE, gaps, stand
 from scenec.lab.runner import Page
 from scenec.schemas.errors import ScenecError
 
@@ -118,62 +116,3 @@ def _row(name: str, thing: dict[str, Any], scene: dict[str, Any], page: Page) ->
         share,
         px,
     ]
-
-
-def _poses() -> list[tuple[str, list[dict[str, Any]], dict[str, Any]]]:
-    """Names, poses and other keys of boxes."""
-    x, y = np.random.default_rng(3).uniform(-1, 1, (2, 1000)) * [[0.5 * SIZE[0]], [0.5 * SIZE[1]]]
-    turned = [{"x_m": a, "y_m": b, "rotation_deg": [10, 20, 30]}
-              for a, b in zip(x.tolist(), y.tolist(), strict=True)]  # fmt: skip
-    corners = [{"x_m": a * SIZE[0] / 2, "y_m": b * SIZE[1] / 2} for a in (-1, 1) for b in (-1, 1)]
-    beyond, along, world = [{"x_m": SIZE[0] / 2 + 1e-3, "y_m": 0}], "along the normal", "world"
-    return [
-        *((f"scale {scale:g}", [{"x_m": 1, "y_m": 2, "scale": scale}], {})
-          for scale in (1e-4, 1e-2, 1.0, 1e2, 1e4)),
-        ("1,000 poses, turned", turned, {}),
-        (f"1,000 poses, {along}", turned, {"orientation": "normal"}),
-        ("on the terrain's four corners", corners, {}),
-        (f"the same, {along}", corners, {"orientation": "normal"}),
-        ("1 mm beyond the border", beyond, {}),
-        ("the same, heights of the world", beyond, {"heights": world}),
-        ("1e9 m away, heights of the world", [{"x_m": 1e9, "y_m": 0}], {"heights": world}),
-    ]  # fmt: skip
-
-
-def single(page: Page) -> None:
-    """Places boxes at given poses, at the ends of theirs."""
-    (page.scratch / "box.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x in (-1, 1) for y in (-1, 1) for z in (0, 2))
-        + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
-    )
-    model = {"type": "placed", "models": [{"file": "box.obj", "unit_m": 1, "up": "z"}],
-             "material": "stone"}  # fmt: skip
-    rows = []
-    for name, poses, change in _poses():
-        objects = {
-            "lander": model | {"poses": poses} | change,
-            "rocks": {"count": 1, "size_m": 0.1},
-        }
-        try:
-            cells = _errors(stand(objects, page.scratch), poses, change)
-        except ScenecError as error:
-            cells = [_message(error), "", "", ""]
-        rows.append([name, f"{len(poses):,}", *cells])
-    page.rows(rows)
-
-
-def _errors(stood: Stood, poses: list[dict[str, Any]], change: dict[str, Any]) -> list[str]:
-    placed = stood.objects[0]
-    assert isinstance(placed, Placed)
-    at = np.array([[pose["x_m"], pose["y_m"], 0.0] for pose in poses])
-    if "heights" not in change:
-        at[:, 2] = stood.surface.height_at(at[:, 0].copy(), at[:, 1].copy())
-    got = placed.to_world[:, 0]
-    scale = np.array([pose.get("scale", 1.0) for pose in poses])
-    angles = [pose.get("rotation_deg", [0, 0, 0]) for pose in poses]
-    bare = got[:, :, :3] / scale[:, None, None]
-    off = np.abs(bare - Rotation.from_euler("xyz", angles, degrees=True).as_matrix()).max()
-    if "orientation" in change:
-        off = np.abs(np.sqrt((bare[:, :, 2] ** 2).sum(axis=1)) - 1.0).max()
-    return [f"{placed.count:,}", f"{stood.seconds:.2f}", f"{np.abs(got[:, :, 3] - at).max():.0e}",
-            f"{off:.0e}"]  # fmt: skip

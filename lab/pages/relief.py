@@ -2,7 +2,7 @@
 
     python lab/pages/relief.py [--fast] [-o FOLDER]
 
-Needs the extras "demo" (matplotlib) and "geotiff", and for the table of seconds pyfastnoiselite and
+Needs the extra "demo" (matplotlib), and for the table of seconds pyfastnoiselite and
 fastscapelib, which may be missing (their rows say how many times our seconds they take). Times are
 best readings on the machine that runs it; everything else is a fact of the code.
 """
@@ -40,7 +40,7 @@ from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.compiler.terrain.operators.tracks import Tracks
 from scenec.compiler.terrain.operators.worley import Worley
 from scenec.lab.benchmarks.cfgs import fbm
-from scenec.lab.pages import relief_errors, relief_ranges
+from scenec.lab.pages import relief_errors
 from scenec.lab.runner import Cell, Page, run, times
 
 #: The equilibrium of small lunar craters, N(>D) = 0.0218 * 1.54 / D^2 a square meter.
@@ -344,9 +344,8 @@ def main(page: Page) -> None:
     """Refreshes the page."""
     page.refresh(("scenec", "numpy", "numba", "scipy"), [
         gallery, prints, relief_errors.diffusion, relief_errors.decay, relief_errors.rivers,
-        relief_errors.river_steps, relief_errors.hillslopes, relief_errors.slides,
-        lambda page: page.rows(None), relief_ranges.noises, relief_ranges.extents,
-        relief_ranges.origins, relief_ranges.dems, craters, relief_ranges.horizon, seconds,
+        relief_errors.river_steps, relief_errors.slides, lambda page: page.rows(None),
+        relief_errors.extents, craters, relief_errors.horizon, seconds,
     ])  # fmt: skip
 
 

@@ -1,7 +1,8 @@
-"""For docs/relief.md: diffusion, rivers and slides, over steps and drops of many decades."""
+"""For docs/relief.md: diffusion, rivers, slides, extents and horizons, and what each errs."""
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 from unittest import mock
@@ -10,6 +11,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.run.session import Session
+from scenec.compiler.build import BuildLog, build, build_surface
+from scenec.compiler.cfg.load import load
+from scenec.compiler.compile import compile_cfg
+from scenec.compiler.draw import draw
+from scenec.compiler.mesh.horizon import Land
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators import thermal
 from scenec.compiler.terrain.operators.drainage import SIDES, drain, drainage_area, outlet_samples
@@ -17,8 +26,11 @@ from scenec.compiler.terrain.operators.halving import rms
 from scenec.compiler.terrain.operators.smooth import Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 from scenec.compiler.terrain.operators.thermal import Thermal
+from scenec.compiler.terrain.program import run
+from scenec.compiler.views.resolution import pixels_of_balls, views_of
 from scenec.lab.benchmarks.cfgs import fbm
 from scenec.lab.runner import Cell, Page
+from scenec.testing.small import scaled, small_cfg, write_cfg
 
 
 def _diffused(height: NDArray, spacing: float, strength: float) -> NDArray:
@@ -182,27 +194,6 @@ def river_steps(page: Page) -> None:
     page.rows(rows)
 
 
-def hillslopes(page: Page) -> None:
-    """Holds hillslopes between fixed outlets against a parabola, over steps of any size."""
-    grid = Grid((200.0, 200.0), (41, 41))
-    x = grid.x()[None, :]
-    parabola = 1e-3 / (2.0 * 0.05) * (100.0**2 - x * x) + np.zeros(grid.shape)
-    rough = np.random.default_rng(1).normal(size=grid.shape)
-    rows = []
-    for decade in (0, 5) if page.fast else range(-5, 6):
-        operator = StreamPower(
-            erodibility=0.0, diffusivity_m2_per_a=0.05, uplift_m_per_a=1e-3,
-            duration_a=25.0 / 0.05 * 10.0**decade, steps=1, outlets=("west", "east"),
-        )  # fmt: skip
-        start = time.process_time()
-        off = operator.run(grid, parabola, 1)[0] - parabola
-        spent = time.process_time() - start
-        moved = operator.run(grid, rough, 1)[0] - rough
-        rows.append([f"1e{decade}", f"{np.abs(off).max() / parabola.max():.1e}",
-                     f"{np.abs(moved[:, [0, -1]]).max():.0e}", f"{spent:.4f}"])  # fmt: skip
-    page.rows(rows)
-
-
 def slides(page: Page) -> None:
     """Lets cliffs and noise slide over six decades of drops; holds the stated error to truth."""
     grid = Grid((199.0, 199.0), (200, 200))
@@ -247,3 +238,109 @@ def _stated(page: Page) -> list[list[Cell]]:
         rows.append([name, f"{rms(off):.1e}", f"{report['error_rms_m']:.1e}",
                      f"{np.quantile(off, 0.99):.1e}", f"{report['error_99_m']:.1e}"])  # fmt: skip
     return rows
+
+
+def extents(page: Page) -> None:
+    """A scene compiled and seen from a millimeter to a thousand kilometers."""
+    rows, promised, made = [], [], []
+    exponents = (-3, 0, 3, 6) if page.fast else tuple(range(-3, 7))
+    for exponent in exponents:
+        extent = 10.0**exponent
+        cfg = scaled(small_cfg(samples=1), extent / 20.0)
+        cfg["terrain"]["mesh"] = {"tolerance_px": 0}
+        own = page.scratch / f"extent{exponent}"
+        own.mkdir()
+        path = write_cfg(own, cfg)
+        start = time.perf_counter()
+        batch = compile_cfg(path, seed=3, out=own / "out").out / "batch_0000"
+        seconds = time.perf_counter() - start
+        found = json.loads((batch / "report.json").read_text())["precision"]
+        session = Session.open(batch / "stage.usda", "reference")
+        camera = session.scene.cameras[0][0]
+        frame = session.render(camera, 0, ("depth", "instance", "normal"), 1, 1)[0]
+        rays = camera_rays(camera)
+        ground = (np.isfinite(frame["depth"]) & (frame["instance"] == 0)).ravel()
+        depth = frame["depth"].ravel()[ground]
+        at = rays.origins[ground] + depth[:, None] * rays.directions[ground]
+        plan = draw(load(path), 3, 0).terrain
+        truth = run(plan.relief, Grid.with_spacing(plan.size_m, plan.spacing_m)).field
+        x, y = (np.ascontiguousarray(at[:, k]) for k in (0, 1))
+        normal = frame["normal"].reshape(-1, 3)[ground].astype(np.float64)
+        along = np.abs((rays.directions[ground] * normal).sum(axis=1))
+        error = np.abs(at[:, 2] - truth.height_at(x, y)) * np.abs(normal[:, 2]) / along / depth
+        promised.append(found["promised_m"])
+        made.append(found["float32_error_max_m"])
+        rows.append([
+            f"1e{exponent}", f"{found['promised_m']:.1e}", f"{found['promised_px']:.1e}",
+            f"{made[-1]:.1e}", f"{found['float32_error_max_px']:.1e}",
+            f"{np.isinf(frame['depth']).mean():.3f}", f"{depth.min():.1e} … {depth.max():.1e}",
+            f"{error.max():.1e}", f"{seconds:.2f}",
+        ])  # fmt: skip
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 3.6))
+    sizes = 10.0 ** np.array(exponents, float)
+    left.loglog(sizes, promised, "o-", label="promised: extent · 6e-8")
+    left.loglog(sizes, made, "s-", label="largest error made")
+    left.set(xlabel="extent, m", ylabel="m", title="Positions in float32")
+    origins = np.geomspace(1.0, 1e7, 29)
+    right.loglog(origins, np.spacing(origins.astype(np.float32)), label="if it entered positions")
+    step = np.spacing(np.float32(50.0))
+    right.loglog(origins, np.full(len(origins), step), label="as it is: recorded")
+    right.set(xlabel="distance of the origin, m", ylabel="step of float32, m",
+              title="What a georeference would cost, 100 m")  # fmt: skip
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    page.rows(rows)
+    page.save(figure, "extents")
+
+
+#: Land beyond the border.
+_FAR = {
+    "reach_m": 6000, "spacing_m": 30, "material": "sand",
+    "relief": [
+        {"type": "plane"},
+        {"type": "multifractal", "variant": "fbm", "amplitude_m": 9, "scale_m": 420, "gain": 0.42},
+        {"type": "multifractal", "variant": "ridged", "amplitude_m": 300, "scale_m": 2500,
+         "octaves": 9,
+         "mask": [{"type": "point", "x_m": 0, "y_m": 0, "min_m": 1500, "softness_m": 2500}]},
+    ],
+}  # fmt: skip
+
+
+def horizon(page: Page) -> None:
+    """Errors of the mesh, in pixels of what is seen, by tolerance."""
+    cfg = small_cfg()
+    cfg["terrain"]["horizon"] = _FAR
+    for sensor in cfg["rigs"]["rover"]["sensors"].values():
+        sensor |= {"resolution": [640, 480], "fov_deg": 60}
+    plan = draw(load(write_cfg(page.scratch, cfg)), 1, 0)
+    far = plan.terrain.horizon
+    assert far is not None
+    size = (plan.terrain.size_m[0] + 2 * far.reach_m, plan.terrain.size_m[1] + 2 * far.reach_m)
+    relief = run(far.relief, Grid.with_spacing(size, far.spacing_m))
+    terrain = build_surface(plan, BuildLog())
+    land = Land.around(terrain, Surface(relief.field, details=relief.details), far.blend_m)
+    rows = []
+    for tolerance in (0.25, 0.5, 1.0, 2.0):
+        meshing = replace(plan.terrain.meshing, tolerance_px=tolerance)
+        asked = replace(plan, terrain=replace(plan.terrain, meshing=meshing))
+        without = replace(asked, terrain=replace(asked.terrain, horizon=None))
+        seconds = []
+        for one in (without, asked):
+            begun = time.process_time()
+            scene = build(one, BuildLog())
+            seconds.append(time.process_time() - begun)
+        assert scene.ground.horizon is not None
+        tile = scene.ground.horizon.tile
+        shares = np.random.default_rng(1).dirichlet([1, 1, 1], (len(tile.faces), 16))
+        corners = tile.points.astype(float)[tile.faces]
+        at = (shares[..., None] * corners[:, None]).sum(axis=2).reshape(-1, 3)
+        # Within a cell of the border its roughness fades out, which the land does not have.
+        at = at[land.distance_m(at[:, 0], at[:, 1]) > 1.0]
+        error = np.abs(land.height_at(*np.ascontiguousarray(at[:, :2].T)) - at[:, 2])
+        pixels = error * pixels_of_balls(views_of(scene.rigs), at, np.zeros(len(at)), 0.0, 1.0)
+        seen = pixels[pixels > 0.0]
+        share = (float(v) for v in np.percentile(seen, [50.0, 99.0, 99.9]))
+        rows.append((tolerance, len(tile.faces), len(seen), *share, float(seen.max()),
+                     seconds[1] - seconds[0]))  # fmt: skip
+    page.rows(rows)
