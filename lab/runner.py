@@ -314,13 +314,9 @@ class Page(Study):
         if packages:
             text = _VERSIONS.sub(_versions(packages), text, count=1)
             text = re.sub(r"\b\d+ cores", f"{os.cpu_count()} cores", text, count=1)
-        for name, value in self._values.items():
-            text, count = re.subn(
-                f"(<!--{name}-->).*?(<!--/{name}-->)", lambda m, v=value: m[1] + v + m[2], text
-            )
-            if not count:
-                raise ScenecError(f"docs/{self.name}.md: nothing is marked <!--{name}-->")
-        found = list(_TABLE.finditer(text))
+        # Tables within marks are of values.
+        spans = [m.span() for m in re.finditer(r"<!--(\w+)-->.*?<!--/\1-->", text, re.DOTALL)]
+        found = [m for m in _TABLE.finditer(text) if not any(a < m.start() < b for a, b in spans)]
         if len(found) != len(self._tables):
             raise ScenecError(
                 f"docs/{self.name}.md: {len(found)} tables, {len(self._tables)} were made"
@@ -333,6 +329,15 @@ class Page(Study):
                 raise ScenecError(f"docs/{self.name}.md: {old['head'].strip()}: other columns")
             lines = "".join("| " + " | ".join(map(cell, row)) + " |\n" for row in rows)
             text = text[: old.start("rows")] + lines + text[old.end("rows") :]
+        for name, value in self._values.items():
+            text, count = re.subn(
+                f"(<!--{name}-->).*?(<!--/{name}-->)",
+                lambda m, v=value: m[1] + v + m[2],
+                text,
+                flags=re.DOTALL,
+            )
+            if not count:
+                raise ScenecError(f"docs/{self.name}.md: nothing is marked <!--{name}-->")
         (self.folder / f"{self.name}.md").write_text(text, encoding="utf-8")
 
     def write(

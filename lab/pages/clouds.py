@@ -33,17 +33,16 @@ from scenec.compiler.light.cloud_fields import (
     no_cumulus,
     rise_at,
 )
-from scenec.compiler.light.cloud_rays import Shine, beam_left, through_cumulus
+from scenec.compiler.light.cloud_rays import Shine, through_cumulus
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
-from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
+from scenec.compiler.light.overcast import overcast_sky
 from scenec.lab.benchmarks.cfgs import looking
 from scenec.lab.pages import cloud_shadows
 from scenec.lab.pictures import beside_assets, frames, photograph, save, sheet
 from scenec.lab.runner import ROOT, Page, run
 from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import develop
-from scenec.testing import photons
 
 GROUND = np.array([0.2, 0.2, 0.15])
 #: Above the air, W/m^2.
@@ -166,24 +165,6 @@ def scenes(page: Page) -> None:
     page.value("scenes", ", ".join(told))
 
 
-def coverage(page: Page) -> None:
-    """What is asked for and what there is, over places and over the sky."""
-    count = 200 if page.fast else 4000
-    rng = np.random.default_rng(4)
-    rows: list[list[str | float]] = []
-    up = np.array([0.0, 0.0, 1.0])
-    low = np.array([0.0, np.cos(np.radians(20.0)), np.sin(np.radians(20.0))])
-    for asked in (0.1, 0.3, 0.5, 0.7, 0.9):
-        layer = cumulus(asked)
-        left = np.empty((count, 2))
-        for k, (east, north) in enumerate(rng.uniform(-40000.0, 40000.0, (count, 2))):
-            there = layer._replace(pattern=layer.pattern._replace(east_m=east, north_m=north))
-            left[k] = [beam_left(way, 0.0, 0.0, there, no_cirrus()) for way in (up, low)]
-        shares = [(left[:, 0] < 0.95).mean(), left[:, 0].mean(), left[:, 1].mean()]
-        rows.append([f"{asked:g}", *(f"{share:.2f}" for share in shares)])
-    page.rows(rows)
-
-
 @kernel
 def _fill_grid(layer, cell, half, out):  # type: ignore[no-untyped-def]
     for k in range(out.shape[0]):
@@ -269,31 +250,6 @@ def rendered(
     return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=3))[..., 0].astype(float)
 
 
-def below(page: Page) -> None:
-    """Daylight below an overcast sky: against photons, and against what is measured."""
-    rng = np.random.Generator(np.random.Philox(key=7))
-    rows: list[list[str | float]] = []
-    for depth in (5.0, 15.0, 40.0):
-        for sine in (0.25, 0.5, 0.9):
-            total, left = (float(a[0]) for a in transmitted(np.array([depth]), np.array([sine])))
-            counted = photons.scattered_down(rng, depth, 1.0, 1.0, 0.85, sine)
-            off = 100.0 * ((total - left) / counted - 1.0)
-            height = np.degrees(np.arcsin(sine))
-            rows.append([f"{depth:g}", f"{height:.0f}", f"{counted:.3f}", f"{off:+.1f} %"])
-    measured: list[list[str | float]] = []
-    for elevation in (10.0, 20.0, 30.0, 45.0, 60.0):
-        sine = np.sin(np.radians(elevation))
-        row: list[str | float] = [f"{elevation:g}", f"{3.0 + 210.0 * sine:.0f}"]
-        for depth in (20.0, 40.0, 60.0):
-            share = float(transmitted(np.array([depth]), np.array([sine]))[0][0])
-            row.append(
-                f"{1000.0 * sine * share / (1.0 - 0.2 * reflected(np.array([depth]))[0]):.0f}"
-            )
-        measured.append(row)
-    page.rows(rows)
-    page.rows(measured)
-
-
 def cost(page: Page) -> None:
     """CPU seconds of a picture."""
     sky_with(50.0, cumulus(), cirrus(), 32)
@@ -327,15 +283,10 @@ def cost(page: Page) -> None:
     page.rows(rows)
 
 
-def shadows(page: Page) -> None:
-    """Draws and measures shadows on the land."""
-    cloud_shadows.shadows(page, cumulus, no_cirrus())
-
-
 def main(page: Page) -> None:
     """Refreshes the page."""
     packages = ("numpy", "numba", "mitsuba", "pyrender-maintained")
-    page.refresh(packages, (pictures, scenes, shadows, coverage, volumes, below, cost))
+    page.refresh(packages, (pictures, scenes, cloud_shadows.shadows, volumes, cost))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ Seconds and memory are single readings on the machine that runs it; errors are f
 
 from __future__ import annotations
 
-import hashlib
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,12 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.camera import tiles
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.compare import check_exact
 from scenec.backends.check.witness import Witness, ask
 from scenec.backends.exact import ExactCaster
-from scenec.backends.run import memory
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import render
 from scenec.backends.run.session import Session
@@ -30,17 +27,14 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.runner import Page, apart, run
-from scenec.schemas.exr import write_exr
 from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.manifest import find_batches
-from scenec.schemas.memory import GB
 from scenec.testing.extreme_scenes import (
     CASES,
     GROUND,
     extreme_cfg,
     true_plane,
 )
-from scenec.testing.small import small_cfg, write_cfg
 
 BACKENDS = ("annotation", "mitsuba", "cycles", "pyrender")
 DRAWING = BACKENDS[1:]
@@ -215,58 +209,11 @@ def costs(page: Page, drawn: Drawn) -> None:
     page.rows(rows)
 
 
-def sizes(page: Page) -> None:
-    """Memory and seconds over picture sizes, in bands and in one piece."""
-    cfg = write_cfg(page.scratch, small_cfg(samples=1))
-    stage = compile_cfg(cfg, seed=4, out=page.scratch / "sizes").out / "batch_0000" / "stage.usda"
-    rows = []
-    todo = {"annotation": (512, 2048), "mitsuba": (2048, 4096, 8192)}
-    for backend, sides in todo.items():
-        for size in sides[:1] if page.fast else sides:
-            found = apart(_large, stage, backend, [size, False, page.scratch]).value
-            row = [f"`{backend}`", f"{size:,} × {size:,}", str(found["bands"]),
-                   f"{found['peak_gb']:.2f}", f"{found['cpu_s']:.0f}"]  # fmt: skip
-            if found["bands"] > 1 and backend == "mitsuba":
-                whole = apart(_large, stage, backend, [size, True, page.scratch]).value
-                assert whole["arrays"] == found["arrays"]
-                row += [f"{whole['peak_gb']:.2f}", f"{whole['cpu_s']:.0f}"]
-            else:
-                row += ["", ""]
-            rows.append(row)
-    page.rows(rows)
-
-
-def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
-    size, whole, folder = arguments
-    session = Session.open(stage, backend)
-    camera = session.scene.cameras[0][0]
-    k = camera.intrinsics * (size / camera.width)
-    k[1, 2], k[2, 2] = 0.5 * size, 1.0
-    camera = replace(camera, width=size, height=size, intrinsics=k)
-    passes = session.passes(("label", "instance", "depth"), camera)
-    # What the first picture alone costs.
-    session.render(tiles.crop(camera, range(16), range(16)), 0, passes, 1, 0)
-    if whole:
-        tiles.PIXELS = tiles.TALLEST = 1 << 40
-    memory.reset_peak()
-    start = time.process_time()
-    arrays, _ = session.render(camera, 0, passes, 1, 0)
-    seconds, peak = time.process_time() - start, memory.peak() or 0
-    digests = {name: hashlib.sha256(values).hexdigest() for name, values in arrays.items()}
-    write_exr(folder / "large.exr", arrays)
-    return {
-        "peak_gb": max(peak, memory.peak() or 0) / GB,
-        "cpu_s": seconds,
-        "bands": len(tiles.bands(camera)),
-        "arrays": digests,
-    }
-
-
 def main(page: Page) -> None:
     """Refreshes the page."""
     drawn = draw_cases(page)
     page.refresh(("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained"), [
-        partial(annotation, drawn=drawn), partial(light, drawn=drawn), sizes,
+        partial(annotation, drawn=drawn), partial(light, drawn=drawn),
         partial(costs, drawn=drawn),
     ])  # fmt: skip
 

@@ -16,10 +16,6 @@ from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.icosphere import icosphere
-from scenec.compiler.mesh.merge import Merge, label_index
-from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.lab.runner import Page, run
 from scenec.testing.scenes import affine, mesh, scene
 
@@ -55,44 +51,6 @@ def elementary_functions(page: Page) -> None:
     page.rows(rows)
 
 
-def label_lines(page: Page) -> None:
-    """Chord error and wrongly labeled area of the cut, over spacings."""
-    merge = Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5)
-    rows = []
-    for spacing in (1.6, 0.8) if page.fast else (1.6, 0.8, 0.4, 0.2, 0.1):
-        field = HeightField(Grid.with_spacing((40.0, 40.0), spacing), np.zeros((1, 1)))
-        field = HeightField(field.grid, np.zeros(field.grid.shape))
-        start = time.perf_counter()
-        tiles, report = build_tiles(Surface(field, (merge,)), 1, color=False)
-        seconds = time.perf_counter() - start
-        cut = report["cuts"][0]
-        rows.append([
-            f"{spacing:g}", f"{cut['chord_error_rms_m']:.2e}", f"{cut['chord_error_max_m']:.2e}",
-            f"{cut['snap_max_m']:.1e}", f"{100 * wrong_area(tiles, merge):.4f}",
-            f"{report['faces']:,}", f"{seconds:.3f}",
-        ])  # fmt: skip
-    page.rows(rows)
-
-
-def wrong_area(tiles: tuple, merge: Merge) -> float:
-    """Fraction of the area with another label than the merge function's."""
-    rng = np.random.default_rng(0)
-    wrong, total = 0.0, 0.0
-    for tile in tiles:
-        points = tile.translate + tile.points.astype(np.float64)
-        corners = points[tile.faces]
-        edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        area = 0.5 * (edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
-        count = max(1, int(1e6 * area.sum() / 1600.0))
-        face = rng.choice(len(area), count, p=area / area.sum())
-        bary = rng.dirichlet([1, 1, 1], count)
-        at = (bary[:, :, None] * corners[face]).sum(axis=1)
-        side = merge.side(np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1]))
-        wrong += (label_index([side]) != tile.layer[face]).mean() * area.sum()
-        total += area.sum()
-    return float(wrong / total)
-
-
 def spheres(page: Page) -> None:
     """Depth of a tessellated sphere against the true one."""
     rows = []
@@ -118,7 +76,7 @@ def spheres(page: Page) -> None:
 
 def main(page: Page) -> None:
     """Refreshes the page."""
-    parts = (elementary_functions, label_lines, spheres)
+    parts = (elementary_functions, spheres)
     page.refresh(("scenec", "numpy", "numba"), parts)
 
 

@@ -345,7 +345,7 @@ def main(page: Page) -> None:
     page.refresh(("scenec", "numpy", "numba", "scipy"), [
         gallery, prints, relief_errors.diffusion, relief_errors.decay, relief_errors.rivers,
         relief_errors.river_steps, relief_errors.slides, lambda page: page.rows(None),
-        relief_errors.extents, craters, relief_errors.horizon, seconds,
+        craters, relief_errors.horizon, seconds,
     ])  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from unittest import mock
@@ -11,11 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.camera.rays import camera_rays
-from scenec.backends.run.session import Session
 from scenec.compiler.build import BuildLog, build, build_surface
 from scenec.compiler.cfg.load import load
-from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.horizon import Land
 from scenec.compiler.mesh.surface import Surface
@@ -30,7 +26,7 @@ from scenec.compiler.terrain.program import run
 from scenec.compiler.views.resolution import pixels_of_balls, views_of
 from scenec.lab.benchmarks.cfgs import fbm
 from scenec.lab.runner import Cell, Page
-from scenec.testing.small import scaled, small_cfg, write_cfg
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def _diffused(height: NDArray, spacing: float, strength: float) -> NDArray:
@@ -238,60 +234,6 @@ def _stated(page: Page) -> list[list[Cell]]:
         rows.append([name, f"{rms(off):.1e}", f"{report['error_rms_m']:.1e}",
                      f"{np.quantile(off, 0.99):.1e}", f"{report['error_99_m']:.1e}"])  # fmt: skip
     return rows
-
-
-def extents(page: Page) -> None:
-    """A scene compiled and seen from a millimeter to a thousand kilometers."""
-    rows, promised, made = [], [], []
-    exponents = (-3, 0, 3, 6) if page.fast else tuple(range(-3, 7))
-    for exponent in exponents:
-        extent = 10.0**exponent
-        cfg = scaled(small_cfg(samples=1), extent / 20.0)
-        cfg["terrain"]["mesh"] = {"tolerance_px": 0}
-        own = page.scratch / f"extent{exponent}"
-        own.mkdir()
-        path = write_cfg(own, cfg)
-        start = time.perf_counter()
-        batch = compile_cfg(path, seed=3, out=own / "out").out / "batch_0000"
-        seconds = time.perf_counter() - start
-        found = json.loads((batch / "report.json").read_text())["precision"]
-        session = Session.open(batch / "stage.usda", "reference")
-        camera = session.scene.cameras[0][0]
-        frame = session.render(camera, 0, ("depth", "instance", "normal"), 1, 1)[0]
-        rays = camera_rays(camera)
-        ground = (np.isfinite(frame["depth"]) & (frame["instance"] == 0)).ravel()
-        depth = frame["depth"].ravel()[ground]
-        at = rays.origins[ground] + depth[:, None] * rays.directions[ground]
-        plan = draw(load(path), 3, 0).terrain
-        truth = run(plan.relief, Grid.with_spacing(plan.size_m, plan.spacing_m)).field
-        x, y = (np.ascontiguousarray(at[:, k]) for k in (0, 1))
-        normal = frame["normal"].reshape(-1, 3)[ground].astype(np.float64)
-        along = np.abs((rays.directions[ground] * normal).sum(axis=1))
-        error = np.abs(at[:, 2] - truth.height_at(x, y)) * np.abs(normal[:, 2]) / along / depth
-        promised.append(found["promised_m"])
-        made.append(found["float32_error_max_m"])
-        rows.append([
-            f"1e{exponent}", f"{found['promised_m']:.1e}", f"{found['promised_px']:.1e}",
-            f"{made[-1]:.1e}", f"{found['float32_error_max_px']:.1e}",
-            f"{np.isinf(frame['depth']).mean():.3f}", f"{depth.min():.1e} … {depth.max():.1e}",
-            f"{error.max():.1e}", f"{seconds:.2f}",
-        ])  # fmt: skip
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 3.6))
-    sizes = 10.0 ** np.array(exponents, float)
-    left.loglog(sizes, promised, "o-", label="promised: extent · 6e-8")
-    left.loglog(sizes, made, "s-", label="largest error made")
-    left.set(xlabel="extent, m", ylabel="m", title="Positions in float32")
-    origins = np.geomspace(1.0, 1e7, 29)
-    right.loglog(origins, np.spacing(origins.astype(np.float32)), label="if it entered positions")
-    step = np.spacing(np.float32(50.0))
-    right.loglog(origins, np.full(len(origins), step), label="as it is: recorded")
-    right.set(xlabel="distance of the origin, m", ylabel="step of float32, m",
-              title="What a georeference would cost, 100 m")  # fmt: skip
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
-    page.rows(rows)
-    page.save(figure, "extents")
 
 
 #: Land beyond the border.
