@@ -196,26 +196,11 @@ def _radiance(stage: Path, backend: str, wanted: list[str]) -> dict[str, Any]:
     return found
 
 
-def costs(page: Page, drawn: Drawn) -> None:
-    """Seconds and memory."""
-    rows = []
-    for case in CASES:
-        row = [case.what]
-        for backend in BACKENDS:
-            sidecar = drawn.frames[backend, case.name].sidecar
-            seconds = sum(v for k, v in sidecar["seconds"].items() if k != "load")
-            row.append(f"{seconds:.2f} s, {sidecar['peak_memory_gb']:.2f} GB")
-        rows.append(row)
-    page.rows(rows)
-
-
 def main(page: Page) -> None:
     """Refreshes the page."""
     drawn = draw_cases(page)
-    page.refresh(("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained"), [
-        partial(annotation, drawn=drawn), partial(light, drawn=drawn),
-        partial(costs, drawn=drawn),
-    ])  # fmt: skip
+    packages = ("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained")
+    page.refresh(packages, [partial(annotation, drawn=drawn), partial(light, drawn=drawn)])
 
 
 if __name__ == "__main__":

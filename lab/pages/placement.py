@@ -67,7 +67,7 @@ def seats(page: Page) -> None:
 
 
 def levels(page: Page) -> None:
-    """Tables levels of detail by error and by budget."""
+    """Tables what budgets of triangles take."""
     count = 1000 if page.fast else 20_000
     thing = {
         "count": count, "family": "angular", "subdivisions": 2 if page.fast else 4,
@@ -81,17 +81,6 @@ def levels(page: Page) -> None:
     page.value("shapes", f"{time.perf_counter() - start:.2f} s")
     views = views_of(stood.rigs)
     unseen = stood.plan.terrain.meshing.unseen
-    rows = []
-    for lod_px in (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0):
-
-        def choose(lod_px: float = lod_px) -> dict:
-            return choose_levels(see_levels(scatter, chains, views, unseen, lod_px))[1]
-
-        seconds = page.timed(choose, 2)
-        facts = choose()
-        rows.append([f"{lod_px:g}", f"{facts['triangles']:,}",
-                     f"{100 * facts['triangles'] / facts['triangles_finest']:.2f}",
-                     f"{facts['lod_error_max_px']:.3f}", f"{seconds:.4f}"])  # fmt: skip
     seen = see_levels(scatter, chains, views, unseen, 0.5)
     most = int(seen.triangles[seen.chosen()].sum())
     least = int(sum(seen.triangles[seen.finest + seen.lengths - 1]))
@@ -108,7 +97,6 @@ def levels(page: Page) -> None:
                           f"{facts['lod_error_max_px']:.3f}", f"{seconds:.4f}"])  # fmt: skip
         except SceneError as error:
             spent.append([f"{budget:,}", f"refused: {str(error).split(': ', 1)[1]}", "", "", ""])
-    page.rows(rows)
     page.rows(spent)
 
 

@@ -343,9 +343,8 @@ def seconds(page: Page) -> None:
 def main(page: Page) -> None:
     """Refreshes the page."""
     page.refresh(("scenec", "numpy", "numba", "scipy"), [
-        gallery, prints, relief_errors.diffusion, relief_errors.decay, relief_errors.rivers,
-        relief_errors.river_steps, relief_errors.slides, lambda page: page.rows(None),
-        craters, relief_errors.horizon, seconds,
+        gallery, prints, relief_errors.diffusion, relief_errors.rivers, relief_errors.slides,
+        lambda page: page.rows(None), craters, relief_errors.horizon, seconds,
     ])  # fmt: skip
 
 

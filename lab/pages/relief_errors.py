@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from unittest import mock
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,16 +15,13 @@ from scenec.compiler.draw import draw
 from scenec.compiler.mesh.horizon import Land
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators import thermal
 from scenec.compiler.terrain.operators.drainage import SIDES, drain, drainage_area, outlet_samples
-from scenec.compiler.terrain.operators.halving import rms
 from scenec.compiler.terrain.operators.smooth import Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower
 from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.compiler.terrain.program import run
 from scenec.compiler.views.resolution import pixels_of_balls, views_of
-from scenec.lab.benchmarks.cfgs import fbm
-from scenec.lab.runner import Cell, Page
+from scenec.lab.runner import Page
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -56,22 +52,6 @@ def diffusion(page: Page) -> None:
             cells += [f"{drift:.1e}", f"{over / (float(np.ptp(height)) or 1.0):.1e}"]
         seconds = page.timed(lambda k=10.0**exponent: _diffused(fields[0], 1.0, k))
         rows.append([*cells, f"{seconds:.4f}"])
-    page.rows(rows)
-
-
-def decay(page: Page) -> None:
-    """Holds one step against the analytic decay of a cosine mode: second order in the spacing."""
-    duration = 0.0032
-    rows, previous = [], None
-    for n in (16, 32, 64) if page.fast else (16, 32, 64, 128, 256, 512, 1024):
-        at = (np.arange(n) + 0.5) / n
-        height = np.cos(3 * np.pi * at)[None, :] * np.cos(2 * np.pi * at)[:, None]
-        exact = height * np.exp(-duration * np.pi**2 * (3**2 + 2**2))
-        worst = float(np.abs(_diffused(height, 1.0 / n, duration) - exact).max())
-        seconds = page.timed(lambda h=height, s=1.0 / n: _diffused(h, s, duration))
-        order = "" if previous is None else f"{np.log2(previous / worst):.3f}"
-        previous = worst
-        rows.append([f"{n}²", f"{worst:.2e}", order, f"{seconds:.4f}"])
     page.rows(rows)
 
 
@@ -136,62 +116,8 @@ def _pits(height: NDArray, outlets: NDArray) -> int:
     return int((~lower & ~outlets).sum())
 
 
-def _cases(number: int) -> list[tuple[Grid, NDArray[np.float64], StreamPower]]:
-    """Draws terrains and rivers: 30 m to 30 km, short and long, with and without all that is."""
-    found = []
-    for k in range(100, 100 + number):
-        rng = np.random.default_rng(k)
-        n, size = 49, float(10 ** rng.uniform(1.5, 4.5))
-        grid = Grid((size, size), (n, n))
-        amplitude = size * float(10 ** rng.uniform(-2.3, -1.0))
-        hills = fbm(k, amplitude, size / rng.uniform(1, 4), 7, offset=0.9)
-        m, exponent = float(rng.uniform(0.3, 0.6)), float(rng.choice([1.0, 1.0, 0.7, 1.5]))
-        years, courant = float(10 ** rng.uniform(3, 6)), float(10 ** rng.uniform(-1, 2.5))
-        slope = amplitude / size
-        erodibility = (
-            courant * size / n / (0.2 * size * size) ** m / years * slope ** (1 - exponent)
-        )
-        found.append((grid, hills.apply(grid, np.zeros(grid.shape))[0], StreamPower(
-            erodibility=erodibility, area_exponent=m, slope_exponent=exponent,
-            channel_area_m2=float(rng.choice([0.0, 20 * (size / n) ** 2])),
-            diffusivity_m2_per_a=float(rng.choice([0.0, 1.0])) * (size / n * 3) ** 2 / years,
-            uplift_m_per_a=float(rng.choice([0.0, 1.0, 10.0])) * amplitude / years,
-            duration_a=years, steps=1,
-            outlets=[SIDES, ("south",), ("west", "north")][int(rng.integers(3))],
-        )))  # fmt: skip
-    return found
-
-
-def river_steps(page: Page) -> None:
-    """Tables the error of the steps of rivers, and how often the stated one held."""
-    numbers = (8, 16, 32) if page.fast else (4, 8, 16, 32, 64, 128)
-    drawn = _cases(3 if page.fast else 40)
-    truths = [operator.run(grid, height, 8 * numbers[-1])[0] for grid, height, operator in drawn]
-    rows = []
-    for number in numbers:
-        found, start = [], time.process_time()
-        for (grid, height, operator), truth in zip(drawn, truths, strict=True):
-            out, report = replace(operator, steps=number).apply(grid, height)
-            off = np.abs(out - truth)
-            found.append([
-                rms(off) / max(report["change_rms_m"], 1e-300),
-                rms(off) / max(report["error_rms_m"], 1e-300),
-                float(np.quantile(off, 0.99)) / max(report["error_99_m"], 1e-300),
-            ])  # fmt: skip
-        seconds = time.process_time() - start
-        part, ratio, high = np.array(found).T
-        rows.append([
-            str(number), f"{100 * np.median(part):.2g}", f"{100 * np.quantile(part, 0.9):.2g}",
-            f"{np.median(ratio):.2f}", f"{100 * (ratio <= 1).mean():.0f}",
-            f"{100 * (ratio <= 2).mean():.0f}", f"{ratio.max():.1f}",
-            f"{100 * (high <= 1).mean():.0f}", f"{high.max():.1f}",
-            f"{seconds / len(drawn):.3f}",
-        ])  # fmt: skip
-    page.rows(rows)
-
-
 def slides(page: Page) -> None:
-    """Lets cliffs and noise slide over six decades of drops; holds the stated error to truth."""
+    """Lets cliffs and noise slide over six decades of drops."""
     grid = Grid((199.0, 199.0), (200, 200))
     rng = np.random.default_rng(4).random(grid.shape)
     x = grid.x()[None, :] + np.zeros(grid.shape)
@@ -210,30 +136,6 @@ def slides(page: Page) -> None:
             f"{abs(noisy.mean() - drop * rng.mean()) / (drop * rng.mean()):.1e}", f"{seconds:.2f}",
         ])  # fmt: skip
     page.rows(rows)
-    page.rows(_stated(page))
-
-
-def _stated(page: Page) -> list[list[Cell]]:
-    """Errors of slides after the operator's iterations, and what it says of them."""
-    grid = Grid((128.0, 128.0), (129, 129))
-    x, y = grid.x()[None, :], grid.y()[:, None]
-    flat, rng = np.zeros(grid.shape), np.random.default_rng(4)
-    grounds = {
-        "noise of 100 m": 100.0 * rng.random(grid.shape),
-        "hills": fbm(3, 40.0, 60.0, 7, offset=0.9).apply(grid, flat)[0],
-        "a cliff of 30 m": np.where(x > 0.0, 30.0, 0.0) + flat,
-        "a cone": np.clip(60.0 - 2.0 * np.hypot(x, y), 0.0, None),
-        "a slope of 45°": x + flat,
-    }
-    rows: list[list[Cell]] = []
-    for name, height in grounds.items():
-        with mock.patch.object(thermal, "_FINE", 400 if page.fast else 3200):
-            truth = Thermal(33.0).apply(grid, height)[0]
-        out, report = Thermal(33.0).apply(grid, height)
-        off = np.abs(out - truth)
-        rows.append([name, f"{rms(off):.1e}", f"{report['error_rms_m']:.1e}",
-                     f"{np.quantile(off, 0.99):.1e}", f"{report['error_99_m']:.1e}"])  # fmt: skip
-    return rows
 
 
 #: Land beyond the border.
