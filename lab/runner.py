@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 DEMO = CONFIGS / "jacksboro.json"
+#: Names of the cfgs that ship; of jacksboro once.
+SHIPPED = tuple(sorted(path.stem for path in CONFIGS.glob("*.json") if "hdri" not in path.stem))
 SCENEC = (sys.executable, "-c", "from scenec.cli.main import main; raise SystemExit(main())")
 # No plot needs a screen.
 os.environ.setdefault("MPLBACKEND", "Agg")

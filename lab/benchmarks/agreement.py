@@ -24,8 +24,8 @@ from scenec.lab.runner import Cell, Study, run
 ANNOTATION = ["label", "instance", "depth", "range", "normal", "position", "face"]
 
 
-def drawn_cfg(number: int) -> dict[str, Any]:
-    """The cfg of one scene."""
+def drawn_cfg(number: int, sensor: str) -> dict[str, Any]:
+    """The cfg of one scene, with one of its cameras, "eye" or "small"."""
     rng = np.random.default_rng(number)
 
     def uniform(low: float, high: float) -> float:
@@ -99,15 +99,8 @@ def drawn_cfg(number: int) -> dict[str, Any]:
     return {
         "version": 1, "name": f"drawn_{number}", "samples": 1, "labels": labels,
         "terrain": terrain, "materials": materials, "objects": objects, "light": light,
-        "rigs": {"rig": {"pose": pose, "sensors": sensors}},
+        "rigs": {"rig": {"pose": pose, "sensors": {sensor: sensors[sensor]}}},
     }  # fmt: skip
-
-
-def with_outputs(cfg: dict[str, Any], sensor: str) -> dict[str, Any]:
-    """The cfg with one of its sensors alone."""
-    rig = cfg["rigs"]["rig"]
-    sensors = {sensor: rig["sensors"][sensor]}
-    return {**cfg, "rigs": {"rig": {**rig, "sensors": sensors}}}
 
 
 def main(study: Study) -> None:
@@ -119,16 +112,16 @@ def main(study: Study) -> None:
 
     def scenes() -> Iterator[list[Cell]]:
         for number in range(options.first, options.first + count):
-            cfg = drawn_cfg(number)
+            cfg = drawn_cfg(number, "eye")
             row: list[Cell] = [number, sum(thing["count"] for thing in cfg["objects"].values())]
-            out = study.batch(with_outputs(cfg, "eye"), seed=number).parent
+            out = study.batch(cfg, seed=number).parent
             found = compare(out, backends, options=CompareOptions(passes=("depth",)))
             for name in backends:
                 seen = found.witnesses[name]
                 witnesses[name].append(seen)
                 row.append(f"{seen.differing} ({seen.beyond})")
             if number - options.first < options.rgb:
-                out = study.batch(with_outputs(cfg, "small"), seed=number).parent
+                out = study.batch(drawn_cfg(number, "small"), seed=number).parent
                 how = CompareOptions(spp=spp, floor=True)
                 for light in compare(out, backends, options=how).radiance:
                     # Without light there is no ratio.

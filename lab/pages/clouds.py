@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,8 @@ from PIL import Image
 from scenec.backends.picture.exposure import expose
 from scenec.backends.picture.metering import Seen
 from scenec.backends.picture.sky import Sky, lookup
+from scenec.backends.registry import open_backend
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import weights
@@ -38,9 +42,8 @@ from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
 from scenec.compiler.light.overcast import overcast_sky
 from scenec.lab.benchmarks.cfgs import looking
-from scenec.lab.pages import cloud_shadows
 from scenec.lab.pictures import beside_assets, frames, photograph, save, sheet
-from scenec.lab.runner import ROOT, Page, run
+from scenec.lab.runner import ROOT, Page, held, in_turns, run
 from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import develop
 
@@ -53,6 +56,11 @@ SIZE, FOV_DEG = (460, 300), 75.0
 TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 #: Of the volume that Mitsuba renders: half its width and a cell, meters; the view's pixels.
 HALF_M, CELL_M, PIXELS = 9000.0, 25.0, (32, 20)
+BACKENDS = ("mitsuba", "cycles", "pyrender")
+#: Hills of heath and sand, 2.4 km wide, seen from 40 m above.
+HEATH: dict[str, Any] = json.loads(
+    Path(__file__).with_name("heath.json").read_text(encoding="utf-8")
+)
 
 
 def cumulus(coverage: float = 0.35, key: int = 11, **more: float) -> Cumulus:
@@ -250,6 +258,54 @@ def rendered(
     return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=3))[..., 0].astype(float)
 
 
+def shadows(page: Page) -> None:
+    """Draws shadows on the land in all renderers, and times a frame with and without."""
+    out, tiles = page.scratch / "heath", []
+    for name in BACKENDS:
+        (frame,) = frames(page.cfg(HEATH), out, name, spp=4 if page.fast else 48)
+        tiles.append(("", photograph(frame)))
+    save(sheet([tiles], 460), page.picture("shadows"))
+    _frames(page, out / "batch_0000" / "stage.usda")
+
+
+def _frames(page: Page, stage: Path) -> None:
+    """What a frame costs more with shadows than without, by renderer."""
+    rows = []
+    for name in BACKENDS:
+        with held() as process:
+            cost, over = process(frame_cost, name, stage, 2 if page.fast else 7).value
+        rows.append([name, f"{cost:.2f}", f"{100.0 * (over - 1.0):+.1f} %"])
+    page.rows(rows)
+
+
+def frame_cost(name: str, stage: Path, runs: int) -> tuple[float, float]:
+    """CPU seconds of a frame without shadows, and those with over those."""
+    scene = read_stage(stage)
+    (camera,) = scene.cameras[0]
+    k = camera.intrinsics.copy()
+    k[0] *= 320 / camera.width
+    k[1] *= 240 / camera.height
+    camera = replace(camera, width=320, height=240, intrinsics=k)
+    with_, suns = scene.lighting[0], scene.lighting[0].suns
+    without = replace(with_, suns=tuple(replace(sun, gobo=None) for sun in suns))
+    both = replace(
+        scene, samples=2, lighting=(with_, without), cameras=((camera,),) * 2, haze=(),
+        times=np.zeros(2),
+    )  # fmt: skip
+    backend = open_backend(name)
+    backend.load(both)
+    found = in_turns(
+        {
+            "with": lambda turn: backend.radiance(camera, 0, 32, turn),
+            "without": lambda turn: backend.radiance(camera, 1, 32, turn),
+        },
+        runs,
+    )
+    # The least: what else the machine does only adds.
+    cost = {name: min(one.cpu) for name, one in found.items()}
+    return cost["without"], cost["with"] / cost["without"]
+
+
 def cost(page: Page) -> None:
     """CPU seconds of a picture."""
     sky_with(50.0, cumulus(), cirrus(), 32)
@@ -286,7 +342,7 @@ def cost(page: Page) -> None:
 def main(page: Page) -> None:
     """Refreshes the page."""
     packages = ("numpy", "numba", "mitsuba", "pyrender-maintained")
-    page.refresh(packages, (pictures, scenes, cloud_shadows.shadows, volumes, cost))
+    page.refresh(packages, (pictures, scenes, shadows, volumes, cost))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from pxr import Usd
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.illumination import MIN_VIEW_FACTOR, SHARP
 from scenec.compiler.views.needed import Keep
-from scenec.lab.runner import ROOT, Page, run
+from scenec.lab.runner import ROOT, SHIPPED, Page, run
 from scenec.schemas.errors import ScenecError
 from scenec.testing.pruned_extremes import CASES, Case, pruned_cfg
 from scenec.testing.pruned_scenes import annotation, compiled, difference
@@ -29,11 +29,6 @@ OUTPUTS: tuple[tuple[str, ...], ...] = (
     ("rgb",), ("rgb", "label", "instance", "depth"),
 )  # fmt: skip
 SPP = 64
-SHIPPED = (
-    "forest_edge", "jacksboro", "landing_site", "lunar_mare", "mars_yard", "meadow_edge",
-    "volcanic_desert",
-)  # fmt: skip
-
 #: Samples a pixel for cfgs that ship, whose pictures are large.
 SHIPPED_SPP = 8
 

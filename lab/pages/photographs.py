@@ -45,10 +45,6 @@ def _view(one: Frame, other: Frame) -> View:
     return in_angles(halves, ground, one.sidecar["intrinsics"])
 
 
-def _number(value: float) -> str:
-    return cell(round(value, 3))
-
-
 def main(page: Page) -> None:
     """Measures, and refreshes figures and page."""
     kept = page.folder / "photographs.json"
@@ -60,8 +56,8 @@ def main(page: Page) -> None:
         kept.write_text(json.dumps(figures, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     page.rows(None)
     page.rows(
-        [name, str(of["samples"]), *map(_number, of["bands"]), _number(of["slope"]),
-         _number(of["kurtosis"]), *(f"{value:+.2f}" for value in of["percentiles"])]
+        [name, str(of["samples"]), *(cell(round(v, 3)) for v in (*of["bands"], of["slope"], of["kurtosis"])),
+         *(f"{value:+.2f}" for value in of["percentiles"])]
         for name, of in sorted(figures.items())
     )  # fmt: skip
     page.refresh((), ())

@@ -11,8 +11,6 @@ import json
 import subprocess
 import sys
 import tempfile
-import time
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +53,7 @@ BESIDE = [
 def baked(case: Case, height: int, **how: Any) -> NDArray:
     """A sky under sunlight of luminance 1."""
     planet, elevation, altitude, factors = case
-    count = how.pop("wavelengths", atmosphere.WAVELENGTHS)
+    count = atmosphere.WAVELENGTHS
     ground = np.array(RUST if planet == "mars" else SAND)
     medium = MEDIA[planet](count, *factors)
     return atmosphere.bake(
@@ -186,31 +184,10 @@ def several(page: Page) -> None:
     page.rows(rows)
 
 
-def extremes(page: Page) -> None:
-    """Smallest, largest, steps between neighbors and seconds over the corners of the ranges."""
-    rows = []
-    elevations = (-10.0, 0.0, 90.0) if page.fast else (-90.0, -10.0, -1.0, 0.0, 1.0, 90.0)
-    for planet, density, altitude in product(("earth", "mars"), (0.0, 10.0), (0.0, 60_000.0)):
-        for elevation in elevations:
-            case = (planet, elevation, altitude, (density,) * 3)
-            start = time.perf_counter()
-            picture = baked(case, 64)
-            seconds = time.perf_counter() - start
-            level = luminance(picture)
-            steps = max(np.abs(np.diff(level, axis=k)).max() for k in (0, 1))
-            share = steps / level.max() if level.any() else 0.0
-            rows.append([
-                planet, f"{density:g}", f"{altitude / 1000:g}", f"{elevation:g}",
-                f"{picture.min():.1e}", f"{picture.max():.1e}",
-                "yes" if np.isfinite(picture).all() else "NO", f"{share:.2f}", f"{seconds:.2f}",
-            ])  # fmt: skip
-    page.rows(rows)
-
-
 def main(page: Page) -> None:
     """Writes the page."""
     baked(ROWS["Earth, sun at 60°"], 16)
-    parts = (pictures, beside_blender, several, extremes)
+    parts = (pictures, beside_blender, several)
     page.refresh(("numpy", "numba", "bpy"), parts)
 
 
