@@ -55,11 +55,12 @@ def main(page: Page) -> None:
         print(f"{name}: {figures[name]}", flush=True)
         kept.write_text(json.dumps(figures, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     page.rows(None)
-    page.rows(
-        [name, str(of["samples"]), *(cell(round(v, 3)) for v in (*of["bands"], of["slope"], of["kurtosis"])),
-         *(f"{value:+.2f}" for value in of["percentiles"])]
-        for name, of in sorted(figures.items())
-    )  # fmt: skip
+    rows = []
+    for name, of in sorted(figures.items()):
+        numbers = (*of["bands"], of["slope"], of["kurtosis"])
+        cells = [str(of["samples"]), *(cell(round(value, 3)) for value in numbers)]
+        rows.append([name, *cells, *(f"{value:+.2f}" for value in of["percentiles"])])
+    page.rows(rows)
     page.refresh((), ())
 
 
