@@ -310,7 +310,7 @@ class Page(Study):
         for part in parts:
             start = time.perf_counter()
             part(self)
-            about = (getattr(part, "__doc__", None) or "").splitlines() or [""]
+            about = (getattr(part, "func", part).__doc__ or "").splitlines() or [""]
             print(f"{time.perf_counter() - start:6.1f} s  {about[0]}", file=sys.stderr, flush=True)
         text = (ROOT / "docs" / f"{self.name}.md").read_text(encoding="utf-8")
         if packages:

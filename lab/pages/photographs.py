@@ -32,7 +32,7 @@ def views(page: Page, name: str) -> list[View]:
     count, spp = (1, 2) if page.fast else (page.options.samples, page.options.spp)
     out = (page.options.keep or page.scratch) / name
     spec = load(CONFIGS / f"{name}.json", settings=[f"samples={count}"])
-    how = {"spp": spp, "passes": ("rgb", "label")}
+    how = {"spp": spp, "passes": ("rgb", "label"), "replace": True}
     halves = [frames(spec, out, noise_seed=seed, **how) for seed in (0, 1)]
     return [_view(one, other) for one, other in zip(*halves, strict=True)]
 
