@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import names, whole
+from scenec.api import forms
+from scenec.cli.arguments import names, read_by
 
-_RUNGS = whole(2, 12, "a whole number from 2 to 12")
+_RUNGS = read_by(forms.whole(2, 12, "a whole number from 2 to 12"))
 
 
 def add_ladder_options(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+from scenec.api.listener import Steps
 from scenec.cli.interrupt import stop_if_pending
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def warn(spec: Spec) -> Spec:
     return spec
 
 
-class Progress:
+class Progress(Steps):
     """Progress through a known number of steps: a bar on a terminal, plain lines elsewhere.
 
     Both say how many steps a second are made, over the last of them, and how long the rest will

@@ -72,9 +72,12 @@ FLOORS = {
         ("blenderproc", "oaisys", "usd"),
     ),
     "api": (
-        ("text",),
-        ("explain", "outputs"),
-        ("preview",),
+        ("forms", "listener", "text"),
+        ("declare",),
+        ("options",),
+        ("explain", "shown", "steps"),
+        ("outputs", "models"),
+        ("check", "evaluate", "export", "preview", "sweep", "view", "work"),
     ),
     "studies": (
         ("runner", "converge", "ladder", "ground_statistics"),
