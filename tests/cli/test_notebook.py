@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.executors import make_executor
 from scenec.backends.stage.read import read_stage
@@ -20,6 +19,7 @@ from scenec.cli import notebook
 from scenec.compiler.cfg import builder
 from scenec.schemas.errors import CfgError, OutputError
 from scenec.schemas.manifest import read_manifest
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

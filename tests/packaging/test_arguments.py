@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("schemas", "compiler", "backends", "datasets", "settle", "importers", "studies", "cli")
+ROOMS = ("schemas", "compiler", "backends", "datasets", "settle", "importers", "quality", "cli")
 MOST, MOST_OF_KERNELS = 10, 8
 
 
