@@ -222,9 +222,9 @@ def _rays(pattern: ScanPattern) -> NDArray[np.float64]:
         rays = np.zeros(0)
     of_shape = rays.ndim == 3 and rays.shape[2] == 2 and rays.size
     if not of_shape or not (np.abs(rays) <= _ANGLES).all():
+        who = f"scan pattern {type(pattern).__module__}:{type(pattern).__qualname__}"
         raise SceneError(
-            f"scan pattern {type(pattern).__module__}:{type(pattern).__qualname__}: returned "
-            f"{made!r:.60}: expected elevations and azimuths, each float64 [beams, azimuths], from "
-            "-90 to 90 and from -720 to 720 degrees"
+            f"{who}: returned {' '.join(repr(made).split()):.60}: expected elevations and azimuths, "
+            "each float64 [beams, azimuths], from -90 to 90 and from -720 to 720 degrees"
         )
     return rays

@@ -19,36 +19,23 @@ from scenec.compiler.kinds import schema
 from scenec.schemas import plugins
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.scans import read_scan
+from scenec.testing.small import small_cfg
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "example_plugins"
 
 
 def cfg(**lidar: Any) -> dict[str, Any]:
     """Level ground, and a rig 3 m above it that looks down at it, with a lidar."""
-    place = {"x_m": 0, "y_m": 0, "height_m": 3}
-    target = {"distance_m": 5, "bearing_deg": 30, "height_m": 0}
-    camera = {"resolution": [16, 12], "fov_deg": 60, "outputs": ["depth", "label"]}
-    return {
-        "version": 1,
-        "name": "rosette",
-        "samples": 1,
-        "labels": {"class": {"soil": 1}},
-        "terrain": {
-            "size_m": [40, 40],
-            "spacing_m": 1,
-            "relief": [{"type": "plane"}],
-            "ground": [{"material": "soil", "labels": {"class": "soil"}}],
-        },
-        "materials": {"soil": {"base_color": [0.2, 0.15, 0.1]}},
-        "light": {"sun": {"elevation_deg": 30, "azimuth_deg": 90}},
-        "rigs": {
-            "rover": {
-                "pose": {"type": "random_target", "position": place, "target": target},
-                "sensors": {"eye": camera},
-                "lidars": {"top": {"noise": {"range_m": 0}} | lidar},
-            }
-        },
-    }
+    document = small_cfg(samples=1, objects={})
+    del document["materials"]["stone"]
+    del document["labels"]["class"]["rock"], document["labels"]["surface"]["stone"]
+    document["terrain"] |= {"size_m": [40, 40], "relief": [{"type": "plane"}]}
+    rig = document["rigs"]["rover"]
+    rig["pose"]["position"] |= {"x_m": 0, "y_m": 0, "height_m": 3}
+    rig["pose"]["target"]["distance_m"] = 5
+    rig["sensors"]["front"]["outputs"] = ["depth", "label"]
+    rig["lidars"] = {"top": {"noise": {"range_m": 0}} | lidar}
+    return document
 
 
 @pytest.fixture(autouse=True)
@@ -94,7 +81,7 @@ def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path: Path) -
     toward = own @ pose[:3, :3].T
     assert scan.arrays["range_true"] == pytest.approx(-3.0 / toward[..., 2], rel=1e-9)
     assert scan.arrays["incidence"] == pytest.approx(-toward[..., 2], abs=1e-6)
-    assert (scan.arrays["label.class"] == 1).all()
+    assert (scan.arrays["label.class"] == 2).all()
     # A reader of point clouds sees the ground where it is.
     points = np.asarray(trimesh.load(stem.with_suffix(".ply")).vertices)
     assert points == pytest.approx((own * scan.arrays["range_true"][..., None])[0], rel=1e-6)
