@@ -6,7 +6,8 @@ import argparse
 import textwrap
 from pathlib import Path
 
-from scenec.cli.output import print_json, say, table
+from scenec.api.text import table
+from scenec.cli.output import print_json, say
 from scenec.quality.ladder import Ladder, LadderReport, climb
 from scenec.quality.ladder.plots import draw
 from scenec.quality.ladder.results import cells, units

@@ -90,6 +90,7 @@ def test_every_module_that_writes_csv_guards_its_cells():
             "datasets",
             "quality",
             "settle",
+            "api",
             "cli",
             "importers",
         )

@@ -17,6 +17,7 @@ HOUSE = (
     ("schemas",),
     ("compiler", "backends", "datasets"),
     ("importers", "settle", "quality"),
+    ("api",),
     ("cli",),
     ("testing",),
     ("lab",),
@@ -71,6 +72,11 @@ FLOORS = {
         ("made", "scene", "source"),
         ("assets", "output"),
         ("blenderproc", "oaisys", "usd"),
+    ),
+    "api": (
+        ("text",),
+        ("explain", "outputs"),
+        ("preview",),
     ),
     "quality": (("converge", "ladder"),),
     "lab": (

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from scenec.cli.explain_data import BatchData
-from scenec.cli.explain_stage import StageContents
+from scenec.api.explain.data import BatchData
+from scenec.api.explain.stage import StageContents
 
 #: Bytes that stand for a triangle where nothing was rendered: three corners in float32.
 _TRIANGLE = 36

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from scenec.cli.explain_data import BatchData, read_batches
-from scenec.cli.explain_sight import Sight, nearest_camera
-from scenec.cli.explain_stage import ClassContents, StageContents, read_contents
+from scenec.api.explain.data import BatchData, read_batches
+from scenec.api.explain.sight import Sight, nearest_camera
+from scenec.api.explain.stage import ClassContents, StageContents, read_contents
 from scenec.schemas import stage as names
 from scenec.schemas.errors import OutputError
 from scenec.schemas.left_out import Reason, Record, read_left_out

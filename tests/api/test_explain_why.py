@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
+from scenec.api.explain.sight import nearest_camera
+from scenec.api.explain.why import why
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
-from scenec.cli.explain_sight import nearest_camera
-from scenec.cli.explain_why import why
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep

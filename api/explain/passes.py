@@ -7,8 +7,8 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from scenec.cli.explain_data import FrameTimes
-from scenec.cli.output import table
+from scenec.api.explain.data import FrameTimes
+from scenec.api.text import table
 
 #: Steps of a compilation that approximate nothing, after all others.
 _PLAIN = ("load", "draw", "light", "cameras", "emit")

@@ -22,8 +22,8 @@ import psutil
 import pytest
 from PIL import Image
 
+from scenec.api.preview import PreviewState, _served, coarse, shaded
 from scenec.cli.main import main
-from scenec.cli.preview_command import State, _served, coarse, shaded
 from scenec.compiler.cfg.load import load
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -131,7 +131,7 @@ def asked(address: str, host: str | None = None) -> tuple[int, str]:
 def test_the_page_answers_to_its_own_names_and_to_its_token_alone(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    state = State()
+    state = PreviewState()
     state.set(doing="a secret")
     with _served(state, 0) as address:
         port = urllib.parse.urlsplit(address).port

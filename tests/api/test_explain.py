@@ -14,9 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenec.backends.run.render import render
-from scenec.cli.explain_data import read_batches
-from scenec.cli.explain_left_out import (
+from scenec.api.explain.data import read_batches
+from scenec.api.explain.left_out import (
     LeftOut,
     Rates,
     kept_of,
@@ -25,8 +24,9 @@ from scenec.cli.explain_left_out import (
     rates_of,
     size,
 )
-from scenec.cli.explain_passes import passes_text, rows_of, wrapped
-from scenec.cli.explain_stage import read_contents
+from scenec.api.explain.passes import passes_text, rows_of, wrapped
+from scenec.api.explain.stage import read_contents
+from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError
