@@ -224,7 +224,7 @@ def _rays(pattern: ScanPattern) -> NDArray[np.float64]:
     if not of_shape or not (np.abs(rays) <= _ANGLES).all():
         who = f"scan pattern {type(pattern).__module__}:{type(pattern).__qualname__}"
         raise SceneError(
-            f"{who}: returned {' '.join(repr(made).split()):.60}: expected elevations and azimuths, "
-            "each float64 [beams, azimuths], from -90 to 90 and from -720 to 720 degrees"
+            f"{who}: returned {' '.join(repr(made).split()):.60}: expected elevations and azimuths "
+            "(each float64 [beams, azimuths]) from -90 to 90 and from -720 to 720 degrees"
         )
     return rays
