@@ -7,8 +7,8 @@ from pathlib import Path
 
 from scenec.api.text import table
 from scenec.cli.output import print_json, say, say_next
-from scenec.studies.converge import ConvergeReport, Ladder, converge
-from scenec.studies.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
+from scenec.quality.converge import ConvergeReport, Ladder, converge
+from scenec.quality.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
 
 
 def run(options: argparse.Namespace) -> int:

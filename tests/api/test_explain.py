@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small import small_cfg, write_cfg
 
 from scenec.api.explain.data import read_batches
 from scenec.api.explain.left_out import (
@@ -31,6 +30,7 @@ from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.api.explain.sight import nearest_camera
 from scenec.api.explain.why import why
@@ -20,6 +19,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.left_out import Reason, read_left_out
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def made(folder: Path, outputs: list[str], keep: Keep = Keep.SEEN) -> Path:

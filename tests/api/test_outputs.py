@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 import scenec
 from scenec.api import shown
@@ -22,6 +21,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.cfg import builder
 from scenec.schemas.errors import CfgError, OutputError
 from scenec.schemas.manifest import read_manifest
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -21,11 +21,11 @@ import numpy as np
 import psutil
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.api.preview import PreviewState, _served, coarse, shaded
 from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def facts_in(page: str) -> dict[str, Any]:

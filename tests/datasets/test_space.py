@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.api.listener import Listener
 from scenec.api.view import ground_of, rooms_of
@@ -18,6 +17,7 @@ from scenec.cli.terminal import Terminal
 from scenec.datasets.view.space import space_text, three
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def some_model() -> Model:
