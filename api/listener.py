@@ -24,6 +24,9 @@ class Steps:
 class Listener:
     """Is told what long work does; this one keeps it to itself. Derive from it to show some."""
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
+
     def say(self, line: str) -> None:
         """Hears a line about what is being done."""
 

@@ -25,6 +25,16 @@ def _span(help: str) -> Any:
     return option(None, help, form=forms.span, metavar="A:B")
 
 
+def _workers(default: str) -> Any:
+    return option(
+        None,
+        "processes that work side by side, each with its share of the cores; 0: none but this "
+        f"one (default: {default})",
+        form=forms.workers,
+        metavar="N",
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class WorkOptions(Options):
     """Who works.
@@ -33,13 +43,7 @@ class WorkOptions(Options):
         executor: Who works, in the place of ``workers`` and ``cluster``.
     """
 
-    workers: int | None = option(
-        None,
-        "processes that work side by side, each with its share of the cores; 0: none but this "
-        "one (default: {workers})",
-        form=forms.workers,
-        metavar="N",
-    )
+    workers: int | None = _workers("$SCENEC_WORKERS, or 1")
     cluster: str | None = option(
         None,
         "workers of a dask cluster instead: its scheduler's address or file, or local "
@@ -99,6 +103,7 @@ class CompileOptions(StageOptions):
         metavar="PATH=VALUE",
     )
     seed: int = option(0, "whole number from 0 to 2^64 - 1 (default: 0)", form=forms.seed)
+    workers: int | None = _workers("0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +216,8 @@ class ScanOptions(WorkOptions):
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(CompileOptions, PictureOptions):
     """What ``run`` compiles and renders."""
+
+    workers: int | None = _workers("$SCENEC_WORKERS, or 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,6 +347,7 @@ class ExportOptions(FrameOptions, WorkOptions):
         choices=("stop", "skip"),
     )
     replace: bool = option(False, "replace another dataset in the same folder")
+    workers: int | None = _workers("one a core")
     folder: Path | str | None = None
 
 

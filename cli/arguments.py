@@ -36,23 +36,18 @@ span, amount, passes = read_by(forms.span), read_by(forms.amount), read_by(forms
 names, positions, listed = forms.names, forms.positions, forms.listed
 
 
-def add(
-    parser: argparse._ActionsContainer, record: type[Options], *only: str, **words: str
-) -> None:
+def add(parser: argparse._ActionsContainer, record: type[Options], *only: str) -> None:
     """Adds options that a record declares.
 
     Args:
         parser: Of the command.
         record: The record.
         only: Names of its options, in this order; none: all that its own class declares.
-        words: What stands in the help in the place of ``{NAME}``.
     """
     there = declared(record, own=not only)
     for name in only or there:
         facts: dict[str, Any] = dict(there[name].metadata)
         help_ = facts.pop("help")
-        for word, text in words.items():
-            help_ = help_.replace(f"{{{word}}}", text)
         flag = facts.pop("flag", f"--{name.replace('_', '-')}")
         form, many, default = facts.pop("form", None), facts.pop("many", False), there[name].default
         if facts.pop("const", False) or (default is False and "metavar" not in facts):
@@ -114,9 +109,9 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add(parser, PictureOptions, *own[last:])
 
 
-def add_executor(parser: argparse.ArgumentParser, default: str = "$SCENEC_WORKERS, or 1") -> None:
+def add_executor(parser: argparse.ArgumentParser, record: type[Options] = WorkOptions) -> None:
     """Who works."""
-    add(parser, WorkOptions, workers=default)
+    add(parser, record, "workers", "cluster")
 
 
 def add_keep(parser: argparse.ArgumentParser) -> None:

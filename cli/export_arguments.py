@@ -44,8 +44,8 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         help="the dataset (default: OUT/datasets/FORMAT)",
     )
     add_frames(parser)
-    own = list(declared(ExportOptions, own=True))
+    own = [name for name in declared(ExportOptions, own=True) if name != "workers"]
     add(parser, ExportOptions, *own[:-1])
-    add_executor(parser, "one a core")
+    add_executor(parser, ExportOptions)
     add(parser, ExportOptions, own[-1])
     add_json(parser)

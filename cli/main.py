@@ -17,7 +17,13 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from scenec.api import forms
-from scenec.api.options import CheckOptions, PreviewOptions, RenderOptions, ScanOptions
+from scenec.api.options import (
+    CheckOptions,
+    CompileOptions,
+    PreviewOptions,
+    RenderOptions,
+    ScanOptions,
+)
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
     add,
@@ -199,7 +205,7 @@ def parser() -> argparse.ArgumentParser:
     add_cache(compile_)
     add_replace(compile_)
     add_batches(compile_)
-    add_executor(compile_, "0")
+    add_executor(compile_, CompileOptions)
     compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
     add_verbose(compile_)
     add_json(compile_)
