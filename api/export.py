@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from scenec.api.declare import Spread
 from scenec.api.models import ModelsReport, export_models
 from scenec.api.options import ExportOptions
-from scenec.backends.run.executors import make_executor
+from scenec.api.steps import hire
 from scenec.datasets.export import Choice, ExportReport
 from scenec.datasets.export import export as export_frames
 from scenec.datasets.filters import make_filters
@@ -34,13 +35,13 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
     if format in MODEL_FORMATS:
         return export_models(Path(out), format, options)
     workers = options.workers if options.workers is not None else os.process_cpu_count()
-    with make_executor(workers, options.cluster) as executor:
+    with hire(replace(options, workers=workers)) as executor:
         return export_frames(
             out,
             format,
             options.folder,
             choice_of(options),
-            executor=options.executor or executor,
+            executor=executor,
             replace=options.replace,
             progress=options.listener.steps("exported", unit="step", every_s=2.0),
             say=options.listener.say,

@@ -64,7 +64,7 @@ class OutputFolder:
             FrameError: A frame could not be made.
         """
         asked = RenderOptions(backend=backend, workers=workers or None, **options)
-        report = render_output(self.path, asked, asked.executor)
+        report = render_output(self.path, asked)
         if report.failed:
             raise FrameError("; ".join(report.failed))
         return replace(self, rendered=report)

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.api.options import PictureOptions, ScanOptions, StageOptions
+from scenec.api.options import PictureOptions, ScanOptions, StageOptions, WorkOptions
 
 if TYPE_CHECKING:
-    from scenec.backends.run.limits import Limits
     from scenec.backends.run.plan import RenderPlan
     from scenec.backends.run.render import RenderReport
     from scenec.backends.run.scan import ScanReport
@@ -67,12 +66,8 @@ def compile_spec(spec: Spec, out: Folder, options: StageOptions, seed: int) -> C
         else:
             steps.now(*place, text)
 
-    with ExitStack() as stack:
-        executor = options.executor
-        if executor is None and (options.workers or options.cluster):
-            from scenec.backends.run.executors import make_executor
-
-            executor = stack.enter_context(make_executor(options.workers, options.cluster))
+    given = options.executor is not None or options.workers or options.cluster
+    with hire(options, limited=False) if given else nullcontext() as executor:
         report = compile_cfg(
             spec,
             seed=seed,
@@ -101,7 +96,7 @@ def cache_folder(cache: bool | Path | str) -> Path | None:
 def render_output(
     out: Folder,
     options: PictureOptions,
-    executor: Executor | None,
+    executor: Executor | None = None,
     batches: Collection[int] | None = None,
 ) -> RenderReport:
     """Renders as ``render`` does.
@@ -114,14 +109,12 @@ def render_output(
     """
     from scenec.backends.run.render import render as render_stages
 
-    plan = plan_of(options, batches)
-    with ExitStack() as stack:
-        executor = executor or stack.enter_context(executor_of(options))
-        listener = options.listener
+    plan, listener = plan_of(options, batches), options.listener
+    with hire(options, executor) as worker:
         report = render_stages(
             out,
             plan,
-            executor=executor,
+            executor=worker,
             progress=listener.steps("frame"),
             warn=listener.warn,
             say=listener.say,
@@ -133,16 +126,14 @@ def render_output(
 def scan_output(
     out: Folder,
     options: ScanOptions | PictureOptions,
-    executor: Executor | None,
+    executor: Executor | None = None,
     batches: Collection[int] | None = None,
 ) -> ScanReport:
     """Scans as ``scan`` does; arguments as of ``render_output``."""
-    from scenec.backends.run.executors import make_executor
     from scenec.backends.run.scan import scan_output as scan_stages
 
     own = options if isinstance(options, ScanOptions) else ScanOptions()
-    with ExitStack() as stack:
-        executor = executor or stack.enter_context(make_executor(options.workers, options.cluster))
+    with hire(options, executor, limited=False) as worker:
         report = scan_stages(
             out,
             samples=options.samples,
@@ -151,7 +142,7 @@ def scan_output(
             ply=own.ply,
             allow_missing=own.allow_missing,
             progress=options.listener.steps("scan", unit="scan"),
-            executor=executor,
+            executor=worker,
         )
     for line in report.warnings:
         options.listener.warn(line)
@@ -172,20 +163,31 @@ def plan_of(options: PictureOptions, batches: Collection[int] | None = None) -> 
     return RenderPlan(**asked if batches is None else {**asked, "batches": batches})
 
 
-def executor_of(options: PictureOptions) -> Executor:
-    """Who renders, with what workers may take."""
+def hire(
+    options: WorkOptions, executor: Executor | None = None, *, limited: bool = True
+) -> AbstractContextManager[Executor]:
+    """Who works, until the context ends: who is given, or else who the options say.
+
+    Args:
+        options: Of the call.
+        executor: Who is given.
+        limited: Whether workers may take no more than the options of pictures allow.
+
+    Raises:
+        BackendError: The cluster cannot be reached or used.
+    """
     from scenec.backends.run.executors import make_executor
-
-    return make_executor(options.workers, options.cluster, limits_of(options))
-
-
-def limits_of(options: PictureOptions) -> Limits:
-    """What workers may take."""
     from scenec.backends.run.limits import Limits
     from scenec.schemas.memory import GB
 
-    memory = options.memory_limit
-    return Limits(options.timeout, memory_bytes=None if memory is None else round(memory * GB))
+    executor = executor or options.executor
+    if executor is not None:
+        return nullcontext(executor)
+    if not (limited and isinstance(options, PictureOptions)):
+        return make_executor(options.workers, options.cluster)
+    most = options.memory_limit
+    limits = Limits(options.timeout, memory_bytes=None if most is None else round(most * GB))
+    return make_executor(options.workers, options.cluster, limits)
 
 
 def refuse_early(options: PictureOptions, cfg: Cfg, executor: Executor | None = None) -> bool:

@@ -17,12 +17,11 @@ from scenec.api.options import SweepOptions
 from scenec.api.steps import (
     Folder,
     cache_folder,
-    limits_of,
+    hire,
     refuse_early,
     render_output,
     scan_output,
 )
-from scenec.backends.run.executors import make_executor
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, Point, points, read_all
 from scenec.compiler.views.needed import Keep
@@ -65,7 +64,7 @@ def sweep(cfg: Path | str, out: Folder, options: SweepOptions) -> SweepTable:
     work = _to_compile(table.out, options, swept, specs)
     scanned = _refuse_early(options, specs)
     check_writable(table.out)
-    with make_executor(options.workers, options.cluster, limits_of(options)) as executor:
+    with hire(options) as executor:
         _compile(executor, work, table, listener)
         for point, lidars in zip(swept, scanned, strict=True):
             if not options.compile_only and not table.failed(point):

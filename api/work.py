@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from contextlib import ExitStack
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from scenec.api.declare import Spread
@@ -13,7 +13,7 @@ from scenec.api.steps import (
     AnyCfg,
     Folder,
     compile_spec,
-    executor_of,
+    hire,
     read_cfg,
     refuse_early,
     render_output,
@@ -65,7 +65,7 @@ def render(out: Folder, options: RenderOptions) -> OutputFolder:
         BackendError: The backend is not there, or cannot do what is asked.
         OutputError: There is no manifest, or a frame cannot be written or is not to be replaced.
     """
-    return OutputFolder(out, rendered=render_output(out, options, options.executor))
+    return OutputFolder(out, rendered=render_output(out, options))
 
 
 @Spread(ScanOptions).one
@@ -84,7 +84,7 @@ def scan(out: Folder, options: ScanOptions) -> OutputFolder:
         OutputError: A file cannot be written.
         BackendError: Workers died over it, again and again.
     """
-    return OutputFolder(out, scanned=scan_output(out, options, options.executor))
+    return OutputFolder(out, scanned=scan_output(out, options))
 
 
 @Spread(RunOptions).two
@@ -104,11 +104,8 @@ def run(cfg: AnyCfg, out: Folder, options: RunOptions) -> OutputFolder:
         CfgError, StageError, BackendError, OutputError: As of ``compile`` and ``render``.
     """
     spec = read_cfg(cfg, options.settings)
-    with ExitStack() as stack:
-        executor = options.executor
-        if executor is None and options.cluster is None:
-            # Its worker starts the renderer now, and has it once there is a stage.
-            executor = stack.enter_context(executor_of(options))
+    # Its worker starts the renderer now, and has it once there is a stage.
+    with hire(options) if options.cluster is None else nullcontext() as executor:
         return _run(spec, out, options, executor)
 
 
@@ -125,7 +122,7 @@ def _run(spec: Spec, out: Folder, options: RunOptions, executor: Executor | None
         stopped, batches = error, error.batches
     if lidars:
         # First: where no camera is triggered rendering ends in an error.
-        scanned = scan_output(out, options, options.executor, batches)
+        scanned = scan_output(out, options, batches=batches)
     rendered = render_output(out, options, executor, batches)
     if stopped is not None:
         raise stopped
