@@ -17,7 +17,7 @@ from tools import cfg_stub
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import bundle
 from scenec.compiler.kinds.table import CLASSES
-from scenec.studies.pages import cfg_reference
+from scenec.testing import cfg_reference
 
 TARGET = Path(__file__).resolve().parents[1] / "schemas" / "cfg.schema.json"
 
