@@ -16,7 +16,6 @@ import declared_kinds
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
-from small import small_cfg
 
 from scenec.backends.imaging.effects import apply
 from scenec.compiler.build import BuildLog, build
@@ -28,6 +27,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.schemas import plugins
 from scenec.schemas.errors import BackendError, CfgError, ScenecError
 from scenec.schemas.frames import read_frame
+from scenec.testing.small import small_cfg
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "example_plugins"
 
