@@ -68,6 +68,10 @@ class Node:
             return None
         return self._field.keywords.get("properties", {}).get(key, {}).get("default")
 
+    def takes(self, key: str) -> bool:
+        """Returns whether an object as it is here may have a key."""
+        return self._field is not None and key in self._field.keywords.get("properties", {})
+
     def at(self, *keys: str | int) -> Node:
         """The object or list that stands at a key or, of several keys, below it."""
         return Node(self._tree, (*self.path, *keys))

@@ -170,6 +170,8 @@ _KINDS = {
     "light": {"sun": "light.suns:Sun", "earthshine": "light.earthshine:Earthshine"},
     "light_mount": {"rig": "light.lamp:RigMount", "world": "light.lamp:WorldMount"},
 }
+#: Families of rocks: each is the ``Carved`` of that name in a module of that name.
+ROCKS = ("weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia")
 #: Objects of a cfg that have no ``type``.
 _OBJECTS = {
     "cfg": "cfg.whole:Cfg",
