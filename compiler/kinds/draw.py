@@ -10,14 +10,7 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import Form, keys_of, made_of_context
 from scenec.compiler.kinds.forms import RAGGED, SAMPLING, file
-from scenec.compiler.kinds.table import (
-    CHOICES,
-    base_of,
-    class_of,
-    is_own,
-    kind_of,
-    lacking,
-)
+from scenec.compiler.kinds.table import CHOICES, base_of, class_of, is_own, kind_of, lacking
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import give_name, named
 

@@ -385,6 +385,13 @@ CHOICES = {
         **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material"},
     ),
+    "scan_pattern": Choice(
+        title="Scan pattern",
+        description="Where the rays of a lidar go, by another package: see docs/plugins.md.",
+        of="Name that a package offers it under.",
+        group="scenec.scans",
+        kinds={},
+    ),
     "sky": Choice(
         title="Sky",
         description="What surrounds the scene.",
@@ -410,14 +417,16 @@ BASES = {
     "scenec.conditions": "terrain.condition:Quantity",
     "scenec.densities": "objects.density:Density",
     "scenec.rocks": "objects.families.shape:Shape",
+    "scenec.scans": "cameras.ranging:ScanPattern",
     "scenec.skies": "light.sky:Sky",
     "scenec.surfaces": "materials.surface:Surface",
 }
-#: What the others have, or what they draw.
-METHODS = {
-    "scenec.effects": "apply(picture, random)",
-    "scenec.poses": "built(around)",
-    "scenec.relief": "apply(grid, height)",
+#: What they, or what they draw, have beside what is abstract there.
+NEEDS = {
+    "scenec.effects": ("apply(picture, random)",),
+    "scenec.poses": ("built(around)", "needs_objects"),
+    "scenec.relief": ("apply(grid, height)",),
+    "scenec.surfaces": ("SIZE_M", "RELIEF"),
 }
 
 
@@ -444,7 +453,7 @@ def offered_kind(group: str, name: str) -> type[Any]:
         ScenecError: No package offers it, or what it offers is no kind of its group.
     """
     kind = load_kind(group, name)
-    draws = group in METHODS and hasattr(kind, "draw") and not hasattr(kind, "SCHEMA")
+    draws = group not in BASES and hasattr(kind, "draw") and not hasattr(kind, "SCHEMA")
     lacks = "" if draws else lacking(group, kind)
     if not lacks and hasattr(kind, "check") and not _answers(kind, "check(node)"):
         lacks = "a static method check(node)"
@@ -463,23 +472,25 @@ def lacking(group: str, kind: type[Any]) -> str:
     base = base_of(group)
     if not issubclass(kind, base):
         return f"a subclass of {base.__module__}.{base.__qualname__}"
-    needed = [METHODS[group]] if group in METHODS else [
+    abstract = (
         f"{name}({', '.join([*inspect.signature(getattr(of, name)).parameters][1:])})"
         for of in filter(is_own, kind.__mro__)
         for name in sorted(getattr(of, "__abstractmethods__", ()))
-    ]  # fmt: skip
-    return next((f"a method {method}" for method in needed if not _answers(kind, method)), "")
+    )
+    needed = (*abstract, *NEEDS.get(group, ()))
+    lacks = next((need for need in needed if not _answers(kind, need)), "")
+    return lacks and f"{'a method' if '(' in lacks else 'an attribute'} {lacks}"
 
 
-def _answers(kind: type[Any], method: str) -> bool:
-    """Whether a class has a method that takes such arguments."""
-    name, _, arguments = method.rstrip(")").partition("(")
+def _answers(kind: type[Any], need: str) -> bool:
+    """Whether a class has an attribute, or a method that takes such arguments."""
+    name, is_method, arguments = need.rstrip(")").partition("(")
     found = inspect.getattr_static(kind, name, None)
-    if found is None or getattr(found, "__isabstractmethod__", False):
-        return False
+    if not is_method or found is None or getattr(found, "__isabstractmethod__", False):
+        return not is_method and hasattr(kind, name)
     own = [] if isinstance(found, staticmethod | classmethod) or name == "check" else [kind]
     try:
-        inspect.signature(getattr(kind, name)).bind(*own, *arguments.split(", "))
+        inspect.signature(getattr(kind, name)).bind(*own, *filter(None, arguments.split(", ")))
     except TypeError:
         return False
     except ValueError:
