@@ -30,7 +30,7 @@ def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
     """The options of a record by name.
 
     Args:
-        record: One of ``Options``.
+        record: One of ``CallOptions``.
         own: Whether only those that its own class declares.
     """
     there = record.__annotations__ if own else record.__dataclass_fields__  # type: ignore[attr-defined]
@@ -38,8 +38,8 @@ def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
-    """Options of a call.
+class CallOptions:
+    """CallOptions of a call.
 
     Attributes:
         listener: Who hears what is done; the default keeps silent.
@@ -68,7 +68,7 @@ class Options:
                 raise ScenecError(f"{name}: {error}") from error
 
 
-class Spread[**P, T: Options]:
+class Spread[**P, T: CallOptions]:
     """Makes a function that takes a record take the record's fields, as typed keywords.
 
     ``@Spread(RenderOptions).one`` on ``def render(out, options)`` makes ``render(out, spp=16)``.

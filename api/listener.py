@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from scenec.compiler.compile import CompileReport
 
 
-class Steps:
+class StepProgress:
     """Progress through a known number of steps; this one shows nothing."""
 
     def __call__(self, done: int, total: int, text: str) -> None:
@@ -36,7 +36,7 @@ class Listener:
 
     def steps(
         self, what: str, unit: str = "frame", units: str | None = None, every_s: float = 0.0
-    ) -> Steps:
+    ) -> StepProgress:
         """Begins to hear of progress.
 
         Args:
@@ -45,7 +45,7 @@ class Listener:
             units: Several of them; None adds an s.
             every_s: Seconds between two lines, where steps are too many to be told one by one.
         """
-        return Steps()
+        return StepProgress()
 
     def compiled(self, report: CompileReport, cache: Path | None) -> None:
         """Hears what a compilation did, and where steps of it are kept."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.api import forms
-from scenec.api.declare import Options, option
+from scenec.api.declare import CallOptions, option
 from scenec.schemas.passes import PASSES
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def _workers(default: str) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorkOptions(Options):
+class WorkOptions(CallOptions):
     """Who works.
 
     Attributes:
@@ -243,7 +243,7 @@ class SweepOptions(StageOptions, PictureOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PreviewOptions(Options):
+class PreviewOptions(CallOptions):
     """What a preview shows.
 
     Attributes:
@@ -259,7 +259,7 @@ class PreviewOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions(Options):
+class CheckOptions(CallOptions):
     """What is checked besides the files."""
 
     backends: Sequence[str] = option(
@@ -294,7 +294,7 @@ class CheckOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameOptions(Options):
+class FrameOptions(CallOptions):
     """Which frames of an output."""
 
     backend: str | None = option(None, "whose frames (default: the first there is)")
@@ -352,7 +352,7 @@ class ExportOptions(FrameOptions, WorkOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewOptions(Options):
+class ViewOptions(CallOptions):
     """What a page of frames shows.
 
     Attributes:

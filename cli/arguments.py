@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from scenec.api import forms
-from scenec.api.declare import Options, declared
+from scenec.api.declare import CallOptions, declared
 from scenec.api.options import (
     CompileOptions,
     FrameOptions,
@@ -36,7 +36,7 @@ span, amount, passes = read_by(forms.span), read_by(forms.amount), read_by(forms
 names, positions, listed = forms.names, forms.positions, forms.listed
 
 
-def add(parser: argparse._ActionsContainer, record: type[Options], *only: str) -> None:
+def add(parser: argparse._ActionsContainer, record: type[CallOptions], *only: str) -> None:
     """Adds options that a record declares.
 
     Args:
@@ -62,7 +62,7 @@ def add(parser: argparse._ActionsContainer, record: type[Options], *only: str) -
         )
 
 
-def given[T: Options](record: type[T], options: argparse.Namespace, **further: Any) -> T:
+def given[T: CallOptions](record: type[T], options: argparse.Namespace, **further: Any) -> T:
     """The record of what a command line gives.
 
     Args:
@@ -73,7 +73,7 @@ def given[T: Options](record: type[T], options: argparse.Namespace, **further: A
     return record(**{**chosen(record, options), **further})
 
 
-def chosen(record: type[Options], options: argparse.Namespace) -> dict[str, Any]:
+def chosen(record: type[CallOptions], options: argparse.Namespace) -> dict[str, Any]:
     """The fields of a record that a command line gives, by name."""
     there = record.__dataclass_fields__
     return {name: value for name, value in vars(options).items() if name in there}
@@ -109,7 +109,7 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add(parser, PictureOptions, *own[last:])
 
 
-def add_executor(parser: argparse.ArgumentParser, record: type[Options] = WorkOptions) -> None:
+def add_executor(parser: argparse.ArgumentParser, record: type[CallOptions] = WorkOptions) -> None:
     """Who works."""
     add(parser, record, "workers", "cluster")
 

@@ -11,7 +11,7 @@ import pytest
 
 import scenec
 from scenec.api import options
-from scenec.api.declare import Options, declared
+from scenec.api.declare import CallOptions, declared
 from scenec.backends.run.plan import RenderPlan
 from scenec.cli.main import main, parser
 from scenec.compiler.compile import FAULTS
@@ -83,7 +83,7 @@ def test_what_is_named_again_so_that_nothing_is_imported_is_the_same() -> None:
     ],
 )
 def test_a_value_is_refused_in_the_words_of_the_command_line(
-    record: type[Options],
+    record: type[CallOptions],
     name: str,
     value: object,
     words: list[str],

@@ -15,7 +15,7 @@ from PIL import Image
 
 import scenec
 from scenec.api import shown
-from scenec.api.listener import Steps
+from scenec.api.listener import StepProgress
 from scenec.backends.run.executors import make_executor
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cfg import builder
@@ -50,13 +50,13 @@ def test_a_cfg_in_python_compiles_as_its_file_does(
     assert len(ours) > 3
 
 
-class Watching(scenec.Listener, Steps):
+class Watching(scenec.Listener, StepProgress):
     """Notes what is in the working directory whenever a step begins."""
 
     def __init__(self, there: list[str]) -> None:
         self._there = there
 
-    def steps(self, *_: object, **__: object) -> Steps:
+    def steps(self, *_: object, **__: object) -> StepProgress:
         """Is told of them itself."""
         return self
 
