@@ -50,7 +50,7 @@ def frames(
 
 
 def photograph(frame: Frame, ev: float | None = None) -> Image.Image:
-    """What a camera with the frame's exposure, or another one, would show."""
+    """Develops a frame with its exposure, or another one."""
     exposure = float(frame.sidecar["exposure_ev"]) if ev is None else ev
     return Image.fromarray(develop(frame.passes["rgb"], exposure))
 

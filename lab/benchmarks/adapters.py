@@ -1,4 +1,4 @@
-"""What adapters cost beside bare scripts of the same renderers on the same stage.
+"""Compares what adapters cost with bare scripts of the same renderers on the same stage.
 
     python lab/benchmarks/adapters.py [--backends A,B] [--cfg FILE | --stage FILE] [--spp N]
                                           [--rounds N] [--fast]

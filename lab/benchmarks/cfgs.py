@@ -1,4 +1,4 @@
-"""What several scripts change: a scene of rocks on hills with one camera, and a noise."""
+"""Cfgs that several scripts change, of rocks on hills or level ground; a rig, a noise."""
 
 from __future__ import annotations
 

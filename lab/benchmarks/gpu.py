@@ -100,20 +100,15 @@ def most_gib(found: list[tuple[float, float, float]]) -> float:
 
 
 def frames_of(out: Path, backend: str) -> list[dict]:
-    """Sidecars, in order."""
-    folder = out / "batch_0000" / "frames" / backend
-    return [
-        json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.rglob("0*.json"))
-    ]
+    """Reads sidecars, in order."""
+    files = sorted((out / "batch_0000" / "frames" / backend).rglob("0*.json"))
+    return [json.loads(path.read_text(encoding="utf-8")) for path in files]
 
 
 def mean_light(out: Path, backend: str) -> float:
-    """Of all frames."""
-    folder = out / "batch_0000" / "frames" / backend
-    found = [
-        read_exr(path)["rgb"].mean(dtype=np.float64) for path in sorted(folder.rglob("0*.exr"))
-    ]
-    return float(np.mean(found))
+    """Averages the light of all frames."""
+    files = sorted((out / "batch_0000" / "frames" / backend).rglob("0*.exr"))
+    return float(np.mean([read_exr(path)["rgb"].mean(dtype=np.float64) for path in files]))
 
 
 def measured(out: Path, backend: str, device: str, spp: int, frames: int) -> list[Cell]:
@@ -136,10 +131,8 @@ def main(study: Study) -> None:
     """Prints what works, and the table."""
     options = study.options
     found, lines = devices(options.backends or backend_names())
-    for line in lines:
-        study.say(f"- {line}")
     if lines:
-        study.say("")
+        study.say("".join(f"- {line}\n" for line in lines))
     if not options.cpu and all(device == "cpu" for _, device in found):
         raise BackendError("no GPU works here with any backend; see the lines above")
     frames, spp = (2, 4) if study.fast else (options.frames, options.spp)

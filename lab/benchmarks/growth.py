@@ -1,4 +1,4 @@
-"""How time and memory grow: objects placed, the ground's mesh, whole cfgs, a million of each kind.
+"""Measures growth of time and memory: objects, the ground's mesh, whole cfgs, a million of each.
 
     python lab/benchmarks/growth.py [--of objects,mesh,memory,million] [--fast]
         [--counts N,N] [--cases A,B]                                    of objects
@@ -71,7 +71,7 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def measure(count: int, name: str) -> tuple[float, ...]:
-    """Of a case: count, seconds to draw, to make shapes, to place; memory beyond before, peak."""
+    """Returns count, seconds to draw, to make shapes, to place; memory beyond before, peak."""
     grid = Grid.with_spacing((_SIZE, _SIZE), 0.4)
     height = fbm(1, 3.0, 40.0).apply(grid, np.zeros(grid.shape))[0]
     surface = Surface(HeightField(grid, height))

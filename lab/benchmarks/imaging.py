@@ -1,4 +1,4 @@
-"""What a sensor's picture costs: all stages of ``imaging``, together and one by one.
+"""Times a sensor's picture: all stages of ``imaging``, together and one by one.
 
     python lab/benchmarks/imaging.py [--width 1280] [--height 720] [--runs 15] [--fast]
 

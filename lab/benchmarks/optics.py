@@ -1,4 +1,4 @@
-"""What lenses, apertures and shutters cost, and how far off their pictures are, by backend.
+"""Measures error and cost of pictures through lenses, apertures and shutters, by backend.
 
     python lab/benchmarks/optics.py [--backends A,B] [--of lenses,blur] [--fast]
 

@@ -116,7 +116,7 @@ def contact_sheet(page: Page, title: str, chosen: list[Asset], spp: int) -> None
 
 
 def _slug(title: str) -> str:
-    """What ``--only`` calls a picture: the first long word of its title."""
+    """Returns the name of a picture for ``--only``: the first long word of its title."""
     return next(word for word in title.lower().replace(",", "").split() if len(word) > 1)
 
 

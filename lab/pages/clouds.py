@@ -231,7 +231,7 @@ def _blocks(picture: NDArray[np.float64]) -> NDArray[np.float64]:
 def rendered(
     mi: Any, layer: Cumulus, grid: NDArray[np.float32], to_sun: NDArray[np.float64], spp: int
 ) -> NDArray[np.float64]:
-    """What Mitsuba sees of clouds, [h, w]."""
+    """Renders clouds by Mitsuba, [h, w]."""
     place = mi.ScalarTransform4f
     low, high = layer.base_m, layer.base_m + layer.thickness_m
     texels = place().translate([-HALF_M, -HALF_M, low]).scale([2 * HALF_M, 2 * HALF_M, high - low])
@@ -269,7 +269,7 @@ def shadows(page: Page) -> None:
 
 
 def _frames(page: Page, stage: Path) -> None:
-    """What a frame costs more with shadows than without, by renderer."""
+    """Times frames with shadows and without, by renderer."""
     rows = []
     for name in BACKENDS:
         with held() as process:

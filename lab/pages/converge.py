@@ -61,7 +61,7 @@ class Example:
         shutil.copyfile(self.out / "converge" / name, self.page.picture(Path(name).stem))
 
     def true_error(self, stem: Path, backend: str) -> str:
-        """Of a frame, against the ladder's reference of its backend, with its 95 % interval."""
+        """Measures a frame's error against its backend's reference, with its 95 % interval."""
         frame = read_frame(stem)
         folder = self.out / "converge" / "pictures" / "batch_0000" / backend / "reference"
         first, second = (

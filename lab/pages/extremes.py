@@ -46,7 +46,7 @@ SPP = 16
 
 @dataclass
 class Drawn:
-    """What came of the cases.
+    """The frames of all cases.
 
     Attributes:
         folder: Of the output.
@@ -166,7 +166,7 @@ def _mean(part: dict[str, Any], whole: NDArray[np.bool_]) -> float | None:
 
 
 def _covered(scene: RenderScene, camera: Camera) -> NDArray[np.float64]:
-    """What surfaces fill of each pixel, by a lattice of exact rays, [h, w]."""
+    """Measures what surfaces fill of each pixel by a lattice of exact rays, [h, w]."""
     k = camera.intrinsics.copy()
     k[:2] *= FINE
     fine = replace(camera, width=FINE * camera.width, height=FINE * camera.height, intrinsics=k)

@@ -89,7 +89,7 @@ def rendered(
     ray: tuple[float, NDArray[np.float64]],
     spp: int,
 ) -> tuple[float, float]:
-    """What Mitsuba sees along a ray, and its standard error.
+    """Renders a ray by Mitsuba; its radiance and standard error.
 
     Args:
         mi: Its module.

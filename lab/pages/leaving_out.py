@@ -34,7 +34,7 @@ SHIPPED_SPP = 8
 
 
 def by_outputs(page: Page) -> None:
-    """What a stage of jacksboro holds for each choice of outputs."""
+    """Tables what a stage of jacksboro holds for each choice of outputs."""
     cfg = json.loads((ROOT / "configs" / "jacksboro.json").read_text(encoding="utf-8"))
     if page.fast:
         cfg["terrain"]["mesh"] = {"tolerance_px": 4}

@@ -20,7 +20,7 @@ from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.views.resolution import views_of
 from scenec.lab.benchmarks.growth import measure
 from scenec.lab.pages import placement_extremes, placement_space
-from scenec.lab.pages.placement_field import PLANE, gaps, stand
+from scenec.lab.pages.placement_field import PLANE, gaps, place
 from scenec.lab.runner import Page, apart, run
 from scenec.schemas.errors import SceneError
 
@@ -35,10 +35,10 @@ def seats(page: Page) -> None:
         "count": count, "subdivisions": 3, "lod_px": 0, "clearance_m": 0,
         "size_m": {"type": "log_uniform", "min": 0.1, "max": 1.5},
     }  # fmt: skip
-    stood = stand({"rocks": thing}, spacing_m=0.5, relief=(PLANE, _ROUGH))
-    scatter, surface = stood.scatter, stood.surface
+    placed = place({"rocks": thing}, spacing_m=0.5, relief=(PLANE, _ROUGH))
+    scatter, surface = placed.scatter, placed.surface
     assert surface.smooth
-    embed = stood.plan.objects[0].embed[scatter.ids - 1]
+    embed = placed.plan.objects[0].embed[scatter.ids - 1]
     x, y = (np.ascontiguousarray(at) for at in scatter.positions[:, :2].astype(np.float64).T)
     size = scatter.scales[:, 0].astype(np.float64)
     bodies = Bodies.of(
@@ -52,7 +52,7 @@ def seats(page: Page) -> None:
         f"{seating.LOWEST} lowest": lambda: seating.seat_on_detail(surface, ground, bodies),
     }  # fmt: skip
     # Places in plan are the same: how far all vertices are above the ground counts once.
-    at_zero = gaps(stood, count, np.zeros(count))
+    at_zero = gaps(placed, count, np.zeros(count))
     rows = []
     for name, way in ways.items():
         way()
@@ -74,13 +74,13 @@ def levels(page: Page) -> None:
         "prototypes": 8, "lod_px": 0, "clearance_m": 0.3,
         "size_m": {"type": "log_uniform", "min": 0.05, "max": 1},
     }  # fmt: skip
-    stood = stand({"rocks": thing}, size_m=(120.0, 96.0), spacing_m=0.6)
-    scatter = stood.scatter
+    placed = place({"rocks": thing}, size_m=(120.0, 96.0), spacing_m=0.6)
+    scatter = placed.scatter
     start = time.perf_counter()
-    chains = build_chains(stood.plan.objects[0].source.shapes)
+    chains = build_chains(placed.plan.objects[0].source.shapes)
     page.value("shapes", f"{time.perf_counter() - start:.2f} s")
-    views = views_of(stood.rigs)
-    unseen = stood.plan.terrain.meshing.unseen
+    views = views_of(placed.rigs)
+    unseen = placed.plan.terrain.meshing.unseen
     seen = see_levels(scatter, chains, views, unseen, 0.5)
     most = int(seen.triangles[seen.chosen()].sum())
     least = int(sum(seen.triangles[seen.finest + seen.lengths - 1]))

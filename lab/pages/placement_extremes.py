@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from scenec.lab.pages.placement_field import HILLS, PLANE, SIZE, gaps, stand
+from scenec.lab.pages.placement_field import HILLS, PLANE, SIZE, gaps, place
 from scenec.lab.runner import Page
 from scenec.schemas.errors import ScenecError
 
@@ -79,7 +79,7 @@ ROCKS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
 
 
 def _message(error: ScenecError) -> str:
-    """What a user reads, without where the file is."""
+    """Returns an error's text without where the file is."""
     text = re.sub(r"\S*placement\.json:\d+:\d+: ", "", str(error))
     return "refused: " + text.splitlines()[0].replace("|", "\\|")
 
@@ -99,20 +99,13 @@ def _row(name: str, thing: dict[str, Any], scene: dict[str, Any], page: Page) ->
     if page.fast and name == "very many":
         thing = thing | {"count": 20_000}
     try:
-        stood = stand({"rocks": {"size_m": _SMALL, "lod_px": 0} | thing}, page.scratch, **scene)
+        placed = place({"rocks": {"size_m": _SMALL, "lod_px": 0} | thing}, page.scratch, **scene)
     except ScenecError as error:
         return [name, asked, _message(error), "", "", "", ""]
-    off = np.abs(gaps(stood)).max(initial=0.0)
-    widest = float(stood.scatter.radii().max(initial=0.0)) * 2.0
-    own = stood.facts["rocks"]
+    off = np.abs(gaps(placed)).max(initial=0.0)
+    widest = float(placed.scatter.radii().max(initial=0.0)) * 2.0
+    own = placed.facts["rocks"]
     share = f"{100 * off / widest:.1g}" if widest else ""
     px = f"{own['gap_max_px']:.2g}" if "gap_max_px" in own else ""
-    return [
-        name,
-        asked,
-        f"{stood.scatter.count:,}",
-        f"{stood.seconds:.2f}",
-        f"{off:.1e}",
-        share,
-        px,
-    ]
+    return [name, asked, f"{placed.scatter.count:,}", f"{placed.seconds:.2f}", f"{off:.1e}", share,
+            px]  # fmt: skip

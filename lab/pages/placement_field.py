@@ -29,7 +29,7 @@ HILLS = {"type": "multifractal", "amplitude_m": 1, "scale_m": 8, "octaves": 5}
 
 
 @dataclass(frozen=True)
-class Stood:
+class PlacedObjects:
     """Objects that were placed.
 
     Attributes:
@@ -55,13 +55,13 @@ class Stood:
         return self.objects[0]
 
 
-def stand(
+def place(
     objects: dict[str, dict[str, Any]],
     folder: Path | None = None,
     size_m: tuple[float, float] = SIZE,
     spacing_m: float = 0.4,
     relief: tuple[dict[str, Any], ...] = (PLANE, HILLS),
-) -> Stood:
+) -> PlacedObjects:
     """Places objects on a terrain with one camera, which scales with it, as a compilation would.
 
     Args:
@@ -101,18 +101,18 @@ def stand(
         start = time.perf_counter()
         made = stand_objects(plan, surface, rigs, None, log).objects
         seconds += time.perf_counter() - start
-    return Stood(made, log.facts["objects"], seconds, surface, plan, rigs)
+    return PlacedObjects(made, log.facts["objects"], seconds, surface, plan, rigs)
 
 
-def gaps(stood: Stood, most: int = 500, z: NDArray | None = None) -> NDArray[np.float64]:
+def gaps(placed: PlacedObjects, most: int = 500, z: NDArray | None = None) -> NDArray[np.float64]:
     """Measures how far rocks are above the depth asked for, meters: all vertices, all detail.
 
     Args:
-        stood: Of its first class.
+        placed: Of its first class.
         most: Of so many of its objects.
         z: Heights of their middles, other than they have.
     """
-    scatter, plan = stood.scatter, stood.plan.objects[0]
+    scatter, plan = placed.scatter, placed.plan.objects[0]
     if not scatter.count:
         return np.zeros(0)
     some = np.arange(0, scatter.count, -(-scatter.count // most))
@@ -129,5 +129,5 @@ def gaps(stood: Stood, most: int = 500, z: NDArray | None = None) -> NDArray[np.
         starts.append(total)
         total += len(turned)
     x, y, z = (np.ascontiguousarray(axis) for axis in np.concatenate(points).T)
-    above = np.minimum.reduceat(z - stood.surface.height_at(x, y), starts)
+    above = np.minimum.reduceat(z - placed.surface.height_at(x, y), starts)
     return np.asarray(above + plan.embed[scatter.ids[some] - 1] * np.array(heights))

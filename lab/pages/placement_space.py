@@ -30,7 +30,7 @@ from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.lab.benchmarks.cfgs import fbm
-from scenec.lab.pages.placement_field import PLANE, SIZE, stand
+from scenec.lab.pages.placement_field import PLANE, SIZE, place
 from scenec.lab.runner import Page
 from scenec.schemas.kernels import kernel
 
@@ -126,7 +126,7 @@ def _cases(
 
 
 def _gentle(field: HeightField, x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """How much a slope of at most 8 degrees, soft over 4, holds: central differences at samples.
+    """Weighs a slope of at most 8 degrees, soft over 4, by central differences at samples.
 
     Between samples slopes are linear over the grid's triangles, as heights are.
     """
@@ -212,14 +212,14 @@ def isolated(page: Page) -> None:
     cases += [("power law", law, part, mean) for part in (*parts, *more)]
     for name, size, part, each in cases:
         count = round(part * area / each)
-        stood = stand({"rocks": usual | {"count": count, "size_m": size}}, relief=(PLANE,))
-        x, y = stood.scatter.positions[:, :2].astype(np.float64).T
-        radii = stood.scatter.radii()
+        placed = place({"rocks": usual | {"count": count, "size_m": size}}, relief=(PLANE,))
+        x, y = placed.scatter.positions[:, :2].astype(np.float64).T
+        radii = placed.scatter.radii()
         worst = _worst(np.ascontiguousarray(x), np.ascontiguousarray(y), radii)
-        asked = 0.25 * np.pi * (stood.plan.objects[0].scale ** 2).sum() / area
+        asked = 0.25 * np.pi * (placed.plan.objects[0].scale ** 2).sum() / area
         rows.append([
             name, f"{asked:.3f}", f"{np.pi * (radii * radii).sum() / area:.3f}", f"{count:,}",
-            f"{stood.scatter.count:,}", str(stood.facts["rocks"].get("tries_max", 0)),
-            f"{stood.seconds:.2f}", f"{max(worst, 0.0):.1e}", f"{max(-worst, 0.0):.1e}",
+            f"{placed.scatter.count:,}", str(placed.facts["rocks"].get("tries_max", 0)),
+            f"{placed.seconds:.2f}", f"{max(worst, 0.0):.1e}", f"{max(-worst, 0.0):.1e}",
         ])  # fmt: skip
     page.rows(rows)
