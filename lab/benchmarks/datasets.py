@@ -54,8 +54,8 @@ CONTENTS = 20
 def write_output(study: Study, out: Path, count: int) -> str:
     """Renders frames and links them under other sample numbers; says what they are."""
     rendered = min(2 if study.fast else CONTENTS, count)
-    cfg = rocks_on_hills(6000, samples=count)
-    cfg["objects"]["rocks"]["size_m"] = {"type": "log_uniform", "min": 0.1, "max": 0.6}
+    cfg = rocks_on_hills(1600, samples=count)
+    cfg["objects"]["rocks"]["size_m"] = {"type": "log_uniform", "min": 0.25, "max": 1.2}
     cfg["rigs"]["rover"]["pose"]["position"]["x_m"] = {"type": "uniform", "min": -20, "max": 20}
     compile_cfg(study.cfg(cfg), seed=1, out=out)
     report = render(out, "pyrender", spp=2, samples=range(rendered))
