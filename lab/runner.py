@@ -332,12 +332,9 @@ class Page(Study):
             lines = "".join("| " + " | ".join(map(cell, row)) + " |\n" for row in rows)
             text = text[: old.start("rows")] + lines + text[old.end("rows") :]
         for name, value in self._values.items():
-            text, count = re.subn(
-                f"(<!--{name}-->).*?(<!--/{name}-->)",
-                lambda m, v=value: m[1] + v + m[2],
-                text,
-                flags=re.DOTALL,
-            )
+            marks = re.compile(f"(?<=<!--{name}-->).*?(?=<!--/{name}-->)", re.DOTALL)
+            # No template: texts may have backslashes.
+            text, count = marks.subn(value.replace("\\", r"\\"), text)
             if not count:
                 raise ScenecError(f"docs/{self.name}.md: nothing is marked <!--{name}-->")
         (self.folder / f"{self.name}.md").write_text(text, encoding="utf-8")

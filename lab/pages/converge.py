@@ -74,7 +74,7 @@ class Example:
         low, high = (root(square + sign * NORMAL_95 * error) or 0.0 for sign in (-1, 1))
         return f"{percent(root(square))} ({percent(low)} to {percent(high)})"
 
-    def ladders(self) -> None:
+    def ladders(self, _: Page) -> None:
         """Tables each backend's convergence to itself, and the slopes of it."""
         own = [series for series in self.found.series if series.own]
         self.page.rows(
@@ -91,7 +91,7 @@ class Example:
         notes = [note for note in self.found.notes if "slope" not in note or "FINDING" in note]
         self.page.value("notes", "\n" + "".join(f"- {note}\n" for note in notes))
 
-    def floors(self) -> None:
+    def floors(self, _: Page) -> None:
         """Tables what stays between backends however many samples."""
         self.page.rows([floor_cells(floor) for floor in self.found.floors])
         self.show("floor.png")
@@ -99,7 +99,7 @@ class Example:
             if path.parent.name == "differences" and path.stem.endswith("mitsuba_pyrender"):
                 self.show(f"differences/{path.name}")
 
-    def targets(self) -> None:
+    def targets(self, _: Page) -> None:
         """Renders to an error, and for a time."""
         rows = []
         goals: list[dict[str, Any]] = [{"error": 0.1}, {"error": 0.03}, {"seconds": 1.0},
@@ -118,7 +118,7 @@ class Example:
             ])  # fmt: skip
         self.page.rows(rows)
 
-    def estimate(self) -> None:
+    def estimate(self, _: Page) -> None:
         """Tables how often the bound holds."""
         found = json.loads(ESTIMATE.read_text(encoding="utf-8"))
         names = {
@@ -141,7 +141,7 @@ def main(page: Page) -> None:
     one = Example(page)
     parts = (one.ladders, one.floors, one.targets, one.estimate)
     packages = ("mitsuba", "bpy", "pyrender-maintained")
-    page.refresh(packages, [lambda _, part=part: part() for part in parts])
+    page.refresh(packages, parts)
 
 
 def _slope(fit: Any) -> str:
