@@ -235,7 +235,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     split_of = assign(there, choice.splits, choice.split_seed)
     names = tuple(choice.splits) or tuple(dict.fromkeys(split_of.values()))
     cameras = one_of_each(source.frames).values()
-    beside = {kind for sidecar in cameras for kind in kinds(sidecar)}
+    beside = {kind for record in cameras for kind in kinds(record)}
     info = Info(
         name=_dataset_name(source),
         labels=labels,
@@ -246,7 +246,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         sky=_sky(source, choice.remap),
         filters=tuple(map(str, choice.filters.conditions)),
         beside=tuple(kind for kind in BESIDE if kind in beside),
-        anywhere=tuple(dict.fromkeys(p for sidecar in cameras for p in sidecar.get("passes", ()))),
+        anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),
         imaging=any(map(taken, cameras)),
     )
     if folder is None:
@@ -281,5 +281,5 @@ def _dataset_name(source: Source) -> str:
 
 def _sky(source: Source, remap: Remap) -> dict[str, int]:
     """The sky's label per level, 0 where it has none, as the first frame has it."""
-    first = source.first_sidecar().get("sky_labels") or {}
+    first = source.first_sidecar().sky_labels or {}
     return {level: remap.number(level, int(n), source.labels()) for level, n in first.items()}

@@ -38,15 +38,16 @@ has its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import UNSET
 from scenec.schemas.kernels import kernel
+from scenec.schemas.records import LensRecord
 
 Array = NDArray[np.float64]
 
@@ -457,10 +458,10 @@ def shown_at(lens: Lens | None, k: Array, points: Array) -> Array:
     return to_pixels(k, plane)
 
 
-def from_sidecar(value: Mapping[str, Any] | None) -> Lens | None:
-    """The lens that a frame's sidecar states; None: a pinhole."""
-    if value is None:
+def from_record(record: LensRecord | None) -> Lens | None:
+    """Returns the lens that a frame's record states; None: a pinhole."""
+    if record is None:
         return None
-    angle = math.radians(float(value.get("max_angle_deg", 180.0)))
-    coefficients = tuple(float(c) for c in value["coefficients"])
-    return Lens(str(value["model"]), coefficients, min(angle, math.pi))
+    angle = 180.0 if record.max_angle_deg is UNSET else record.max_angle_deg
+    coefficients = tuple(float(c) for c in record.coefficients)
+    return Lens(record.model, coefficients, min(math.radians(angle), math.pi))

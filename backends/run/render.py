@@ -37,6 +37,7 @@ from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, frame_stem, is_done
 from scenec.schemas.lock import BusyError, Lock
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
+from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays, told
 from scenec.schemas.units import Executor, Outcome, Unit
@@ -70,7 +71,7 @@ class RenderReport:
         denoiser: What denoised ``rgb``, or None.
         losses: A line for each thing in the stages that was not read, or that ``rgb`` leaves out.
         backend: The backend's name.
-        choice: Why this one, where none was named (``auto.Choice.as_json``); None otherwise.
+        choice: Why this one, where none was named; None otherwise.
         peak_memory_gb: The most that a worker held amid a frame made now, in 10^9 bytes; None if no
             frame was made or the system does not say.
     """
@@ -89,7 +90,7 @@ class RenderReport:
     denoiser: str | None = None
     losses: list[str] = field(default_factory=list)
     backend: str = ""
-    choice: dict[str, Any] | None = None
+    choice: BackendChoice | None = None
     peak_memory_gb: float | None = None
 
 
@@ -150,9 +151,7 @@ def render(
             batches = [
                 replace(b, folder=plan.folder if single else plan.folder / b.name) for b in batches
             ]
-        report = RenderReport(
-            backend=plan.backend, choice=None if choice is None else choice.as_json()
-        )
+        report = RenderReport(backend=plan.backend, choice=choice)
         manifest = read_manifest(out) if out.is_dir() else None
         judged = {batch.name for batch in batches if may_lose(batch, plan, manifest)}
         run = _Render(plan, batches, judged, report, progress, warn, say)
@@ -433,13 +432,13 @@ class _Render:
         if work.left:
             return
         sweep({frame.stem.parent for frame in work.frames})
-        sidecars: dict[str, list[dict[str, Any]]] = {}
+        pictures: dict[str, list[brightness.FrameBrightness]] = {}
         for frame in work.frames:
             # What was given up, or was deleted meanwhile, shows nothing.
             with suppress(FrameError):
-                sidecar = read_sidecar(frame.stem.with_suffix(".json"))
-                sidecars.setdefault(frame.camera, []).append(brightness.brief(sidecar))
-        for camera, found in sidecars.items():
+                record = read_sidecar(frame.stem.with_suffix(".json"))
+                pictures.setdefault(frame.camera, []).append(brightness.brief(record))
+        for camera, found in pictures.items():
             line = brightness.told(found)
             if line is not None:
                 self.warn(f"{work.batch.name}/{camera}: {line}")

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.executors import make_executor
+from scenec.backends.run.facts import label_names, time_of
 from scenec.backends.run.frames import require_samples
 from scenec.backends.run.units import OfSession, Opening
-from scenec.backends.run.writer import label_facts, plain, time_of
 from scenec.backends.stage.scene import Lidar, RenderScene
+from scenec.schemas.codec import encode
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
 from scenec.schemas.frames import ANNOTATION
@@ -198,7 +199,7 @@ def _scan(
     loaded = time.perf_counter()
     arrays = scan(scene, caster, lidar, sample)
     scanned = time.perf_counter()
-    write_scan(stem, arrays, plain(_sidecar(scene, lidar, sample, key)), ply)
+    write_scan(stem, arrays, encode(_sidecar(scene, lidar, sample, key)), ply)
     written = time.perf_counter()
     return {"load": loaded - start, "scan": scanned - loaded, "write": written - scanned}
 
@@ -218,7 +219,7 @@ def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[st
             "dropout": lidar.dropout,
             "key": lidar.key,
         },
-        "labels": label_facts(scene),
+        "labels": label_names(scene),
         "instances": scene.instance_paths,
         "losses": scene.losses,
         "stage_digest": scene.digest,

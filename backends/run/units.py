@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from scenec.schemas.files import sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
+from scenec.schemas.records import BackendChoice, FrameRecord
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def _opened(passes: tuple[str, ...] | None, every_but_rgb: bool, session: Sessio
         ]
         for sample, cameras in enumerate(session.scene.cameras)
     ]
-    return Opened(session.scene.digest, cameras, session.losses, **session.facts())
+    return Opened(session.scene.digest, cameras, session.losses, **session.facts()._asdict())
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ class RenderFrame:
         sample: Time code.
         key: What it is made with.
         seed: Of its noise.
-        choice: Why this backend, for the sidecar (``auto.Choice``), or None.
+        choice: Why this backend, for the sidecar, or None.
         replace: As of ``RenderPlan``.
     """
 
@@ -204,7 +205,7 @@ class RenderFrame:
     sample: int
     key: FrameKey
     seed: int
-    choice: Mapping[str, Any] | None = None
+    choice: BackendChoice | None = None
     replace: bool = False
 
     @property
@@ -221,7 +222,7 @@ class RenderFrame:
             OutputError: A file cannot be written, or is not to be replaced.
         """
         session = self.holds.session(keeper)
-        if not self.key.backend_version.startswith(session.facts()["version"]):
+        if not self.key.backend_version.startswith(session.facts().version):
             # A process that was replaced has imported it again.
             raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
         if self.stem.parent not in session.folders:
@@ -240,14 +241,14 @@ class RenderFrame:
                     return Made()
                 require_replaceable([self])
                 place = self.number, self.sample
-                details = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+                record = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
         except BusyError as error:
             return Made(busy=str(error))
         return Made(
             now=True,
-            seconds=dict(details["seconds"]),
-            peak_memory_gb=details["peak_memory_gb"],
-            text=describe(details),
+            seconds=dict(record.seconds or {}),
+            peak_memory_gb=record.peak_memory_gb,
+            text=describe(record),
         )
 
     def clean(self) -> None:
@@ -279,20 +280,20 @@ def require_replaceable(frames: Iterable[RenderFrame]) -> None:
         )
 
 
-def describe(details: Mapping[str, Any]) -> str:
+def describe(record: FrameRecord) -> str:
     """One line about a frame: seconds by step, and how far ``rgb`` is from converged."""
-    seconds = details["seconds"]
+    seconds = record.seconds or {}
     parts = [f"{sum(seconds.values()):.2f} s"]
     parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
-    if details.get("estimated_error"):
-        error = details["estimated_error"]["relative_rms"]
+    if record.estimated_error is not None:
+        error = record.estimated_error.relative_rms
         parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
-        before = (details.get("estimated_error_before_denoising") or {}).get("relative_rms")
-        if before is not None:
-            parts[-1] += f" ({100 * before:.1f} % before denoising)"
-    if details.get("rounds"):
-        made = len(details["rounds"]["rounds"])
-        parts.append(f"{details['samples_per_pixel']} samples per pixel in {made} rounds")
-        if details["rounds"]["target_met"] is False:
+        noisy = record.estimated_error_before_denoising
+        if noisy is not None and noisy.relative_rms is not None:
+            parts[-1] += f" ({100 * noisy.relative_rms:.1f} % before denoising)"
+    if record.rounds is not None:
+        made = len(record.rounds.rounds)
+        parts.append(f"{record.samples_per_pixel} samples per pixel in {made} rounds")
+        if record.rounds.target_met is False:
             parts.append("target not met")
     return ", ".join(parts)

@@ -29,6 +29,7 @@ from pycocotools import mask as coco_mask
 
 from scenec.backends.annotation.instances import Seen
 from scenec.backends.run.executors import make_executor
+from scenec.backends.run.facts import FrameResult, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.export import Choice
@@ -181,7 +182,9 @@ def write_output(out: Path, count: int) -> int:
         if sample < CONTENTS:
             passes, columns = content(sample)
             key = FrameKey(digest, tuple(passes), 64, 0, "mitsuba", "bench")
-            write_frame(stem, passes, key, scene, camera, sample, {}, Seen(columns))
+            renderer = RendererFacts("mitsuba", "bench", "cpu", None, None)
+            record = describe_frame(scene, camera, sample, renderer)
+            write_frame(stem, FrameResult(passes, record, Seen(columns)), key, scene, camera)
             sizes.append(stem.with_suffix(".exr").stat().st_size)
             continue
         twin = stem.with_name(f"{sample % CONTENTS:06d}")

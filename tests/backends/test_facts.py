@@ -181,11 +181,12 @@ def test_light_that_float32_cannot_hold_is_left_out_and_counted(tmp_path):
     cfg["rigs"]["rover"]["allow_below"] = True
     session = Session.open(compiled(tmp_path, cfg, 3), "mitsuba")
     camera = session.scene.cameras[0][0]
-    arrays, details = session.render(camera, 0, ("rgb",), 8, 0)
+    result = session.render(camera, 0, ("rgb",), 8, 0)
+    arrays, record = result.arrays, result.record
     assert np.isfinite(arrays["rgb"]).all()
     assert arrays["rgb"].min() >= 0.0
-    assert details["samples_dropped"] > 0
+    assert record.samples_dropped > 0
     ordinary = Session.open(compiled(tmp_path, small_cfg(samples=1), 3), "mitsuba")
     assert (
-        ordinary.render(ordinary.scene.cameras[0][0], 0, ("rgb",), 8, 0)[1]["samples_dropped"] == 0
+        ordinary.render(ordinary.scene.cameras[0][0], 0, ("rgb",), 8, 0).record.samples_dropped == 0
     )

@@ -79,7 +79,7 @@ def test_a_renderer_and_the_exact_caster_build_a_pairs_scene_once(
         assert [camera.name for camera in cameras] == ["rover_left", "rover_right"]
         for camera in cameras:
             passes = work.passes(["rgb", "depth", "label"], camera)
-            arrays, _ = work.render(camera, sample, passes, 2, 0)
+            arrays = work.render(camera, sample, passes, 2, 0).arrays
             pictures.append(arrays["depth"])
     assert backend.loads == 1
     assert len(built) == 1
