@@ -32,7 +32,7 @@ from scenec.schemas.instances import (
     frame_table_path,
     read_frame_table,
 )
-from scenec.schemas.lens import Lens, from_record
+from scenec.schemas.lens import Lens
 from scenec.schemas.manifest import (
     FRAMES,
     STAGE_SUFFIXES,
@@ -42,7 +42,7 @@ from scenec.schemas.manifest import (
     stage_digest,
 )
 from scenec.schemas.records import FileDigest, FrameRecord
-from scenec.schemas.sidecars import read_sidecar
+from scenec.schemas.sidecars import lens_of, read_sidecar
 from scenec.schemas.spelling import nearest
 
 
@@ -138,7 +138,7 @@ class LoadedFrame:
     @property
     def lens(self) -> Lens | None:
         """What bends the plane that the intrinsics take to pixels; None: a pinhole."""
-        return from_record(self.sidecar.lens)
+        return lens_of(self.sidecar.lens)
 
     @property
     def optics(self) -> dict[str, Any]:

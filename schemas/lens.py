@@ -45,9 +45,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.codec import UNSET
 from scenec.schemas.kernels import kernel
-from scenec.schemas.records import LensRecord
 
 Array = NDArray[np.float64]
 
@@ -456,12 +454,3 @@ def shown_at(lens: Lens | None, k: Array, points: Array) -> Array:
     plane, shown = project(lens, points)
     plane[~shown] = np.nan
     return to_pixels(k, plane)
-
-
-def from_record(record: LensRecord | None) -> Lens | None:
-    """Returns the lens that a frame's record states; None: a pinhole."""
-    if record is None:
-        return None
-    angle = 180.0 if record.max_angle_deg is UNSET else record.max_angle_deg
-    coefficients = tuple(float(c) for c in record.coefficients)
-    return Lens(record.model, coefficients, min(math.radians(angle), math.pi))

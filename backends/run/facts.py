@@ -118,7 +118,7 @@ def partner_name(scene: RenderScene, camera: Camera) -> str | None:
 
 
 def lens_record(lens: Lens) -> LensRecord:
-    """Describes a lens; ``schemas.lens.from_record`` reads it back."""
+    """Describes a lens; ``schemas.sidecars.lens_of`` reads it back."""
     angle = math.degrees(lens.max_angle) if lens.model == KANNALA_BRANDT else UNSET
     return LensRecord(
         model=lens.model,

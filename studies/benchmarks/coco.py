@@ -29,7 +29,7 @@ from pycocotools import mask as coco_mask
 
 from scenec.backends.annotation.instances import Seen
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.facts import FrameResult, describe_frame
+from scenec.backends.run.facts import FrameResult, RendererFacts, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.export import Choice

@@ -64,7 +64,10 @@ def camera(pose, k=K, name="rig_a", partner=None, size=(64, 48)) -> Camera:
 
 def with_cameras(scene: RenderScene, cameras: list[list[Camera]]) -> RenderScene:
     return dataclasses.replace(
-        scene, samples=len(cameras), cameras=tuple(tuple(some) for some in cameras)
+        scene,
+        samples=len(cameras),
+        cameras=tuple(tuple(some) for some in cameras),
+        lighting=scene.lighting[:1] * len(cameras),
     )
 
 

@@ -35,9 +35,9 @@ def moving(tmp_path_factory) -> RenderScene:
 def truth(moving: RenderScene) -> list[dict[str, np.ndarray]]:
     """Annotation of each sample from a scene that stands still as it is then."""
     return [
-        Session(still(moving, sample), None).render(
-            moving.cameras[sample][0], sample, PASSES, 1, 0
-        )[0]
+        Session(still(moving, sample), None)
+        .render(moving.cameras[sample][0], sample, PASSES, 1, 0)
+        .arrays
         for sample in range(ms.SAMPLES)
     ]
 

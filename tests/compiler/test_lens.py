@@ -18,7 +18,6 @@ from scenec.compiler.views import resolution
 from scenec.schemas.lens import (
     Lens,
     directions,
-    from_record,
     project,
     radial,
     reach,
@@ -26,6 +25,7 @@ from scenec.schemas.lens import (
     to_plane,
 )
 from scenec.schemas.records import LensRecord
+from scenec.schemas.sidecars import lens_of
 
 K = np.array([[412.5, 0.0, 320.25], [0.0, 409.75, 239.5], [0.0, 0.0, 1.0]])
 MILD = Lens("brown_conrady", (-0.28, 0.07, 1.2e-3, -8e-4, 0.0, 0.0, 0.0, 0.0))
@@ -250,7 +250,7 @@ def test_a_pinholes_view_is_the_same_beside_one_with_a_lens() -> None:
 
 def test_a_sidecars_lens_reads_back() -> None:
     """None is a pinhole."""
-    assert from_record(None) is None
+    assert lens_of(None) is None
     record = LensRecord(model="kannala_brandt", coefficients=(1, 2, 3, 4), max_angle_deg=90.0)
-    assert from_record(record) == Lens("kannala_brandt", (1.0, 2.0, 3.0, 4.0), math.pi / 2)
-    assert from_record(LensRecord(model="equirectangular", coefficients=())) == PANORAMA
+    assert lens_of(record) == Lens("kannala_brandt", (1.0, 2.0, 3.0, 4.0), math.pi / 2)
+    assert lens_of(LensRecord(model="equirectangular", coefficients=())) == PANORAMA

@@ -218,8 +218,8 @@ def test_sidecars_say_where_the_camera_was(stage: Path, tmp_path: Path) -> None:
     local = np.linalg.inv(np.array(frame.sidecar.intrinsics)) @ np.stack(
         [u.ravel(), v.ravel(), np.ones(1200)]
     )
-    at = -said["readout_s"] * ((np.arange(30) + 0.5) / 30 - 0.5)
-    poses = between(np.array(said["times_s"]), np.array(said.camera_to_world), at)
+    at = -said.readout_s * ((np.arange(30) + 0.5) / 30 - 0.5)
+    poses = between(np.array(said.times_s), np.array(said.camera_to_world), at)
     pose = np.repeat(poses, 40, axis=0)
     point = np.einsum("nij,jn->ni", pose[:, :3, :3], local) * depth.reshape(-1, 1)
     point += pose[:, :3, 3]
