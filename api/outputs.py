@@ -38,6 +38,7 @@ from scenec.datasets import pictures
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, paint_labels
 from scenec.datasets.sheet import write_sheet
 from scenec.datasets.source import LoadedFrame, Source
+from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import FrameError
 from scenec.schemas.manifest import REPORT, Batch, find_batches, read_manifest
 from scenec.schemas.records import FrameRecord
@@ -120,10 +121,10 @@ class Output:
         manifest = read_manifest(self.path)
         rows = {
             "output": str(self.path),
-            "cfg": manifest.get("name", ""),
-            "seed": manifest.get("seed", ""),
-            "batches": len(manifest["batches"]),
-            "made by": f"scenec {manifest.get('scenec', '')}",
+            "cfg": manifest.name or "",
+            "seed": "" if manifest.seed is UNSET else manifest.seed,
+            "batches": len(manifest.batches),
+            "made by": f"scenec {manifest.scenec or ''}",
         }
         try:
             with scratch_folder() as folder:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from scenec.datasets.pictures import kinds, taken
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source, one_of_each
 from scenec.datasets.splits import assign
+from scenec.schemas.codec import UNSET, encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE
@@ -178,16 +179,18 @@ class Plan:
         manifest = self.source.manifest
         if manifest is None:
             return {"stage": self.out.name}
-        keys = ("name", "cfg", "seed", "scenec", "libraries", "plugins")
-        batches = {"batches": len(manifest["batches"])}
-        return {key: manifest[key] for key in keys if key in manifest} | batches
+        shown = replace(manifest, format=UNSET, keep=UNSET, failed=UNSET, batches=(), files={})
+        origin: dict[str, Any] = encode(shown) | {"batches": len(manifest.batches)}
+        del origin["files"]
+        return origin
 
     def cfg(self) -> str | None:
         """The cfg's text; None where there is none, or another than the manifest's."""
-        entry = (self.source.manifest or {"files": {}})["files"].get(CFG)
+        manifest = self.source.manifest
+        entry = None if manifest is None else manifest.files.get(CFG)
         path = self.out / CFG
         try:
-            if entry is not None and sha256(path) == entry["sha256"]:
+            if entry is not None and sha256(path) == entry.sha256:
                 return path.read_text(encoding="utf-8-sig")
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -275,7 +278,7 @@ def _check_options(kind: type[Format], options: Mapping[str, str]) -> None:
 
 def _dataset_name(source: Source) -> str:
     if source.manifest is not None:
-        return str(source.manifest.get("name", source.out.name))
+        return source.manifest.name or source.out.name
     return source.out.stem
 
 

@@ -420,8 +420,8 @@ class Source:
 
     def _lengths(self) -> dict[int, int]:
         """Returns the samples of each batch, by the manifest."""
-        batches = (self.manifest or {"batches": []})["batches"]
-        return {int(entry["index"]): int(entry.get("samples", 0)) for entry in batches}
+        batches = () if self.manifest is None else self.manifest.batches
+        return {entry.index: entry.samples for entry in batches}
 
     def _folders(self, batches: Iterable[Batch]) -> list[str]:
         """Lists cameras of which any of some batches has frames."""

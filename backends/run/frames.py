@@ -6,14 +6,13 @@ import hashlib
 import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from typing import Any
 
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
 from scenec.schemas.errors import BackendError, FrameError, StageError
 from scenec.schemas.files import inside
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem
-from scenec.schemas.manifest import FRAMES, Batch, stage_digest
+from scenec.schemas.manifest import FRAMES, Batch, Manifest, stage_digest
 from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
@@ -85,7 +84,7 @@ def frames_of(
     return found
 
 
-def may_lose(batch: Batch, plan: RenderPlan, manifest: dict[str, Any] | None) -> bool:
+def may_lose(batch: Batch, plan: RenderPlan, manifest: Manifest | None) -> bool:
     """Tells whether a batch has frames of its stage that a plan could replace and may not.
 
     Args:

@@ -46,7 +46,7 @@ from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.instances import read_frame_table
-from scenec.schemas.manifest import stage_digest
+from scenec.schemas.manifest import read_manifest, stage_digest
 
 _LOOP = "pycocotools' loop over run lengths, areas and boxes"
 _MASKS, _ALL = "run lengths, areas, boxes", "all that the format does"
@@ -166,7 +166,7 @@ def write_output(out: Path, count: int) -> int:
         "files": {f"{name}/stage.usda": {"sha256": hashlib.sha256(b"bench").hexdigest()}},
     }
     write_json(out / "manifest.json", manifest)
-    digest = stage_digest(manifest, name)
+    digest = stage_digest(read_manifest(out), name)
     intrinsics = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
     camera = Camera("front", "/World/Rigs/front", WIDTH, HEIGHT, intrinsics, np.eye(4), -11.0)
     scene = RenderScene(
