@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.facts import label_names, time_of
+from scenec.backends.run.facts import label_names, rows, time_of
 from scenec.backends.run.frames import require_samples
 from scenec.backends.run.units import OfSession, Opening
 from scenec.backends.stage.scene import Lidar, RenderScene
-from scenec.schemas.codec import encode
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
 from scenec.schemas.frames import ANNOTATION
 from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.records import NOT_WRITTEN, LidarNoise, ScanRecord
 from scenec.schemas.scans import SCANS, is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
 from scenec.schemas.strays import stray_scans, told
@@ -199,29 +199,30 @@ def _scan(
     loaded = time.perf_counter()
     arrays = scan(scene, caster, lidar, sample)
     scanned = time.perf_counter()
-    write_scan(stem, arrays, encode(_sidecar(scene, lidar, sample, key)), ply)
+    write_scan(stem, arrays, _sidecar(scene, lidar, sample, key), ply)
     written = time.perf_counter()
     return {"load": loaded - start, "scan": scanned - loaded, "write": written - scanned}
 
 
-def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[str, object]:
-    return {
-        "lidar": lidar.name,
-        "lidar_prim": lidar.path,
-        "sample": sample,
-        "time_s": time_of(scene, sample),
-        "lidar_to_world": lidar.to_world,
-        "range_m": lidar.range_m,
-        "noise": {
-            "range_m": lidar.range_noise_m,
-            "range_ratio": lidar.range_noise_ratio,
-            "angle_deg": lidar.angle_noise_deg,
-            "dropout": lidar.dropout,
-            "key": lidar.key,
-        },
-        "labels": label_names(scene),
-        "instances": scene.instance_paths,
-        "losses": scene.losses,
-        "stage_digest": scene.digest,
-        "resume_key": key,
-    }
+def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> ScanRecord:
+    return ScanRecord(
+        lidar=lidar.name,
+        lidar_prim=lidar.path,
+        sample=sample,
+        time_s=time_of(scene, sample),
+        lidar_to_world=rows(lidar.to_world),
+        range_m=lidar.range_m,
+        noise=LidarNoise(
+            range_m=lidar.range_noise_m,
+            range_ratio=lidar.range_noise_ratio,
+            angle_deg=lidar.angle_noise_deg,
+            dropout=lidar.dropout,
+            key=lidar.key,
+        ),
+        labels=label_names(scene),
+        instances=scene.instance_paths,
+        losses=tuple(scene.losses),
+        stage_digest=scene.digest,
+        resume_key=key,
+        npz=NOT_WRITTEN,
+    )
