@@ -14,6 +14,9 @@ The npz holds a row a beam and a column an azimuth, from the first of each:
 ``azimuth_deg``    float64 [a]         of each column, counterclockwise from above
 =================  ==================  ==========================================================
 
+Where a pattern says where each ray goes, both angles are [b, a] (version 1.1), and columns are a
+beam's rays in their order.
+
 The lidar's frame is x ahead, y left, z up. The JSON sidecar, written last, holds the pose and what
 the scan was made from.
 """
@@ -37,8 +40,8 @@ from scenec.schemas.records import FileDigest, ScanRecord
 #: In each batch's folder.
 SCANS = "scans"
 _WHAT = "sidecar of a scan"
-#: Version of the sidecar's shape.
-SCAN_VERSION = "1.0"
+#: Version of a scan's shape; and of one that holds both angles of each ray.
+SCAN_VERSION, RAYS_VERSION = "1.0", "1.1"
 
 CONVENTIONS = {
     "frame": "x ahead, y left, z up, meters; lidar_to_world: 4x4, row-major, column vectors",
@@ -123,6 +126,9 @@ def write_scan(
         npz=FileDigest(bytes=path.stat().st_size, sha256=sha256(path)),
         ply=ply,
     )
+    if np.ndim(arrays.get("elevation_deg", ())) == 2:
+        order = "rows are beams, columns their rays in turn; both angles are of each ray"
+        record = replace(record, version=RAYS_VERSION, conventions=CONVENTIONS | {"order": order})
     write_json(stem.with_suffix(".json"), encode(record))
 
 
