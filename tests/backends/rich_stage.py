@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from damaged_stages import over
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, Vt
-from small import small_cfg, write_cfg
 
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import imaging
 from scenec.schemas import stage as names
 from scenec.schemas.picture import write_png
+from scenec.testing.damaged_stages import over
+from scenec.testing.small import small_cfg, write_cfg
 
 _T = Sdf.ValueTypeNames
 
@@ -85,6 +85,10 @@ def _cameras(stage: Usd.Stage) -> None:
         names.ATTR_LIDAR_ANGLE_NOISE: (_T.Double, 0.01),
         names.ATTR_LIDAR_DROPOUT: (_T.Double, 0.01),
         names.ATTR_LIDAR_KEY: (_T.UInt64, 3),
+    })  # fmt: skip
+    _set(UsdGeom.Xform.Define(stage, "/World/Rigs/rover/rosette").GetPrim(), {
+        names.ATTR_LIDAR_RAYS: (_T.Double2Array, Vt.Vec2dArray([(-10.0, 0.0), (-20.0, 5.0)])),
+        names.ATTR_LIDAR_AZIMUTHS: (_T.Int, 2),
     })  # fmt: skip
 
 

@@ -10,12 +10,9 @@ import moving_stages as ms
 import numpy as np
 import pytest
 import trimesh
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Sdf, Usd, UsdGeom
-from scenes import icosphere
-from small import small_cfg
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
@@ -28,6 +25,9 @@ from scenec.datasets.source import Source
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, FrameError, StageError
 from scenec.schemas.scans import read_scan
+from scenec.testing.examples import examples
+from scenec.testing.scenes import icosphere
+from scenec.testing.small import small_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -152,6 +152,30 @@ def test_angular_noise_moves_what_is_met_and_not_what_is_told(scene):
     met = np.degrees(np.arcsin(2.0 / made["range_true"][flat]))
     assert abs(met.mean() - 30.0) < 0.05
     assert abs(met.std() - 0.5) < 0.03
+
+
+def test_a_grid_of_which_each_ray_is_said_by_itself_is_scanned_as_the_grid(scene):
+    one = lidar(range_noise_m=0.1, angle_noise_deg=0.5, dropout=0.1, key=7)
+    angles = np.meshgrid(one.elevations_deg, one.azimuths_deg, indexing="ij")
+    other = dataclasses.replace(one, elevations_deg=angles[0], azimuths_deg=angles[1])
+    own, made = (scan(scene, ExactCaster(scene), each, 0) for each in (one, other))
+    assert made["elevation_deg"].shape == made["azimuth_deg"].shape == made["range"].shape
+    np.testing.assert_array_equal(made["range"], own["range"])
+    np.testing.assert_array_equal(made["label.class"], own["label.class"])
+    np.testing.assert_allclose(made["points"], own["points"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 2, 4])
+def test_rays_that_make_no_beams_are_refused(tmp_path, count):
+    path = ms.write_stage(tmp_path / "stage.usda")
+    stage = Usd.Stage.Open(str(path))
+    prim = UsdGeom.Xform.Define(stage, "/World/odd").GetPrim()
+    rays = prim.CreateAttribute(names.ATTR_LIDAR_RAYS, Sdf.ValueTypeNames.Double2Array)
+    rays.Set([(0.0, 1.0), (0.0, 2.0), (0.0, 3.0)])
+    prim.CreateAttribute(names.ATTR_LIDAR_AZIMUTHS, Sdf.ValueTypeNames.Int).Set(count)
+    stage.Save()
+    with pytest.raises(StageError, match=f"/World/odd: 3 rays, {count} a beam, are no scan"):
+        read_stage(path)
 
 
 @pytest.mark.parametrize(("near", "far"), [(0.0, 1e9), (2.5, 2.6), (5.0, 5.0)])

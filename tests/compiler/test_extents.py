@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small import scaled, small_cfg, write_cfg
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
@@ -20,6 +19,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.precision import FLOAT32_STEP
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.testing.small import scaled, small_cfg, write_cfg
 
 PASSES = ("depth", "label", "instance", "face", "normal")
 
