@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from scenec.compiler.materials.finish import Shown, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
@@ -14,7 +16,7 @@ from scenec.compiler.scene.scene import Scene
 from scenec.compiler.terrain.program import Relief
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.lamps import without_idle
-from scenec.compiler.views.needed import Keep, Needs, note_outputs, without_ids, without_unused
+from scenec.compiler.views.needed import Keep, Needs, note_outputs, without_unused
 from scenec.compiler.views.prune import prune
 from scenec.compiler.views.resolution import Views
 from scenec.schemas.left_out import Facts, Record
@@ -33,7 +35,9 @@ def select_outputs(
     drawn = [one.material for one in material_plans.values()]
     left_out = note_outputs(needs, drawn, ground, objects, levels=levels, lit=lit)
     used = without_unused(material_plans if needs.color else {}, ground, objects, needs)
-    kept = without_ids(used.objects, needs)
+    kept = used.objects
+    if not needs.ids:
+        kept = tuple(replace(one, instances=False) for one in kept)
     lamps, idle = without_idle(lamps, used.ground, kept)
     facts: Facts = {"left_out": [*left_out, *used.left_out, *idle]}
     return used.materials, used.ground, kept, lamps, facts

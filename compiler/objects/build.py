@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,24 +40,6 @@ Plans = tuple[ScatterPlan | PlacedPlan, ...]
 Timed = Callable[[str], AbstractContextManager[None]]
 
 
-class Built(NamedTuple):
-    """Holds the objects of a batch, in the plans' order.
-
-    Attributes:
-        surface: The ground with the fines that are heaped about their feet.
-        errors_m: Of each class, the largest error of its positions in float32.
-        filleted: Classes about which fines may be heaped.
-        facts: For report.json: of each class, and of the budget, if there is one.
-    """
-
-    objects: Objects
-    surface: Surface
-    materials: dict[str, MaterialPlan]
-    errors_m: tuple[float, ...]
-    filleted: tuple[str, ...]
-    facts: Facts
-
-
 def place_obstacles(
     free_rigs: tuple[Rig, ...] | None,
     drawn_objects: Plans,
@@ -71,11 +53,11 @@ def place_obstacles(
         return (), {}
     beyond = any(isinstance(plan, ScatterPlan) and plan.beyond_m for plan in drawn_objects)
     land = build_land(drawn_terrain, surface)[0] if beyond else None
-    built = build_objects(
+    objects, *_ = build_objects(
         drawn_objects, drawn_terrain, {}, drawn_samples, drawn_object_triangles, surface,
         free_rigs, land, Needs(False, False, False), lambda _name: nullcontext(),
     )  # fmt: skip
-    return built.objects, {}
+    return objects, {}
 
 
 def build_objects(
@@ -89,8 +71,12 @@ def build_objects(
     land: Land | None,
     needs: Needs,
     timed: Timed,
-) -> Built:
-    """Builds the objects on the ground, and on the land around it.
+) -> tuple[Objects, Surface, dict[str, MaterialPlan], tuple[float, ...], tuple[str, ...], Facts]:
+    """Builds the objects on the ground and on the land around it, in the cfg's order.
+
+    Returns:
+        The objects; the ground with the fines about their feet; materials, with those of models; of
+        each class, the largest error of positions in float32, meters; classes with fines.
 
     Raises:
         SceneError: Something cannot be built or placed, or the budget cannot be kept.
@@ -113,7 +99,7 @@ def build_objects(
             own[plan.name]["land_error_max_m"] = off_m
     errors_m = tuple(float(of["float32_error_max_m"]) for of in own.values())
     filleted = tuple(name for name, of in own.items() if "fillets" in of)
-    return Built(objects, surface, looks.materials, errors_m, filleted, facts)
+    return objects, surface, looks.materials, errors_m, filleted, facts
 
 
 def place_classes(

@@ -145,13 +145,6 @@ def without_unused[Kind](
     )
 
 
-def without_ids(objects: Sequence[Scatter | Placed], needs: Needs) -> Objects:
-    """The classes; none has ids where no output shows them."""
-    if needs.ids:
-        return tuple(objects)
-    return tuple(replace(one, instances=False) for one in objects)
-
-
 def _without_unused_prototypes(
     one: Scatter | Placed, left_out: list[dict[str, Any]]
 ) -> Scatter | Placed:
