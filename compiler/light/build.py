@@ -26,6 +26,7 @@ from scenec.compiler.scene.rig import Rig
 from scenec.compiler.views.needed import Needs
 from scenec.schemas.errors import SceneError
 from scenec.schemas.left_out import Facts, entry
+from scenec.schemas.plugins import named, plugin_name
 
 
 def light_sky(
@@ -142,7 +143,8 @@ def _held(kind: Sky | CloudLayer, made: Any) -> SkyAndSun:
 
 
 def _who(kind: Sky | CloudLayer) -> str:
-    return f"sky or clouds {type(kind).__module__}:{type(kind).__qualname__}"
+    group = "scenec.skies" if isinstance(kind, Sky) else "scenec.clouds"
+    return named(group, plugin_name(group, type(kind)))
 
 
 def _sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:
