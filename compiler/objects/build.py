@@ -83,7 +83,10 @@ def build_objects(
     """
     views, meshing = views_of(rigs), drawn_terrain.meshing
     around = Surroundings(surface, views.eye, views, meshing.unseen, meshing.tolerance_px)
-    for beyond_m in {one.beyond_m for one in drawn_objects if isinstance(one, ScatterPlan)} - {0.0}:
+    for plan in drawn_objects:
+        beyond_m = plan.beyond_m if isinstance(plan, ScatterPlan) else 0.0
+        if not beyond_m or beyond_m in around.beyond:
+            continue
         assert land is not None
         near = Surroundings(land.near(beyond_m), views.eye, views, meshing.unseen)
         around.beyond[beyond_m] = near
