@@ -26,6 +26,7 @@ from scenec.backends.camera.rays import rays_at
 from scenec.backends.camera.tiles import coarse
 from scenec.backends.contract import BOUNCES, Rays
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.noise_seeds import metering_paths, metering_places
 from scenec.backends.picture.airlight import ambient, arrive
 from scenec.backends.picture.haze import Hazy
 from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
@@ -51,7 +52,6 @@ _SKY_RAYS = 8
 _SKY_ROWS = 128
 #: Points are lifted by this share of their distance, so that they do not shade themselves.
 _LIFT = 1e-8
-_KEY = 0x5CE9EC
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,7 @@ def look(
 def _spread(camera: Camera, rays: int, sample: int) -> Rays:
     """Draws about so many rays, one anywhere in each cell of a grid, others at each sample."""
     cells = coarse(camera, rays)
-    random = np.random.Generator(np.random.Philox(key=(_KEY << 64) + sample))
-    jitter = random.random((2, cells.height, cells.width))
+    jitter = metering_places(sample).random((2, cells.height, cells.width))
     u = (np.arange(cells.width) + jitter[0]) * (camera.width / cells.width)
     v = (np.arange(cells.height)[:, None] + jitter[1]) * (camera.height / cells.height)
     return rays_at(camera, u.ravel(), v.ravel())
@@ -173,7 +172,7 @@ class _Paths:
         self._dome = None if self.sky is None else _Dome(self.sky)
         self._air = None if hazy is None else hazy.air(sample)
         self._rows = scene.rows_at(sample)
-        self._random = np.random.Generator(np.random.Philox(key=_KEY + sample))
+        self._random = metering_paths(sample)
 
     def radiance(self, rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Radiance along rays that hit something, float64 [n, 3], and which ones do."""

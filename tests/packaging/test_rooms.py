@@ -40,7 +40,7 @@ FLOORS = {
     ),
     "backends": (
         ("stage",),
-        ("contract", "registry"),
+        ("contract", "noise_seeds", "registry"),
         ("camera",),
         ("surface",),
         ("model",),
