@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
-from scenec.backends.exact.bvh import inverses
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.trace import Ray, _enter, in_row, largest
 from scenec.backends.stage.scene import Camera
+from scenec.schemas.affine import inverses
 from scenec.schemas.kernels import inlined, kernel
 
 #: Pictures that the plane of the silhouettes goes on by on each side.

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.kernels import kernel
+from scenec.schemas.quaternions import rotation_entries_in_kernels
 
 
 def align_to_normals(
@@ -57,12 +58,7 @@ def products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
 def rotation_rows(q: NDArray) -> tuple[float, ...]:
     """The nine entries, row by row, of the rotation of a quaternion (x, y, z, w) of any length."""
     x, y, z, w = q
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    return (
-        1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
-        s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
-        s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
-    )  # fmt: skip
+    return rotation_entries_in_kernels(x, y, z, w, 2.0 / (x * x + y * y + z * z + w * w))
 
 
 def turned(orientations: NDArray[np.float16], scales: NDArray[np.float32]) -> NDArray[np.float32]:

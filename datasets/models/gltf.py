@@ -23,6 +23,7 @@ from PIL import Image
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.picture import luminance
 from scenec.schemas.quaternions import quaternions
 from scenec.schemas.versions import version_of
 
@@ -312,12 +313,12 @@ class _File:
         ):
             self.losses.append("light: suns stand where they are at the first sample")
         lights = []
-        total = sum(float(_LUMINANCE @ irradiance) for _, irradiance in suns)
+        total = sum(float(luminance(irradiance)) for _, irradiance in suns)
         for number, (to_light, irradiance) in enumerate(suns):
             most = float(irradiance.max())
-            own = float(_LUMINANCE @ irradiance)
+            own = float(luminance(irradiance))
             color = irradiance / most if most > 0.0 else np.ones(3)
-            shown = own / total * math.pi / float(_LUMINANCE @ color) if total > 0.0 else 0.0
+            shown = own / total * math.pi / float(luminance(color)) if total > 0.0 else 0.0
             lights.append({"type": "directional", "color": color.tolist(), "intensity": shown})
             self.json["nodes"].append(
                 {
@@ -391,9 +392,6 @@ class _File:
             return times
         self.losses.append("cameras: the animation's seconds are numbers of samples")
         return np.arange(len(times), dtype=np.float32)
-
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def _unit(value: float) -> float:

@@ -12,7 +12,6 @@ import pytest
 import scenes
 
 from scenec.backends.annotation.instances import Instances
-from scenec.backends.annotation.poses import quaternions
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.render import render
@@ -30,6 +29,7 @@ from scenec.schemas.instances import (
     write_frame_table,
     write_table,
 )
+from scenec.schemas.quaternions import quaternions
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
