@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.executors import Here
 from scenec.backends.run.render import render
@@ -17,6 +16,7 @@ from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import export
 from scenec.schemas.files import sha256
+from scenec.testing.small import small_cfg, write_cfg
 
 COMMANDS = ("run", "compile", "settle", "import", "render", "scan", "check", "sheet", "view",
             "export", "converge", "explain", "doctor")  # fmt: skip
