@@ -37,6 +37,7 @@ KINDS = {
     "scenec.skies": "sky",
     "scenec.clouds": "layer of clouds",
     "scenec.effects": "effect",
+    "scenec.scans": "scan pattern",
 }
 
 #: What marks, in a field's metadata, a key of the cfg, and what is made of where it stands.

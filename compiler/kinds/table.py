@@ -381,6 +381,13 @@ CHOICES = {
         **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material"},
     ),
+    "scan_pattern": Choice(
+        title="Scan pattern",
+        description="Where the rays of a lidar go, by another package: see docs/plugins.md.",
+        of="Name that a package offers it under.",
+        group="scenec.scans",
+        kinds={},
+    ),
     "sky": Choice(
         title="Sky",
         description="What surrounds the scene.",
@@ -404,6 +411,7 @@ CHOICES = {
 BASES = {
     "scenec.clouds": "light.sky:CloudLayer",
     "scenec.rocks": "objects.families.shape:Shape",
+    "scenec.scans": "cameras.ranging:ScanPattern",
     "scenec.skies": "light.sky:Sky",
 }
 

@@ -131,14 +131,16 @@ def faults(path: Path, document: dict[str, Any]) -> list[tuple[str, str]]:
 
 def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path: Path) -> None:
     path = tmp_path / "farm.json"
-    path.write_text(json.dumps(cfg()))
+    document = cfg()
+    document["rigs"]["drone"]["lidars"] = {"scanner": {"pattern": {"type": "rosette"}}}
+    path.write_text(json.dumps(document))
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
         done = scenec(site, "compile", path, "--seed", "3", "-o", out)
         assert done.returncode == 0, done.stderr
     made = [json.loads((out / "manifest.json").read_text()) for out in outs]
     assert made[0]["files"] == made[1]["files"]
-    assert len(made[0]["plugins"]) == 8
+    assert len(made[0]["plugins"]) == 9
     (package,) = set(made[0]["plugins"].values())
     assert package.startswith("scenec-farmland 1.0 (code ")
     done = scenec(site, "render", outs[0], "--backend", "pyrender", "--spp", "4")
@@ -339,6 +341,7 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[s
     del clods["crumble"]
     document["rigs"]["drone"]["pose"] = {"type": "hover", "height_m": 3}
     eye["effects"] = [{"type": "dim"}]
+    document["rigs"]["drone"]["lidars"] = {"top": {"pattern": {"type": "fan", "tilt_deg": uniform}}}
     # Other tests' packages may have kinds of these names.
     for found in (plugins.load_kind, schema.own_schema):
         found.cache_clear()
@@ -353,7 +356,7 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     path = tmp_path / "farm.json"
     path.write_text(json.dumps(declared))
     spec = load(path)
-    assert len(spec.plugins) == 8
+    assert len(spec.plugins) == 9
     plan = draw(spec, 3, 0)
     masked = plan.terrain.relief[1]
     lift = masked.operator
@@ -374,6 +377,10 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     (rig,) = scene.rigs
     assert rig.times.tolist() == [0.0, 10.0]
     assert rig.to_world[:, 2, 3] == pytest.approx(lift.by_m + 3.0)
+    (lidar,) = rig.lidars
+    assert lidar.rays.shape == (2, 3, 2)
+    assert 0.5 <= lidar.rays[1, 2, 0] <= 1.0
+    assert lidar.rays[1, 2, 1] == 5.0
     picture = np.full((2, 2, 3), 100, np.uint8)
     assert (apply(picture, rig.sensors[0].effects, 0) == 50).all()
 
