@@ -25,8 +25,19 @@ def rotation_entries(x: Any, y: Any, z: Any, w: Any, s: Any) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
+def quaternion_product(a: Any, b: Any) -> tuple[Any, ...]:
+    """Returns the product of quaternions w, x, y, z: the turn b, then a; numbers or arrays."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
 #: The same within kernels.
 rotation_entries_in_kernels = inlined(rotation_entries)
+quaternion_product_in_kernels = inlined(quaternion_product)
 
 
 def quaternions(rotations: NDArray[np.floating]) -> NDArray[np.float64]:

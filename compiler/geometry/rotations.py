@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.kernels import kernel
-from scenec.schemas.quaternions import rotation_entries_in_kernels
+from scenec.schemas.quaternions import quaternion_product, rotation_entries_in_kernels
 
 
 def align_to_normals(
@@ -21,17 +21,8 @@ def align_to_normals(
     w = 1.0 + normals[:, 2]
     turn = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(w)), w], axis=1)
     turn /= np.sqrt((turn * turn).sum(axis=1))[:, None]
-    ax, ay, az, aw = turn.T
-    bx, by, bz, bw = orientations.T
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=1,
-    )
+    w, x, y, z = quaternion_product(turn.T[[3, 0, 1, 2]], orientations.T[[3, 0, 1, 2]])
+    return np.stack([x, y, z, w], axis=1)
 
 
 def upright_to(normals: NDArray[np.float64]) -> NDArray[np.float64]:

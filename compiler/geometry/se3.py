@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.quaternions import quaternion_product_in_kernels as _times
 from scenec.schemas.quaternions import rotation_entries
 
 LINEAR: Final = 0
@@ -76,17 +77,6 @@ def matrices(
     out[:, :3, 3] = position_m
     out[:, 3, 3] = 1.0
     return out
-
-
-@inlined
-def _times(a, b):  # type: ignore[no-untyped-def]
-    """The quaternion product a * b."""
-    return (
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
 
 
 @inlined
