@@ -6,8 +6,9 @@ ways lead there, and which one is taken changes the time alone:
 
 * *Rays*: each pixel of the window around a row walks the tree of the row's mesh until something is
   hit. Good for small pictures of meshes with many triangles.
-* *Triangles*: each triangle is tested at the pixels of the rectangle around its picture, which is
-  as much larger as rounding could be wrong (``_SURE``). Most have no pixel's center in it.
+* *Triangles*: each triangle is tested at the pixels of the rectangle around its picture, but those
+  that lie beside it by more than rounding could be wrong (``_SURE``). Most have no pixel's center
+  in their rectangle.
 """
 
 from __future__ import annotations
@@ -345,6 +346,23 @@ def _most(at, corners, column):  # type: ignore[no-untyped-def]
     return max(a, max(b, c))
 
 
+@inlined
+def _area(at, i, j, x, y):  # type: ignore[no-untyped-def]
+    """Twice the area of a triangle of two vertices and a place, pixels; negative if wound so."""
+    return (at[j, 0] - at[i, 0]) * (y - at[i, 1]) - (at[j, 1] - at[i, 1]) * (x - at[i, 0])
+
+
+@kernel
+def _is_beside(at, corners, x, y, margin):  # type: ignore[no-untyped-def]
+    """Whether a place is off a triangle's picture by more than ``margin``, the error of areas."""
+    a, b, c = corners
+    whole = _area(at, a, b, at[c, 0], at[c, 1])
+    parts = _area(at, a, b, x, y), _area(at, b, c, x, y), _area(at, c, a, x, y)
+    if whole > margin:
+        return min(parts[0], min(parts[1], parts[2])) < -margin
+    return whole < -margin and max(parts[0], max(parts[1], parts[2])) > margin
+
+
 @kernel
 def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore[no-untyped-def]
     """Mark pixels by the triangles of a row; ``base`` is its mesh's points."""
@@ -367,6 +385,7 @@ def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore
         if _most(at, corners, 2) < -tolerance:
             continue
         x0, x1, y0, y1 = part[0], part[1], part[2], part[3]
+        margin = math.inf
         if _least(at, corners, 2) > tolerance:
             slack = 0.5 + tolerance * _most(at, corners, 3)
             low, high = _least(at, corners, 0) - slack, _most(at, corners, 0) + slack
@@ -376,10 +395,16 @@ def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore
             x0, x1 = _first(low, x0, x1), _end(high, x0, x1)
             low, high = _least(at, corners, 1) - slack, _most(at, corners, 1) + slack
             y0, y1 = _first(low, y0, y1), _end(high, y0, y1)
+            # Twice the area that errors could make of a triangle with a corner at the pixel.
+            reach = _most(at, corners, 0) - _least(at, corners, 0) + high - low + 2.0
+            far = abs(x0) + abs(x1) + abs(low) + abs(high) + reach
+            margin = 8.0 * (slack - 0.5 + _SURE * far) * reach
         for y in range(y0, y1):
             line = (y - window[2]) * (window[1] - window[0]) - window[0]
             for x in range(x0, x1):
-                if mask[line + x] == 0 and _is_hit(g, row, f, view, x, y, scratch.direction):
+                if mask[line + x] == 1 or _is_beside(at, corners, x + 0.5, y + 0.5, margin):
+                    continue
+                if _is_hit(g, row, f, view, x, y, scratch.direction):
                     mask[line + x] = 1
 
 
