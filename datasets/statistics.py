@@ -21,6 +21,7 @@ from scenec.datasets import bins
 from scenec.datasets.idset import IdSet, packed
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.codec import UNSET, encode
+from scenec.schemas.picture import luminance
 
 #: Version of what stands in ``statistics.json``.
 VERSION = 1
@@ -275,10 +276,8 @@ def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     azimuth = round(float(sun.azimuth_deg), _DECIMALS) % 360.0
     row = min(int((elevation + 90.0) // 10.0), 17)
     bounds["sun_elevation_deg"] = [elevation, elevation]
-    luminance = math.fsum(
-        w * float(e) for w, e in zip((0.2126, 0.7152, 0.0722), sun.irradiance, strict=True)
-    )
-    bounds["sun_irradiance"] = [luminance, luminance]
+    light = np.array(sun.irradiance, np.float64)
+    bounds["sun_irradiance"] = [float(luminance(light))] * 2
     return {"directions": {str(row): {str(int(azimuth // 30.0)): 1}}}
 
 

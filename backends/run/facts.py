@@ -19,7 +19,7 @@ from scenec.schemas.codec import UNSET
 from scenec.schemas.frames import FRAME_VERSION, LENS_CONVENTION, SHUTTER_CONVENTION
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import origins
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 from scenec.schemas.records import (
     NOT_WRITTEN,
     FrameRecord,
@@ -150,7 +150,7 @@ def sun_record(lighting: Lighting) -> SunRecord | None:
     if not lighting.suns:
         return None
     # Rec.709 luminance; of equal ones the first.
-    sun = max(lighting.suns, key=lambda s: float((s.irradiance * LUMINANCE).sum()))
+    sun = max(lighting.suns, key=lambda s: float(luminance(s.irradiance)))
     x, y, z = sun.to_light.tolist()
     return SunRecord(
         elevation_deg=math.degrees(math.atan2(z, math.hypot(x, y))),
@@ -174,14 +174,14 @@ def light_record(lighting: Lighting) -> LightRecord:
         suns=tuple(
             SunLight(
                 prim=sun.path,
-                irradiance=float((sun.irradiance * LUMINANCE).sum()),
+                irradiance=float(luminance(sun.irradiance)),
                 angle_deg=math.degrees(sun.diameter_rad),
                 normalized=sun.normalized,
             )
             for sun in lighting.suns
         ),
-        sky_radiance=0.0 if sky is None else float((mean_radiance(sky) * LUMINANCE).sum()),
-        lamps_w_sr=tuple(float((lamp.intensity * LUMINANCE).sum()) for lamp in lighting.lamps),
+        sky_radiance=0.0 if sky is None else float(luminance(mean_radiance(sky))),
+        lamps_w_sr=tuple(float(luminance(lamp.intensity)) for lamp in lighting.lamps),
     )
 
 
