@@ -24,6 +24,7 @@ from scenec.datasets import pictures
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, paint_labels
 from scenec.datasets.source import FrameRef, LoadedFrame, Source
 from scenec.schemas.manifest import REPORT, Batch, find_batches
+from scenec.schemas.records import FrameRecord
 
 #: Pixels that a shown picture is wide at most.
 _WIDE = 480
@@ -137,7 +138,7 @@ class FrameView:
         return tuple(self.loaded.passes)
 
     @property
-    def sidecar(self) -> Mapping[str, Any]:
+    def sidecar(self) -> FrameRecord:
         """Intrinsics, pose, labels, errors, times: what its JSON sidecar says."""
         return self.loaded.sidecar
 
