@@ -15,7 +15,7 @@ import pytest
 from processes import until_gone
 from third_party import square_stage
 
-from scenec.backends.registry import open_backend
+from scenec.backends.registry import BUILT_IN, Entry, open_backend
 from scenec.backends.run.frames import frame_seed
 from scenec.backends.run.limits import RETRIES
 from scenec.backends.run.render import render
@@ -169,9 +169,9 @@ def test_no_two_frames_share_their_noise():
 
 def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
     monkeypatch.setitem(
-        __import__("scenec.backends.registry", fromlist=["BUILT_IN"]).BUILT_IN,
+        BUILT_IN,
         "mitsuba",
-        ("scenec_no_such_module:Mitsuba", "mitsuba"),
+        Entry("scenec_no_such_module:Mitsuba", "mitsuba", "mitsuba"),
     )
     with pytest.raises(BackendError, match=r"pip install 'scenec\[mitsuba\]'"):
         open_backend("mitsuba")
