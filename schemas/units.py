@@ -1,22 +1,30 @@
 """Units of work, and who runs them: what compiling, rendering, scanning and exporting agree on.
 
 All long work is cut into units: small, frozen descriptions that can be pickled. A unit can be run
-again (it renames what it makes into place), in any process that sees the same files. An executor
-runs them: here, in several processes, or on a cluster (``backends.run.executors``).
-It takes units as it has hands free, and tells what came of each in the order in which they end.
+again (it renames what it makes into place), in any process that sees the same files. A schedule
+gives them out, and an executor runs them: this process (``LocalExecutor``), several, or a cluster
+(``backends.run.executors``).
 """
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.lock import BusyError, Lock
+from scenec.schemas.memory import available
 from scenec.schemas.plugins import blaming
 
 T = TypeVar("T")
+
+#: Seconds between two looks at what another process is making.
+_LOOK_S = 0.1
 
 
 class Keeper:
@@ -141,17 +149,191 @@ class Executor(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-def run_unit(unit: Unit, keeper: Keeper) -> Any:
-    """Runs a unit in this process; returns what it returns.
+class LocalExecutor:
+    """Runs units in this process, one after the other: nothing to start, nothing to survive.
+
+    A renderer's crash is this process's. For tests, and for programs that want no other process.
+    """
+
+    def __init__(self) -> None:
+        self._keeper = Keeper()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._keeper = Keeper()
+
+    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
+        """See ``Executor``: this process sees what it sees."""
+
+    def room(self, units: int) -> tuple[int, int]:
+        """See ``Executor``."""
+        return available(), 1
+
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
+        """See ``Executor``."""
+        holds = None
+        while (unit := take(holds)) is not None:
+            outcome = Outcome()
+            try:
+                with blaming(unit.what):
+                    outcome.value = unit.run(self._keeper)
+            except ScenecError as error:
+                outcome.error = error
+            holds = unit.holds
+            yield unit, outcome
+
+
+class Claimed(Unit, Protocol):
+    """A unit that only one process may run at a time."""
+
+    @property
+    def claim(self) -> Path:
+        """The lock file of who runs it."""
+        ...
+
+
+def clean(unit: Unit) -> None:
+    """Removes what a worker that died over a unit left half written."""
+    getattr(unit, "clean", lambda: None)()
+
+
+class Schedule:
+    """Units that wait, given out so that workers rarely change what they keep.
+
+    A worker is given a unit of what it keeps; else one of what no worker has kept yet; else one of
+    what has most units waiting.
+
+    Args:
+        units: The first to wait.
+        most: How many may be given out and not yet let go (``release``); None: any number.
+        waiting: Told who runs a claimed unit that is waited for.
+    """
+
+    def __init__(
+        self,
+        units: Iterable[Unit] = (),
+        most: int | None = None,
+        waiting: Callable[[Claimed, str], None] = lambda _unit, _who: None,
+    ) -> None:
+        self._groups: dict[Hashable, deque[Unit]] = {}
+        self._begun: set[Hashable] = set()
+        self._running: list[Unit] = []
+        self._claimed: list[Claimed] = []
+        self._most, self._out = most, 0
+        self._waiting = waiting
+        self.add(*units)
+
+    def add(self, *units: Unit) -> None:
+        """Adds units to those that wait."""
+        for unit in units:
+            self._groups.setdefault(unit.holds, deque()).append(unit)
+
+    def add_claimed(self, unit: Claimed) -> None:
+        """Adds a unit that another process is running: it waits until all others have ended."""
+        self._claimed.append(unit)
+
+    def withdraw(self, holds: Hashable, which: Callable[[Unit], bool]) -> list[Unit]:
+        """Takes back units of one group that have not been given out; returns them."""
+        found = [unit for unit in self._groups.get(holds, ()) if which(unit)]
+        for unit in found:
+            self._groups[holds].remove(unit)
+        return found
+
+    def release(self) -> None:
+        """Lets go of a unit that has ended: another one may be given out for it."""
+        self._out -= 1
+
+    def run(self, executor: Executor) -> Generator[tuple[Unit, Outcome]]:
+        """Runs all, also those that are added meanwhile; of those cut short nothing half is left.
+
+        Yields:
+            Each unit that ended and what came of it.
+
+        Raises:
+            ScenecError: Workers cannot be had.
+        """
+        try:
+            with closing(executor.work(self._take)) as ended:
+                for unit, outcome in ended:
+                    self._running.remove(unit)
+                    yield unit, outcome
+        finally:
+            for unit in self._running:
+                clean(unit)
+            self._running.clear()
+
+    def _take(self, holds: Hashable) -> Unit | None:
+        if self._most is not None and self._out >= self._most:
+            return None
+        group = self._groups.get(holds)
+        if not group:
+            fresh = (of for name, of in self._groups.items() if of and name not in self._begun)
+            group = next(fresh, None) or max(self._groups.values(), key=len, default=None)
+        if group:
+            unit = group.popleft()
+        elif self._claimed and not self._running:
+            unit = self._wait()
+        else:
+            return None
+        self._begun.add(unit.holds)
+        self._running.append(unit)
+        self._out += 1
+        return unit
+
+    def _wait(self) -> Unit:
+        """Returns the first unit that no other process is running any more."""
+        while True:
+            for unit in self._claimed:
+                try:
+                    with Lock(unit.claim, what=unit.what):
+                        pass
+                except BusyError as error:
+                    self._waiting(unit, str(error))
+                    continue
+                self._claimed.remove(unit)
+                return unit
+            time.sleep(_LOOK_S)
+
+
+def run_all(
+    executor: Executor | None,
+    units: Iterable[Unit],
+    *,
+    in_order: bool = False,
+    ahead: int | None = None,
+    ended: Callable[[Unit, Outcome], None] = lambda _unit, _outcome: None,
+) -> Generator[tuple[Unit, Outcome]]:
+    """Runs units that wait for nothing.
+
+    Args:
+        executor: Who runs them; None: this process.
+        units: In the order in which they are given out.
+        in_order: Whether to yield them in that order, not as they end.
+        ahead: In order, how many may be given out and not yet yielded; None: any number.
+        ended: Called with each as it ends.
+
+    Yields:
+        Each unit and what came of it.
 
     Raises:
-        ScenecError: It cannot be done; ``PluginError`` where another package's code fails.
+        ScenecError: Workers cannot be had.
     """
-    with blaming(unit.what):
-        return unit.run(keeper)
-
-
-def run_all(executor: Executor, units: Iterable[Unit]) -> Generator[tuple[Unit, Outcome]]:
-    """As ``Executor.work``, of units that wait for nothing."""
-    left = iter(units)
-    return executor.work(lambda _holds: next(left, None))
+    units = list(units)
+    schedule = Schedule(units, ahead)
+    ready: dict[int, Outcome] = {}
+    following = 0
+    with closing(schedule.run(executor or LocalExecutor())) as outcomes:
+        for unit, outcome in outcomes:
+            ended(unit, outcome)
+            if not in_order:
+                schedule.release()
+                yield unit, outcome
+                continue
+            ready[id(unit)] = outcome
+            while following < len(units) and id(units[following]) in ready:
+                each = units[following]
+                following += 1
+                schedule.release()
+                yield each, ready.pop(id(each))

@@ -13,13 +13,12 @@ import json
 import logging
 import os
 import platform
-import queue
 import secrets
 import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Generator, Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,12 +26,13 @@ from typing import Any, Self
 
 from scenec.backends.registry import distribution
 from scenec.backends.run import hands
+from scenec.backends.run.executors import SlotExecutor
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once
 from scenec.backends.run.supervise import FrameLostError
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import TEMPORARY
-from scenec.schemas.units import Outcome, Take, Unit
+from scenec.schemas.units import Outcome, Unit
 
 MEND = "it needs dask: pip install 'scenec[cluster]'"
 #: What decides bytes: alike on all machines, or several of them make one dataset of two kinds.
@@ -41,19 +41,17 @@ PACKAGES = ("scenec", "numpy", "numba", "scipy", "usd-core", "OpenEXR", "pillow"
 GPUS = ("cuda", "optix")
 #: Seconds a cluster may take to answer, and may be without any worker.
 ANSWER_S, WORKER_S = 10.0, 60.0
-#: Seconds between two looks at which workers there are, where nothing else happens.
-LOOK_S = 2.0
 
 
 @dataclass(eq=False)
-class _Slot:
+class Slot:
     """A thread of a dask worker, and what the process that it supervises holds."""
 
     address: str
     holds: Hashable = None
 
 
-class Cluster:
+class Cluster(SlotExecutor[Slot]):
     """Runs units on a dask cluster.
 
     Args:
@@ -101,7 +99,7 @@ class Cluster:
                 f"{self._name}: no scheduler with a worker answers ({error}); start them with: "
                 "dask scheduler, dask worker ADDRESS"
             ) from error
-        self._slots: list[_Slot] = []
+        self._slots: list[Slot] = []
         self._workers: Mapping[str, Any] = {}
         #: Of each worker that was asked: its machine, and which cores it may use (a job's own).
         self._places: dict[str, Hashable] = {}
@@ -143,38 +141,14 @@ class Cluster:
         ]
         return min(each, default=sys.maxsize), min(units, len(self._slots))
 
-    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
-        """See ``Executor``."""
-        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        under_way: dict[Any, tuple[_Slot, Unit]] = {}
-        try:
-            while True:
-                self._refresh()
-                taken = [slot for slot, _ in under_way.values()]
-                free = [slot for slot in self._slots if slot not in taken]
-                for slot in sorted(free, key=lambda slot: slot.holds is None):
-                    unit = take(slot.holds)
-                    if unit is not None:
-                        slot.holds = unit.holds
-                        future = self._submit(unit, slot)
-                        under_way[future] = slot, unit
-                        future.add_done_callback(ended.put)
-                if free and not under_way:
-                    return
-                # Not for good: workers come and go.
-                with suppress(queue.Empty):
-                    future = ended.get(timeout=LOOK_S)
-                    _, unit = under_way.pop(future)
-                    yield unit, self._result(unit, future)
-        finally:
-            if under_way:
-                # Left amid work: by an error, an interrupt, or who had enough.
-                with suppress(Exception):
-                    self._client.cancel(list(under_way), force=True)
-                    while any(self._client.run(hands.stop, self._token).values()):
-                        time.sleep(0.05)
+    def slots(self) -> list[Slot]:
+        """Returns the slots of all workers that there are."""
+        self._refresh()
+        return self._slots
 
-    def _submit(self, unit: Unit, slot: _Slot) -> Any:
+    def submit(self, unit: Unit, slot: Slot) -> Any:
+        """Has dask run a unit, in this slot if it can."""
+        slot.holds = unit.holds
         return self._client.submit(
             hands.work,
             unit,
@@ -193,7 +167,15 @@ class Cluster:
         """How many slots have the same cores."""
         return Counter(self._places[slot.address] for slot in self._slots)
 
-    def _result(self, unit: Unit, future: Any) -> Outcome:
+    def stop(self, futures: Collection[Any]) -> None:
+        """Cancels them, and ends their processes."""
+        with suppress(Exception):
+            self._client.cancel(list(futures), force=True)
+            while any(self._client.run(hands.stop, self._token).values()):
+                time.sleep(0.05)
+
+    def outcome(self, unit: Unit, future: Any) -> Outcome:
+        """Returns what the worker's supervisor noted."""
         from distributed import KilledWorker
 
         try:
@@ -237,7 +219,7 @@ class Cluster:
         for address, facts in known.items():
             held = [slot for slot in self._slots if slot.address == address]
             count = min(facts["nthreads"], int(facts["resources"].get("GPU", 0) if gpu else 1e9))
-            slots += held or [_Slot(address) for _ in range(count)]
+            slots += held or [Slot(address) for _ in range(count)]
         self._slots = slots
         if gpu and not slots and known:
             raise BackendError(

@@ -1,63 +1,98 @@
-"""Who runs units: this process, or several of this machine (a cluster: ``cluster``)."""
+"""Who runs units: several processes of this machine (others: ``LocalExecutor``, ``cluster``)."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Generator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Generator, Hashable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from queue import Empty, SimpleQueue
+from typing import Any, Protocol, Self
 
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once, default_limit
 from scenec.backends.run.supervise import Supervisor
 from scenec.schemas.budget import thread_budget
-from scenec.schemas.errors import BackendError, ScenecError
+from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import available
-from scenec.schemas.units import Executor, Keeper, Outcome, Take, Unit, run_all, run_unit
+from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, run_all
 
 #: How many processes work where nobody says; 0: none but this one.
 WORKERS = "SCENEC_WORKERS"
 #: As on the command line.
 MOST_WORKERS = 1024
+#: Seconds between two looks at which slots there are, where nothing else happens.
+LOOK_S = 2.0
 
 
-class Here:
-    """Runs units in this process, one after the other: nothing to start, nothing to survive.
+class Slot(Protocol):
+    """Runs one unit at a time."""
 
-    A renderer's crash is this process's. For tests, and for programs that want no other process.
-    """
+    @property
+    def holds(self) -> Hashable:
+        """What its process keeps; None for nothing."""
+        ...
 
-    def __init__(self) -> None:
-        self._keeper = Keeper()
 
-    def __enter__(self) -> Self:
-        return self
+class SlotExecutor[S: Slot](ABC):
+    """Hands units to slots, each of which runs one at a time: the loop of all executors."""
 
-    def __exit__(self, *_: object) -> None:
-        self._keeper = Keeper()
+    @abstractmethod
+    def slots(self) -> Sequence[S]:
+        """Returns the slots that there are now.
 
-    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
-        """See ``Executor``: this process sees what it sees."""
+        Raises:
+            ScenecError: There are none any more.
+        """
 
-    def room(self, units: int) -> tuple[int, int]:
-        """See ``Executor``."""
-        return available(), 1
+    @abstractmethod
+    def submit(self, unit: Unit, slot: S) -> Any:
+        """Begins a unit in a free slot; returns a future."""
+
+    @abstractmethod
+    def outcome(self, unit: Unit, future: Any) -> Outcome:
+        """Returns what came of a future that is done.
+
+        Raises:
+            ScenecError: It was lost with those who ran it.
+        """
+
+    @abstractmethod
+    def stop(self, futures: Collection[Any]) -> None:
+        """Ends what is under way, and waits until it has ended."""
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
-        holds = None
-        while (unit := take(holds)) is not None:
-            outcome = Outcome()
-            try:
-                outcome.value = run_unit(unit, self._keeper)
-            except ScenecError as error:
-                outcome.error = error
-            holds = unit.holds
-            yield unit, outcome
+        ended: SimpleQueue[Any] = SimpleQueue()
+        under_way: dict[Any, tuple[S, Unit]] = {}
+        try:
+            while True:
+                slots = self.slots()
+                busy = [slot for slot, _ in under_way.values()]
+                free = [slot for slot in slots if slot not in busy]
+                # Those first that keep something.
+                for slot in sorted(free, key=lambda slot: slot.holds is None):
+                    unit = take(slot.holds)
+                    if unit is not None:
+                        future = self.submit(unit, slot)
+                        under_way[future] = slot, unit
+                        future.add_done_callback(ended.put)
+                if free and not under_way:
+                    return
+                # Not for good: slots come and go.
+                with suppress(Empty):
+                    future = ended.get(timeout=LOOK_S)
+                    _, unit = under_way.pop(future)
+                    yield unit, self.outcome(unit, future)
+        finally:
+            if under_way:
+                # Left amid work: by an error, an interrupt, or who had enough.
+                self.stop(under_way)
 
 
-class Processes:
+class Processes(SlotExecutor[Supervisor]):
     """Runs units in worker processes of this machine, each supervised, each with its cores.
 
     Args:
@@ -73,51 +108,47 @@ class Processes:
         limits, workers = limits or Limits(), at_once(workers)
         if threads is None and workers > 1:
             threads = max(1, (thread_budget() or os.process_cpu_count() or 1) // workers)
-        self._hands = [Supervisor(limits, threads, self._count) for _ in range(workers)]
+        self._slots = [Supervisor(limits, threads, self._count) for _ in range(workers)]
+        self._threads = ThreadPoolExecutor(workers)
 
     def _count(self) -> int:
-        return sum(hand.is_there for hand in self._hands)
+        return sum(slot.is_there for slot in self._slots)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for hand in self._hands:
-            hand.close()
+        self._threads.shutdown()
+        for slot in self._slots:
+            slot.close()
 
     def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
         """See ``Executor``: processes of this machine see what this one sees."""
 
     def room(self, units: int) -> tuple[int, int]:
         """See ``Executor``."""
-        limits, _ = self._hands[0].budget
-        count = min(units, len(self._hands))
+        limits, _ = self._slots[0].budget
+        count = min(units, len(self._slots))
         return min(available() // count, limits.memory_bytes or default_limit() // count), count
 
-    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
-        """See ``Executor``."""
-        free, under_way = list(self._hands), dict[Future[Outcome], tuple[Supervisor, Unit]]()
-        with ThreadPoolExecutor(len(self._hands)) as pool:
-            try:
-                while True:
-                    # Those first that keep something.
-                    for hand in sorted(free, key=lambda hand: hand.holds is None):
-                        unit = take(hand.holds)
-                        if unit is not None:
-                            free.remove(hand)
-                            under_way[pool.submit(hand.do, unit)] = hand, unit
-                    if not under_way:
-                        return
-                    future = next(iter(wait(under_way, return_when=FIRST_COMPLETED).done))
-                    hand, unit = under_way.pop(future)
-                    free.append(hand)
-                    yield unit, future.result()
-            finally:
-                # Left amid work: by an error, an interrupt, or who had enough.
-                while not all(future.done() for future in under_way):
-                    for hand in self._hands:
-                        hand.stop()
-                    wait(under_way, timeout=0.05)
+    def slots(self) -> Sequence[Supervisor]:
+        """Returns all of them."""
+        return self._slots
+
+    def submit(self, unit: Unit, slot: Supervisor) -> Future[Outcome]:
+        """Has a thread wait for the slot's process."""
+        return self._threads.submit(slot.do, unit)
+
+    def outcome(self, unit: Unit, future: Future[Outcome]) -> Outcome:
+        """Returns what the slot noted."""
+        return future.result()
+
+    def stop(self, futures: Collection[Future[Outcome]]) -> None:
+        """Ends the processes."""
+        while not all(future.done() for future in futures):
+            for slot in self._slots:
+                slot.stop()
+            wait(futures, timeout=0.05)
 
 
 def make_executor(
@@ -144,7 +175,7 @@ def make_executor(
         from scenec.backends.run.cluster import Cluster
 
         return Cluster(cluster, workers, limits)
-    return Processes(workers, limits) if workers else Here()
+    return Processes(workers, limits) if workers else LocalExecutor()
 
 
 def ask(unit: Unit, executor: Executor | None = None) -> Any:

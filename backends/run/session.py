@@ -239,7 +239,7 @@ class Session:
         seed: int,
         choice: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Render a frame and write it; returns its details, with the seconds of writing.
+        """Renders a frame and writes it; returns its sidecar, with the seconds of writing.
 
         A ``choice`` of this backend (``auto.Choice``) is noted in the sidecar.
 
@@ -283,8 +283,8 @@ class Session:
                 taken = take(arrays["rgb"], camera, camera.imaging, sample)
         with _timed(details["seconds"], "write"):
             more = details, listed, taken, surfaces
-            write_frame(stem, arrays, key, self.scene, camera, sample, *more)
-        return details
+            sidecar = write_frame(stem, arrays, key, self.scene, camera, sample, *more)
+        return sidecar | {"seconds": details["seconds"]}
 
     def witness(self, camera_index: int, sample: int) -> Visibility | None:
         """What the backend itself sees of a frame, for checks.

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenec.backends.picture.brightness import brief
 from scenec.schemas.errors import BackendError, OutputError
-from scenec.schemas.files import sweep
+from scenec.schemas.files import as_json, sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
@@ -162,7 +165,7 @@ def _opened(passes: tuple[str, ...] | None, every_but_rgb: bool, session: Sessio
 
 @dataclass(frozen=True)
 class Made:
-    """What came of a frame.
+    """What came of a frame or a scan.
 
     Attributes:
         busy: Who else is making it, in words; None: it is there.
@@ -170,6 +173,7 @@ class Made:
         seconds: Per step.
         peak_memory_gb: At most, 10^9 bytes; None where the system does not say.
         text: One line about it.
+        sight: What ``picture.brightness`` takes from a frame's sidecar; None of one not made now.
     """
 
     busy: str | None = None
@@ -177,35 +181,44 @@ class Made:
     seconds: dict[str, float] = field(default_factory=dict)
     peak_memory_gb: float | None = None
     text: str = "there already"
+    sight: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
-class RenderFrame:
-    """Make a frame, unless it is there or another process is making it; returns ``Made``.
+class MakeFile(ABC):
+    """Makes a frame or a scan, unless it is there or another process is making it: ``Made``.
 
     Attributes:
         holds: Its stage.
         what: Its name in messages.
-        stem: Its path without a suffix.
-        camera: Whose frame it is, by name.
-        number: Of the camera.
+        stem: Its path without a suffix, absolute.
+        sensor: The camera or the lidar, by name.
+        number: Of that at this sample.
         sample: Time code.
-        key: What it is made with.
-        seed: Of its noise.
-        choice: Why this backend, for the sidecar (``auto.Choice``), or None.
-        replace: As of ``RenderPlan``.
     """
 
     holds: Opening
     what: str
     stem: Path
-    camera: str
+    sensor: str
     number: int
     sample: int
-    key: FrameKey
-    seed: int
-    choice: Mapping[str, Any] | None = None
-    replace: bool = False
+
+    @abstractmethod
+    def is_done(self) -> bool:
+        """Tells whether it is there, made as asked."""
+
+    @abstractmethod
+    def make(self, session: Session) -> Made:
+        """Makes it; nobody else does.
+
+        Raises:
+            ScenecError: It cannot be made.
+        """
+
+    def loss(self) -> str | None:
+        """Describes what would go that is not to be replaced; it is not done. None: nothing."""
+        return None
 
     @property
     def claim(self) -> Path:
@@ -213,7 +226,7 @@ class RenderFrame:
         return self.stem.with_name(f"{LOCK}-{self.stem.name}")
 
     def run(self, keeper: Keeper) -> Made:
-        """Make it.
+        """Makes it.
 
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
@@ -221,60 +234,89 @@ class RenderFrame:
             OutputError: A file cannot be written, or is not to be replaced.
         """
         session = self.holds.session(keeper)
-        if not self.key.backend_version.startswith(session.facts()["version"]):
-            # A process that was replaced has imported it again.
-            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
-        if self.stem.parent not in session.folders:
-            folder = self.stem.parent
+        folder = self.stem.parent
+        if folder not in session.folders:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
             # On this machine one may have been killed, of whom nobody else can say so.
             self.clean()
-            session.folders.add(self.stem.parent)
+            session.folders.add(folder)
         try:
             with Lock(self.claim, what=self.what):
                 # It may have come while nobody looked.
-                if is_done(self.stem, self.key):
+                if self.is_done():
                     return Made()
                 require_replaceable([self])
-                place = self.number, self.sample
-                details = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+                return self.make(session)
         except BusyError as error:
             return Made(busy=str(error))
-        return Made(
-            now=True,
-            seconds=dict(details["seconds"]),
-            peak_memory_gb=details["peak_memory_gb"],
-            text=describe(details),
-        )
 
     def clean(self) -> None:
-        """Remove what a worker that died left half written."""
+        """Removes what a worker that died left half written."""
         sweep([self.stem.parent])
 
 
-def require_replaceable(frames: Iterable[RenderFrame]) -> None:
+@dataclass(frozen=True)
+class RenderFrame(MakeFile):
+    """Makes a frame.
+
+    Attributes:
+        key: What it is made with.
+        seed: Of its noise.
+        choice: Why this backend, for the sidecar (``auto.Choice``), or None.
+        replace: As of ``RenderPlan``.
+    """
+
+    key: FrameKey
+    seed: int
+    choice: Mapping[str, Any] | None = None
+    replace: bool = False
+
+    def is_done(self) -> bool:
+        """Tells whether it is there, or one with more passes."""
+        return is_done(self.stem, self.key)
+
+    def loss(self) -> str | None:
+        """Describes what the frame that is there has of this stage, and this one would not have."""
+        return None if self.replace else would_lose(self.stem, self.key)
+
+    def make(self, session: Session) -> Made:
+        """Renders and writes it.
+
+        Raises:
+            ScenecError: See ``run``.
+        """
+        if not self.key.backend_version.startswith(session.facts()["version"]):
+            # A process that was replaced has imported it again.
+            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
+        place = self.number, self.sample
+        sidecar = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+        return Made(
+            now=True,
+            seconds=dict(sidecar["seconds"]),
+            peak_memory_gb=sidecar["peak_memory_gb"],
+            text=describe(sidecar),
+            sight=json.loads(as_json(brief(sidecar))),
+        )
+
+
+def require_replaceable(files: Iterable[MakeFile]) -> None:
     """Refuses to replace frames of the same stage by others that lack something of them.
 
     Args:
-        frames: Of one batch.
+        files: Of one batch, none of them done.
 
     Raises:
         OutputError: One of them would be; says which, and what it has.
     """
-    found = [
-        (frame, lost)
-        for frame in frames
-        if not (frame.replace or is_done(frame.stem, frame.key))
-        and (lost := would_lose(frame.stem, frame.key)) is not None
-    ]
+    found = [(file, lost) for file in files if (lost := file.loss()) is not None]
     if found:
-        frame, lost = found[0]
+        file, lost = found[0]
         more = f" (and {len(found) - 1} more like it)" if len(found) > 1 else ""
         raise OutputError(
-            f"{frame.stem.with_suffix('.exr')}{more} is there, {lost}; --replace renders it again "
+            f"{file.stem.with_suffix('.exr')}{more} is there, {lost}; --replace renders it again "
             "as asked now; to keep both, compile into another folder"
         )
 

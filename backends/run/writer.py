@@ -51,8 +51,8 @@ def write_frame(
     seen: Seen | None = None,
     taken: Taken | None = None,
     surfaces: NDArray[np.bool_] | None = None,
-) -> None:
-    """Write EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
+) -> dict[str, Any]:
+    """Writes EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
     Args:
         stem: See ``frame_stem``.
@@ -66,6 +66,9 @@ def write_frame(
             pass.
         taken: What the camera's sensor made of ``rgb``, where it has imaging.
         surfaces: Where ``rgb`` shows surfaces, [h, w]; None: not known.
+
+    Returns:
+        The sidecar.
 
     Raises:
         OutputError: A file cannot be written.
@@ -93,7 +96,7 @@ def write_frame(
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
     table = _put(frame_table_path(stem), listed, write_frame_table)
     masks = _put(amodal_path(stem), amodal, write_amodal)
-    sidecar = {
+    sidecar: dict[str, Any] = {
         "version": FRAME_VERSION,
         "camera": camera.name,
         "camera_prim": camera.path,
@@ -129,7 +132,9 @@ def write_frame(
         **({"effects": [json.loads(one) for one in camera.effects]} if camera.effects else {}),
         **details,
     }
-    write_json(stem.with_suffix(".json"), plain(sidecar))
+    sidecar = plain(sidecar)
+    write_json(stem.with_suffix(".json"), sidecar)
+    return sidecar
 
 
 def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotation | None:

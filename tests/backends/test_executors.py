@@ -277,8 +277,8 @@ def test_a_worker_that_started_a_renderer_takes_a_stage_and_no_second_one(tmp_pa
     with Processes(1) as executor:
         for unit, outcome in run_all(executor, units):
             outcome.result()
-            pids.append(executor._hands[0].pid)
-            assert executor._hands[0].holds == unit.holds
+            pids.append(executor._slots[0].pid)
+            assert executor._slots[0].holds == unit.holds
     assert len(set(pids[:3])) == 1
     assert pids[3] != pids[0]
 
@@ -413,6 +413,6 @@ def test_a_memory_limit_is_each_processs_however_many_are_asked_for(monkeypatch,
     monkeypatch.setattr("scenec.backends.run.executors.available", lambda: 10**12)
     with Processes(1000, Limits(memory_bytes=3 * 10**9)) as executor:
         assert executor.room(1000) == (3 * 10**9, 1)
-        assert executor._hands[0]._most() == 3 * 10**9
+        assert executor._slots[0]._most() == 3 * 10**9
     assert len(said) == 1
     assert said[0].startswith("1 process works on this machine, of 1000 asked for: ")
