@@ -70,13 +70,13 @@ format: setup  ## Format the code.
 
 bench: setup  ## Run every benchmark; each prints a table.
 	@set -e; for name in $(BENCHMARKS); do \
-	  echo "== $$name"; .venv/bin/python studies/benchmarks/$$name.py; \
+	  echo "== $$name"; .venv/bin/python lab/benchmarks/$$name.py; \
 	done
 
 docs: setup  ## Generate the cfg's schema and docs/cfg.md from its declarations; other pages by measuring.
 	@echo "== Writing what is made of the cfg's declarations"; .venv/bin/python -m tools.declarations
 	@set -e; for name in $(PAGES); do \
-	  echo "== Making docs: $$name"; .venv/bin/python studies/pages/$$name.py; \
+	  echo "== Making docs: $$name"; .venv/bin/python lab/pages/$$name.py; \
 	done
 
 site: setup  ## Build the website of docs/ into build/site (Sphinx; a warning is an error).
@@ -86,12 +86,12 @@ site: setup  ## Build the website of docs/ into build/site (Sphinx; a warning is
 
 experiments: setup  ## The experiments of docs/experiments.md, in their small form (minutes each).
 	@set -e; for name in $(EXPERIMENTS); do \
-	  echo "== Experiment: $$name"; .venv/bin/python studies/experiments/$$name.py; \
+	  echo "== Experiment: $$name"; .venv/bin/python lab/experiments/$$name.py; \
 	done
 
 pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.md, rocks.md, lights.md and assets.md.
 	@set -e; for name in gallery figures rocks lights assets; do \
-	  echo "== Rendering: $$name"; .venv/bin/python studies/pages/$$name.py; \
+	  echo "== Rendering: $$name"; .venv/bin/python lab/pages/$$name.py; \
 	done
 
 #: Packages whose own lists of what they need are overridden in pyproject.toml: locked apart, since
@@ -121,7 +121,7 @@ gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, tab
 	@set -e; for of in $(GPUS); do echo "== Conformance of $${of%:*} on $${of#*:}"; \
 	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/test_$${of%:*}.py; done
 	@set -e; mkdir -p out; for name in gpu throughput; do echo "== $$name"; \
-	  .venv/bin/python studies/benchmarks/$$name.py -o out/$$name.md; done
+	  .venv/bin/python lab/benchmarks/$$name.py -o out/$$name.md; done
 
 wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Python and kind of CPU.
 	@echo "== Compiling the kernels of all cfgs that ship"

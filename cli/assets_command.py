@@ -6,7 +6,8 @@ import argparse
 import json
 from typing import Any
 
-from scenec.cli.output import print_json, table
+from scenec.api.text import table
+from scenec.cli.output import print_json
 from scenec.compiler.assets.library import Asset, shipped, snippet
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.spelling import nearest

@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from scenec.api.text import table
 from scenec.backends.check.compare import (
     PICTURES,
     Agreement,
@@ -24,7 +25,7 @@ from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.check.witness import HAIR_PIXELS
 from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
-from scenec.cli.output import print_json, say, say_next, table
+from scenec.cli.output import print_json, say, say_next
 from scenec.schemas.errors import ScenecError, StageError
 from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches, read_manifest

@@ -68,7 +68,7 @@ def compile_now(options: argparse.Namespace, spec: Spec | None = None) -> Compil
             faults=options.faults,
             executor=executor,
         )
-    from scenec.cli.explain_passes import precision_text
+    from scenec.api.explain.passes import precision_text
     from scenec.compiler.mesh.precision import WARN_PX
 
     for name, seconds in report.seconds.items():

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from scenec.cli.output import print_json, say, say_next, table
-from scenec.studies.converge import ConvergeReport, Ladder, converge
-from scenec.studies.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
+from scenec.api.text import table
+from scenec.cli.output import print_json, say, say_next
+from scenec.quality.converge import ConvergeReport, Ladder, converge
+from scenec.quality.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
 
 
 def run(options: argparse.Namespace) -> int:

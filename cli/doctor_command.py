@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
+from scenec.api.text import table
 from scenec.backends.run.doctor import diagnose, library_versions
-from scenec.cli.output import print_json, say_next, table
+from scenec.cli.output import print_json, say_next
 
 
 def run(options: argparse.Namespace) -> int:

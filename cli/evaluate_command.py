@@ -6,8 +6,9 @@ import argparse
 import math
 from pathlib import Path
 
+from scenec.api.text import table
 from scenec.cli.evaluate_arguments import BELONGS
-from scenec.cli.output import Progress, print_json, say, table
+from scenec.cli.output import Progress, print_json, say
 from scenec.datasets.evaluate import breakdown, report
 from scenec.datasets.evaluate.evaluation import Cell, Evaluation
 from scenec.datasets.evaluate.predictions import unrendered

@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from scenec.cli.explain_data import BatchData, read_batches
-from scenec.cli.explain_left_out import as_json, kept_of, left_out_of, left_out_text, rates_of
-from scenec.cli.explain_passes import frames_text, passes_text, rows_of
-from scenec.cli.explain_stage import read_contents
+from scenec.api.explain.data import BatchData, read_batches
+from scenec.api.explain.left_out import as_json, kept_of, left_out_of, left_out_text, rates_of
+from scenec.api.explain.passes import frames_text, passes_text, rows_of
+from scenec.api.explain.stage import read_contents
 from scenec.cli.output import print_json, say_next
 
 #: Columns of what is printed, where a terminal does not say otherwise.
@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
 
         return run_ladder(options)
     if options.why is not None:
-        from scenec.cli.explain_why import why
+        from scenec.api.explain.why import why
 
         answer = why(Path(options.out), options.why, options.batch)
         if options.json:

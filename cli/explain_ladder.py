@@ -6,12 +6,13 @@ import argparse
 import textwrap
 from pathlib import Path
 
-from scenec.cli.output import print_json, say, table
+from scenec.api.text import table
+from scenec.cli.output import print_json, say
+from scenec.quality.ladder import Ladder, LadderReport, climb
+from scenec.quality.ladder.plots import draw
+from scenec.quality.ladder.results import cells, units
+from scenec.quality.ladder.slopes import slope_text
 from scenec.schemas.files import atomic, check_output
-from scenec.studies.ladder import Ladder, LadderReport, climb
-from scenec.studies.ladder.plots import draw
-from scenec.studies.ladder.results import cells, units
-from scenec.studies.ladder.slopes import slope_text
 
 #: Columns that the tables keep to.
 _WIDTH = 100

@@ -30,7 +30,7 @@ settings.load_profile("quick")
 
 pytest_plugins = ["workers_here"]
 
-#: Seconds of the files that take long, as studies/benchmarks/durations.py measured them.
+#: Seconds of the files that take long, as lab/benchmarks/durations.py measured them.
 SECONDS = json.loads(Path(__file__).with_name("durations.json").read_text(encoding="utf-8"))
 
 

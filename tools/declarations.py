@@ -16,7 +16,7 @@ from tools import cfg_stub
 
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import bundle
-from scenec.studies.pages import cfg_reference
+from scenec.testing import cfg_reference
 
 TARGET = Path(__file__).resolve().parents[1] / "schemas" / "cfg.schema.json"
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 #: Share of pictures whose true error is to be below the bound.
 CONFIDENCE = 0.95
-#: Of Snedecor's F. Over drawn scenes (``studies/benchmarks/estimate.py``) its 95 % quantile holds
+#: Of Snedecor's F. Over drawn scenes (``lab/benchmarks/estimate.py``) its 95 % quantile holds
 #: for about as many single pictures as it should, but for fewer of those rendered in rounds: these
 #: end where the estimate happens to be low. Where few pixels hold the noise and their halves
 #: happen to agree, the estimate and the width of its bound are both too small. This quantile makes

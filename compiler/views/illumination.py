@@ -31,7 +31,7 @@ from scenec.schemas.threads import POINTS, over_threads
 
 #: Part of a hemisphere, weighted by the cosine, that an object must fill as seen from what is seen.
 #: With 1e-3, 1e-4 and 1e-5 light was off by 0.17, 0.014 and 0.003 %, and the stage 1.54, 1.31 and
-#: 1.14 times smaller, with 3,000 rocks on 100 m by 100 m (``tests/pruned_extremes.py``, "usual").
+#: 1.14 times smaller, with 3,000 rocks on 100 m by 100 m (``testing/pruned_extremes.py``, "usual").
 MIN_VIEW_FACTOR = 1e-4
 #: With a sky so many times as bright in one place as on the whole, or a surface so many times as
 #: glossy as dull, an object that fills less may change light by 1 % alone: all stays then.

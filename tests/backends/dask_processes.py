@@ -10,7 +10,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import psutil
-from processes import until, until_gone
+
+from scenec.testing.processes import until, until_gone
 
 
 class DaskProcesses:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender, Vt
-from scenes import icosphere
 
 from scenec.schemas import stage as names
+from scenec.testing.scenes import icosphere
 
 SAMPLES = 4
 RADIUS = 0.5

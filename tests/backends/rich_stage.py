@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from damaged_stages import over
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, Vt
-from small import small_cfg, write_cfg
 
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import imaging
 from scenec.schemas import stage as names
 from scenec.schemas.picture import write_png
+from scenec.testing.damaged_stages import over
+from scenec.testing.small import small_cfg, write_cfg
 
 _T = Sdf.ValueTypeNames
 

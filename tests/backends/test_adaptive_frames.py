@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import ndimage
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

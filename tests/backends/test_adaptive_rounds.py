@@ -22,7 +22,7 @@ from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
-from scenec.studies.benchmarks import estimate as drawn_scenes
+from scenec.testing import drawn_scenes
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -281,9 +281,8 @@ def test_a_target_without_rgb_is_refused():
 
 
 def test_mitsuba_meets_a_target_on_a_real_scene(tmp_path):
-    from small import small_cfg, write_cfg
-
     from scenec.compiler.compile import compile_cfg
+    from scenec.testing.small import small_cfg, write_cfg
 
     cfg = small_cfg(samples=1)
     cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [48, 32]

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from mitsuba_volume import (
@@ -40,6 +39,7 @@ from scenec.backends.picture.airlight import (
 from scenec.backends.picture.sky import Sky, texel_directions
 from scenec.backends.stage.scene import Haze, Sun
 from scenec.backends.testing import scenes as ms
+from scenec.testing.examples import examples
 
 GRAY = np.array([0.4, 0.5, 0.6])
 FLAT = Sky(GRAY.reshape(1, 1, 3).astype(np.float32), np.eye(3))

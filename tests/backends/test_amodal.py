@@ -7,9 +7,7 @@ import dataclasses
 import moving_stages as ms
 import numpy as np
 import pytest
-import scenes
 from amodal_looks import look
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,6 +19,8 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.silhouette import RAY_COST, Pinhole, set_direction
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.testing import scenes
+from scenec.testing.examples import examples
 
 #: Costs of a ray that leave all to rays, to spans, and to either.
 WAYS = (0, 1 << 40, RAY_COST)

@@ -11,7 +11,6 @@ import moving_stages as ms
 import numpy as np
 import pytest
 from amodal_looks import look
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +25,7 @@ from scenec.schemas.errors import BackendError, FrameError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.instances import read_frame_table
+from scenec.testing.examples import examples
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -184,9 +184,8 @@ def test_amodal_is_asked_for_by_a_stage_and_an_unknown_pass_still_refused(render
 
 
 def test_a_cfg_may_ask_for_masks(tmp_path):
-    from small import small_cfg, write_cfg
-
     from scenec.compiler.compile import compile_cfg
+    from scenec.testing.small import small_cfg, write_cfg
 
     cfg = small_cfg(samples=1, outputs=["depth", "amodal"], labels={})
     cfg["light"] = {"sky": {"type": "none"}}

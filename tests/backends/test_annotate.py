@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scenes
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.passes import NO_FACE
@@ -13,6 +12,7 @@ from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import at_most
+from scenec.testing import scenes
 
 ALL = ("label", "instance", "depth", "range", "normal", "position", "face")
 

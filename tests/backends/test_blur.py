@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blur_scenes import ahead, of_plates, picture, plate, session, shaken
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -24,6 +22,8 @@ from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.backends.testing.scenes import mesh, scene, surface
 from scenec.schemas.lens import EQUIRECTANGULAR, Lens, shown_at
 from scenec.schemas.shutter import Shutter
+from scenec.testing.blur_scenes import ahead, of_plates, picture, plate, session, shaken
+from scenec.testing.examples import examples
 
 FAR_WALL = (30.0, -99.0, 99.0, -99.0, 99.0)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from foreign_stages import opened, square
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
-from small import write_cfg
 
 from scenec.backends.check.files import check_files
 from scenec.backends.check.scene import check_scene
@@ -18,6 +17,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import read_manifest
+from scenec.testing.small import write_cfg
 
 ROCKS = "/World/Objects/rocks"
 TILE = "/World/Terrain/tile_000_000"

@@ -6,11 +6,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
+from scenec.testing.small import small_cfg, write_cfg
 
 
 @pytest.fixture

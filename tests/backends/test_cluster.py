@@ -14,8 +14,6 @@ from pathlib import Path
 import psutil
 import pytest
 from dask_processes import DaskProcesses, dask_processes
-from processes import until, until_gone
-from small import write_cfg
 from test_executors import bytes_of, tiny_cfg
 from third_party import install, plan_fault
 
@@ -25,6 +23,8 @@ from scenec.backends.run.render import render
 from scenec.backends.run.units import OfBackend
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
+from scenec.testing.processes import until, until_gone
+from scenec.testing.small import write_cfg
 
 pytestmark = pytest.mark.slow
 FRAMES = "batch_*/frames/plain/*/0*.json"

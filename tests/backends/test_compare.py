@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.compare import CompareOptions, check_exact, compare
 from scenec.backends.check.radiance import relative_mse
@@ -18,6 +17,7 @@ from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.files import sha256
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -12,18 +12,18 @@ import pytest
 from third_party import LEVEL, NOISE, install, square_stage
 
 from scenec.cli.main import main
-from scenec.schemas.errors import BackendError, StageError
-from scenec.studies import converge as package
-from scenec.studies.converge import Ladder, converge
-from scenec.studies.converge.fits import band, fit
-from scenec.studies.converge.metrics import (
+from scenec.quality import converge as package
+from scenec.quality.converge import Ladder, converge
+from scenec.quality.converge.fits import band, fit
+from scenec.quality.converge.metrics import (
     Reference,
     errors,
     square_and_error,
     trimmed_mean,
 )
-from scenec.studies.converge.report import NO_PLOTS, against_plain, unseen_floors
-from scenec.studies.converge.run import Series
+from scenec.quality.converge.report import NO_PLOTS, against_plain, unseen_floors
+from scenec.quality.converge.run import Series
+from scenec.schemas.errors import BackendError, StageError
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -190,7 +190,7 @@ def test_a_whole_ladder_says_what_is_known_of_the_backend_and_is_not_rendered_tw
     # Parts of it that another test has loaded would be found without it.
     for name in ("matplotlib", *(n for n in sys.modules if n.startswith("matplotlib."))):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "scenec.studies.converge.plots", raising=False)
+    monkeypatch.delitem(sys.modules, "scenec.quality.converge.plots", raising=False)
     monkeypatch.delattr(package, "plots", raising=False)
     words = ["converge", str(stage), "--backends", "plain,raster", "--spp", "2,8,32",
              "--repeats", "3", "--reference", "64", "--cameras", "left", "--denoise"]  # fmt: skip

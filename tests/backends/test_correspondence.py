@@ -10,12 +10,9 @@ from pathlib import Path
 import moving_stages as ms
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Usd, UsdGeom
-from scenes import icosphere
-from small import small_cfg
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
@@ -35,6 +32,9 @@ from scenec.schemas.correspondence import (
 )
 from scenec.schemas.errors import BackendError, CfgError, SceneError
 from scenec.schemas.exr import read_exr, write_exr
+from scenec.testing.examples import examples
+from scenec.testing.scenes import icosphere
+from scenec.testing.small import small_cfg
 
 #: Without a partner.
 MONO = ("depth", "position", *NEXT, *BEFORE)

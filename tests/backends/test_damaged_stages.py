@@ -16,7 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damaged_stages import (
+from hypothesis import settings
+from rich_stage import compile_rich
+
+from scenec.backends.stage.read import read_stage
+from scenec.testing.damaged_stages import (
     READ,
     REFUSED,
     WRONG,
@@ -26,10 +30,6 @@ from damaged_stages import (
     rewritten,
     with_value,
 )
-from hypothesis import settings
-from rich_stage import compile_rich
-
-from scenec.backends.stage.read import read_stage
 
 #: Of each kind; 15 in the quick profile.
 COUNT = 60 * settings().max_examples // 100

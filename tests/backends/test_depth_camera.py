@@ -9,11 +9,9 @@ import json
 import moving_stages as ms
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from pxr import Usd, UsdGeom
-from small import small_cfg
 
 from scenec.backends.annotation.depth_camera import measure_stereo, measure_time_of_flight
 from scenec.backends.run.session import Session
@@ -30,6 +28,8 @@ from scenec.schemas.depth_camera import (
     of_numbers,
 )
 from scenec.schemas.errors import BackendError, CfgError
+from scenec.testing.examples import examples
+from scenec.testing.small import small_cfg
 
 K = np.array([[100.0, 0, 32], [0, 100, 24], [0, 0, 1]])
 STEREO = StereoDepth(0.1, 0.0, 0.0, (0.0, 1e9))

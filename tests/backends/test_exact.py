@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
-import scenes
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import NO_ROW, Rays
@@ -22,6 +16,8 @@ from scenec.backends.exact.build import TASK_SIZE
 from scenec.backends.exact.intersect import edge_function
 from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import at_most
+from scenec.testing import scenes
+from scenec.testing.examples import examples
 
 
 def table(origins, directions) -> Rays:

@@ -18,8 +18,6 @@ from pathlib import Path
 import counted_backend
 import psutil
 import pytest
-from processes import until, until_gone
-from small import small_cfg, write_cfg
 from third_party import install, plan_fault, square_stage
 
 from scenec.backends.run import memory
@@ -40,6 +38,8 @@ from scenec.schemas.errors import OutputError, SceneError
 from scenec.schemas.files import sha256
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.units import Executor, run_all
+from scenec.testing.processes import until, until_gone
+from scenec.testing.small import small_cfg, write_cfg
 
 Make = Callable[[], Executor]
 #: All there are on one machine; 0 is the process of the test.

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -36,6 +35,7 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging, shown_per_value
 from scenec.schemas.lens import Lens
 from scenec.schemas.picture import LUMINANCE, develop, fault, tally
+from scenec.testing.examples import examples
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

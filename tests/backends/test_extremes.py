@@ -11,22 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
-from extreme_scenes import (
-    CASES,
-    GROUND,
-    extreme_cfg,
-    many_poses_cfg,
-    near_and_far_stage,
-    true_plane,
-)
 from hypothesis import given
 from hypothesis import strategies as st
-from lens_scenes import CAMERAS, around
 from numpy.typing import NDArray
-from scenes import camera as pinhole
-from scenes import scene
-from small import small_cfg, write_cfg
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera import tiles
@@ -48,6 +35,19 @@ from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.schemas import picture
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
+from scenec.testing.examples import examples
+from scenec.testing.extreme_scenes import (
+    CASES,
+    GROUND,
+    extreme_cfg,
+    many_poses_cfg,
+    near_and_far_stage,
+    true_plane,
+)
+from scenec.testing.lens_scenes import CAMERAS, around
+from scenec.testing.scenes import camera as pinhole
+from scenec.testing.scenes import scene
+from scenec.testing.small import small_cfg, write_cfg
 
 PASSES = ("depth", "range", "label.class", "instance", "normal", "position", "face")
 VIEWS = {"pinhole": pinhole(61, 47, 70.0, (0.3, -0.2, 1.4), (4.0, 2.0, 0.4)), **CAMERAS}

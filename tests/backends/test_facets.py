@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pxr import Sdf
-from small import small_cfg, write_cfg
 
 from scenec.backends.mitsuba import Mitsuba
 from scenec.backends.picture.metering import _Points
@@ -23,6 +22,7 @@ from scenec.backends.testing import looks
 from scenec.backends.testing.scenes import dome, mesh, plane, sun, with_lights
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import StageError
+from scenec.testing.small import small_cfg, write_cfg
 
 #: Degrees above the horizon, and of azimuth between viewer and light.
 LOW_TO_HIGH = (0.5, 3.0, 10.0, 30.0, 60.0, 89.0)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
@@ -20,6 +19,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.merge import label_index
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

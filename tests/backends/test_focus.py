@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blur_scenes import Flat, ahead, of_plates, picture, plate, session
 from numpy.typing import NDArray
 
 from scenec.backends.exact import ExactCaster
@@ -17,6 +16,7 @@ from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, Haze, Lighting, RenderScene, Sun
 from scenec.backends.testing.scenes import dome, mesh, scene, surface
 from scenec.schemas.lens import to_pixels
+from scenec.testing.blur_scenes import Flat, ahead, of_plates, picture, plate, session
 
 #: A plate whose picture is 4 by 4 pixels, right of the middle: 4 m away, 40 pixels of focal length.
 SMALL = (4.0, 0.1, 0.5, -0.2, 0.2)

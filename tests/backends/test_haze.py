@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scenes
 from numpy.typing import NDArray
 from third_party import LEVEL, Raster
 
@@ -22,6 +21,7 @@ from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Dome, Haze, Lighting, RenderScene, Sun
 from scenec.backends.testing import scenes as ms
 from scenec.backends.testing.scenes import write_latlong
+from scenec.testing import scenes
 
 GRAY = np.array([0.4, 0.5, 0.6])
 

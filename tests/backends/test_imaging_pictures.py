@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from scenec.backends.stage.scene import Camera
 from scenec.schemas.imaging import SUBSAMPLINGS, Imaging, shown_per_value
 from scenec.schemas.picture import srgb_encode, tone_map
 from scenec.schemas.threads import at_most
+from scenec.testing.examples import examples
 
 #: No noise, no pattern, no mosaic: the stages that are always there, finely rounded.
 PLAIN = Imaging(

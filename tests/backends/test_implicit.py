@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
-
-sys.path.insert(0, str(Path(__file__).parent))
 from foreign_stages import bind, label, opened, square
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact import ExactCaster

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from foreign_stages import label, opened, square
 from pxr import Kind, Sdf, Usd, UsdGeom
-from small import write_cfg
 
 from scenec.backends.stage.labels import labeled_instances, read_table
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
+from scenec.testing.small import write_cfg
 
 TYPES = Sdf.ValueTypeNames
 

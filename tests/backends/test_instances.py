@@ -9,7 +9,6 @@ from pathlib import Path
 import moving_stages as ms
 import numpy as np
 import pytest
-import scenes
 
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.annotation.poses import quaternions
@@ -30,6 +29,7 @@ from scenec.schemas.instances import (
     write_frame_table,
     write_table,
 )
+from scenec.testing import scenes
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

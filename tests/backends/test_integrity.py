@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.run.render import render
@@ -25,6 +24,7 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.manifest import find_batches, read_manifest, stage_digest
+from scenec.testing.small import small_cfg, write_cfg
 
 ANNOTATION = ("depth", "instance")
 

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, around, with_lens
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdRender
-from scenes import SKY, scene
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.instances import Instances
@@ -21,6 +19,8 @@ from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.lens import Lens, project, to_pixels
+from scenec.testing.lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, around, with_lens
+from scenec.testing.scenes import SKY, scene
 
 PASSES = ("depth", "range", "label", "instance", "normal", "position", "face")
 

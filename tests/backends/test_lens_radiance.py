@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, with_lens
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import TOLERANCE_PX, ray_table
@@ -24,6 +23,7 @@ from scenec.backends.testing.geometry import LENSES, inside_glow
 from scenec.backends.testing.scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
+from scenec.testing.lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, with_lens
 
 
 def board(upright: bool = True, bars: int = 5) -> RenderScene:

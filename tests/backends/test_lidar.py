@@ -10,12 +10,9 @@ import moving_stages as ms
 import numpy as np
 import pytest
 import trimesh
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Sdf, Usd, UsdGeom
-from scenes import icosphere
-from small import small_cfg
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
@@ -28,6 +25,9 @@ from scenec.datasets.source import Source
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, FrameError, StageError
 from scenec.schemas.scans import read_scan
+from scenec.testing.examples import examples
+from scenec.testing.scenes import icosphere
+from scenec.testing.small import small_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

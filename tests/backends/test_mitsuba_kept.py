@@ -7,7 +7,6 @@ import importlib.util
 
 import numpy as np
 import pytest
-import scenes
 from numpy.typing import NDArray
 
 from scenec.backends.camera.rays import camera_rays
@@ -17,6 +16,7 @@ from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.run.memory import peak, reset_peak
 from scenec.backends.stage.scene import Motion, RenderScene
 from scenec.backends.testing import scenes as ms
+from scenec.testing import scenes
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed"

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.backends.model.bake import box_uv
 from scenec.backends.model.collect import _look, coarse_model, whole_model
@@ -18,6 +17,7 @@ from scenec.backends.stage.scene import Maps, Reading, RenderScene, Surface
 from scenec.cli.main import main
 from scenec.schemas.model import Model
 from scenec.schemas.picture import srgb_bytes
+from scenec.testing.small import small_cfg, write_cfg
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,6 @@ from pathlib import Path
 import moving_stages as ms
 import numpy as np
 import pytest
-import scenes
-from blur_scenes import Flat
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.backends.camera.rays import camera_rays
@@ -20,6 +18,8 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Maps, Motion, RenderScene
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.testing import scenes
+from scenec.testing.blur_scenes import Flat
 
 PASSES = ("depth", "label.class", "instance", "normal", "position", "face")
 #: Every sample from another one, and one of them twice.

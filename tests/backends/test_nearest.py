@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scenes
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -19,6 +17,8 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.nearest import Pyramids, nearest
 from scenec.backends.stage.scene import Motion, RenderScene
 from scenec.backends.testing.scenes import plane
+from scenec.testing import scenes
+from scenec.testing.examples import examples
 
 
 def pyramid(

@@ -8,7 +8,6 @@ from typing import Any
 import counted_backend
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.contract import Backend
 from scenec.backends.registry import open_backend
@@ -19,6 +18,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.manifest import read_manifest
+from scenec.testing.small import small_cfg, write_cfg
 
 SENSOR = {"resolution": [24, 16], "fov_deg": 70}
 #: Written anew for each camera: the cameras themselves, and what is to be rendered of them.

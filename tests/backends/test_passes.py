@@ -11,9 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import third_passes
-from lens_scenes import CAMERAS, around, with_lens
-from scenes import scene
-from small import small_cfg, write_cfg
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.registry import find_pass, select
@@ -29,6 +26,9 @@ from scenec.datasets.source import Source
 from scenec.schemas.errors import BackendError, CfgError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.passes import BUILT_IN, PASSES
+from scenec.testing.lens_scenes import CAMERAS, around, with_lens
+from scenec.testing.scenes import scene
+from scenec.testing.small import small_cfg, write_cfg
 
 BOTH = {"slope": third_passes.SLOPE, "place": third_passes.PLACE}
 VIEWS = {"pinhole": with_lens(None, 96, 72), **CAMERAS}

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pruned_scenes import annotation, compiled, difference, drawn_cfg, everything, odd_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.left_out import read_left_out
+from scenec.testing.pruned_scenes import (
+    annotation,
+    compiled,
+    difference,
+    drawn_cfg,
+    everything,
+    odd_cfg,
+)
 
 
 def _same(folder, cfg, annotation=annotation) -> int:

@@ -7,10 +7,10 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from pruned_extremes import CASES, pruned_cfg
-from pruned_scenes import annotation, compiled, difference
 
 from scenec.compiler.views.needed import Keep
+from scenec.testing.pruned_extremes import CASES, pruned_cfg
+from scenec.testing.pruned_scenes import annotation, compiled, difference
 
 #: Those where a view, the ground or lengths are at an end: light hardly matters.
 HARDEST = ("all_round", "far_above", "low", "narrow", "steep", "wide", "wide_land")

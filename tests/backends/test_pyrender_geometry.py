@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import scenes
 from numpy.typing import NDArray
 
 from scenec.backends.pyrender.detail import add_levels, border
@@ -14,6 +13,7 @@ from scenec.backends.pyrender.tables import make_tables
 from scenec.backends.stage.scene import Maps
 from scenec.backends.testing import geometry, looks
 from scenec.backends.testing import scenes as ms
+from scenec.testing import scenes
 
 
 def test_groups_hold_every_face_once_and_lie_close_together():

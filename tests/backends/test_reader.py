@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, Vt
-from small import write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
@@ -18,6 +17,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import StageError
+from scenec.testing.small import write_cfg
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 

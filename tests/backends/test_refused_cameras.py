@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blur_scenes import ahead
 from pxr import Sdf, Usd, UsdGeom, UsdRender
-from small import small_cfg, write_cfg
 from third_party import install, plan_fault, square_stage
 
 from scenec.backends.camera.shutter import blurred_by
@@ -23,6 +21,8 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import BackendError, StageError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.shutter import Shutter
+from scenec.testing.blur_scenes import ahead
+from scenec.testing.small import small_cfg, write_cfg
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
 from workers_here import here
 
@@ -21,6 +20,7 @@ from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import Frame, read_frame
 from scenec.schemas.versions import version_of
+from scenec.testing.small import small_cfg, write_cfg
 
 ANNOTATION = ("depth", "range", "instance", "normal", "position", "face")
 

@@ -6,7 +6,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
 from third_party import install, square_stage
 
 from scenec.backends.run.render import render
@@ -14,6 +13,7 @@ from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError
 from scenec.schemas.frames import read_frame
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

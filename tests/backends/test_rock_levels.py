@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import Frame, read_frame
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from killed import contents, killed_at_each_call
-from small import small_cfg, write_cfg
 from test_frames import KEY, arrays, written
 
 from scenec.backends.run.render import render
@@ -23,6 +22,7 @@ from scenec.schemas.files import sweep
 from scenec.schemas.frames import frame_stem, is_done, read_frame
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.scans import is_scanned, read_scan, scan_stem, write_scan
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

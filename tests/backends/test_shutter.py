@@ -6,12 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from lens_scenes import CAMERAS, around
 from numpy.typing import NDArray
-from scenes import affine, mesh, scene
 from scipy.spatial.transform import Rotation, Slerp
 
 from scenec.backends.annotation.annotate import annotate
@@ -32,6 +29,9 @@ from scenec.backends.testing.scenes import look_at
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth
 from scenec.schemas.shutter import Shutter, between
+from scenec.testing.examples import examples
+from scenec.testing.lens_scenes import CAMERAS, around
+from scenec.testing.scenes import affine, mesh, scene
 
 PASSES = ("depth", "range", "label", "instance", "normal", "position", "face")
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.backends.run.writer import sun_facts
 from scenec.backends.stage.scene import Lighting, Sun
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import CONVENTIONS
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-import scenes
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Backend
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import RenderScene
 from scenec.backends.testing import scenes as ms
+from scenec.testing import scenes
 
 ALBEDO = 0.5
 

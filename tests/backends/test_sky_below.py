@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.camera import tiles
 from scenec.backends.check.frames import check_frames
@@ -17,6 +16,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.stage import ATTR_SKY_LABEL_BELOW
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.frames import check_scans
 from scenec.backends.run.render import render
@@ -24,6 +23,7 @@ from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
 from scenec.schemas.scans import scan_stem, write_scan
 from scenec.schemas.strays import strays
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

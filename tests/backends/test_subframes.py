@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blur_scenes import Flat, ahead, of_plates, picture, plate, session, shaken
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -26,6 +24,8 @@ from scenec.backends.testing.scenes import dome, mesh, scene, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
+from scenec.testing.blur_scenes import Flat, ahead, of_plates, picture, plate, session, shaken
+from scenec.testing.examples import examples
 
 #: The left half of the view: its edge is at the picture's middle, 2 m away.
 HALF = (2.0, -9.0, 0.0, -9.0, 9.0)

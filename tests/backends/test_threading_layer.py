@@ -33,7 +33,7 @@ _ALL_KERNELS = """
 import sys
 from pathlib import Path
 import numba
-from small import small_cfg, write_cfg
+from scenec.testing.small import small_cfg, write_cfg
 from workers_here import here
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from foreign_stages import bind, label, opened, square, written
 from pxr import Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel, Vt
-from small import write_cfg
 
 from scenec.backends.check.scene import check_scene
 from scenec.backends.run.render import render
@@ -18,6 +17,7 @@ from scenec.backends.stage.unread import HARMLESS, KNOWN, LIGHTS, LOST, READ, TE
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
+from scenec.testing.small import write_cfg
 
 TYPES = Sdf.ValueTypeNames
 

@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-import scenes
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import HAIR_PIXELS, Witness
 from scenec.backends.contract import NO_ROW, Visibility
 from scenec.backends.exact import ExactCaster
 from scenec.schemas.errors import BackendError
+from scenec.testing import scenes
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import until_gone
 from third_party import square_stage
 
 from scenec.backends.registry import BUILT_IN, Entry, open_backend
@@ -25,6 +24,7 @@ from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.frames import read_frame
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.units import Unit
+from scenec.testing.processes import until_gone
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from processes import until, until_gone
 from third_party import faults_so_far, install, plan_fault, square_stage
 
 from scenec.backends.run import memory
@@ -29,6 +28,7 @@ from scenec.backends.run.units import Opening, open_stage
 from scenec.schemas import memory as machine
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
+from scenec.testing.processes import until, until_gone
 
 #: Quick to notice, and yet long beside what a busy machine takes from a worker.
 QUICK = Limits(stall_s=2.0, poll_s=0.05)

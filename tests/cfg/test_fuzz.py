@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import pytest
-from examples import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
@@ -20,6 +19,7 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.schema import load_bundle, root, walk
 from scenec.schemas.errors import CfgError
+from scenec.testing.examples import examples
 
 _JSONSCHEMA = Draft202012Validator(load_bundle())
 _SHARED_FOLDER = settings(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.stats
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from scenec.compiler.cfg.check_numbers import check_number, read_number
 from scenec.compiler.distributions.numbers import draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.schema import Field
+from scenec.testing.examples import examples
 
 _N = 20000
 

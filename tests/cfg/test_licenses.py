@@ -9,12 +9,12 @@ import struct
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.licenses import Terms, as_json, terms
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.kinds.context import InputFile
 from scenec.schemas.manifest import read_manifest, stage_digest
+from scenec.testing.small import small_cfg, write_cfg
 
 ROOT = Path(__file__).resolve().parents[2]
 BESIDE = """\

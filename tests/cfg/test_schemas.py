@@ -21,7 +21,7 @@ from scenec.compiler.kinds.schema import (
     root,
     walk,
 )
-from scenec.studies.pages import cfg_reference
+from scenec.testing import cfg_reference
 
 _WHOLE = {"$defs": load_bundle()["$defs"]}
 _DOCS = Path(__file__).parents[2] / "docs"

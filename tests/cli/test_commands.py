@@ -12,11 +12,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import until
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main, parser
 from scenec.schemas.errors import ScenecError
+from scenec.testing.processes import until
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def small_and_fast() -> dict:

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.cli.main import main
@@ -17,6 +16,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import export
 from scenec.schemas.files import sha256
 from scenec.schemas.units import LocalExecutor
+from scenec.testing.small import small_cfg, write_cfg
 
 COMMANDS = ("run", "compile", "settle", "import", "render", "scan", "check", "sheet", "view",
             "export", "converge", "explain", "doctor")  # fmt: skip

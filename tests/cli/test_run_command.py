@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
+from scenec.testing.small import small_cfg, write_cfg
 
 
 @pytest.mark.usefixtures("worker_here")

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-from processes import until, until_gone
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
+from scenec.testing.processes import until, until_gone
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = [
     pytest.mark.usefixtures("workers_here"),

@@ -7,13 +7,13 @@ import json
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.sweep import points, split
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import tree
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def tiny(folder: Path) -> Path:

@@ -9,7 +9,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from small import small_cfg
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
@@ -23,6 +22,7 @@ from scenec.compiler.objects.surroundings import Surroundings, footprints
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
+from scenec.testing.small import small_cfg
 
 SIZE = (40.0, 32.0)
 NO_CAMERAS = np.zeros((0, 3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import small
+from scenec.testing import small
 
 ORBIT = {
     "type": "orbit",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from elsewhere import printed_elsewhere, printed_here
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +18,7 @@ from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
+from scenec.testing.examples import examples
 
 MERGES = (
     Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),

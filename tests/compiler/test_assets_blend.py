@@ -11,16 +11,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import models
 import numpy as np
 import pytest
-from models import BOX
 from test_assets_model import fails, pixels
 
 from scenec.compiler.assets import blend
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.scene.material import Picture
+from scenec.testing import models
+from scenec.testing.models import BOX
 
 
 def needs_blender(test):

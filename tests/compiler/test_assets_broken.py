@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from overhangs import glb, gltf_document, shelter, triangles, write
 from test_assets_mesh_file import BOX, binary_stl, fails, read_mesh, solid
 
 from scenec.schemas.errors import SceneError
+from scenec.testing.overhangs import glb, gltf_document, shelter, triangles, write
 
 
 def _broken() -> dict[str, tuple[bytes, str]]:

@@ -9,17 +9,17 @@ import sys
 from functools import partial
 from pathlib import Path
 
-import models
 import numpy as np
 import pytest
 import trimesh
-from overhangs import FORMATS, glb, gltf_document, keys, shelter, triangles, write
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from scenec.compiler.assets.model import Model, read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.geometry.affine import TO_Z_UP, about_axis, sin_cos
 from scenec.schemas.errors import SceneError
+from scenec.testing import models
+from scenec.testing.overhangs import FORMATS, glb, gltf_document, keys, shelter, triangles, write
 
 read_mesh = partial(read_model, looks=False)
 BOX = np.array([[x, y, z] for x in (0, 2) for y in (0, 3) for z in (0, 5)], float)

@@ -9,14 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import models
 import numpy as np
 import pytest
 import trimesh
-from models import BOX, MODELS, PLAIN, keys, write
-from overhangs import FORMATS, glb, shelter
-from overhangs import keys as shelter_keys
-from overhangs import write as write_shelter
 from PIL import Image
 
 from scenec.compiler.assets.model import read_model
@@ -24,6 +19,11 @@ from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.scene.material import Picture
 from scenec.schemas.errors import SceneError
+from scenec.testing import models
+from scenec.testing.models import BOX, MODELS, PLAIN, keys, write
+from scenec.testing.overhangs import FORMATS, glb, shelter
+from scenec.testing.overhangs import keys as shelter_keys
+from scenec.testing.overhangs import write as write_shelter
 
 
 def pixels(source: Path | Picture) -> np.ndarray:

@@ -5,11 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import models
 import numpy as np
 import pytest
-from models import keys, write
-from overhangs import glb
 from pxr import Sdf, Usd, UsdShade
 from test_assets_broken import _broken
 from test_assets_model import fails
@@ -17,6 +14,9 @@ from test_assets_model import fails
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import SUFFIXES
 from scenec.schemas.errors import SceneError
+from scenec.testing import models
+from scenec.testing.models import keys, write
+from scenec.testing.overhangs import glb
 
 #: Where the reader of models knows more than that of meshes, or says it in other words.
 OTHER_WORDS = {

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import models
 import numpy as np
 import pytest
-from models import BOX, write
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 from test_assets_model import fails
 
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
+from scenec.testing import models
+from scenec.testing.models import BOX, write
 
 
 def usd_box(path: Path) -> tuple[Usd.Stage, UsdGeom.Mesh]:

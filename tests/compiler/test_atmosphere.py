@@ -8,14 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import nishita
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
@@ -34,6 +31,9 @@ from scenec.compiler.light.build import Light, build_light
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import ALL, at_most
+from scenec.testing import nishita
+from scenec.testing.examples import examples
+from scenec.testing.small import small_cfg, write_cfg
 
 BLACK, COUNT = np.zeros(3), atmosphere.WAVELENGTHS
 WEIGHTS = weights(COUNT)
@@ -252,7 +252,7 @@ def test_the_sky_is_blenders_within_two_percent(tmp_path):
     # Blender's sums are coarse: near the horizon and through its aerosol they err by up to 30 %.
     # The same sums, done here, are Blender's; what they err is taken out of the comparison.
     asked = [["SINGLE_SCATTERING", e, a, *factors] for e, a, factors in CASES]
-    script = Path(__file__).with_name("blender_sky.py")
+    script = Path(__file__).resolve().parents[2] / "testing" / "blender_sky.py"
     done = subprocess.run(
         [sys.executable, str(script), str(tmp_path / "b.npz"), "16", json.dumps(asked)],
         capture_output=True,

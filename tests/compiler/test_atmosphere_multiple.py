@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from photons import COUNT, SLABS, gray_dust, level_irradiance, scattered_down
 
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_multiple import mean_cosine, reduced
 from scenec.compiler.light.atmosphere_planets import earth, mars
 from scenec.compiler.light.atmosphere_spectra import weights
+from scenec.testing.photons import COUNT, SLABS, gray_dust, level_irradiance, scattered_down
 
 
 @pytest.mark.parametrize("elevation", [20.0, 60.0])

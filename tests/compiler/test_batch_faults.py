@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from killed import contents
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.files import check_files
 from scenec.backends.run.render import render
@@ -16,10 +15,11 @@ from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.streams import Streams
+from scenec.quality.ladder.base import Base
+from scenec.quality.ladder.run import climb
 from scenec.schemas.errors import ScenecError, SceneError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
-from scenec.studies.ladder.base import Base
-from scenec.studies.ladder.run import climb
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -127,7 +127,7 @@ def test_approximations_are_varied_of_the_attempt_that_is_there(cfg, redrawn, mo
     def climbed(base: Base, *_: object) -> None:
         seen.append(base)
 
-    monkeypatch.setattr("scenec.studies.ladder.run.climb_base", climbed)
+    monkeypatch.setattr("scenec.quality.ladder.run.climb_base", climbed)
     climb(redrawn, only=["tessellation"], batch=2, rungs=3)
     plan = repr(seen[0].plan)
     assert plan != repr(Base(load(cfg), 1, 2).plan)

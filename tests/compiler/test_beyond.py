@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.exact.caster import ExactCaster
@@ -22,6 +21,7 @@ from scenec.compiler.objects.lattice import Lattice
 from scenec.compiler.objects.scattered import LEAST_BEYOND
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 BEYOND, HALF = 150.0, np.array([10.0, 8.0])
 FAR = {

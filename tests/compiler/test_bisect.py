@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.geometry.bisect import Bisection, bisection
+from scenec.testing.examples import examples
 
 
 def square(cells: int) -> tuple[np.ndarray, np.ndarray]:

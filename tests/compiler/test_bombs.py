@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from overhangs import glb
-from small import small_cfg
 
 from scenec.backends.picture.sky import load_picture
 from scenec.backends.stage.read import read_stage
@@ -29,7 +27,9 @@ from scenec.compiler.assets.pose_table import read_poses
 from scenec.compiler.assets.tracks import read_track
 from scenec.compiler.cfg.load import load
 from scenec.compiler.light.latlong import read_picture
-from scenec.studies.robustness.mutants import tried
+from scenec.testing.mutants import tried
+from scenec.testing.overhangs import glb
+from scenec.testing.small import small_cfg
 
 SIDE = 60_000
 LARGE = 1 << 31

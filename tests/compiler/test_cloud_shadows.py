@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from small import small_cfg
 from test_clouds import cirrus_plan, cumulus_plan, light_plan
 
 from scenec.backends.stage.read import read_stage
@@ -26,6 +25,7 @@ from scenec.compiler.light.cloud_fields import (
 )
 from scenec.compiler.light.cloud_rays import beam_left
 from scenec.compiler.light.cloud_shadows import EVEN, Land, _disc, cloud_shadows
+from scenec.testing.small import small_cfg
 
 RADIUS = np.radians(0.265)
 LAND = Land((-1000.0, -800.0, -20.0), (1000.0, 800.0, 60.0), 0.0)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small import small_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.light.build import build_light
@@ -30,6 +29,7 @@ from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.scene.light import SunLight
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import at_most
+from scenec.testing.small import small_cfg
 
 UP = np.array([0.0, 0.0, 1.0])
 GROUND = np.array([0.2, 0.2, 0.2])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cfg.fill import fill
@@ -19,6 +18,7 @@ from scenec.compiler.objects.coatings import CoatingPlan, coat
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 NOTHING = CoatingPlan(
     material="dust", tops=0.0, max_slope_deg=35.0, hollows=0.0, foot=0.0, foot_height=0.15, key=7

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from elsewhere import ALL_AT_ONCE, CIRCUMSTANCES, COMPILE
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 from usd_validator import independent_findings
 
 from scenec.backends.check.files import check_files
@@ -22,6 +21,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, OutputError, ScenecError, SceneError
 from scenec.schemas.manifest import read_manifest
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def hashes(out: Path) -> dict[str, str]:

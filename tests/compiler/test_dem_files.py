@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.compiler.assets.dem_file import read_dem
@@ -18,6 +17,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.sources.dem import Dem
 from scenec.schemas import memory
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
 

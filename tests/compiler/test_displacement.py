@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.scene import Cells as ShownCells
 from scenec.backends.stage.scene import Maps
@@ -28,6 +27,7 @@ from scenec.compiler.materials.values import normal_picture, normals, unit
 from scenec.compiler.scene.material import Cells, Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.exr import write_rgb
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def plan(maps: MaterialMaps, **made) -> MaterialPlan:

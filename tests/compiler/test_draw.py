@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cameras.tracks import TrackPlan
@@ -17,6 +16,7 @@ from scenec.compiler.light.latlong import read_picture
 from scenec.compiler.plan import Plan
 from scenec.schemas.errors import SceneError
 from scenec.schemas.exr import write_rgb
+from scenec.testing.small import small_cfg, write_cfg
 
 BPY_SKY = "package:bpy/*/datafiles/studiolights/world/{}.exr"
 

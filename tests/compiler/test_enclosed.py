@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import overhangs
 import pytest
 from shutter_cfgs import cfg as open_cfg
-from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cameras.enclosed import require_open
@@ -20,6 +18,8 @@ from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas.errors import SceneError
+from scenec.testing import overhangs
+from scenec.testing.small import small_cfg, write_cfg
 
 SIZE = (20.0, 16.0)
 BOX = "".join(f"v {x} {y} {z}\n" for x in (-1, 1) for y in (-1, 1) for z in (0, 2))

@@ -6,10 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -17,6 +15,8 @@ from scenec.compiler.draw import draw
 from scenec.compiler.estimate import BASE_BYTES, MARGIN, needs_of, require_memory, told_time
 from scenec.schemas.errors import SceneError
 from scenec.schemas.memory import GB, available, limit
+from scenec.testing.examples import examples
+from scenec.testing.small import small_cfg, write_cfg
 
 _SKY = {"class": "sky", "surface": "sky"}
 _CFGS = sorted((Path(__file__).parents[2] / "configs").glob("*.json"))

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small import scaled, small_cfg, write_cfg
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
@@ -19,6 +18,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.mesh.precision import FLOAT32_STEP
 from scenec.compiler.mesh.precision import precision as find_precision
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.testing.small import scaled, small_cfg, write_cfg
 
 PASSES = ("depth", "label", "instance", "face", "normal")
 

@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models import BOX, QUADS, faces, gltf_parts, write
-from overhangs import glb
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.compiler.assets import blend_worker, looks
@@ -19,6 +16,9 @@ from scenec.compiler.assets.model import Model, cached_model, read_model
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.models import BOX, QUADS, faces, gltf_parts, write
+from scenec.testing.overhangs import glb
+from scenec.testing.small import small_cfg, write_cfg
 
 #: Where a crate stands in UTM, and how large it is, meters.
 PLACE = np.array([431234.37, 5412345.62, 512.3])

@@ -10,12 +10,9 @@ import pytest
 import test_adaptive
 import trimesh
 from elsewhere import digest_elsewhere
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from laying import SIZE, plan
-from overhangs import shelter, write
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.render import render
 from scenec.compiler.build import BuildLog, build
@@ -33,9 +30,12 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, views_of
+from scenec.quality.ladder.base import Base
+from scenec.quality.ladder.tessellation import tessellation
 from scenec.schemas.frames import read_frame
-from scenec.studies.ladder.base import Base
-from scenec.studies.ladder.tessellation import tessellation
+from scenec.testing.examples import examples
+from scenec.testing.overhangs import shelter, write
+from scenec.testing.small import small_cfg, write_cfg
 
 RNG = np.random.default_rng
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import test_adaptive
 from elsewhere import printed_elsewhere, printed_here
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -27,6 +26,7 @@ from scenec.compiler.terrain.operators.worley import Worley
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.plane import Plane
 from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, views_of
+from scenec.testing.examples import examples
 
 MERGES = (Merge(5, 3.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),)
 GRAINS = Worley(key=9, amplitude_m=0.03, scale_m=0.12).everywhere()

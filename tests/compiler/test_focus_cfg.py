@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera
@@ -18,6 +17,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.scene.rig import Focus, Rig, Sensor
 from scenec.compiler.views.frustum import in_view, views_of_all
 from scenec.schemas.errors import CfgError, SceneError, StageError
+from scenec.testing.small import small_cfg, write_cfg
 
 FREE = {"distance_m": 2.5, "f_number": 2.0, "focal_length_mm": 25.0}
 

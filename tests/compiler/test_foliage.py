@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.looks import ModelMaterial
@@ -20,6 +19,7 @@ from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.objects import MeshPart, Prototype, Scatter
 from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import Views
+from scenec.testing.small import small_cfg, write_cfg
 
 MODELS = Path(__file__).parents[2] / "assets" / "models"
 SIDE, HEIGHT, WIDTH = 0.1, 1.0, 0.01

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.compile import compile_cfg
@@ -26,6 +25,7 @@ from scenec.compiler.scene.objects import MeshPart, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.views.resolution import Views, views_of
 from scenec.schemas.maps import decode, read_pixels
+from scenec.testing.small import small_cfg, write_cfg
 
 SENSOR = Sensor(
     "s", (640, 480), (500.0, 500.0, 320.0, 240.0, 0.0), np.eye(4), np.zeros(1), ("rgb",)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elsewhere import printed_elsewhere
-from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
@@ -21,6 +20,7 @@ from scenec.compiler.terrain.freshness import Freshness
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 _EDGE = {"amplitude": 0.2, "scale_m": 2}
 WHERE = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenec.studies.ground_statistics import PIXELS_PER_DEGREE, View, in_angles, measure
+from scenec.testing.ground_statistics import PIXELS_PER_DEGREE, View, in_angles, measure
 
 _SIDE = 256
 

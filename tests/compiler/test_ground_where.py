@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 from test_ground import MERGES, relief, welded
@@ -29,6 +28,7 @@ from scenec.compiler.terrain.condition import (
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Samples
 from scenec.schemas.errors import SceneError
+from scenec.testing.examples import examples
 
 GRID = Grid.with_spacing((20.0, 20.0), 0.25)
 X, Y = np.meshgrid(GRID.x(), GRID.y())

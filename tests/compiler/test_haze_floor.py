@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas import stage as names
+from scenec.testing.small import small_cfg, write_cfg
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from test_adaptive import one_rig
@@ -13,6 +12,7 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.views.frustum import Views
 from scenec.compiler.views.horizon import with_hidden_ground
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
+from scenec.testing.examples import examples
 
 
 def all_round(*eyes: np.ndarray) -> Views:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.exact.caster import ExactCaster
@@ -24,6 +23,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run
 from scenec.compiler.views.resolution import pixels_of_balls, views_of
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 REACH, BLEND = 4000.0, 30.0
 HORIZON = {

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small
 from PIL import Image
 from pxr import Sdf, Usd, UsdGeom
 
@@ -33,6 +32,7 @@ from scenec.schemas.errors import CfgError, SceneError, StageError
 from scenec.schemas.frames import beside_path, read_frame
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.picture import develop
+from scenec.testing import small
 
 SENSOR = ("rigs", "rover", "sensors", "front")
 PATH = "rigs/rover/sensors/front/imaging"

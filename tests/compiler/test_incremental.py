@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import small
 
 from scenec.cli.main import main
 from scenec.compiler.build import BuildLog, build
@@ -25,6 +24,7 @@ from scenec.compiler.compile import CompileReport, compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.schemas.files import digest_of_folder
+from scenec.testing import small
 
 _LANDER = Path(__file__).parents[2] / "assets" / "models" / "lander.glb"
 

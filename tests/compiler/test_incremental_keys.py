@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -24,6 +23,7 @@ from scenec.compiler.scene.material import Picture
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Quantities
+from scenec.testing.examples import examples
 
 _TYPES = ("<f8", "<f4", "<f2", "<i8", "<i4", "<u4", "|u1", "|b1", ">f8", "<c16")
 

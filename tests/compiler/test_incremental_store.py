@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from killed import contents, killed_at_each_call
@@ -27,6 +26,7 @@ from scenec.compiler.cache.structure import Describer, NotPlainError
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas import files
 from scenec.schemas.errors import ScenecError
+from scenec.testing.examples import examples
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Sdf
-from small import write_cfg
 from test_maps import mapped_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit import batch
 from scenec.schemas.manifest import MANIFEST
+from scenec.testing.small import write_cfg
 
 COUNT = 9
 

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.quality.ladder import APPROXIMATIONS, Ladder, LadderReport, climb, cost
+from scenec.quality.ladder.base import Base
+from scenec.quality.ladder.run import climb_base
+from scenec.quality.ladder.seen import looked_at, spread
 from scenec.schemas.errors import OutputError, ScenecError, StageError
-from scenec.studies.ladder import APPROXIMATIONS, Ladder, LadderReport, climb, cost
-from scenec.studies.ladder.base import Base
-from scenec.studies.ladder.run import climb_base
-from scenec.studies.ladder.seen import looked_at, spread
+from scenec.testing.small import small_cfg, write_cfg
 
 SEED = 5
 CRATERS = {

@@ -10,10 +10,10 @@ import pytest
 from scenec.compiler.scene.rig import Lidar, LidarNoise, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import views_of
+from scenec.quality.ladder import points
+from scenec.quality.ladder.eyes import Eye, eyes_of
+from scenec.quality.ladder.seen import horizons, looked_at, skylines
 from scenec.schemas.lens import Lens
-from scenec.studies.ladder import points
-from scenec.studies.ladder.eyes import Eye, eyes_of
-from scenec.studies.ladder.seen import horizons, looked_at, skylines
 
 #: Camera axes in the world, as columns: right, down, forward.
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
@@ -15,11 +14,12 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.materials.values import stored
 from scenec.compiler.views.needed import Keep
+from scenec.quality.ladder import Ladder, Rung, climb, cost
+from scenec.quality.ladder.base import Base
+from scenec.quality.ladder.run import climb_base
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import MANIFEST
-from scenec.studies.ladder import Ladder, Rung, climb, cost
-from scenec.studies.ladder.base import Base
-from scenec.studies.ladder.run import climb_base
+from scenec.testing.small import small_cfg, write_cfg
 
 SEED = 5
 

@@ -20,15 +20,15 @@ from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.light import SunLight
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
-from scenec.studies.ladder import cost, points, sky
-from scenec.studies.ladder.apart import apart, nearest, spread_over
-from scenec.studies.ladder.cost import Clock
-from scenec.studies.ladder.seen import Truth, looked_at
-from scenec.studies.ladder.sky_truth import atmosphere_along, bilinear, clear_along
-from scenec.studies.ladder.slopes import slope
-from scenec.studies.ladder.smoothing import continuous
-from scenec.studies.ladder.tessellation import distances, holes
-from scenec.studies.ladder.tin import Heights, Index
+from scenec.quality.ladder import cost, points, sky
+from scenec.quality.ladder.apart import apart, nearest, spread_over
+from scenec.quality.ladder.cost import Clock
+from scenec.quality.ladder.seen import Truth, looked_at
+from scenec.quality.ladder.sky_truth import atmosphere_along, bilinear, clear_along
+from scenec.quality.ladder.slopes import slope
+from scenec.quality.ladder.smoothing import continuous
+from scenec.quality.ladder.tessellation import distances, holes
+from scenec.quality.ladder.tin import Heights, Index
 
 
 @given(

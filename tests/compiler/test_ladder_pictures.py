@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.materials.values import color_picture, colors
 from scenec.compiler.scene.material import Material, MaterialMaps
-from scenec.studies.ladder import cost
-from scenec.studies.ladder.pixel_means import pixel_means
-from scenec.studies.ladder.textures import _Picture, _rung, _through
+from scenec.quality.ladder import cost
+from scenec.quality.ladder.pixel_means import pixel_means
+from scenec.quality.ladder.textures import _Picture, _rung, _through
+from scenec.testing.examples import examples
 
 
 def read(level: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdLux
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
@@ -25,6 +24,7 @@ from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light import Lamp, SkyLight, SunLight
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.testing.small import small_cfg, write_cfg
 
 LIGHTS = "/World/Lights"
 MOUNT = {"position_m": [0.3, 0.1, -0.2], "rotation_deg": [-10, 20, 5]}

@@ -7,11 +7,9 @@ import json
 from itertools import combinations
 from pathlib import Path
 
-import models
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.run.session import Session
@@ -19,6 +17,8 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep, Needs, needs_of
 from scenec.schemas.passes import PASSES
+from scenec.testing import models
+from scenec.testing.small import small_cfg, write_cfg
 
 COLOR, LABELS, IDS = {"rgb"}, {"label"}, {"instance", "amodal"}
 ALWAYS = set(PASSES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.run.session import Session
 from scenec.backends.run.units import Opening, open_stage
@@ -12,6 +11,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.units import Keeper
+from scenec.testing.small import small_cfg, write_cfg
 
 PASSES = ("depth", "instance", "label", "normal", "face")
 

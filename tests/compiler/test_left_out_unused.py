@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.needed import Needs, with_color, without_unused
+from scenec.testing.examples import examples
 
 SEEN = Needs(True, True, True)
 

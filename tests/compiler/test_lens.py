@@ -7,7 +7,6 @@ import math
 import cv2
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import HealthCheck, assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from scenec.schemas.lens import (
     to_pixels,
     to_plane,
 )
+from scenec.testing.examples import examples
 
 K = np.array([[412.5, 0.0, 320.25], [0.0, 409.75, 239.5], [0.0, 0.0, 1.0]])
 MILD = Lens("brown_conrady", (-0.28, 0.07, 1.2e-3, -8e-4, 0.0, 0.0, 0.0, 0.0))

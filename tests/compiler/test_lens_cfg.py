@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
@@ -18,6 +17,7 @@ from scenec.compiler.geometry import lenses
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.lens import Lens, radial
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def cfg_with(**sensor: Any) -> dict[str, Any]:

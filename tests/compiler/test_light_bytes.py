@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from elsewhere import COMPILE, printed_elsewhere
-from small import small_cfg, write_cfg
 from test_compile import compiled, hashes
 
 from scenec.schemas.exr import write_rgb
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def lit_cfg(folder: Path, sky: dict[str, Any]) -> dict[str, Any]:

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.kinds import schema
 from scenec.schemas.errors import CfgError, ScenecError
+from scenec.testing.small import small_cfg, write_cfg
 
 #: Sizes of arrays and numbers of things: what they do is take time.
 _COUNTS = ("version", "batches", "samples", "count", "resolution", "max_triangles", "subdivisions")

@@ -11,7 +11,6 @@ import OpenEXR
 import pytest
 from PIL import Image
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
@@ -20,6 +19,7 @@ from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import MAP_CHANNELS, decode, read_pixels
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def mapped_cfg(folder: Path) -> dict:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 from elsewhere import printed_elsewhere, printed_here
-from overhangs import shelter, write
 from pxr import Gf, Usd, UsdGeom
-from small import small_cfg, write_cfg
+
+from scenec.testing.overhangs import shelter, write
+from scenec.testing.small import small_cfg, write_cfg
 
 _HASHES = """
 import hashlib, sys

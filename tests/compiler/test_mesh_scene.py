@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from overhangs import keys, shelter, write
-from small import small_cfg, write_cfg
 from test_mesh_surface import GRID, base, hits
 from test_scatter import quaternions, shape
 
@@ -28,6 +26,8 @@ from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.overhangs import keys, shelter, write
+from scenec.testing.small import small_cfg, write_cfg
 
 N = 400
 PROTOTYPES = build_prototypes([shape(1, level=2), shape(2, level=2)])

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from overhangs import FORMATS, keys, shelter, triangles, write
 
 from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.surface import Surface
@@ -19,6 +18,7 @@ from scenec.compiler.terrain.sources.mesh_base import MeshBase, Roughness
 from scenec.compiler.terrain.sources.mesh_plan import PlanBins, see, top_at
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface, roughened, subdivided
 from scenec.schemas.errors import SceneError
+from scenec.testing.overhangs import FORMATS, keys, shelter, triangles, write
 
 GRID = Grid.with_spacing((20.0, 20.0), 0.5)
 MERGE = Merge(3, 5.0, 4, 0.5, 2.0, 0.2, 4.0, 0.5)

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elsewhere import printed_elsewhere, printed_here
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
@@ -20,6 +18,8 @@ from scenec.compiler.geometry.rotations import upright_to
 from scenec.compiler.objects.placed import PoseKeys, slerp
 from scenec.compiler.objects.poses import quaternion_of
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.examples import examples
+from scenec.testing.small import small_cfg, write_cfg
 
 #: A table: a top of 1 m by 1 m at 0.8 m, and a leg; meters, Z up.
 TABLE = {"top": ((-0.5, -0.5, 0.7), (0.5, 0.5, 0.8)), "leg": ((-0.1, -0.1, 0.0), (0.1, 0.1, 0.7))}

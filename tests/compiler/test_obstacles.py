@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from laying import laid, plan, surroundings
@@ -20,6 +19,7 @@ from scenec.compiler.geometry.voxels import Cubes, voxels_of
 from scenec.compiler.objects.plan import ModelSource
 from scenec.compiler.objects.scatter import scatter
 from scenec.schemas.errors import SceneError
+from scenec.testing.examples import examples
 
 
 def tree(crown_m: float = 3.0, branch_at_m: float | None = None) -> trimesh.Trimesh:

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 from killed import contents, killed_at_each_call
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.files import check_files
 from scenec.compiler.build import BuildLog, build
@@ -33,6 +32,7 @@ from scenec.schemas.files import atomic, inside, sweep, temporary_folder
 from scenec.schemas.lock import LOCK, BusyError, Lock, is_alive, process_id
 from scenec.schemas.manifest import read_manifest, stage_digest
 from scenec.schemas.update import UPDATE, finish_update, replace_files
+from scenec.testing.small import small_cfg, write_cfg
 
 STAGE = {
     "stage.usda": "#usda 1.0",

@@ -6,9 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import photons
 import pytest
-from small import small_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.light.build import build_light, without_dark
@@ -17,6 +15,8 @@ from scenec.compiler.light.overcast import OvercastSky, overcast_sky, reflected,
 from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.scene.light import SunLight
 from scenec.schemas.errors import CfgError
+from scenec.testing import photons
+from scenec.testing.small import small_cfg
 
 GRAY = np.array([1.0, 1.0, 1.0])
 

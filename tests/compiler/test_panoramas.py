@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 from pxr import Usd
-from small import small_cfg, write_cfg
 
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.camera.rays import camera_rays
@@ -37,6 +35,8 @@ from scenec.compiler.light.picture_sun import DIAMETER_DEG, extract_sun
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.exr import write_rgb
+from scenec.testing.examples import examples
+from scenec.testing.small import small_cfg, write_cfg
 
 HEIGHT = 256
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from outlines import SHAPES, edges, is_simple, keyhole, shoelace, turn
 
 from scenec.schemas.polygons import triangulate
+from scenec.testing.examples import examples
+from scenec.testing.outlines import SHAPES, edges, is_simple, keyhole, shoelace, turn
 
 FLAT = "a polygon with corners that repeat or stand in line has triangles without area"
 CROSSES = "a polygon that crosses itself is cut into triangles that overlap"

@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
-from small import small_cfg, write_cfg
 
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.left_out import LEFT_OUT, Reason, read_left_out
 from scenec.schemas.manifest import read_manifest, stage_digest
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def _cfg() -> dict:

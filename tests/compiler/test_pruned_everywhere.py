@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 from test_panoramas import sky_with
 
 from scenec.compiler.compile import compile_cfg
@@ -17,6 +16,7 @@ from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.materials.values import gray_picture
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.exr import write_rgb
+from scenec.testing.small import small_cfg, write_cfg
 
 _DULL = Material((0.4, 0.3, 0.2), 0.9, 0.04, 0.0)
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from elsewhere import COMPILE, printed_elsewhere
-from small import small_cfg, write_cfg
 from test_compile import hashes
 from test_motions import around, balls, hills
 
@@ -22,6 +21,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 FREE = Limits()
 KEYS = (

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from pxr import Sdf, Usd
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError, StageError
+from scenec.testing.small import small_cfg, write_cfg
 
 LAWS = {
     "sand": {"type": "hapke", "b": {"type": "uniform", "min": 0.2, "max": 0.3}, "c": -0.4},

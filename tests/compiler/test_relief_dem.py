@@ -10,7 +10,6 @@ import pytest
 import scipy.sparse
 import scipy.sparse.linalg
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.compiler.assets.dem_file import read_dem
 from scenec.compiler.cfg.load import load
@@ -19,6 +18,7 @@ from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.dem import Dem
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
 from scenec.compiler.terrain.operators.stream_power import StreamPower, implicit_slope
 from scenec.compiler.terrain.operators.thermal import Thermal
 from scenec.schemas.threads import at_most
+from scenec.testing.examples import examples
 
 RIVERS = StreamPower(erodibility=1e-5, uplift_m_per_a=1e-3, duration_a=1e6, steps=20)
 REPOSE = np.tan(np.deg2rad(33.0))

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,6 +19,7 @@ from scenec.compiler.terrain.operators.polygons import Polygons
 from scenec.compiler.terrain.operators.terraces import Terraces
 from scenec.schemas.errors import SceneError
 from scenec.schemas.threads import at_most
+from scenec.testing.examples import examples
 
 DUNES = Dunes(key=5, height_m=2.0, wavelength_m=30.0, wind_deg=0.0, repose_deg=33.0, order=0.3)
 RIPPLES = Ripples(

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.compiler.assets.polyline import read_polyline
 from scenec.compiler.build import BuildLog, build
@@ -33,6 +32,7 @@ from scenec.compiler.terrain.polyline import project
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 GRID = Grid.with_spacing((20.0, 10.0), 0.1)
 

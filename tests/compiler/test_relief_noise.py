@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from one_octave import perlin2
@@ -26,6 +25,7 @@ from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley
 from scenec.schemas.threads import at_most
+from scenec.testing.examples import examples
 
 VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]
 FRACTAL = Multifractal(

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import test_adaptive
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
@@ -35,6 +33,8 @@ from scenec.compiler.terrain.sources.plane import Plane
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.threads import at_most
+from scenec.testing.examples import examples
+from scenec.testing.small import small_cfg, write_cfg
 
 SIZE = (30.0, 24.0)
 

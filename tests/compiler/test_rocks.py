@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 from elsewhere import digest_elsewhere
-from small import small_cfg
 
 from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
@@ -31,6 +30,7 @@ from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operators.dunes import Dunes
 from scenec.compiler.views.resolution import NO_VIEWS, Views, views_of
 from scenec.schemas.errors import SceneError
+from scenec.testing.small import small_cfg
 
 FAMILIES = (
     "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",

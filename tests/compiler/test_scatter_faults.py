@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 CRATERS = {"type": "crater_freshness", "min": 0.2}
 CLUSTERS = {"type": "clusters", "sigma_m": 1}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
 
 from scenec.compiler.geometry.se3 import METHODS, interpolate, matrices
+from scenec.testing.examples import examples
 
 ALL = list(METHODS)
 

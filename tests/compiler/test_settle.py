@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from overhangs import shelter, write
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
@@ -26,6 +24,8 @@ from scenec.schemas.errors import OutputError, ScenecError
 from scenec.settle.settle import settle
 from scenec.settle.shapes import shape_of
 from scenec.settle.world import Options
+from scenec.testing.overhangs import shelter, write
+from scenec.testing.small import small_cfg, write_cfg
 
 pytest.importorskip("mujoco")
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.scene.ground import Ground
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def ground(folder: Path, shades: list[dict] | None, slope: float = 0.0) -> Ground:

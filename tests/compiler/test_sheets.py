@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from models import gltf_parts
-from overhangs import glb
 from pxr import Usd
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
@@ -15,6 +12,9 @@ from scenec.compiler.assets.model import read_model
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
+from scenec.testing.models import gltf_parts
+from scenec.testing.overhangs import glb
+from scenec.testing.small import small_cfg, write_cfg
 
 THROUGH = "KHR_materials_diffuse_transmission"
 

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small
 from numpy.typing import NDArray
-from pruned_scenes import annotation, compiled, drawn_cfg
 from scipy.spatial.transform import Rotation
 from shutter_cfgs import ORBIT, SHUTTER, cfg
 
@@ -39,6 +37,8 @@ from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.left_out import read_left_out
 from scenec.schemas.lens import Lens, directions, to_plane
 from scenec.schemas.shutter import Shutter, between
+from scenec.testing import small
+from scenec.testing.pruned_scenes import annotation, compiled, drawn_cfg
 
 SENSOR = Sensor(
     "front", (200, 100), (180.0, 182.0, 98.0, 53.0, 0.5), np.eye(4), np.zeros(1), ("depth",)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import small
 from pxr import Gf, Sdf, Usd, UsdGeom
 from shutter_cfgs import SHUTTER, cfg
 
@@ -27,6 +26,7 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.shutter import Shutter, between
+from scenec.testing import small
 
 
 @pytest.fixture(scope="module")

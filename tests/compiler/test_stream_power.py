@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.compiler.terrain.grid import Grid
@@ -17,6 +16,7 @@ from scenec.compiler.terrain.operators.drainage import SIDES, outlet_samples
 from scenec.compiler.terrain.operators.hillslopes import Hillslopes
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.stream_power import AIM, USUAL_STEPS, StreamPower
+from scenec.testing.small import small_cfg, write_cfg
 
 #: One of each number, and both kinds of pairs; all others are slow.
 QUICK = {SIDES[:1], SIDES[:2], SIDES[1:3], SIDES[:3], SIDES}

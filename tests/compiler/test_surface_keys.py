@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 from pxr import Usd, UsdShade
-from small import small_cfg, write_cfg
 
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
@@ -20,6 +19,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def keyed_cfg() -> dict:

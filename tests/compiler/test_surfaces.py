@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from elsewhere import COMPILE, printed_elsewhere
 from PIL import Image
-from small import small_cfg, write_cfg
 from test_compile import compiled, hashes
 
 from scenec.backends.check.stage import check_stage
@@ -30,6 +29,7 @@ from scenec.compiler.materials.values import encoded, forget_pixels, picture_of,
 from scenec.compiler.scene.material import Material, MaterialMaps, Picture
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
+from scenec.testing.small import small_cfg, write_cfg
 
 KINDS = sorted(CHOICES["surface"].kinds)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.texture_set import TextureSetError, recognize
@@ -21,6 +20,7 @@ from scenec.compiler.materials.values import colors, raw
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
+from scenec.testing.small import small_cfg, write_cfg
 
 SCHEMES = {
     "ambientCG": (

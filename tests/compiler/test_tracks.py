@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
-from small import small_cfg, write_cfg
 
 from scenec.compiler.assets.tracks import read_stamped
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
 

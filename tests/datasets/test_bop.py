@@ -8,7 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_frames import (
+from PIL import Image
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from scenec.backends.run.render import render
+from scenec.compiler.compile import compile_cfg
+from scenec.datasets.export import Choice, export
+from scenec.datasets.filters import make_filters
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.instances import BATCH_TABLE, read_table, write_table
+from scenec.testing.made_frames import (
     LEFT,
     SIDE,
     THINGS,
@@ -19,17 +29,7 @@ from made_frames import (
     off_surface,
     outline,
 )
-from PIL import Image
-from scipy import ndimage
-from scipy.spatial.transform import Rotation
-from small import small_cfg, write_cfg
-
-from scenec.backends.run.render import render
-from scenec.compiler.compile import compile_cfg
-from scenec.datasets.export import Choice, export
-from scenec.datasets.filters import make_filters
-from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.instances import BATCH_TABLE, read_table, write_table
+from scenec.testing.small import small_cfg, write_cfg
 
 SCENES = {"000000": LEFT, "000001": SIDE}
 BY_NUMBER = {thing.number: thing for thing in THINGS}

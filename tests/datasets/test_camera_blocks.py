@@ -11,12 +11,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import webdataset
-from made_output import Passes, make_output, some_passes
 from sensor_frames import add_sensor
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.datasets.torch_dataset import FrameDataset, collate
+from scenec.testing.made_output import Passes, make_output, some_passes
 
 ROLLS, STILL = "rover_left", "rover_right"
 

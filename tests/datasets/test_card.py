@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_output import make_output
 from tiny_format import contents, install
 
 from scenec.cli.main import parser
@@ -24,6 +23,7 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.splits import parse_splits
+from scenec.testing.made_output import make_output
 
 CFG = '{\n "name": "ä ``` | box",\n "version": 1\n}\n'
 FLINT = {

@@ -13,13 +13,13 @@ from cityscapesscripts.helpers.labels import id2label
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from made_output import LABELS, make_output, pose_of, some_passes
 from PIL import Image
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.cityscapes import instance_values
 from scenec.schemas.errors import OutputError
+from scenec.testing.made_output import LABELS, make_output, pose_of, some_passes
 
 CORE = "all/batch0000/batch0000_000001_000001"
 
@@ -184,7 +184,7 @@ def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(
     body = turn(2, 2.0) @ turn(1, -0.4) @ turn(0, 0.7)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1)
-    monkeypatch.setattr("made_output.pose_of", lambda camera, sample: pose)
+    monkeypatch.setattr("scenec.testing.made_output.pose_of", lambda camera, sample: pose)
     out = make_output(tmp_path / "out", batches=1, cameras=("c",), samples=1)
     folder = exported(out, tmp_path / "d")
     path = folder / "camera/all/batch0000/batch0000_000000_000000_camera.json"

@@ -14,13 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from made_output import LABELS, make_output, same_tree, some_passes
 from PIL import Image
-from processes import until
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
@@ -35,6 +32,9 @@ from scenec.schemas.amodal import Amodal, write_amodal
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.rle import encode_ids
+from scenec.testing.examples import examples
+from scenec.testing.made_output import LABELS, make_output, same_tree, some_passes
+from scenec.testing.processes import until
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
@@ -336,7 +336,7 @@ def test_pictures_are_linked_copied_or_left_out(tmp_path):
 def test_what_tables_say_of_hidden_parts_goes_along(tmp_path):
     out = make_output(tmp_path / "out")
     coco = coco_of(out, tmp_path / "set")
-    # tests/made_output.py: one pixel hidden, one more beyond the border.
+    # testing/made_output.py: one pixel hidden, one more beyond the border.
     for each in coco.dataset["annotations"]:
         area = each["area"]
         assert each["amodal_area"] == area + 1

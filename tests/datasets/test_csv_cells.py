@@ -88,8 +88,9 @@ def test_every_module_that_writes_csv_guards_its_cells():
             "compiler",
             "backends",
             "datasets",
-            "studies",
+            "quality",
             "settle",
+            "api",
             "cli",
             "importers",
         )

@@ -1,6 +1,6 @@
 """Each fault of the robustness study in what exporters read ends in one error, or a sound dataset.
 
-The study itself (``studies/robustness/fuzz.py --kinds export``) makes hundreds of each format.
+The study itself (``lab/robustness/fuzz.py --kinds export``) makes hundreds of each format.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.registry import format_names
 from scenec.datasets.verify import verify
 from scenec.schemas.errors import ScenecError
-from scenec.studies.robustness import exports
+from scenec.testing import exports
 
 
 @pytest.fixture(scope="module")

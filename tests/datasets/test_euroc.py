@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 import yaml
 from evo.tools.file_interface import read_euroc_csv_trajectory
-from made_frames import (
+from PIL import Image
+
+from scenec.datasets.export import Choice, export
+from scenec.schemas.errors import OutputError
+from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
     SIDE,
@@ -20,10 +24,6 @@ from made_frames import (
     misprediction,
     off_surface,
 )
-from PIL import Image
-
-from scenec.datasets.export import Choice, export
-from scenec.schemas.errors import OutputError
 
 SENSORS = (LEFT, RIGHT, SIDE)
 

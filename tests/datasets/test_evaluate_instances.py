@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_frames import make_out
-from made_output import make_output, some_passes
 from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
@@ -24,6 +22,8 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
+from scenec.testing.made_frames import make_out
+from scenec.testing.made_output import make_output, some_passes
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_frames import LEFT, make_out
-from made_output import make_output, some_passes
 from PIL import Image
 
 from scenec.cli.main import main
@@ -20,6 +18,8 @@ from scenec.datasets.evaluate.depth import evaluate_depth, means
 from scenec.datasets.evaluate.labels import evaluate_labels, iou
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing.made_frames import LEFT, make_out
+from scenec.testing.made_output import make_output, some_passes
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import pytest
 from evo.core import metrics, sync
 from evo.core.units import Unit
 from evo.tools.file_interface import read_tum_trajectory_file
-from made_frames import LEFT, RIGHT, make_out
 from scipy.spatial.transform import Rotation
 
 from scenec.cli.main import main
@@ -19,6 +18,7 @@ from scenec.datasets.evaluate.tracks import evaluate_track, read_tum, track_of
 from scenec.datasets.export import export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing.made_frames import LEFT, RIGHT, make_out
 
 SAMPLES = 9
 

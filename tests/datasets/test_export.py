@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from killed import contents as contents_of
 from killed import killed_at_each_call
-from made_output import make_output, some_passes
 from tiny_format import KILL, contents, counts_of, install
 
 from scenec.backends.run.executors import Processes
@@ -26,6 +25,7 @@ from scenec.datasets.splits import parse_splits
 from scenec.datasets.verify import verify
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.lock import LOCK, Lock
+from scenec.testing.made_output import make_output, some_passes
 
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.exr_parts import without_parts
+from scenec.testing.examples import examples
 
 NAMES = ("rgb", "label.class", "label.Länge", "instance", "depth", "normal")
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from made_output import make_output, some_passes
 
 from scenec.datasets.filters import QUANTITIES, make_filters, parse_condition, quantity
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing.examples import examples
+from scenec.testing.made_output import make_output, some_passes
 
 
 @pytest.fixture(scope="module")

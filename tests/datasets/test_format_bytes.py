@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from made_frames import LEFT, RIGHT, make_out
 
 from scenec.backends.run.executors import Processes
 from scenec.datasets.export import export
 from scenec.datasets.formats.registry import format_names
+from scenec.testing.made_frames import LEFT, RIGHT, make_out
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from made_output import EXPOSURE_EV, LABELS, frame_table, make_output, pose_of, some_passes
 from PIL import Image
 
 from scenec.backends.run.executors import Processes
@@ -21,6 +20,14 @@ from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.picture import develop
+from scenec.testing.made_output import (
+    EXPOSURE_EV,
+    LABELS,
+    frame_table,
+    make_output,
+    pose_of,
+    some_passes,
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import sys
 
 import psutil
 import pytest
-from processes import until_gone
 
 from scenec.datasets.view.jobs import Pool
 from scenec.schemas.errors import OutputError
+from scenec.testing.processes import until_gone
 
 PROGRAM = """
 import time

@@ -12,7 +12,13 @@ import types
 import numpy as np
 import pytest
 from evo.tools.file_interface import read_kitti_poses_file
-from made_frames import (
+from PIL import Image
+
+from scenec.datasets.export import Choice, export
+from scenec.datasets.formats.trajectory import rigs
+from scenec.datasets.source import Source
+from scenec.schemas.errors import OutputError
+from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
     SIDE,
@@ -24,12 +30,6 @@ from made_frames import (
     misprediction,
     off_surface,
 )
-from PIL import Image
-
-from scenec.datasets.export import Choice, export
-from scenec.datasets.formats.trajectory import rigs
-from scenec.datasets.source import Source
-from scenec.schemas.errors import OutputError
 
 # The package's own __init__ loads readers of other benchmarks, one of which needs OpenCV.
 _SPEC = importlib.util.find_spec("pykitti")

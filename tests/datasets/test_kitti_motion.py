@@ -12,11 +12,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
 from numpy.typing import NDArray
 
 from scenec.backends.run.writer import write_frame
@@ -28,6 +26,8 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import FrameKey
+from scenec.testing.examples import examples
+from scenec.testing.made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
 
 BASELINE = RIGHT.offset[0]
 ASTRAY = "pictures of flow that does not lead to the next picture here: written without any"

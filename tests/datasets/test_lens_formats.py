@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from made_frames import LEFT, make_out
 
 from scenec.datasets.export import export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
 from scenec.schemas.lens import Lens
+from scenec.testing.made_frames import LEFT, make_out
 
 BROWN = {"model": "brown_conrady", "coefficients": [-0.2, 0.05, 1e-3, -2e-3, 0, 0, 0, 0]}
 THIRD = {"model": "brown_conrady", "coefficients": [-0.2, 0.05, 1e-3, -2e-3, 0.01, 0, 0, 0]}

@@ -6,10 +6,8 @@ import math
 import zlib
 from pathlib import Path
 
-import made_output
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -21,6 +19,8 @@ from scenec.datasets import motion_colors
 from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
 from scenec.datasets.sheet import write_sheet
 from scenec.datasets.view import fields
+from scenec.testing import made_output
+from scenec.testing.examples import examples
 
 
 def middlebury(u: float, v: float) -> list[int]:

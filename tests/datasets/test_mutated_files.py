@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
-from made_output import make_output
 
 from scenec.backends.check.files import check_files
 from scenec.backends.check.frames import check_frames, check_scans
@@ -32,6 +30,8 @@ from scenec.schemas.left_out import ClassRecord, Reason, Record, read_left_out, 
 from scenec.schemas.manifest import find_batches, gaps, read_manifest
 from scenec.schemas.scans import read_scan, write_scan
 from scenec.schemas.shape import Each, natural, require_shape
+from scenec.testing.examples import examples
+from scenec.testing.made_output import make_output
 
 #: What stands in the place of something: of each kind, and what trips readers up.
 VALUES = st.one_of(

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_frames import make_out
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.contract import Narrowed
 from scenec.datasets.formats.depth_png import fitting_scale, to_16_bits
+from scenec.testing.made_frames import make_out
 
 #: Format, options, steps a meter.
 FORMATS = [

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from made_output import LABELS, make_output, pose_of, some_passes
 from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.oaisys import color_code
 from scenec.schemas.errors import OutputError
+from scenec.testing.made_output import LABELS, make_output, pose_of, some_passes
 
 ROOM = 51 * 51 * 51
 

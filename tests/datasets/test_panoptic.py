@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_output import LABELS, make_output, same_tree, some_passes
 from numpy.typing import NDArray
 from PIL import Image
 from pycocotools import mask as coco_mask
@@ -26,6 +25,7 @@ from scenec.datasets.remap import parse_remap
 from scenec.datasets.source import Source
 from scenec.datasets.splits import parse_splits
 from scenec.schemas.errors import OutputError
+from scenec.testing.made_output import LABELS, make_output, same_tree, some_passes
 
 Dataset = dict[str, Any]
 

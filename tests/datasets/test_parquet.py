@@ -12,13 +12,20 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from made_output import EXPOSURE_EV, LABELS, frame_table, make_output, pose_of, some_passes
 from PIL import Image
 
 from scenec.datasets.export import Choice, export
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.picture import develop
+from scenec.testing.made_output import (
+    EXPOSURE_EV,
+    LABELS,
+    frame_table,
+    make_output,
+    pose_of,
+    some_passes,
+)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from made_frames import LEFT, make_out, rewrite
 from PIL import Image
 from pycocotools.coco import COCO
 
@@ -14,6 +13,7 @@ from scenec.datasets.evaluate import breakdown, coco_files, instances
 from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.schemas.instances import read_frame_table
+from scenec.testing.made_frames import LEFT, make_out, rewrite
 
 #: Instance -> how its pixels are labeled: both parts, one alone, one and none, none at all.
 STEM, FRUIT = 1, 2

@@ -6,9 +6,9 @@ import json
 import tarfile
 
 import h5py
-from made_frames import LEFT, RIGHT, SIDE, make_out, rewrite
 
 from scenec.datasets.export import export
+from scenec.testing.made_frames import LEFT, RIGHT, SIDE, make_out, rewrite
 
 
 def test_hdf5_and_webdataset_name_the_camera_that_disparity_goes_to(tmp_path):

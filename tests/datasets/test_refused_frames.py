@@ -7,12 +7,12 @@ import shutil
 
 import numpy as np
 import pytest
-from made_frames import LEFT, RIGHT, make_out, rewrite
 
 from scenec.backends.check.frames import check_frames
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.registry import format_names
 from scenec.schemas.errors import FrameError
+from scenec.testing.made_frames import LEFT, RIGHT, make_out, rewrite
 
 PLACE = "batch_0000/frames/mitsuba/rover_left/000001"
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from made_output import make_output
 
 from scenec.datasets.remap import parse_remap, read_remap, replaced
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import OutputError
+from scenec.testing.examples import examples
+from scenec.testing.made_output import make_output
 
 LARGEST = 2**32 - 1
 OLD = {"surface": {7: "sky", 20: "sand", 21: "gravel", 22: "mud", 300: "stone"}}

@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 import yaml
 from evo.tools.file_interface import read_bag_trajectory
-from made_frames import (
+from mcap.reader import make_reader
+from PIL import Image
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from scenec.datasets.export import Choice, export
+from scenec.datasets.formats.rosbag2 import _rig_frames
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
     SIDE,
@@ -24,15 +33,6 @@ from made_frames import (
     off_surface,
     rewrite,
 )
-from mcap.reader import make_reader
-from PIL import Image
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
-from scipy.spatial.transform import Rotation
-
-from scenec.datasets.export import Choice, export
-from scenec.datasets.formats.rosbag2 import _rig_frames
-from scenec.schemas.errors import FrameError, OutputError
 
 SENSORS = (LEFT, SIDE)
 TYPES = {"rgb8": np.uint8, "32FC1": np.float32, "16UC1": np.uint16, "32SC1": np.int32}

@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import webdataset
-from made_output import Passes, make_output, some_passes
 from PIL import Image
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -25,6 +24,7 @@ from scenec.datasets.torch_dataset import FrameDataset
 from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import beside_path, read_frame
+from scenec.testing.made_output import Passes, make_output, some_passes
 
 CAMERAS = ("rover_left", "rover_right")
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_output import make_output, some_passes
 from PIL import Image
 
 from scenec.datasets.sheet import write_sheet
 from scenec.schemas.errors import FrameError
+from scenec.testing.made_output import make_output, some_passes
 
 CAMERA = "batch_0000/frames/annotation/a"
 

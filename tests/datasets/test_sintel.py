@@ -9,11 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from made_output import EXPOSURE_EV, Passes, make_output, some_passes
 from numpy.typing import NDArray
 from PIL import Image
 from sensor_frames import add_sensor, on_disk
@@ -23,6 +21,8 @@ from scenec.datasets.formats.sintel import UNKNOWN, flo_bytes
 from scenec.datasets.verify import verify
 from scenec.schemas.errors import OutputError
 from scenec.schemas.picture import develop
+from scenec.testing.examples import examples
+from scenec.testing.made_output import EXPOSURE_EV, Passes, make_output, some_passes
 
 
 def moving(number: int) -> Passes:

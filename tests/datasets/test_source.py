@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_output import LABELS, make_output, some_passes
 
 from scenec.datasets.source import FrameRef, Source, kind_of, sequences
 from scenec.schemas.errors import ForeignFrameError, FrameError, OutputError, StageError
+from scenec.testing.made_output import LABELS, make_output, some_passes
 
 
 @pytest.fixture

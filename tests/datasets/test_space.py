@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.cli.main import main
 from scenec.cli.view_command import _rooms, ground_of
 from scenec.datasets.view.space import space_text, three
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.testing.small import small_cfg, write_cfg
 
 
 def some_model() -> Model:

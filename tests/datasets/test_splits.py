@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.datasets.splits import ALL, assign, parse_splits
 from scenec.schemas.errors import OutputError
+from scenec.testing.examples import examples
 
 names = st.lists(st.text("abcdefghij", min_size=1, max_size=4), min_size=1, max_size=5, unique=True)
 batch_sets = st.sets(st.integers(0, 10_000), min_size=1, max_size=80)

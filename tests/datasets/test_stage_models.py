@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import trimesh
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.cli.main import main
 from scenec.datasets.models.gltf import decomposed
 from scenec.schemas.quaternions import quaternions
+from scenec.testing.small import small_cfg, write_cfg
 
 TEXELS = "texels=16384"
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from fractions import Fraction
 
 import pytest
-from made_frames import LEFT, make_out
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.registry import find_format
 from scenec.schemas.errors import OutputError
+from scenec.testing.made_frames import LEFT, make_out
 
 NANO = 10**9
 #: Seconds: an epoch of its own, Unix time, an odd number of bits, the last that ROS knows.

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from made_output import LABELS, make_output, some_passes
 
 from scenec.datasets import bins
 from scenec.datasets.filters import make_filters
 from scenec.datasets.idset import IdSet, packed
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.datasets.statistics import Statistics, measure
+from scenec.testing.examples import examples
+from scenec.testing.made_output import LABELS, make_output, some_passes
 
 LARGEST = 2**32 - 1
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_output import EXPOSURE_EV, frame_table, make_output, pose_of, some_passes
 
 from scenec.datasets.splits import assign
 from scenec.datasets.torch_dataset import FrameDataset, collate
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.picture import develop
+from scenec.testing.made_output import EXPOSURE_EV, frame_table, make_output, pose_of, some_passes
 
 
 @pytest.fixture(scope="module")

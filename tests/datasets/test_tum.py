@@ -7,7 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from evo.tools.file_interface import read_tum_trajectory_file
-from made_frames import (
+from PIL import Image
+
+from scenec.datasets.export import Choice, export
+from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
     Sensor,
@@ -18,10 +22,6 @@ from made_frames import (
     misprediction,
     off_surface,
 )
-from PIL import Image
-
-from scenec.datasets.export import Choice, export
-from scenec.schemas.errors import FrameError, OutputError
 
 
 @pytest.fixture(scope="module")

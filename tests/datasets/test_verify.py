@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_output import make_output, some_passes
 from PIL import Image
-from small import small_cfg, write_cfg
 from tiny_format import contents, install
 
 from scenec.backends.run.render import render
@@ -23,6 +21,8 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.verify import compare, is_dataset, verify
 from scenec.schemas.errors import OutputError
+from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.small import small_cfg, write_cfg
 
 FRAME = "batch_0001/rover_left/000001"
 

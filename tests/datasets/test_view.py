@@ -13,10 +13,8 @@ import tracemalloc
 import zlib
 from pathlib import Path
 
-import made_output
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -31,6 +29,8 @@ from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.frames import frame_stem, read_frame
 from scenec.schemas.picture import develop
+from scenec.testing import made_output
+from scenec.testing.examples import examples
 
 ELEMENT = re.compile(rb'<template id="(\w+)">(.*?)</template>', re.DOTALL)
 

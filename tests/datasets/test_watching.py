@@ -8,13 +8,13 @@ import os
 import re
 from pathlib import Path
 
-import made_output
 import pytest
 
 from scenec.cli import view_command
 from scenec.cli.main import parser
 from scenec.datasets.view.page import write_view
 from scenec.datasets.view.watching import sign_of, state_of
+from scenec.testing import made_output
 
 
 def passes(number: int) -> made_output.Passes:

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from small import small_cfg, write_cfg
+
+from scenec.testing.small import small_cfg, write_cfg
 
 #: Packages that only one kind of work needs.
 RENDERERS = {"mitsuba", "drjit", "bpy", "pyrender", "OpenGL", "moderngl"}

@@ -90,9 +90,15 @@ def test_ruff_refuses_machine_dependent_functions_in_the_compiler() -> None:
     assert banned_lines("backends/scratch.py", lines) == set()
 
 
-def test_every_layer_has_its_bans_or_none_to_have() -> None:
-    with_file = {layer for layer in LAYERS if (ROOT / layer / "ruff.toml").exists()}
-    assert with_file == set(LAYERS) - {"cli"}
+def test_every_layer_has_its_bans() -> None:
+    assert {layer for layer in LAYERS if (ROOT / layer / "ruff.toml").exists()} == set(LAYERS)
+
+
+def test_ruff_refuses_the_lab_in_a_test() -> None:
+    lines = ["import scenec.lab.runner", "from scenec.lab import runner", "from scenec import lab"]
+    lines += ["import scenec.testing.small"]
+    assert banned_lines("tests/scratch.py", lines) == {1, 2, 3}
+    assert banned_lines("lab/tests/scratch.py", lines) == set()
 
 
 @pytest.mark.parametrize(
@@ -185,7 +191,7 @@ def test_the_compiler_holds_no_machine_dependent_construction() -> None:
 @pytest.mark.parametrize("layer", LAYERS)
 def test_only_the_module_of_kernels_imports_numba(layer: str) -> None:
     lines = ["import numba", "from numba import njit", "from numba.core import config"]
-    expected = set() if layer in ("studies", "cli") else {1, 2, 3}
+    expected = set() if layer in ("quality", "cli", "testing", "lab") else {1, 2, 3}
     assert banned_lines(f"{layer}/scratch.py", lines) == expected
     assert banned_lines("schemas/kernels.py", lines) == set()
 
@@ -208,7 +214,7 @@ def test_what_a_slow_moment_would_fail_is_found(line: str) -> None:
 
 
 def test_no_test_fails_for_a_slow_moment() -> None:
-    files = list(python_files(ROOT / "tests"))
+    files = [*python_files(ROOT / "tests"), *python_files(ROOT / "lab" / "tests")]
     assert len(files) > 200
     found = [
         violation

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.annotation.registry import find_pass
 from scenec.backends.run.executors import make_executor
@@ -25,6 +24,7 @@ from scenec.datasets.export import export
 from scenec.datasets.formats.registry import find_format
 from scenec.schemas import plugins
 from scenec.schemas.errors import OutputError, PluginError, SceneError
+from scenec.testing.small import small_cfg, write_cfg
 
 SOURCE = """
 from dataclasses import dataclass

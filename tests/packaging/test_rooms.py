@@ -16,8 +16,11 @@ ROOT = Path(__file__).resolve().parents[2]
 HOUSE = (
     ("schemas",),
     ("compiler", "backends", "datasets"),
-    ("importers", "settle", "studies"),
+    ("importers", "settle", "quality"),
+    ("api",),
     ("cli",),
+    ("testing",),
+    ("lab",),
 )
 #: The same within a folder, of its rooms and of what stands in no room.
 FLOORS = {
@@ -70,15 +73,22 @@ FLOORS = {
         ("assets", "output"),
         ("blenderproc", "oaisys", "usd"),
     ),
-    "studies": (
-        ("runner", "converge", "ladder", "ground_statistics"),
+    "api": (
+        ("text",),
+        ("explain", "outputs"),
+        ("preview",),
+    ),
+    "quality": (("converge", "ladder"),),
+    "lab": (
+        ("runner", "models"),
         ("benchmarks",),
         ("experiments", "pages"),
         ("robustness",),
+        ("tests",),
     ),
 }
 #: They have files alone, which must not import in a ring.
-FLAT = {"schemas", "settle", "cli"}
+FLAT = {"schemas", "settle", "cli", "testing"}
 #: Folders that further ones are closed to, above what ``HOUSE`` says.
 CLOSED = {
     "settle": {"backends", "datasets"},
@@ -174,6 +184,23 @@ def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_t
         for other in imported(file.read_text(encoding="utf-8"), "backends", names)
     }
     assert found == {"stage"}
+
+
+def test_tests_and_the_lab_import_nothing_of_each_other() -> None:
+    tests = {file.stem for file in (ROOT / "tests").rglob("*.py")}
+    names = set(modules("lab"))
+    wrong = []
+    for file in (file for layer in ("testing", "lab") for file in modules(layer).values()):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found = {alias.name for alias in node.names} & tests
+            else:
+                found = {node.module} & tests if isinstance(node, ast.ImportFrom) else set()
+            wrong += [f"{file.relative_to(ROOT)} imports {name}" for name in sorted(found)]
+    for file in (ROOT / "tests").rglob("*.py"):
+        of_lab = imported(file.read_text(encoding="utf-8"), "lab", names)
+        wrong += [f"{file.relative_to(ROOT)} imports lab.{name}" for name in sorted(of_lab)]
+    assert wrong == []
 
 
 @pytest.mark.parametrize("layer", sorted([*FLOORS, *FLAT]))

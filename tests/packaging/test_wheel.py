@@ -14,13 +14,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-LAYERS = ("schemas", "compiler", "backends", "datasets", "studies", "settle", "importers", "cli")
+LAYERS = ("schemas", "compiler", "backends", "datasets", "quality", "settle", "importers", "api",
+          "cli")  # fmt: skip
 #: Folders that come whole.
 DATA = ("assets", "configs")
-#: Scripts of the checkout, which read its tests and write its pages.
-SCRIPTS = tuple(f"studies/{room}/" for room in ("benchmarks", "experiments", "pages", "robustness"))
+#: What stays in the checkout.
+KEPT = ("testing", "lab")
 #: What the source distribution and the build need of the checkout.
-SOURCES = (*LAYERS, *DATA, "src", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = (*LAYERS, *DATA, *KEPT, "src", "pyproject.toml", "README.md", "LICENSE")
 PROGRAM = """
 import json, sys
 from importlib.resources import files
@@ -86,12 +87,12 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def modules() -> set[str]:
     """Every file that a wheel must hold, as its name inside the wheel."""
-    names = set()
+    names = {"scenec/__init__.py"}
     for layer in LAYERS:
         for path in (ROOT / layer).rglob("*"):
             shipped = path.suffix in (".py", ".json", ".vert", ".frag", ".html", ".css", ".js")
             name = str(path.relative_to(ROOT))
-            if shipped and "__pycache__" not in path.parts and not name.startswith(SCRIPTS):
+            if shipped and "__pycache__" not in path.parts:
                 names.add(f"scenec/{name}")
     data = (path for folder in DATA for path in (ROOT / folder).rglob("*") if path.is_file())
     return names | {f"scenec/{path.relative_to(ROOT)}" for path in data}

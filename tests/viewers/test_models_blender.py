@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small import small_cfg, write_cfg
 
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.cli.main import main
+from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.slow
 

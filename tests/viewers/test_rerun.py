@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 
-import made_output
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,6 +14,7 @@ from sensor_frames import add_sensor, on_disk
 
 from scenec.datasets.recording import log_frames
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing import made_output
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,6 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import made_output
 import numpy as np
 import pytest
 from browser import open_browser
@@ -21,6 +20,7 @@ from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import write_view
 from scenec.schemas.frames import frame_stem, read_frame
 from scenec.schemas.manifest import Batch
+from scenec.testing import made_output
 
 pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 96, 64

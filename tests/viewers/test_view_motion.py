@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import made_output
 import numpy as np
 import pytest
 from browser import open_browser
@@ -18,6 +17,7 @@ from sensor_frames import add_sensor, on_disk
 
 from scenec.datasets import motion_colors
 from scenec.datasets.view.page import write_view
+from scenec.testing import made_output
 
 pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 60, 40

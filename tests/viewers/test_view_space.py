@@ -6,7 +6,6 @@ import base64
 import io
 from collections.abc import Iterator
 
-import made_output
 import numpy as np
 import pytest
 from browser import open_browser
@@ -17,6 +16,7 @@ from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import write_view
 from scenec.schemas.manifest import Batch
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.testing import made_output
 
 pytestmark = pytest.mark.slow
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import made_output
 import pytest
 from browser import open_browser
 
 from scenec.datasets.view.page import write_view
 from scenec.datasets.view.watching import sign_of, write_sign
+from scenec.testing import made_output
 
 pytestmark = pytest.mark.slow
 

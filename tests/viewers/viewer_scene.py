@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from small import small_cfg, write_cfg
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Visibility
@@ -18,6 +17,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
+from scenec.testing.small import small_cfg, write_cfg
 
 SKY, GROUND, ROCK = 0, 1, 2
 

@@ -1,0 +1,1 @@
+"""The library that the commands call, and that ``import scenec`` gives."""

@@ -1,0 +1,383 @@
+"""A page that shows what a cfg makes, and follows the file."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import io
+import json
+import re
+import secrets
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.schemas.errors import CfgError, ScenecError
+from scenec.schemas.files import Stamp, atomic, check_output, stamp
+from scenec.schemas.scratch import scratch_folder
+
+if TYPE_CHECKING:
+    from scenec.compiler.cfg.load import Spec
+    from scenec.schemas.units import Executor
+
+#: Seconds between two looks at the files, and that a browser's question may wait.
+_LOOK_S, _WAIT_S = 0.25, 20.0
+#: Samples of each camera that are drawn, first the first one.
+_SAMPLES = 4
+#: Cells of the map along its longer side.
+_CELLS = 360
+#: By these names alone the page is answered, and this is a version of its facts.
+_OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
+_VERSION = re.compile("[0-9]{1,18}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreviewOptions:
+    """What a preview shows.
+
+    Attributes:
+        settings: What is set over the cfg, each ``path=value``.
+        seed: Of the compilation.
+        backend: Who draws.
+        spp: Samples a pixel.
+        width: Pixels that pictures are wide at most.
+        cache: Folder of steps that earlier compilations made; None: all is made.
+    """
+
+    settings: Sequence[str] = ()
+    seed: int = 0
+    backend: str = "pyrender"
+    spp: int = 8
+    width: int = 480
+    cache: Path | None = None
+
+
+def write_preview(cfg: Path | str, to: Path | str, options: PreviewOptions) -> None:
+    """Writes the page once, as a file that asks nobody.
+
+    Args:
+        cfg: The cfg's file.
+        to: The HTML file.
+        options: What is shown.
+
+    Raises:
+        CfgError: The cfg has faults.
+        ScenecError: The scene cannot be made, or the page not be written.
+    """
+    to = Path(to)
+    check_output(to)
+    with _previewing(cfg, options, lambda _line: None) as preview:
+        preview.make(preview.load())
+        with atomic(to) as temporary:
+            temporary.write_bytes(page(preview.state.facts(), live=False))
+
+
+@contextlib.contextmanager
+def live_preview(
+    cfg: Path | str, options: PreviewOptions, *, port: int = 0, say: Callable[[str], None]
+) -> Iterator[tuple[str, Preview]]:
+    """Serves the page to this machine's own user; ``Preview.follow`` keeps it up to date.
+
+    Args:
+        cfg: The cfg's file.
+        options: What is shown.
+        port: Of the page; 0 takes a free one.
+        say: Called with the faults of the cfg, as the page shows them.
+
+    Raises:
+        ScenecError: The port is taken.
+    """
+    with _previewing(cfg, options, say) as preview, _served(preview.state, port) as address:
+        yield address, preview
+
+
+@contextlib.contextmanager
+def _previewing(
+    cfg: Path | str, options: PreviewOptions, say: Callable[[str], None]
+) -> Iterator[Preview]:
+    from scenec.backends.run.executors import make_executor
+
+    with scratch_folder() as folder, make_executor(1) as executor:
+        yield Preview(str(cfg), options, Path(folder), executor, say)
+
+
+class PreviewState:
+    """What the page shows; changed by one thread, read by many."""
+
+    def __init__(self) -> None:
+        self._facts: dict[str, Any] = {"version": 0, "doing": "", "faults": [], "pictures": []}
+        self._changed = threading.Condition()
+
+    def set(self, **facts: Any) -> None:
+        """Change some of it."""
+        with self._changed:
+            self._facts = {**self._facts, **facts, "version": self._facts["version"] + 1}
+            self._changed.notify_all()
+
+    def facts(self) -> dict[str, Any]:
+        """All of it."""
+        return self._facts
+
+    def after(self, version: int) -> dict[str, Any]:
+        """All of it, once it is another version, or after some time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._facts["version"] != version, _WAIT_S)
+            return self._facts
+
+
+class Preview:
+    """Compiles coarsely and draws, again and again."""
+
+    def __init__(
+        self,
+        cfg: str,
+        options: PreviewOptions,
+        folder: Path,
+        executor: Executor,
+        say: Callable[[str], None],
+    ) -> None:
+        self.state = PreviewState()
+        self._cfg, self._options, self._say = cfg, options, say
+        self._folder, self._executor = folder, executor
+        self._made, self._out = 0, folder / "0"
+        self._files: tuple[str, ...] = (cfg,)
+
+    def follow(self) -> None:
+        """Make it, and make it again whenever a file has changed."""
+        while True:
+            seen = self._stamps()
+            try:
+                spec = self.load()
+                seen = self._stamps()
+                self.make(spec, lambda seen=seen: self._stamps() != seen)
+            except CfgError as error:
+                lines = [str(fault) for fault in error.faults]
+                self.state.set(faults=lines, doing="")
+                self._say("\n".join(lines))
+            except ScenecError as error:
+                self.state.set(faults=[str(error)], doing="")
+                self._say(str(error))
+            self._wait(seen)
+
+    def load(self) -> Spec:
+        """The cfg, with smaller pictures: meshes and levels of detail follow these.
+
+        Raises:
+            CfgError: It has faults.
+        """
+        from scenec.compiler.cfg import sources
+        from scenec.compiler.cfg.load import load
+
+        options = self._options
+        self.state.set(doing=f"reading {self._cfg}")
+        with contextlib.suppress(CfgError):
+            read = sources.read(sources.located(Path(self._cfg)), options.settings)
+            places = read.document.values.values()
+            self._files = tuple(dict.fromkeys(p.file for p in places if p.line)) or self._files
+        spec = load(self._cfg, options.settings)
+        self._files += tuple(str(file.path) for file in spec.files.values())
+        return load(self._cfg, [*options.settings, *coarse(spec, options.width)])
+
+    def make(self, spec: Spec, stale: Any = lambda: False) -> None:
+        """Compile the first batch, sketch it, draw it.
+
+        Args:
+            spec: The cfg.
+            stale: Whether what is being made is out of date.
+
+        Raises:
+            ScenecError: It cannot be made.
+        """
+        from scenec.api.outputs import Stage
+        from scenec.backends.stage.ground import relief
+        from scenec.compiler.compile import compile_cfg
+        from scenec.schemas.manifest import find_batches
+
+        put = self.state.set
+        # Workers may still hold what lay in the last one.
+        shutil.rmtree(self._out, ignore_errors=True)
+        self._made += 1
+        self._out = self._folder / str(self._made)
+        put(doing="compiling", faults=[str(fault) for fault in spec.warnings])
+        started = time.perf_counter()
+        compile_cfg(
+            spec,
+            seed=self._options.seed,
+            out=self._out,
+            cache=self._options.cache,
+            replace=True,
+            progress=lambda text, place: put(doing=text) if place else None,
+        )
+        took = f"compiled in {time.perf_counter() - started:.1f} s"
+        stage = Stage(find_batches(self._out, [0])[0])
+        _, _, heights = relief(stage.scene, _CELLS)
+        facts = {"map": _png(shaded(heights)), "made": took}
+        cameras = [camera.name for camera in stage.cameras]
+        sketches = [
+            {"name": name, "sample": 0, "sketch": True, "png": _png(stage.sketch(i))}
+            for i, name in enumerate(cameras)
+        ]
+        put(pictures=sketches, doing=f"drawing with {self._options.backend}", **facts)
+        drawn: list[dict[str, Any]] = []
+        for sample in _spread(len(stage.scene.cameras)):
+            if stale():
+                return
+            drawn += self._drawn(sample)
+            done = {picture["name"] for picture in drawn}
+            put(pictures=[*drawn, *(one for one in sketches if one["name"] not in done)])
+        put(doing="", made=f"{took}, all drawn in {time.perf_counter() - started:.1f} s")
+
+    def _drawn(self, sample: int) -> list[dict[str, Any]]:
+        """Pictures of all cameras at a sample."""
+        from scenec.backends.run.render import render
+
+        options = self._options
+        report = render(
+            self._out, options.backend, samples=[sample], spp=options.spp, passes=("rgb",),
+            executor=self._executor,
+        )  # fmt: skip
+        if report.failed:
+            raise ScenecError("; ".join(report.failed))
+        return [
+            {
+                "name": stem.parent.name,
+                "sample": sample,
+                "png": base64.b64encode(stem.with_suffix(".png").read_bytes()).decode(),
+            }
+            for stem in report.frames
+            if stem.name == f"{sample:06d}"
+        ]
+
+    def _wait(self, seen: list[Stamp | None]) -> None:
+        """Wait until files change, and rest: some editors empty one before they write it."""
+        now = last = seen
+        while now == seen or now != last:
+            time.sleep(_LOOK_S)
+            now, last = self._stamps(), now
+
+    def _stamps(self) -> list[Stamp | None]:
+        """What tells whether files have changed; None of one that is away."""
+        stamps: list[Stamp | None] = []
+        for name in self._files:
+            try:
+                stamps.append(stamp(Path(name)))
+            except OSError:
+                stamps.append(None)
+        return stamps
+
+
+def coarse(spec: Spec, width: int) -> list[str]:
+    """Settings that make a cfg quick: one batch, pictures of at most this width.
+
+    Cameras whose intrinsics are given keep their size.
+    """
+    settings = ["batches=1"]
+    for rig, node in spec.cfg["rigs"].items():
+        for name, sensor in node["sensors"].items():
+            across, down = sensor["resolution"]
+            if across > width and sensor["intrinsics"] is None:
+                size = [width, max(1, round(down * width / across))]
+                settings.append(f"rigs.{rig}.sensors.{name}.resolution={json.dumps(size)}")
+    return settings
+
+
+def shaded(heights: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """A map of heights, lit from the northwest, north up: uint8 [h, w, 3]."""
+    filled = np.nan_to_num(heights, nan=float(np.nanmean(heights)))
+    north, east = np.gradient(filled)
+    steep = 2.0 / max(1e-12, float(np.percentile(np.hypot(north, east), 95)))
+    light = (0.7 + steep * (east - north) * 0.3) / np.sqrt(
+        1.0 + (steep * np.hypot(north, east)) ** 2
+    )
+    low, high = filled.min(), filled.max()
+    tone = (filled - low) / max(high - low, 1e-12)
+    color = np.stack([0.55 + 0.35 * tone, 0.5 + 0.35 * tone, 0.42 + 0.3 * tone], axis=-1)
+    picture = np.clip(color * (0.35 + 0.75 * light[..., None]), 0.0, 1.0)
+    return np.round(255.0 * picture[::-1]).astype(np.uint8)
+
+
+def page(facts: dict[str, Any], *, live: bool) -> bytes:
+    """The page, with what it shows first.
+
+    Args:
+        facts: Of ``PreviewState``.
+        live: Whether it goes on asking.
+    """
+    text = (resources.files("scenec.api") / "preview.html").read_text(encoding="utf-8")
+    first = json.dumps({**facts, "live": live}).replace("<", "\\u003c")
+    return text.replace("%FIRST%", first).encode()
+
+
+@contextlib.contextmanager
+def _served(state: PreviewState, port: int) -> Iterator[str]:
+    """Serves the page to who knows its address: this machine's own user.
+
+    The address holds a token, so that neither another user of the machine nor a page of another
+    site can guess it. A name that somebody else lets point to this machine (DNS rebinding) is not
+    answered either.
+    """
+    token = secrets.token_urlsafe(16)
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            path, _, query = self.path.partition("?")
+            given, slash, rest = path.removeprefix("/").partition("/")
+            host = self.headers.get("Host", "")
+            if _OWN_HOST.fullmatch(host) is None:
+                self.send_error(403, "the page answers to 127.0.0.1 and localhost")
+            elif not secrets.compare_digest(given.encode(), token.encode()):
+                self.send_error(403, "the address that the command printed has a token")
+            elif slash and not rest:
+                self._answer("text/html; charset=utf-8", page(state.facts(), live=True))
+            elif rest == "state" and _VERSION.fullmatch(query):
+                facts = json.dumps(state.after(int(query))).encode()
+                self._answer("application/json", facts)
+            else:
+                self.send_error(404)
+
+        def _answer(self, kind: str, content: bytes) -> None:
+            # A browser that turns away is no fault.
+            with contextlib.suppress(ConnectionError):
+                self.send_response(200)
+                self.send_header("Content-Type", kind)
+                self.send_header("Content-Length", str(len(content)))
+                self.send_header("Cache-Control", "no-store")
+                self.end_headers()
+                self.wfile.write(content)
+
+        def log_message(self, format: str, *args: Any) -> None:
+            """Nothing: the terminal is for the cfg."""
+
+    try:
+        server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+    except OSError as error:
+        raise ScenecError(f"--port {port}: {error.strerror}; take another one") from error
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/{token}/"
+    finally:
+        server.shutdown()
+
+
+def _spread(samples: int) -> Sequence[int]:
+    """Some samples, evenly spread, the first one first."""
+    count = min(samples, _SAMPLES)
+    return [i * samples // count for i in range(count)]
+
+
+def _png(pixels: NDArray[np.uint8]) -> str:
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, "PNG")
+    return base64.b64encode(data.getvalue()).decode()

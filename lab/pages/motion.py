@@ -1,0 +1,127 @@
+"""Writes docs/motion.md: made motions over a terrain, and the error of tracks between their keys.
+
+python lab/pages/motion.py [--fast] [-o FOLDER]
+
+Seconds are single readings on the machine that runs it; errors are facts of the code.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from scenec.compiler.build import BuildLog, build_surface, stand_rigs
+from scenec.compiler.cfg.load import load
+from scenec.compiler.draw import draw
+from scenec.compiler.geometry.se3 import METHODS, interpolate
+from scenec.lab.benchmarks.tracks import motion, quaternions
+from scenec.lab.runner import Page, run, table
+from scenec.testing.small import small_cfg
+
+MOTIONS: dict[str, dict[str, Any]] = {
+    "orbit": {"radius_m": 5, "height_m": 2},
+    "lawn_mower": {
+        "along_m": 7, "across_m": 8, "spacing_m": 2, "height_m": 3, "turn_radius_m": 1.4,
+        "bearing_deg": 20,
+    },
+    "rover": {"goals": 5, "max_slope_deg": 20},
+    "mav": {"height_m": 1.5, "waypoints_m": [[-8, -5], [0, 5], [6, -4], [8, 5]], "follow_m": 3},
+    "descent": {"entry_height_m": 20, "x_m": 2, "y_m": 1, "drift_m_s": 2, "drift_deg": 60},
+}  # fmt: skip
+
+
+def made(page: Page) -> str:
+    """All motions that are made, over one terrain."""
+    samples = 200 if page.fast else 2000
+    cfg = small_cfg(samples=samples)
+    cfg["outputs"] = ["label", "depth"]
+    sensors = cfg["rigs"].pop("rover")["sensors"]
+    for kind, keys in MOTIONS.items():
+        cfg["rigs"][kind] = {"pose": {"type": kind, **keys}, "sensors": sensors}
+    plan = draw(load(page.cfg(cfg)), 7, 0)
+    log = BuildLog()
+    surface = build_surface(plan, log)
+    seconds = page.timed(lambda: stand_rigs(plan, surface, None, BuildLog()), 1)
+    rigs = stand_rigs(plan, surface, None, log)
+    figure, axes = plt.subplots(3, len(rigs), figsize=(16, 8), constrained_layout=True)
+    half = 0.5 * np.array(plan.terrain.size_m)
+    rows = []
+    for column, rig in zip(axes.T, rigs, strict=True):
+        at = rig.to_world[:, :3, 3]
+        assert rig.times is not None
+        h = rig.times[1] - rig.times[0]
+        velocity, bend = np.diff(at, axis=0) / h, np.diff(at, n=2, axis=0) / h**2
+        ground = surface.height_at(at[:, 0].copy(), at[:, 1].copy())
+        column[0].imshow(
+            surface.field.height, origin="lower", extent=(-half[0], half[0], -half[1], half[1]),
+            cmap="gray",
+        )  # fmt: skip
+        column[0].plot(at[:, 0], at[:, 1], "r")
+        column[0].plot(*at[0, :2], "ro")
+        column[0].set_title(rig.name)
+        column[1].plot(rig.times, at[:, 2], "r", rig.times, ground, "k")
+        column[1].set_ylabel("height, m (black: the ground)")
+        speed = _length(velocity)
+        column[2].plot(rig.times[1:], speed, "b")
+        column[2].set_ylim(0.0, 1.1 * float(speed.max()))
+        column[2].set_xlabel("s")
+        column[2].set_ylabel("speed, m/s")
+        rows.append(
+            [rig.name, f"{rig.times[-1]:.1f}", f"{speed.max():.2f}", f"{_length(bend).max():.2f}",
+             f"{(at[:, 2] - ground).min():.2f}", f"{(at[:, 2] - ground).max():.2f}"]
+        )  # fmt: skip
+    header = ["motion", "seconds", "speed, m/s", "acceleration, m/s²", "lowest, m", "highest, m"]
+    return (
+        f"## Made motions\n\nOver one terrain, {samples} samples each; all of them took "
+        f"{seconds:.2f} s, with what they ask of the objects.\n\n"
+        + page.save(figure, "made", 60) + "\n" + table(header, rows)
+        + "\nThe accelerations of lawn mowers and rovers are those of their turns, because they "
+        "start at full speed.\n"
+    )  # fmt: skip
+
+
+def tracks(page: Page) -> str:
+    """Errors between keys."""
+    at = np.linspace(1.0, 9.0, 2000)
+    place, turn = motion(at)
+    rates = [3, 10, 30, 100]
+    rows, found = [], {}
+    for method in METHODS:
+        for rate in rates:
+            t = np.arange(10 * rate + 1) / rate
+            p, r = motion(t)
+            pp, qq = interpolate(t, p, quaternions(r), at, method)
+            off = (turn.inv() * Rotation.from_quat(np.roll(qq, -1, axis=1))).magnitude().max()
+            found[method, rate] = 1e3 * _length(pp - place).max(), np.degrees(off)
+            away, angle = found[method, rate]
+            rows.append([method, str(rate), f"{away:.4f}", f"{angle:.5f}"])
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), constrained_layout=True)
+    for k, (axis, what) in enumerate(zip(axes, ("position, mm", "turn, degrees"), strict=True)):
+        for method in METHODS:
+            axis.loglog(rates, [found[method, rate][k] for rate in rates], "o-", label=method)
+        axis.set_xlabel("keys a second")
+        axis.set_title(f"largest error of {what}")
+        axis.legend()
+    return (
+        "## Tracks between their keys\n\nA camera swings at up to 5 rad/s. Its track is sampled "
+        "at a rate and interpolated; the table shows the largest error.\n\n"
+        + page.save(figure, "error", 60) + "\n"
+        + table(["method", "rate, Hz", "position, mm", "turn, degrees"], rows)
+    )  # fmt: skip
+
+
+def main(page: Page) -> None:
+    """Writes the page."""
+    page.write("# Motion\n\n{cores} cores, {versions}.\n", ("scenec", "numpy"), (made, tracks))
+
+
+def _length(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.norm(rows, axis=1)
+
+
+if __name__ == "__main__":
+    run(main, page="motion")

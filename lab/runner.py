@@ -1,0 +1,374 @@
+"""Runs scripts: their options, what things cost, tables and plots, the machine's speed beside them.
+
+A benchmark is a function of a ``Study`` that prints tables; a page is one of a ``Page``, which it
+writes into docs/. Either ends with ``run``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scenec.backends.run import memory
+from scenec.schemas.errors import ScenecError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIGS = ROOT / "configs"
+DEMO = CONFIGS / "jacksboro.json"
+SCENEC = (sys.executable, "-c", "from scenec.cli.main import main; raise SystemExit(main())")
+# No plot needs a screen.
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+Cell = str | float | None
+
+
+def yardstick() -> float:
+    """CPU seconds of a fixed job of one thread, the median of three: how fast the machine is."""
+    found = []
+    for _ in range(3):
+        start = time.process_time()
+        x = np.random.Generator(np.random.Philox(1)).random(1 << 19)
+        for _ in range(4):
+            x = np.abs(np.fft.ifft(np.fft.fft(np.sort(x, kind="stable")) * 0.5)) + 0.5 * x
+        found.append(time.process_time() - start)
+    return statistics.median(found)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What work in a process of its own returned and took, its own children included.
+
+    Attributes:
+        value: What it returned; None of a command.
+        wall_s, cpu_s: Seconds; of a function, without the start of its process.
+        peak_mib: The most that one of its processes held.
+    """
+
+    value: Any
+    wall_s: float
+    cpu_s: float
+    peak_mib: float
+
+
+def apart(work: Callable[..., Any], *arguments: Any) -> Cost:
+    """Calls a function of a module in a fresh process."""
+    with held() as process:
+        return process(work, *arguments)
+
+
+@contextmanager
+def held() -> Iterator[Callable[..., Cost]]:
+    """A fresh process for several calls, which share what modules hold; called as ``apart`` is."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        yield lambda work, *arguments: pool.submit(_measured, work, arguments).result()
+
+
+def _measured(work: Callable[..., Any], arguments: Sequence[Any]) -> Cost:
+    start, cpu = time.perf_counter(), _cpu_s()
+    value = work(*arguments)
+    return Cost(value, time.perf_counter() - start, _cpu_s() - cpu, peak_mib())
+
+
+def _cpu_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def peak_mib() -> float:
+    """The most that this process or one that it waited for has held."""
+    # Not ru_maxrss of itself: that begins with what its parent held.
+    return (
+        max(memory.peak() or 0, 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+        / 2**20
+    )
+
+
+def command(words: Iterable[str | Path], status: int = 0, **environment: str) -> Cost:
+    """Runs a command, its output aside.
+
+    Args:
+        words: Of the command.
+        status: It ends with this one.
+        environment: What is other than here.
+
+    Raises:
+        ScenecError: It ended otherwise; with what it wrote on standard error.
+    """
+    line = [str(word) for word in words]
+    start = time.perf_counter()
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(
+            line, env=os.environ | environment, stdout=subprocess.DEVNULL, stderr=said
+        )
+        _, ended, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(ended)
+        wall = time.perf_counter() - start
+        if process.returncode != status:
+            said.seek(0)
+            text = said.read().decode(errors="replace")
+            raise ScenecError(f"{' '.join(line)}: exit status {process.returncode}\n{text}")
+    return Cost(None, wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+
+
+@dataclass(frozen=True)
+class Times:
+    """Wall and CPU seconds of repeated work, and what it returned last."""
+
+    wall: tuple[float, ...]
+    cpu: tuple[float, ...]
+    value: Any
+
+    @property
+    def median(self) -> float:
+        """Of wall seconds."""
+        return statistics.median(self.wall)
+
+    def over(self, other: Times) -> float:
+        """Median ratio of the wall seconds of paired runs."""
+        return statistics.median(a / b for a, b in zip(self.wall, other.wall, strict=True))
+
+
+def times(work: Callable[[], object], runs: int = 5) -> Times:
+    """Times work; a first call, which may compile, does not count."""
+    return in_turns({"": lambda _: work()}, runs)[""]
+
+
+def in_turns(works: Mapping[str, Callable[[int], object]], runs: int) -> dict[str, Times]:
+    """Times several works one after the other, again and again: a busy machine is so for all.
+
+    Args:
+        works: Called with the number of the turn; turn 0, which may compile, does not count.
+        runs: How often each counts.
+    """
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+    last: dict[str, object] = {}
+    for turn in range(runs + 1):
+        for name, work in works.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            last[name] = work(turn)
+            found[name].append((time.perf_counter() - wall, time.process_time() - cpu))
+    return {
+        name: Times(tuple(w for w, _ in each[1:]), tuple(c for _, c in each[1:]), last[name])
+        for name, each in found.items()
+    }
+
+
+def cell(value: Cell) -> str:
+    """A number with the digits that a reader can use; text as it is; None as a dash."""
+    if value is None:
+        return "-"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int | np.integer) or abs(value) >= 1000:
+        return f"{value:,.0f}"
+    return f"{value:.3g}"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> str:
+    """A Markdown table."""
+    return "\n".join(_lines(header, rows)) + "\n"
+
+
+def _lines(header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> Iterator[str]:
+    yield "| " + " | ".join(header) + " |"
+    yield "|" + "---|" * len(header)
+    for row in rows:
+        yield "| " + " | ".join(map(cell, row)) + " |"
+
+
+class Study:
+    """One run of a script.
+
+    Attributes:
+        options: Its own, by name.
+        fast: Whether to spare time: fewer and smaller cases, to see that it works.
+        scratch: A folder that goes away when the script ends.
+    """
+
+    def __init__(self, options: argparse.Namespace, scratch: Path) -> None:
+        self.options, self.fast, self.scratch = options, bool(options.fast), scratch
+        self._said: list[str] = []
+
+    def say(self, text: str) -> None:
+        """Prints a line, and keeps it for the file."""
+        self._said.append(text)
+        print(text, flush=True)
+
+    def table(self, header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
+        """Prints a Markdown table, each row as soon as it is there."""
+        for line in _lines(header, rows):
+            self.say(line)
+        self.say("")
+
+    def cfg(self, content: Mapping[str, Any], name: str = "cfg") -> Path:
+        """Writes a cfg into the scratch folder."""
+        path = self.scratch / f"{name}.json"
+        path.write_text(json.dumps(content), encoding="utf-8")
+        return path
+
+    def batch(self, cfg: Path | Mapping[str, Any], **how: Any) -> Path:
+        """The folder of a cfg's first batch, compiled by seed 1 into a new scratch folder."""
+        from scenec.compiler.compile import compile_cfg
+
+        out = Path(tempfile.mkdtemp(dir=self.scratch))
+        path = cfg if isinstance(cfg, Path) else self.cfg(cfg)
+        how.setdefault("seed", 1)
+        return compile_cfg(path, out=out, batches=range(1), **how).out / "batch_0000"
+
+    def finish(self, head: str) -> None:
+        """Writes what was said, if a file was asked for."""
+        if self.options.out:
+            text = "\n".join([head, "", *self._said])
+            self.options.out.write_text(text, encoding="utf-8")
+
+
+class Page(Study):
+    """One run of a script that writes a page.
+
+    Attributes:
+        name: Of the page, without suffix; its plots' names begin with it.
+        folder: Of the page; plots go to ``pictures`` below it.
+    """
+
+    def __init__(self, options: argparse.Namespace, scratch: Path, name: str) -> None:
+        super().__init__(options, scratch)
+        self.name, self.folder = name, options.out
+        (self.folder / "pictures").mkdir(parents=True, exist_ok=True)
+
+    def timed(self, work: Callable[[], object], repeat: int = 3) -> float:
+        """Best of some runs, seconds."""
+        best = np.inf
+        for _ in range(1 if self.fast else repeat):
+            start = time.perf_counter()
+            work()
+            best = min(best, time.perf_counter() - start)
+        return float(best)
+
+    def picture(self, name: str) -> Path:
+        """The file of a picture."""
+        return self.folder / "pictures" / f"{self.name}_{name}.png"
+
+    def shown(self, name: str, what: str = "") -> str:
+        """Markdown that shows a picture."""
+        return f"![{what or name.replace('_', ' ')}](pictures/{self.picture(name).name})\n"
+
+    def save(self, figure: Figure, name: str, dpi: int = 90) -> str:
+        """Writes a plot; returns the Markdown that shows it."""
+        import matplotlib.pyplot as plt
+
+        if figure.get_layout_engine() is None:
+            figure.tight_layout()
+        figure.savefig(self.picture(name), dpi=dpi, metadata={"Software": None})
+        plt.close(figure)
+        return self.shown(name)
+
+    def write(
+        self, head: str, packages: Iterable[str], parts: Iterable[Callable[[Page], str]]
+    ) -> None:
+        """Makes the parts and writes the page; says what each took.
+
+        Args:
+            head: With the places ``{cores}`` and ``{versions}``.
+            packages: Whose versions matter.
+            parts: Each returns Markdown that begins with its heading.
+        """
+        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
+        versions += f"; yardstick {yardstick():.2f} CPU s"
+        note = f"<!-- Generated by {_relative(sys.argv[0])}. Do not edit. -->\n\n"
+        texts = [note + head.format(cores=os.cpu_count(), versions=versions)]
+        for part in parts:
+            start = time.perf_counter()
+            texts.append(part(self))
+            title = next(line for line in texts[-1].splitlines() if line.startswith("#"))
+            print(f"{time.perf_counter() - start:6.1f} s  {title}", file=sys.stderr, flush=True)
+        (self.folder / f"{self.name}.md").write_text("\n".join(texts), encoding="utf-8")
+
+
+def run(main: Callable[[Any], None], page: str | None = None, **defaults: Any) -> None:
+    """Runs a script from its command line; ends the process.
+
+    It has ``--fast``, ``-o`` and an option for each default: a flag for False, names with commas
+    for a tuple, one that may be left out for a type.
+
+    Args:
+        main: Of a ``Study``, or of a ``Page``; the docstring of its module says what it does.
+        page: Name of the page that it writes.
+        defaults: By name.
+    """
+    about = (sys.modules[main.__module__].__doc__ or "").splitlines()[0]
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--fast", action="store_true", help="fewer cases, to see that it works")
+    where = "folder of the page" if page else "file for the tables"
+    folder = ROOT / "docs" if page else None
+    parser.add_argument("-o", "--out", type=Path, default=folder, help=where)
+    for name, default in defaults.items():
+        _add(parser, "--" + name.replace("_", "-"), default)
+    options = parser.parse_args()
+    status = 0
+    try:
+        with _scratch() as scratch:
+            if page:
+                main(Page(options, scratch, page))
+            else:
+                study, before = Study(options, scratch), yardstick()
+                words = " ".join(["python", *map(_relative, sys.argv)])
+                head = f"`{words}`, {os.cpu_count()} cores, "
+                print(f"{head}yardstick {before:.3f} CPU s\n", flush=True)
+                main(study)
+                head += f"yardstick {before:.3f} CPU s before, {yardstick():.3f} after"
+                print(head)
+                study.finish(head)
+    except ScenecError as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        status = 2
+    raise SystemExit(status)
+
+
+def names(text: str) -> tuple[str, ...]:
+    """The type of an option of names that may be left out."""
+    return tuple(text.split(","))
+
+
+def _relative(word: str) -> str:
+    path = Path(word).resolve()
+    return str(path.relative_to(ROOT)) if path.is_file() and path.is_relative_to(ROOT) else word
+
+
+@contextmanager
+def _scratch() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+def _add(parser: argparse.ArgumentParser, name: str, default: Any) -> None:
+    if default is False:
+        parser.add_argument(name, action="store_true")
+    elif callable(default):
+        parser.add_argument(name, type=default)
+    elif isinstance(default, tuple):
+        kind = type(default[0])
+        parser.add_argument(
+            name, default=default, type=lambda text: tuple(kind(part) for part in text.split(","))
+        )
+    else:
+        parser.add_argument(name, type=type(default), default=default)

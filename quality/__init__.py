@@ -1,0 +1,1 @@
+"""Error against run time: of renderers, and of each of the compiler's approximations."""

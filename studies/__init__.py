@@ -1,1 +1,0 @@
-"""Error against run time: of renderers, of the compiler's approximations, of everything timed."""
