@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
+from scenec.backends.run.executors import make_executor
 from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
@@ -60,18 +61,20 @@ def _page(options: argparse.Namespace, out: Path, output: Path, watched: str = "
     ground = None
     if not options.no_ground:
         ground = partial(ground_of, rooms=_rooms(out, options.budget_mb))
-    return write_view(
-        out,
-        output,
-        backends=options.backend,
-        budget_mb=options.budget_mb,
-        workers=options.workers or os.process_cpu_count() or 1,
-        faults=options.faults,
-        ground=ground,
-        watched=watched,
-        progress=Progress("frame"),
-        warn=lambda line: say(f"warning: {line}"),
-    )
+    workers = options.workers or os.process_cpu_count() or 1
+    with make_executor(workers if workers > 1 else 0) as executor:
+        return write_view(
+            out,
+            output,
+            backends=options.backend,
+            budget_mb=options.budget_mb,
+            faults=options.faults,
+            ground=ground,
+            watched=watched,
+            executor=executor,
+            progress=Progress("frame"),
+            warn=lambda line: say(f"warning: {line}"),
+        )
 
 
 def _open(page: Path) -> None:

@@ -28,11 +28,25 @@ _LOOK_S = 0.1
 
 
 class Keeper:
-    """What a worker keeps from one unit to the next: one thing, such as a stage that was read."""
+    """What a worker keeps from one unit to the next: one thing, such as a stage that was read.
 
-    def __init__(self) -> None:
+    Attributes:
+        say: Told lines that a user should see.
+        step: Told when a step of a unit begins; None: nobody listens.
+    """
+
+    def __init__(
+        self, say: Callable[[str], None] | None = None, step: Callable[[str], None] | None = None
+    ) -> None:
         self._name: Hashable = None
         self._kept: Any = None
+        self._notes: list[str] = []
+        self.say, self.step = say or self._notes.append, step
+
+    def notes(self) -> list[str]:
+        """Returns lines that were said since the last call, where nobody listens."""
+        said, self._notes[:] = list(self._notes), []
+        return said
 
     def keep(self, name: Hashable, make: Callable[[], T]) -> T:
         """What is kept under a name, made if it is not; what was kept under another is let go."""
@@ -80,7 +94,7 @@ class Outcome:
         deaths: Workers that died, or were ended, over it.
         replaced: Workers that were replaced before it, as they had grown.
         warnings: A line for each death after which it was tried again.
-        notes: A line for each replacement.
+        notes: A line for each replacement, and those that the unit said.
     """
 
     value: Any = None
@@ -153,10 +167,13 @@ class LocalExecutor:
     """Runs units in this process, one after the other: nothing to start, nothing to survive.
 
     A renderer's crash is this process's. For tests, and for programs that want no other process.
+
+    Args:
+        keeper: What is kept already, and who listens; None: nothing and nobody.
     """
 
-    def __init__(self) -> None:
-        self._keeper = Keeper()
+    def __init__(self, keeper: Keeper | None = None) -> None:
+        self._keeper = keeper or Keeper()
 
     def __enter__(self) -> Self:
         return self
@@ -181,6 +198,7 @@ class LocalExecutor:
                     outcome.value = unit.run(self._keeper)
             except ScenecError as error:
                 outcome.error = error
+            outcome.notes = self._keeper.notes()
             holds = unit.holds
             yield unit, outcome
 

@@ -116,7 +116,7 @@ class Supervisor:
                 if self._process is None:
                     self._start()
                 self._holds = unit.holds
-                outcome.value = self._exchange(unit)
+                outcome.value = self._exchange(unit, outcome.notes)
                 self._done += 1
             except ScenecError as error:
                 outcome.error = error
@@ -228,7 +228,7 @@ class Supervisor:
             outcome.replaced += 1
             outcome.notes.append(f"the worker process {reason}: replaced by a fresh one")
 
-    def _exchange(self, unit: Unit) -> Any:
+    def _exchange(self, unit: Unit, notes: list[str]) -> Any:
         process, watch, pipe = self._process, self._watch, self._pipe
         assert process is not None
         assert watch is not None
@@ -236,7 +236,8 @@ class Supervisor:
         try:
             watch.begin(fresh=self._done < 2)
             pipe.send(unit)
-            fine, value, peak = self._wait(pipe, watch)
+            fine, value, peak, said = self._wait(pipe, watch)
+            notes += said
             # The worker's own count misses nothing between two looks.
             self._peak = peak or 0
             if not fine:
@@ -256,7 +257,7 @@ class Supervisor:
             process.wait()
             raise
 
-    def _wait(self, pipe: Connection, watch: Watch) -> tuple[bool, Any, int | None]:
+    def _wait(self, pipe: Connection, watch: Watch) -> tuple[bool, Any, int | None, list[str]]:
         """The next message.
 
         Raises:
@@ -274,7 +275,7 @@ class Supervisor:
             if verdict is not None:
                 watch.kill()
                 raise WorkerDiedError(verdict)
-        message: tuple[bool, Any, int | None] = pipe.recv()
+        message: tuple[bool, Any, int | None, list[str]] = pipe.recv()
         return message
 
     def _cause(self, status: int, memory: int) -> str:

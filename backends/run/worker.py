@@ -1,9 +1,9 @@
 """A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE``, two descriptors.
 
 Units come pickled over the pipe, and for each one message goes back: ``(True, what it returned,
-peak)``, or ``(False, the ScenecError it raised, peak)``, with the highest memory of this process
-meanwhile, bytes or None. Any other error ends the process; the parent
-(``scenec.backends.run.supervise``) sees that, looks at the note of what was being read
+peak, notes)``, or ``(False, the ScenecError it raised, peak, notes)``, with the highest memory of
+this process meanwhile, bytes or None, and what the unit said. Any other error ends the process; the
+parent (``scenec.backends.run.supervise``) sees that, looks at the note of what was being read
 (``schemas.native``), and starts another. The process ends when the pipe does: with its parent.
 """
 
@@ -45,12 +45,12 @@ def main() -> None:
         try:
             unit = pickle.loads(pickled)  # noqa: S301 (from the parent's pipe)
             with blaming(unit.what):
-                answer = True, unit.run(keeper), memory.peak()
+                answer = True, unit.run(keeper)
         except ScenecError as error:
-            answer = False, error, memory.peak()
+            answer = False, error
         # A parent that is gone: the listener ends this process.
         with contextlib.suppress(BrokenPipeError):
-            pipe.send(answer)
+            pipe.send((*answer, memory.peak(), keeper.notes()))
         # An error would keep what its frames held.
         del answer
 

@@ -42,13 +42,13 @@ def assassin(monkeypatch: pytest.MonkeyPatch, sample: int, times: int) -> list[i
     killed: list[int] = []
     exchange = Supervisor._exchange
 
-    def deadly(self: Supervisor, unit: Unit) -> Any:
+    def deadly(self: Supervisor, unit: Unit, notes: list[str]) -> Any:
         aimed = isinstance(unit, RenderFrame) and unit.sample == sample
         if aimed and len(killed) < times and self._pipe is not None and self.pid is not None:
             self._pipe.send(unit)
             os.kill(self.pid, signal.SIGKILL)
             killed.append(self.pid)
-        return exchange(self, unit)
+        return exchange(self, unit, notes)
 
     monkeypatch.setattr(Supervisor, "_exchange", deadly)
     return killed
