@@ -55,7 +55,9 @@ def _run(options: argparse.Namespace, spec: Spec, executor: Executor | None) -> 
         from scenec.cli import scan_command
 
         # First: where no camera is triggered rendering ends in an error.
-        made["scan"] = scan_command.as_json(scan_command.scan_now(options))
+        scanned = scan_command.scan_now(options)
+        made["scan"] = scan_command.as_json(scanned)
+        failed = failed or bool(scanned.failed)
     rendered = render_command.render_now(options, executor)
     made["render"] = render_command.as_json(rendered)
     if options.json:

@@ -17,7 +17,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(as_json(report))
     say_next(("check", options.out))
-    return 0
+    return 1 if report.failed else 0
 
 
 def scan_now(
@@ -48,7 +48,9 @@ def scan_now(
         )
     for line in report.warnings:
         say(f"warning: {line}")
-    there = len(report.scans) - report.made
+    if report.failed:
+        say(f"{len(report.failed)} scans were given up; run again to try them again")
+    there = report.skipped
     rest = f", {there} were there already" if there else ""
     where = f": {report.scans[0].parent}/" if report.scans else ""
     spent = f" in {sum(report.seconds.values()):.1f} s" if options.verbose else ""
@@ -61,6 +63,7 @@ def as_json(report: ScanReport) -> dict[str, object]:
     return {
         "scans": [f"{stem}.json" for stem in report.scans],
         "made": report.made,
+        "failed": report.failed,
         "seconds": report.seconds,
         "warnings": report.warnings,
     }

@@ -206,12 +206,12 @@ def _render(
     own = argparse.Namespace(**{**vars(options), "out": str(table.out / point.name)})
     say(f"{point.name}:")
     try:
-        if lidars:
-            # First: where no camera is triggered rendering ends in an error.
-            scan_now(own, executor=executor)
-        failed = len(render_now(own, executor).failed)
+        # First: where no camera is triggered rendering ends in an error.
+        scans = len(scan_now(own, executor=executor).failed) if lidars else 0
+        frames = len(render_now(own, executor).failed)
     except ScenecError as error:
         say(f"warning: {point.name}: {error}")
         table.note(point, f"failed: {error}")
         return
-    table.note(point, f"failed: {failed} frames were given up" if failed else "rendered")
+    lost = f"{frames} frames" if frames else f"{scans} scans" if scans else ""
+    table.note(point, f"failed: {lost} were given up" if lost else "rendered")

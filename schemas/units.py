@@ -145,7 +145,7 @@ class Executor(Protocol):
         ...
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
-        """Take units and run them, until there are none.
+        """Takes units and runs them, until there are none; of those cut short nothing half is left.
 
         Args:
             take: Gives them out.
@@ -198,6 +198,9 @@ class LocalExecutor:
                     outcome.value = unit.run(self._keeper)
             except ScenecError as error:
                 outcome.error = error
+            except BaseException:
+                clean(unit)
+                raise
             outcome.notes = self._keeper.notes()
             holds = unit.holds
             yield unit, outcome
@@ -225,7 +228,7 @@ class Schedule:
 
     Args:
         units: The first to wait.
-        most: How many may be given out and not yet let go (``release``); None: any number.
+        most: How many may be given out and not yet let go; None: any number.
         waiting: Told who runs a claimed unit that is waited for.
     """
 
@@ -237,7 +240,6 @@ class Schedule:
     ) -> None:
         self._groups: dict[Hashable, deque[Unit]] = {}
         self._begun: set[Hashable] = set()
-        self._running: list[Unit] = []
         self._claimed: list[Claimed] = []
         self._most, self._out = most, 0
         self._waiting = waiting
@@ -260,29 +262,11 @@ class Schedule:
         return found
 
     def release(self) -> None:
-        """Lets go of a unit that has ended: another one may be given out for it."""
+        """Lets go of a unit that has ended; whoever runs a schedule calls it once for each."""
         self._out -= 1
 
-    def run(self, executor: Executor) -> Generator[tuple[Unit, Outcome]]:
-        """Runs all, also those that are added meanwhile; of those cut short nothing half is left.
-
-        Yields:
-            Each unit that ended and what came of it.
-
-        Raises:
-            ScenecError: Workers cannot be had.
-        """
-        try:
-            with closing(executor.work(self._take)) as ended:
-                for unit, outcome in ended:
-                    self._running.remove(unit)
-                    yield unit, outcome
-        finally:
-            for unit in self._running:
-                clean(unit)
-            self._running.clear()
-
-    def _take(self, holds: Hashable) -> Unit | None:
+    def take(self, holds: Hashable) -> Unit | None:
+        """Gives out a unit to a worker that keeps something; see ``Take``."""
         if self._most is not None and self._out >= self._most:
             return None
         group = self._groups.get(holds)
@@ -291,12 +275,11 @@ class Schedule:
             group = next(fresh, None) or max(self._groups.values(), key=len, default=None)
         if group:
             unit = group.popleft()
-        elif self._claimed and not self._running:
+        elif self._claimed and not self._out:
             unit = self._wait()
         else:
             return None
         self._begun.add(unit.holds)
-        self._running.append(unit)
         self._out += 1
         return unit
 
@@ -342,7 +325,7 @@ def run_all(
     schedule = Schedule(units, ahead)
     ready: dict[int, Outcome] = {}
     following = 0
-    with closing(schedule.run(executor or LocalExecutor())) as outcomes:
+    with closing((executor or LocalExecutor()).work(schedule.take)) as outcomes:
         for unit, outcome in outcomes:
             ended(unit, outcome)
             if not in_order:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -137,11 +138,13 @@ class BatchRun(ABC):
         ready: list[Unit] = []
         if judged:
             self._schedule.add(*judged)
-            for unit, outcome in self._schedule.run(executor):
-                ready += self._ended(unit, outcome)
+            with closing(executor.work(self._schedule.take)) as ended:
+                for unit, outcome in ended:
+                    ready += self._ended(unit, outcome)
         self._schedule.add(*ready, *others)
-        for unit, outcome in self._schedule.run(executor):
-            self._schedule.add(*self._ended(unit, outcome))
+        with closing(executor.work(self._schedule.take)) as ended:
+            for unit, outcome in ended:
+                self._schedule.add(*self._ended(unit, outcome))
         for holds, batch in self._batches.items():
             if holds in self._works:
                 # As the caller named the folder.
@@ -179,6 +182,7 @@ class BatchRun(ABC):
 
     def _ended(self, unit: Unit, outcome: Outcome) -> list[Unit]:
         """Notes what came of a unit; returns those that can be run now."""
+        self._schedule.release()
         self.report.deaths += outcome.deaths
         self.report.replaced += outcome.replaced
         self.warn(*outcome.warnings)

@@ -17,7 +17,7 @@ from scenec.backends.run.supervise import Supervisor
 from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import available
-from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, run_all
+from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, clean, run_all
 
 #: How many processes work where nobody says; 0: none but this one.
 WORKERS = "SCENEC_WORKERS"
@@ -90,6 +90,8 @@ class SlotExecutor[S: Slot](ABC):
             if under_way:
                 # Left amid work: by an error, an interrupt, or who had enough.
                 self.stop(under_way)
+                for _, unit in under_way.values():
+                    clean(unit)
 
 
 class Processes(SlotExecutor[Supervisor]):

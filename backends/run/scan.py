@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.batches import BatchReport, BatchRun, Progress
@@ -27,9 +26,6 @@ from scenec.schemas.strays import stray_scans
 from scenec.schemas.units import Executor, Keeper, Unit
 from scenec.schemas.update import reading
 from scenec.schemas.versions import version_of
-
-if TYPE_CHECKING:
-    from scenec.backends.run.session import Session
 
 
 @dataclass
@@ -103,25 +99,28 @@ class ScanLidar(MakeFile):
         """Tells whether it is there, with its cloud if that is asked for."""
         return is_scanned(self.stem, self.key, self.ply)
 
-    def make(self, session: Session) -> Made:
+    def run(self, keeper: Keeper) -> Made:
         """Casts its rays and writes it.
 
         Raises:
             StageError: The stage is no more what it was.
             OutputError: A file cannot be written.
         """
-        scene, lidar = session.scene, session.scene.lidars[self.sample][self.number]
+        session = self.holds.session(keeper)
+        scene = session.scene
         if scene.digest != self.digest:
             raise StageError(f"{scene.source}: has changed since scanning began; run again")
         seconds: dict[str, float] = {}
-        caster = session.caster(seconds)
-        start = time.perf_counter()
-        arrays = scan(scene, caster, lidar, self.sample)
-        scanned = time.perf_counter()
-        write_scan(
-            self.stem, arrays, plain(_sidecar(scene, lidar, self.sample, self.key)), self.ply
-        )
-        seconds |= {"scan": scanned - start, "write": time.perf_counter() - scanned}
+        with self.claimed(session) as found:
+            if found is not None:
+                return found
+            lidar, caster = scene.lidars[self.sample][self.number], session.caster(seconds)
+            start = time.perf_counter()
+            arrays = scan(scene, caster, lidar, self.sample)
+            scanned = time.perf_counter()
+            sidecar = _sidecar(scene, lidar, self.sample, self.key)
+            write_scan(self.stem, arrays, plain(sidecar), self.ply)
+            seconds |= {"scan": scanned - start, "write": time.perf_counter() - scanned}
         return Made(now=True, seconds=seconds, text=f"{sum(seconds.values()):.2f} s")
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -208,14 +209,6 @@ class MakeFile(ABC):
     def is_done(self) -> bool:
         """Tells whether it is there, made as asked."""
 
-    @abstractmethod
-    def make(self, session: Session) -> Made:
-        """Makes it; nobody else does.
-
-        Raises:
-            ScenecError: It cannot be made.
-        """
-
     def loss(self) -> str | None:
         """Describes what would go that is not to be replaced; it is not done. None: nothing."""
         return None
@@ -225,6 +218,7 @@ class MakeFile(ABC):
         """The lock file of who makes it."""
         return self.stem.with_name(f"{LOCK}-{self.stem.name}")
 
+    @abstractmethod
     def run(self, keeper: Keeper) -> Made:
         """Makes it.
 
@@ -233,7 +227,14 @@ class MakeFile(ABC):
             StageError: The stage is no more what it was.
             OutputError: A file cannot be written, or is not to be replaced.
         """
-        session = self.holds.session(keeper)
+
+    @contextmanager
+    def claimed(self, session: Session) -> Iterator[Made | None]:
+        """Keeps other processes from making it; yields what came of it if there is nothing to do.
+
+        Raises:
+            OutputError: A file cannot be written, or is not to be replaced.
+        """
         folder = self.stem.parent
         if folder not in session.folders:
             try:
@@ -244,14 +245,17 @@ class MakeFile(ABC):
             self.clean()
             session.folders.add(folder)
         try:
-            with Lock(self.claim, what=self.what):
-                # It may have come while nobody looked.
-                if self.is_done():
-                    return Made()
-                require_replaceable([self])
-                return self.make(session)
+            lock = Lock(self.claim, what=self.what)
         except BusyError as error:
-            return Made(busy=str(error))
+            yield Made(busy=str(error))
+            return
+        with lock:
+            # It may have come while nobody looked.
+            if self.is_done():
+                yield Made()
+            else:
+                require_replaceable([self])
+                yield None
 
     def clean(self) -> None:
         """Removes what a worker that died left half written."""
@@ -282,17 +286,21 @@ class RenderFrame(MakeFile):
         """Describes what the frame that is there has of this stage, and this one would not have."""
         return None if self.replace else would_lose(self.stem, self.key)
 
-    def make(self, session: Session) -> Made:
+    def run(self, keeper: Keeper) -> Made:
         """Renders and writes it.
 
         Raises:
-            ScenecError: See ``run``.
+            ScenecError: See ``MakeFile``.
         """
+        session = self.holds.session(keeper)
         if not self.key.backend_version.startswith(session.facts()["version"]):
             # A process that was replaced has imported it again.
             raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
-        place = self.number, self.sample
-        sidecar = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+        with self.claimed(session) as found:
+            if found is not None:
+                return found
+            place = self.number, self.sample
+            sidecar = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
         return Made(
             now=True,
             seconds=dict(sidecar["seconds"]),

@@ -255,15 +255,17 @@ class _Climb:
             self._say(f"{self._batch.name}: {self._wanted.backend} {name}, {len(todo)} frames")
         if todo and not self._warm:
             self._warm_up()
-        for frame in todo:
-            self._ask(replace(frame, what=f"{plan.backend} {name} {frame.what}"))
+        self._ask(*(replace(frame, what=f"{plan.backend} {name} {frame.what}") for frame in todo))
         return [Shown(frame.stem, frame.what) for frame in frames]
 
-    def _ask(self, unit: Unit) -> Any:
-        ((_, outcome),) = run_all(self._executor, [unit])
-        for line in outcome.warnings:
-            self._say(line)
-        return outcome.result()
+    def _ask(self, *units: Unit) -> Any:
+        """Runs units; returns what the last one returns."""
+        value = None
+        for _, outcome in run_all(self._executor, units):
+            for line in outcome.warnings:
+                self._say(line)
+            value = outcome.result()
+        return value
 
     def _frames(self, plan: RenderPlan, folder: Path, all_: bool) -> list[RenderFrame]:
         batch = replace(self._batch, folder=folder)
