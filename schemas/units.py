@@ -206,15 +206,6 @@ class LocalExecutor:
             yield unit, outcome
 
 
-class Claimed(Unit, Protocol):
-    """A unit that only one process may run at a time."""
-
-    @property
-    def claim(self) -> Path:
-        """The lock file of who runs it."""
-        ...
-
-
 def clean(unit: Unit) -> None:
     """Removes what a worker that died over a unit left half written."""
     getattr(unit, "clean", lambda: None)()
@@ -236,11 +227,11 @@ class Schedule:
         self,
         units: Iterable[Unit] = (),
         most: int | None = None,
-        waiting: Callable[[Claimed, str], None] = lambda _unit, _who: None,
+        waiting: Callable[[Any, str], None] = lambda _unit, _who: None,
     ) -> None:
         self._groups: dict[Hashable, deque[Unit]] = {}
         self._begun: set[Hashable] = set()
-        self._claimed: list[Claimed] = []
+        self._claimed: list[Any] = []
         self._most, self._out = most, 0
         self._waiting = waiting
         self.add(*units)
@@ -250,8 +241,11 @@ class Schedule:
         for unit in units:
             self._groups.setdefault(unit.holds, deque()).append(unit)
 
-    def add_claimed(self, unit: Claimed) -> None:
-        """Adds a unit that another process is running: it waits until all others have ended."""
+    def add_claimed(self, unit: Any) -> None:
+        """Adds a unit that another process is running: it waits until all others have ended.
+
+        Its ``claim`` is the lock file of who runs it.
+        """
         self._claimed.append(unit)
 
     def withdraw(self, holds: Hashable, which: Callable[[Unit], bool]) -> list[Unit]:

@@ -10,12 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from scenec.backends.run.supervise import FrameLostError
-from scenec.backends.run.units import Made, MakeFile, Opening, require_replaceable
+from scenec.backends.run.units import (
+    Made,
+    MakeFile,
+    Opened,
+    Opening,
+    OpenStage,
+    require_replaceable,
+)
 from scenec.schemas.errors import CameraRefusedError, PluginError, StageError
 from scenec.schemas.files import sweep
 from scenec.schemas.manifest import Batch
 from scenec.schemas.strays import Stray, told
-from scenec.schemas.units import Claimed, Executor, Outcome, Schedule, Unit
+from scenec.schemas.units import Executor, Outcome, Schedule, Unit
 
 #: ``progress(done, total, text)``, called after each file.
 Progress = Callable[[int, int, str], None]
@@ -108,18 +115,14 @@ class BatchRun(ABC):
         self._unread: list[tuple[str, StageError]] = []
 
     @abstractmethod
-    def opening(self, holds: Opening) -> Unit:
-        """Returns the unit that opens a stage and tells what it holds."""
-
-    @abstractmethod
-    def files(self, batch: Batch, holds: Opening, opened: Any) -> Sequence[MakeFile]:
+    def files(self, batch: Batch, holds: Opening, opened: Opened) -> Sequence[MakeFile]:
         """Lists what is asked of a batch, in order.
 
         Raises:
             StageError: The stage does not hold what is asked for.
         """
 
-    def begin(self, batch: Batch, opened: Any, files: Sequence[Any]) -> Iterable[Unit]:
+    def begin(self, batch: Batch, opened: Opened, files: Sequence[Any]) -> Iterable[Unit]:
         """Tells of a batch whose files may be made; returns what is run before them."""
         return ()
 
@@ -133,8 +136,8 @@ class BatchRun(ABC):
         Raises:
             ScenecError: See ``render`` and ``scan_output``.
         """
-        judged = [self.opening(of) for of in self._batches if of in self._judged]
-        others = [self.opening(of) for of in self._batches if of not in self._judged]
+        judged = [OpenStage(of) for of in self._batches if of in self._judged]
+        others = [OpenStage(of) for of in self._batches if of not in self._judged]
         ready: list[Unit] = []
         if judged:
             self._schedule.add(*judged)
@@ -201,7 +204,7 @@ class BatchRun(ABC):
     def _open(self, holds: Opening, outcome: Outcome) -> list[Unit]:
         batch = self._batches[holds]
         try:
-            opened = outcome.result()
+            opened: Opened = outcome.result()
             files = self.files(batch, holds, opened)
         except StageError as error:
             self._unread.append((f"{batch.name}: {error}", error))
@@ -226,7 +229,7 @@ class BatchRun(ABC):
                 self._fail(line)
             self._unread.clear()
 
-    def _waiting(self, unit: Claimed, who: str) -> None:
+    def _waiting(self, unit: MakeFile, who: str) -> None:
         if self._said_waiting or (isinstance(unit, MakeFile) and unit.is_done()):
             return
         self._said_waiting = True

@@ -18,7 +18,7 @@ import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Generator, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,13 +26,13 @@ from typing import Any, Self
 
 from scenec.backends.registry import distribution
 from scenec.backends.run import hands
-from scenec.backends.run.executors import SlotExecutor
+from scenec.backends.run.executors import fill
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once
 from scenec.backends.run.supervise import FrameLostError
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import TEMPORARY
-from scenec.schemas.units import Outcome, Unit
+from scenec.schemas.units import Outcome, Take, Unit
 
 MEND = "it needs dask: pip install 'scenec[cluster]'"
 #: What decides bytes: alike on all machines, or several of them make one dataset of two kinds.
@@ -44,14 +44,14 @@ ANSWER_S, WORKER_S = 10.0, 60.0
 
 
 @dataclass(eq=False)
-class Slot:
+class _Slot:
     """A thread of a dask worker, and what the process that it supervises holds."""
 
     address: str
     holds: Hashable = None
 
 
-class Cluster(SlotExecutor[Slot]):
+class Cluster:
     """Runs units on a dask cluster.
 
     Args:
@@ -99,7 +99,7 @@ class Cluster(SlotExecutor[Slot]):
                 f"{self._name}: no scheduler with a worker answers ({error}); start them with: "
                 "dask scheduler, dask worker ADDRESS"
             ) from error
-        self._slots: list[Slot] = []
+        self._slots: list[_Slot] = []
         self._workers: Mapping[str, Any] = {}
         #: Of each worker that was asked: its machine, and which cores it may use (a job's own).
         self._places: dict[str, Hashable] = {}
@@ -141,13 +141,15 @@ class Cluster(SlotExecutor[Slot]):
         ]
         return min(each, default=sys.maxsize), min(units, len(self._slots))
 
-    def slots(self) -> list[Slot]:
-        """Returns the slots of all workers that there are."""
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
+        """See ``Executor``."""
+        return fill(take, self._present, self._submit, self._stop, self._result)
+
+    def _present(self) -> list[_Slot]:
         self._refresh()
         return self._slots
 
-    def submit(self, unit: Unit, slot: Slot) -> Any:
-        """Has dask run a unit, in this slot if it can."""
+    def _submit(self, unit: Unit, slot: _Slot) -> Any:
         slot.holds = unit.holds
         return self._client.submit(
             hands.work,
@@ -167,15 +169,13 @@ class Cluster(SlotExecutor[Slot]):
         """How many slots have the same cores."""
         return Counter(self._places[slot.address] for slot in self._slots)
 
-    def stop(self, futures: Collection[Any]) -> None:
-        """Cancels them, and ends their processes."""
+    def _stop(self, futures: Collection[Any]) -> None:
         with suppress(Exception):
             self._client.cancel(list(futures), force=True)
             while any(self._client.run(hands.stop, self._token).values()):
                 time.sleep(0.05)
 
-    def outcome(self, unit: Unit, future: Any) -> Outcome:
-        """Returns what the worker's supervisor noted."""
+    def _result(self, unit: Unit, future: Any) -> Outcome:
         from distributed import KilledWorker
 
         try:
@@ -219,7 +219,7 @@ class Cluster(SlotExecutor[Slot]):
         for address, facts in known.items():
             held = [slot for slot in self._slots if slot.address == address]
             count = min(facts["nthreads"], int(facts["resources"].get("GPU", 0) if gpu else 1e9))
-            slots += held or [Slot(address) for _ in range(count)]
+            slots += held or [_Slot(address) for _ in range(count)]
         self._slots = slots
         if gpu and not slots and known:
             raise BackendError(

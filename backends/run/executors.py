@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Collection, Generator, Hashable, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once, default_limit
@@ -27,74 +26,52 @@ MOST_WORKERS = 1024
 LOOK_S = 2.0
 
 
-class Slot(Protocol):
-    """Runs one unit at a time."""
+def fill[S](
+    take: Take,
+    slots: Callable[[], Sequence[S]],
+    submit: Callable[[Unit, S], Any],
+    stop: Callable[[Collection[Any]], None],
+    result: Callable[[Unit, Any], Outcome] = lambda _unit, future: future.result(),
+) -> Generator[tuple[Unit, Outcome]]:
+    """Hands units to slots, each of which runs one at a time; see ``Executor.work``.
 
-    @property
-    def holds(self) -> Hashable:
-        """What its process keeps; None for nothing."""
-        ...
-
-
-class SlotExecutor[S: Slot](ABC):
-    """Hands units to slots, each of which runs one at a time: the loop of all executors."""
-
-    @abstractmethod
-    def slots(self) -> Sequence[S]:
-        """Returns the slots that there are now.
-
-        Raises:
-            ScenecError: There are none any more.
-        """
-
-    @abstractmethod
-    def submit(self, unit: Unit, slot: S) -> Any:
-        """Begins a unit in a free slot; returns a future."""
-
-    @abstractmethod
-    def outcome(self, unit: Unit, future: Any) -> Outcome:
-        """Returns what came of a future that is done.
-
-        Raises:
-            ScenecError: It was lost with those who ran it.
-        """
-
-    @abstractmethod
-    def stop(self, futures: Collection[Any]) -> None:
-        """Ends what is under way, and waits until it has ended."""
-
-    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
-        """See ``Executor``."""
-        ended: SimpleQueue[Any] = SimpleQueue()
-        under_way: dict[Any, tuple[S, Unit]] = {}
-        try:
-            while True:
-                slots = self.slots()
-                busy = [slot for slot, _ in under_way.values()]
-                free = [slot for slot in slots if slot not in busy]
-                # Those first that keep something.
-                for slot in sorted(free, key=lambda slot: slot.holds is None):
-                    unit = take(slot.holds)
-                    if unit is not None:
-                        future = self.submit(unit, slot)
-                        under_way[future] = slot, unit
-                        future.add_done_callback(ended.put)
-                if free and not under_way:
-                    return
-                # Not for good: slots come and go.
-                with suppress(Empty):
-                    future = ended.get(timeout=LOOK_S)
-                    _, unit = under_way.pop(future)
-                    yield unit, self.outcome(unit, future)
-        finally:
-            if under_way:
-                # Left amid work: by an error, an interrupt, or who had enough.
-                self.stop(under_way)
-                for _, unit in under_way.values():
-                    clean(unit)
+    Args:
+        take: Gives units out.
+        slots: There are now; what each ``holds`` is what its process keeps.
+        submit: Begins a unit in a free slot, as a future.
+        stop: Ends what is under way, and waits until it has ended.
+        result: What came of a future that is done.
+    """
+    ended: SimpleQueue[Any] = SimpleQueue()
+    under_way: dict[Any, tuple[Any, Unit]] = {}
+    try:
+        while True:
+            there: Sequence[Any] = slots()
+            busy = [slot for slot, _ in under_way.values()]
+            free = [slot for slot in there if slot not in busy]
+            # Those first that keep something.
+            for slot in sorted(free, key=lambda slot: slot.holds is None):
+                unit = take(slot.holds)
+                if unit is not None:
+                    future = submit(unit, slot)
+                    under_way[future] = slot, unit
+                    future.add_done_callback(ended.put)
+            if free and not under_way:
+                return
+            # Not for good: slots come and go.
+            with suppress(Empty):
+                future = ended.get(timeout=LOOK_S)
+                _, unit = under_way.pop(future)
+                yield unit, result(unit, future)
+    finally:
+        if under_way:
+            # Left amid work: by an error, an interrupt, or who had enough.
+            stop(under_way)
+            for _, unit in under_way.values():
+                clean(unit)
 
 
-class Processes(SlotExecutor[Supervisor]):
+class Processes:
     """Runs units in worker processes of this machine, each supervised, each with its cores.
 
     Args:
@@ -133,20 +110,14 @@ class Processes(SlotExecutor[Supervisor]):
         count = min(units, len(self._slots))
         return min(available() // count, limits.memory_bytes or default_limit() // count), count
 
-    def slots(self) -> Sequence[Supervisor]:
-        """Returns all of them."""
-        return self._slots
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
+        """See ``Executor``."""
+        return fill(take, lambda: self._slots, self._submit, self._stop)
 
-    def submit(self, unit: Unit, slot: Supervisor) -> Future[Outcome]:
-        """Has a thread wait for the slot's process."""
+    def _submit(self, unit: Unit, slot: Supervisor) -> Future[Outcome]:
         return self._threads.submit(slot.do, unit)
 
-    def outcome(self, unit: Unit, future: Future[Outcome]) -> Outcome:
-        """Returns what the slot noted."""
-        return future.result()
-
-    def stop(self, futures: Collection[Future[Outcome]]) -> None:
-        """Ends the processes."""
+    def _stop(self, futures: Collection[Future[Outcome]]) -> None:
         while not all(future.done() for future in futures):
             for slot in self._slots:
                 slot.stop()

@@ -16,7 +16,7 @@ from scenec.backends.run.batches import BatchReport, BatchRun, OpenBatch, Progre
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import frames_of, may_lose, opening_of, unasked
 from scenec.backends.run.plan import RenderPlan
-from scenec.backends.run.units import OfSession, Opened, Opening, RenderFrame, open_stage
+from scenec.backends.run.units import OfSession, Opened, Opening, RenderFrame
 from scenec.schemas.errors import FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import ANNOTATION_NAMES
@@ -153,10 +153,6 @@ class _Render(BatchRun):
     def __init__(self, plan: RenderPlan, batches: Mapping[Opening, Batch], *more: Any) -> None:
         super().__init__(batches, *more)
         self._plan = plan
-
-    def opening(self, holds: Opening) -> Unit:
-        """Returns what opens a stage and tells of its cameras."""
-        return open_stage(holds)
 
     def files(self, batch: Batch, holds: Opening, opened: Opened) -> Sequence[RenderFrame]:
         """Lists the frames that the plan asks for.

@@ -13,7 +13,7 @@ from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.batches import BatchReport, BatchRun, Progress
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import require_samples
-from scenec.backends.run.units import Made, MakeFile, Opening
+from scenec.backends.run.units import Made, MakeFile, Opened, Opening
 from scenec.backends.run.writer import label_facts, plain, time_of
 from scenec.backends.stage.scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
@@ -36,46 +36,6 @@ class ScanReport(BatchReport):
     def scans(self) -> list[Path]:
         """Paths of all scans asked for, without suffix."""
         return self.stems
-
-
-@dataclass(frozen=True)
-class LidarList:
-    """What a stage holds for lidars.
-
-    Attributes:
-        digest: Of the stage.
-        lidars: Names, of each sample.
-        losses: A line for each thing that is not read.
-        read_s: Seconds that reading the stage took.
-    """
-
-    digest: str
-    lidars: list[list[str]]
-    losses: tuple[str, ...]
-    read_s: float
-
-
-@dataclass(frozen=True)
-class ListLidars:
-    """Opens a stage, and lists its lidars: ``LidarList``."""
-
-    holds: Opening
-
-    @property
-    def what(self) -> str:
-        """In messages."""
-        return f"opening {self.holds.stage}"
-
-    def run(self, keeper: Keeper) -> LidarList:
-        """Reads it.
-
-        Raises:
-            StageError: It cannot be read.
-        """
-        start = time.perf_counter()
-        scene = self.holds.session(keeper).scene
-        names = [[lidar.name for lidar in some] for some in scene.lidars]
-        return LidarList(scene.digest, names, scene.losses, time.perf_counter() - start)
 
 
 @dataclass(frozen=True)
@@ -197,11 +157,7 @@ class _Scan(BatchRun):
     counts_strays: bool
     names: set[str]
 
-    def opening(self, holds: Opening) -> Unit:
-        """Returns what opens a stage and lists its lidars."""
-        return ListLidars(holds)
-
-    def files(self, batch: Batch, holds: Opening, opened: LidarList) -> Sequence[ScanLidar]:
+    def files(self, batch: Batch, holds: Opening, opened: Opened) -> Sequence[ScanLidar]:
         """Lists the scans that are asked for.
 
         Raises:
@@ -224,7 +180,7 @@ class _Scan(BatchRun):
                 found.append(ScanLidar(holds, what, *place, opened.digest, self.ply))
         return found
 
-    def begin(self, batch: Batch, opened: LidarList, files: Sequence[MakeFile]) -> Iterable[Unit]:
+    def begin(self, batch: Batch, opened: Opened, files: Sequence[MakeFile]) -> Iterable[Unit]:
         """Clears up, and tells of what nothing replaces."""
         sweep((batch.folder / SCANS).glob("*"))
         if self.counts_strays:

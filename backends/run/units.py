@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,14 +80,17 @@ class Opened:
 
     Attributes:
         digest: Of the stage.
-        cameras: Of each sample.
+        cameras, lidars: Of each sample; names of lidars.
         losses: A line for each thing that is not read, or that ``rgb`` leaves out.
+        read_s: Seconds that opening it took.
         backend, version, device, denoiser, warning: Of who draws.
     """
 
     digest: str
     cameras: list[list[CameraFacts]]
+    lidars: list[list[str]]
     losses: tuple[str, ...]
+    read_s: float
     backend: str
     version: str
     device: str
@@ -137,31 +140,38 @@ class OfBackend:
         return self.do(self.backend)
 
 
-def open_stage(opening: Opening) -> OfSession:
-    """Open a stage, and say what there is to render; returns ``Opened``."""
-    every_but_rgb = opening.passes is None and opening.backend in ANNOTATION_NAMES
-    do = partial(_opened, opening.passes, every_but_rgb)
-    return OfSession(opening, f"opening {opening.stage}", do)
+@dataclass(frozen=True)
+class OpenStage:
+    """Opens a stage, and tells what there is to render and to scan: ``Opened``."""
 
+    holds: Opening
 
-def _opened(passes: tuple[str, ...] | None, every_but_rgb: bool, session: Session) -> Opened:
-    def wanted(camera: Camera) -> Sequence[str] | None:
-        return [n for n in camera.outputs if n != "rgb"] if every_but_rgb else passes
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return f"opening {self.holds.stage}"
 
-    cameras = [
-        [
-            CameraFacts(
-                name=camera.name,
-                passes=session.passes(wanted(camera), camera),
-                fires=camera.fires(sample),
-                outputs=tuple(camera.outputs),
-                undenoised=session.undenoised(camera),
-            )
-            for camera in cameras
-        ]
-        for sample, cameras in enumerate(session.scene.cameras)
-    ]
-    return Opened(session.scene.digest, cameras, session.losses, **session.facts())
+    def run(self, keeper: Keeper) -> Opened:
+        """Reads it, unless it is held."""
+        start = time.perf_counter()
+        session = self.holds.session(keeper)
+        scene, passes = session.scene, self.holds.passes
+        every_but_rgb = passes is None and self.holds.backend in ANNOTATION_NAMES
+
+        def facts(camera: Camera, sample: int) -> CameraFacts:
+            outputs = tuple(camera.outputs)
+            wanted = [n for n in outputs if n != "rgb"] if every_but_rgb else passes
+            made, fires = session.passes(wanted, camera), camera.fires(sample)
+            return CameraFacts(camera.name, made, fires, outputs, session.undenoised(camera))
+
+        return Opened(
+            scene.digest,
+            [[facts(camera, n) for camera in of] for n, of in enumerate(scene.cameras)],
+            [[lidar.name for lidar in of] for of in scene.lidars],
+            session.losses,
+            time.perf_counter() - start,
+            **session.facts(),
+        )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scenec.backends.picture.adaptive import MOST_SPP
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import frames_of, opening_of
 from scenec.backends.run.plan import RenderPlan
-from scenec.backends.run.units import Opened, RenderFrame, open_stage
+from scenec.backends.run.units import Opened, OpenStage, RenderFrame
 from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch
@@ -176,7 +176,7 @@ class _Climb:
         )
         start = time.perf_counter()
         # Opened with every pass that is asked for later; requests name those of each frame.
-        self._opened: Opened = self._ask(open_stage(opening_of(batch, self._wanted)))
+        self._opened: Opened = self._ask(OpenStage(opening_of(batch, self._wanted)))
         self._opening_s = time.perf_counter() - start
         self._warm = False
 

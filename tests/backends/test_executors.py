@@ -26,7 +26,7 @@ from scenec.backends.run.executors import Processes, make_executor
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
-from scenec.backends.run.units import OfBackend, OfSession, Opening, open_stage
+from scenec.backends.run.units import OfBackend, OfSession, Opening, OpenStage
 from scenec.compiler.batch_unit import CompileBatch
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -107,7 +107,7 @@ def children() -> list[psutil.Process]:
 def test_units_are_the_same_after_a_journey(tmp_path):
     opening = Opening(str(tmp_path / "stage.usda"), "mitsuba", passes=("rgb",))
     units = [
-        open_stage(opening),
+        OpenStage(opening),
         OfSession(opening, "a table", methodcaller("write_instances", tmp_path)),
         OfBackend("mitsuba", print),
         CompileBatch(
@@ -271,7 +271,7 @@ def test_a_worker_that_started_a_renderer_takes_a_stage_and_no_second_one(tmp_pa
     first, second = (square_stage(tmp_path / f"{name}.usda", width=8) for name in "ab")
     units = [
         OfBackend("plain", partial(start, "auto")),
-        *(open_stage(Opening(str(path), "plain")) for path in (first, first, second)),
+        *(OpenStage(Opening(str(path), "plain")) for path in (first, first, second)),
     ]
     pids = []
     with Processes(1) as executor:

@@ -130,9 +130,9 @@ def test_a_worker_goes_with_its_parent(stage):
     code = (
         "import sys, time\n"
         "from scenec.backends.run.supervise import Supervisor\n"
-        "from scenec.backends.run.units import Opening, open_stage\n"
+        "from scenec.backends.run.units import Opening, OpenStage\n"
         "w = Supervisor()\n"
-        f"w.do(open_stage(Opening({str(stage)!r}, 'annotation'))).result()\n"
+        f"w.do(OpenStage(Opening({str(stage)!r}, 'annotation'))).result()\n"
         "print(w.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
