@@ -38,8 +38,10 @@ from scenec.datasets import pictures
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, paint_labels
 from scenec.datasets.sheet import write_sheet
 from scenec.datasets.source import LoadedFrame, Source
+from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import FrameError
 from scenec.schemas.manifest import REPORT, Batch, find_batches, read_manifest
+from scenec.schemas.records import FrameRecord
 from scenec.schemas.scratch import scratch_folder
 
 #: Pixels that a shown picture is wide at most.
@@ -119,10 +121,10 @@ class Output:
         manifest = read_manifest(self.path)
         rows = {
             "output": str(self.path),
-            "cfg": manifest.get("name", ""),
-            "seed": manifest.get("seed", ""),
-            "batches": len(manifest["batches"]),
-            "made by": f"scenec {manifest.get('scenec', '')}",
+            "cfg": manifest.name or "",
+            "seed": "" if manifest.seed is UNSET else manifest.seed,
+            "batches": len(manifest.batches),
+            "made by": f"scenec {manifest.scenec or ''}",
         }
         try:
             with scratch_folder() as folder:
@@ -231,7 +233,7 @@ class Frame:
         return tuple(self.loaded.passes)
 
     @property
-    def sidecar(self) -> Mapping[str, Any]:
+    def sidecar(self) -> FrameRecord:
         """Intrinsics, pose, labels, errors, times: what its JSON sidecar says."""
         return self.loaded.sidecar
 
@@ -257,14 +259,14 @@ class Frame:
         if depth is not None and np.isfinite(depth).any():
             near, far = np.percentile(depth[np.isfinite(depth)], [1, 99])
             shown.append(paint_depth(depth, float(near), float(far)))
-        error = frame.sidecar.get("estimated_error") or {}
+        error = frame.sidecar.error.relative_rms
         rows = {
             "frame": frame.ref.name,
-            "made by": frame.sidecar.get("backend_version", ""),
+            "made by": frame.sidecar.backend_version or "",
             "passes": ", ".join(frame.passes),
         }
-        if error.get("relative_rms") is not None:
-            rows["error"] = f"{100.0 * error['relative_rms']:.2g} %"
+        if error is not None:
+            rows["error"] = f"{100.0 * error:.2g} %"
         return _table(rows) + "".join(_picture(one) for one in shown)
 
 

@@ -11,6 +11,7 @@ from scenec.backends.run.limits import Limits
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
 from scenec.cli.output import Progress, print_json, say, say_next
+from scenec.schemas.codec import encode
 from scenec.schemas.memory import GB
 from scenec.schemas.units import Executor
 
@@ -79,7 +80,7 @@ def as_json(report: RenderReport) -> dict[str, object]:
     """The report for scripts."""
     return {
         "backend": report.backend,
-        "choice": report.choice,
+        "choice": encode(report.choice),
         "backend_version": report.backend_version,
         "device": report.device,
         "denoiser": report.denoiser,

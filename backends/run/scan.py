@@ -12,10 +12,11 @@ from pathlib import Path
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.batches import BatchReport, BatchRun, Progress
 from scenec.backends.run.executors import make_executor
+from scenec.backends.run.facts import label_names, time_of
 from scenec.backends.run.frames import require_samples
 from scenec.backends.run.units import Made, MakeFile, Opened, Opening
-from scenec.backends.run.writer import label_facts, plain, time_of
 from scenec.backends.stage.scene import Lidar, RenderScene
+from scenec.schemas.codec import encode
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
 from scenec.schemas.frames import ANNOTATION
@@ -79,7 +80,7 @@ class ScanLidar(MakeFile):
             arrays = scan(scene, caster, lidar, self.sample)
             scanned = time.perf_counter()
             sidecar = _sidecar(scene, lidar, self.sample, self.key)
-            write_scan(self.stem, arrays, plain(sidecar), self.ply)
+            write_scan(self.stem, arrays, encode(sidecar), self.ply)
             seconds |= {"scan": scanned - start, "write": time.perf_counter() - scanned}
         return Made(now=True, seconds=seconds, text=f"{sum(seconds.values()):.2f} s")
 
@@ -205,7 +206,7 @@ def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[st
             "dropout": lidar.dropout,
             "key": lidar.key,
         },
-        "labels": label_facts(scene),
+        "labels": label_names(scene),
         "instances": scene.instance_paths,
         "losses": scene.losses,
         "stage_digest": scene.digest,
