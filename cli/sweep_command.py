@@ -6,7 +6,7 @@ import argparse
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -190,14 +190,15 @@ def _compile(executor: Executor, work: Sequence[tuple[CompilePoint, bool]], tabl
         return
     executor.prepare(table.out)
     bar = Progress("compiled", unit="point")
-    for done, (each, outcome) in enumerate(run_all(executor, units), 1):
-        for line in outcome.warnings:
-            say(f"warning: {line}")
-        assert isinstance(each, CompilePoint)
-        if outcome.error is not None:
-            say(f"warning: {each.what}: {outcome.error}")
-        table.note(each.point, f"failed: {outcome.error}" if outcome.error else "compiled")
-        bar(done, len(units), each.what)
+    with closing(run_all(executor, units)) as ended:
+        for done, (each, outcome) in enumerate(ended, 1):
+            for line in outcome.warnings:
+                say(f"warning: {line}")
+            assert isinstance(each, CompilePoint)
+            if outcome.error is not None:
+                say(f"warning: {each.what}: {outcome.error}")
+            table.note(each.point, f"failed: {outcome.error}" if outcome.error else "compiled")
+            bar(done, len(units), each.what)
 
 
 def _render(

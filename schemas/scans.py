@@ -14,6 +14,9 @@ The npz holds a row a beam and a column an azimuth, from the first of each:
 ``azimuth_deg``    float64 [a]         of each column, counterclockwise from above
 =================  ==================  ==========================================================
 
+Where a pattern says where each ray goes, both angles are [b, a] (version 1.1), and columns are a
+beam's rays in their order.
+
 The lidar's frame is x ahead, y left, z up. The JSON sidecar, written last, holds the pose and what
 the scan was made from.
 """
@@ -36,8 +39,8 @@ from scenec.schemas.shape import Each, natural, read_shaped
 
 #: In each batch's folder.
 SCANS = "scans"
-#: Version of the sidecar's shape.
-SCAN_VERSION = "1.0"
+#: Version of a scan's shape; and of one that holds both angles of each ray.
+SCAN_VERSION, RAYS_VERSION = "1.0", "1.1"
 
 _SIDECAR = {
     "lidar?": str,
@@ -129,6 +132,9 @@ def write_scan(
             temporary.write_bytes(as_ply(arrays))
     vouched = {"bytes": path.stat().st_size, "sha256": sha256(path)}
     head = {"version": SCAN_VERSION, **sidecar, "conventions": CONVENTIONS}
+    if np.ndim(arrays.get("elevation_deg", ())) == 2:
+        order = "rows are beams, columns their rays in turn; both angles are of each ray"
+        head |= {"version": RAYS_VERSION, "conventions": CONVENTIONS | {"order": order}}
     write_json(stem.with_suffix(".json"), {**head, "npz": vouched, "ply": ply})
 
 

@@ -155,6 +155,9 @@ ATTR_LIDAR_ELEVATIONS = "scenec:lidar:elevations"
 ATTR_LIDAR_AZIMUTH = "scenec:lidar:azimuth"
 ATTR_LIDAR_AZIMUTHS = "scenec:lidar:azimuths"
 ATTR_LIDAR_RANGE = "scenec:lidar:range"
+#: In place of elevations and azimuth. double2[], beam by beam, so many each as azimuths says:
+#: elevation and azimuth of each ray, degrees.
+ATTR_LIDAR_RAYS = "scenec:lidar:rays"
 #: double, 0 where not authored: standard deviation of ranges in stage units, of ranges as a share
 #: of the range, of both angles in degrees; share of answers lost; uint64: key of the numbers drawn.
 ATTR_LIDAR_RANGE_NOISE = "scenec:lidar:noise:range"

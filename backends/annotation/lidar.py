@@ -52,9 +52,8 @@ class _Errors(NamedTuple):
 @kernel
 def _directions(first, last, elevations, azimuths, errors, turn, out):  # type: ignore[no-untyped-def]
     """World directions of the rays that are cast, float64 [b * a, 3]; angles are in radians."""
-    count = azimuths.shape[0]
     for k in range(first, last):
-        up, left = elevations[k // count], azimuths[k % count]
+        up, left = elevations[k], azimuths[k]
         if errors.angle > 0.0:
             w = philox(errors.key, np.uint64(k), errors.sample, _TURNED, np.uint64(0))
             up += errors.angle * quantile(unit(w[0]))
@@ -92,7 +91,10 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
         Arrays by name, as ``schemas.scans`` has them.
     """
     elevations, azimuths = np.radians(lidar.elevations_deg), np.radians(lidar.azimuths_deg)
-    shape = (len(elevations), len(azimuths))
+    if elevations.ndim == 1:
+        elevations, azimuths = elevations[:, None], azimuths[None, :]
+    shape = len(elevations), azimuths.shape[1]
+    of_rays = [np.broadcast_to(angles, shape).ravel() for angles in (elevations, azimuths)]
     directions = np.empty((shape[0] * shape[1], 3))
     errors = _Errors(
         math.radians(lidar.angle_noise_deg),
@@ -104,7 +106,7 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
         np.uint64(sample),
     )
     turn = np.ascontiguousarray(lidar.to_world[:3, :3])
-    over_threads(_directions, len(directions), elevations, azimuths, errors, turn, directions)
+    over_threads(_directions, len(directions), *of_rays, errors, turn, directions)
     origins = np.ascontiguousarray(np.broadcast_to(lidar.to_world[:3, 3], directions.shape))
     rays = Rays(origins, directions, shape)
     caster.pose(sample)
@@ -130,9 +132,8 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     return out | {"elevation_deg": lidar.elevations_deg, "azimuth_deg": lidar.azimuths_deg}
 
 
-def _told(elevations: NDArray[np.float64], azimuths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions that the lidar tells, in its frame, [b * a, 3]."""
-    up, left = elevations[:, None], azimuths[None, :]
+def _told(up: NDArray[np.float64], left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Directions that the lidar tells, in its frame, [b * a, 3], of [b, 1 or a] and [1 or b, a]."""
     flat = np.cos(up)
     told = [flat * np.cos(left), flat * np.sin(left), np.sin(up) + 0.0 * left]
     return np.stack(told, axis=-1).reshape(-1, 3)

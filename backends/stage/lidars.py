@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Usd
 
 from scenec.backends.stage import values
@@ -17,6 +18,8 @@ from scenec.schemas.errors import StageError
 
 #: Rays of one scan: beyond, arrays would not fit.
 _MOST = 2**28
+#: Attributes of which a lidar has one.
+_MARKS = (names.ATTR_LIDAR_ELEVATIONS, names.ATTR_LIDAR_RAYS)
 
 
 def read_lidars(
@@ -27,7 +30,7 @@ def read_lidars(
     Raises:
         StageError: Attributes that cannot be.
     """
-    prims = [p for p in stage.Traverse() if p.HasAttribute(names.ATTR_LIDAR_ELEVATIONS)]
+    prims = [p for p in stage.Traverse() if any(map(p.HasAttribute, _MARKS))]
     if not prims:
         return ()
     found: list[list[Lidar]] = [[] for _ in times]
@@ -45,11 +48,7 @@ def read_lidars(
 
 def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:
     """Reads all of a lidar but its pose."""
-    elevations = values.array(prim.GetAttribute(names.ATTR_LIDAR_ELEVATIONS), np.float64)
-    count = values.whole(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTHS), 0)
-    if not 0 < count * len(elevations) <= _MOST:
-        raise StageError(f"{prim.GetPath()}: {len(elevations)} beams of {count} rays are no scan")
-    start, stop = values.vector(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTH), 2) or (180.0, -180.0)
+    elevations, azimuths = _rays(prim)
     reach = values.vector(prim.GetAttribute(names.ATTR_LIDAR_RANGE), 2, finite=False)
     unit = frame.meters_per_unit
     near, far = (unit * value for value in reach or (0.0, np.inf))
@@ -64,7 +63,7 @@ def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:
         path=str(prim.GetPath()),
         to_world=np.eye(4),
         elevations_deg=elevations,
-        azimuths_deg=start + (stop - start) * np.arange(count) / count,
+        azimuths_deg=azimuths,
         range_m=(near, far),
         range_noise_m=unit * values.number(prim.GetAttribute(names.ATTR_LIDAR_RANGE_NOISE), 0.0),
         range_noise_ratio=values.number(prim.GetAttribute(names.ATTR_LIDAR_RATIO_NOISE), 0.0),
@@ -72,3 +71,19 @@ def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:
         dropout=values.number(prim.GetAttribute(names.ATTR_LIDAR_DROPOUT), 0.0),
         key=values.whole(prim.GetAttribute(names.ATTR_LIDAR_KEY), 0),
     )
+
+
+def _rays(prim: Usd.Prim) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Reads elevations and azimuths, as ``Lidar`` has them."""
+    count = values.whole(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTHS), 0)
+    if prim.HasAttribute(names.ATTR_LIDAR_RAYS):
+        rays = values.array(prim.GetAttribute(names.ATTR_LIDAR_RAYS), np.float64, width=(2,))
+        if not 0 < len(rays) <= _MOST or count < 1 or len(rays) % count:
+            raise StageError(f"{prim.GetPath()}: {len(rays)} rays, {count} a beam, are no scan")
+        elevations, azimuths = rays.T.reshape(2, -1, count)
+        return elevations, azimuths
+    elevations = values.array(prim.GetAttribute(names.ATTR_LIDAR_ELEVATIONS), np.float64)
+    if not 0 < count * len(elevations) <= _MOST:
+        raise StageError(f"{prim.GetPath()}: {len(elevations)} beams of {count} rays are no scan")
+    start, stop = values.vector(prim.GetAttribute(names.ATTR_LIDAR_AZIMUTH), 2) or (180.0, -180.0)
+    return elevations, start + (stop - start) * np.arange(count) / count

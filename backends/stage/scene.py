@@ -366,8 +366,9 @@ class Lidar:
         name: Name in file paths: ``<rig>_<lidar>``.
         path: Prim path.
         to_world: float64 [4, 4].
-        elevations_deg: Of each beam, float64 [b].
-        azimuths_deg: Of each ray of a beam, counterclockwise from above, float64 [a].
+        elevations_deg: Of each beam, float64 [b], or of each ray, [b, a].
+        azimuths_deg: Of each ray of a beam, counterclockwise from above, float64 [a]; or of each
+            ray, [b, a].
         range_m: Nearest and farthest that is answered.
         range_noise_m, range_noise_ratio: Standard deviations of ranges, meters and as a share.
         angle_noise_deg: Of azimuth and of elevation.

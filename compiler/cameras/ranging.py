@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.cameras.mount import Mount, Trigger
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, forms, key, list_of
 from scenec.compiler.scene import rig
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
+from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import shown
 
 _RANGE_M = list_of(bounded(forms.CONSTANT, at_least=0, at_most=1e9, unit="m"), "A bound.", count=2)
 _DISTANCE = bounded(forms.CONSTANT, at_least=0, at_most=1_000_000_000, unit="m")
 _UPWARD = bounded(forms.CONSTANT, at_least=-90, at_most=90, unit="°")
 _AROUND = bounded(forms.CONSTANT, at_least=-720, at_most=720, unit="°")
+#: Bounds of a ray's elevation and azimuth: those of the keys above.
+_ANGLES = (90.0, 720.0)
+#: What a lidar says of its rays itself, where it has no pattern.
+_GRID = ("beams", "elevation_deg", "elevations_deg", "azimuths", "azimuth_deg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,11 +108,25 @@ class LidarNoise:
     """Share of answers that are lost."""
 
 
+class ScanPattern(ABC):
+    """Where the rays of a lidar go, by another package."""
+
+    @abstractmethod
+    def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns elevation and azimuth of each ray, degrees, each float64 [beams, azimuths].
+
+        Elevations are upward, azimuths counterclockwise from above, 0 ahead; rows are in the order
+        in which a beam takes its rays.
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Lidar:
-    """A scanner of beams at fixed elevations that turns about its upward axis.
+    """A scanner of beams at fixed elevations that turns about its upward axis, or one whose rays go
+    where the pattern of another package says.
 
-    A scan is taken at one instant. It has either beams or elevations_deg.
+    A scan is taken at one instant. It has azimuths and either beams or elevations_deg, or it has a
+    pattern.
     """
 
     EXAMPLE: ClassVar = {
@@ -114,6 +135,8 @@ class Lidar:
         "azimuths": 900,
         "range_m": [0.5, 100],
     }
+
+    KEYWORDS: ClassVar = {"if": {"required": ["pattern"]}, "else": {"required": ["azimuths"]}}
 
     mount: Mount = key(an("mount", drawn=True), default={})
     """Where the lidar sits on the rig; unturned it looks ahead, as a camera does."""
@@ -127,12 +150,14 @@ class Lidar:
         list_of(_UPWARD, "Upward.", least=1, most=65536), optional=True
     )
     """Elevation of each beam."""
-    azimuths: int = key(forms.COUNT, at_least=1, at_most=1_048_576)
+    azimuths: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=1_048_576)
     """Directions of each beam in a scan, evenly spaced over azimuth_deg."""
     azimuth_deg: tuple[float, float] = key(
         list_of(_AROUND, "Counterclockwise from above.", count=2), default=[180, -180]
     )
     """First azimuth, and where the next scan would begin; 0 is ahead, 90 left."""
+    pattern: ScanPattern | None = key(an("scan_pattern", drawn=True), sparse=True)
+    """Where its rays go, in place of beams, elevations and azimuths."""
     range_m: tuple[float, float] = key(
         list_of(_DISTANCE, "Along the beam.", count=2), default=[0.5, 120]
     )
@@ -148,7 +173,11 @@ class Lidar:
         name = str(node.path[-1])
         if name in node.whole().at(*node.path[:-2], "sensors"):
             yield node.fault(f"a sensor has the name {shown(name)}, too")
-        yield from node.either("beams", "elevations_deg", "how many beams there are")
+        if "pattern" in node:
+            for of_grid in _GRID:
+                yield from node.both("pattern", of_grid, "where its rays go")
+        else:
+            yield from node.either("beams", "elevations_deg", "how many beams there are")
         low, high = node["range_m"] or (0.0, 0.0)
         if low > high:
             yield node.fault(f"expected the nearest range first: {high:g}, {low:g}", "range_m")
@@ -159,21 +188,43 @@ class Lidar:
             )
 
     def draw(self, context: Context) -> rig.Lidar:
-        """Returns the scanner, which has the name that its path ends with."""
+        """Returns the scanner, which has the name that its path ends with.
+
+        Raises:
+            SceneError: Its pattern returns what are no rays.
+        """
+        rays = None if self.pattern is None else _rays(self.pattern)
         if self.elevations_deg is not None:
             elevations = np.array(self.elevations_deg, np.float64)
         else:
-            assert self.beams is not None
-            first, last = self.elevation_deg
-            elevations = first + (last - first) * np.arange(self.beams) / max(self.beams - 1, 1)
+            beams, (first, last) = self.beams or 0, self.elevation_deg
+            elevations = first + (last - first) * np.arange(beams) / max(beams - 1, 1)
         return rig.Lidar(
             name=context.path.rpartition("/")[2],
             to_rig=self.mount.to_rig,
             elevations_deg=elevations,
-            azimuths=self.azimuths,
+            azimuths=self.azimuths or 0,
             azimuth_deg=self.azimuth_deg,
             range_m=self.range_m,
             noise=rig.LidarNoise(**vars(self.noise)),
             noise_key=context.key("noise/key"),
             trigger=astuple(self.trigger),
+            rays=rays,
         )
+
+
+def _rays(pattern: ScanPattern) -> NDArray[np.float64]:
+    """Returns elevation and azimuth of each ray, [beams, azimuths, 2]; checks what was returned."""
+    made: Any = pattern.rays()
+    try:
+        rays = np.stack([np.asarray(angles, np.float64) for angles in made], axis=-1)
+    except (TypeError, ValueError):
+        rays = np.zeros(0)
+    of_shape = rays.ndim == 3 and rays.shape[2] == 2 and rays.size
+    if not of_shape or not (np.abs(rays) <= _ANGLES).all():
+        who = f"scan pattern {type(pattern).__module__}:{type(pattern).__qualname__}"
+        raise SceneError(
+            f"{who}: returned {' '.join(repr(made).split()):.60}: expected elevations and azimuths "
+            "(each float64 [beams, azimuths]) from -90 to 90 and from -720 to 720 degrees"
+        )
+    return rays

@@ -197,11 +197,15 @@ def write_lidar(stage: Usd.Stage, path: str, lidar: Lidar) -> None:
     to_rig[:3, :3] = [[sum(row * column) for column in _LIDAR.T] for row in lidar.to_rig[:3, :3]]
     xform.AddTransformOp().Set(matrix(to_rig))
     prim, noise = xform.GetPrim(), lidar.noise
-    elevations = Vt.DoubleArray(lidar.elevations_deg.tolist())
+    if lidar.rays is None:
+        count, elevations = lidar.azimuths, Vt.DoubleArray(lidar.elevations_deg.tolist())
+        custom(prim, names.ATTR_LIDAR_ELEVATIONS, TYPES.DoubleArray).Set(elevations)
+        custom(prim, names.ATTR_LIDAR_AZIMUTH, TYPES.Double2).Set(Gf.Vec2d(*lidar.azimuth_deg))
+    else:
+        count, rays = lidar.rays.shape[1], Vt.Vec2dArray.FromNumpy(lidar.rays.reshape(-1, 2))
+        custom(prim, names.ATTR_LIDAR_RAYS, TYPES.Double2Array).Set(rays)
     for name, kind, value, usual in (
-        (names.ATTR_LIDAR_ELEVATIONS, TYPES.DoubleArray, elevations, None),
-        (names.ATTR_LIDAR_AZIMUTH, TYPES.Double2, Gf.Vec2d(*lidar.azimuth_deg), None),
-        (names.ATTR_LIDAR_AZIMUTHS, TYPES.Int, lidar.azimuths, None),
+        (names.ATTR_LIDAR_AZIMUTHS, TYPES.Int, count, None),
         (names.ATTR_LIDAR_RANGE, TYPES.Double2, Gf.Vec2d(*lidar.range_m), None),
         (names.ATTR_LIDAR_RANGE_NOISE, TYPES.Double, noise.range_m, 0.0),
         (names.ATTR_LIDAR_RATIO_NOISE, TYPES.Double, noise.range_ratio, 0.0),

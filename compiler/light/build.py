@@ -18,6 +18,7 @@ from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
 from scenec.schemas.errors import SceneError
+from scenec.schemas.plugins import named, plugin_name
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,8 @@ def _held(kind: Sky | CloudLayer, made: Any) -> SkyAndSun:
 
 
 def _who(kind: Sky | CloudLayer) -> str:
-    return f"sky or clouds {type(kind).__module__}:{type(kind).__qualname__}"
+    group = "scenec.skies" if isinstance(kind, Sky) else "scenec.clouds"
+    return named(group, plugin_name(group, type(kind)))
 
 
 def _sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:

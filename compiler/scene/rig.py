@@ -121,6 +121,8 @@ class Lidar:
         range_m: Nearest and farthest that is answered.
         noise_key: Of the numbers drawn for that, below 2**64.
         trigger: As in ``Sensor``.
+        rays: Elevation and azimuth of each ray, degrees, [b, a, 2], in place of the three that say
+            where beams go; None: they do.
     """
 
     name: str
@@ -132,6 +134,7 @@ class Lidar:
     noise: LidarNoise
     noise_key: int
     trigger: tuple[int, int] = (1, 0)
+    rays: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,19 @@ def outline(
 
 
 def rays_a_radian(lidar: Lidar) -> float:
-    """The largest number of its rays in a radian along the scan, or across it."""
+    """The largest number of its rays in a radian along the scan, or across it.
+
+    Of a pattern the middle one of all steps counts, from ray to ray and from beam to beam: where a
+    mirror turns back, they shrink to nothing.
+    """
+    if lidar.rays is not None:
+        toward, found = lidar_directions(lidar.rays), [0.5 / elementary.PI]
+        for axis in (0, 1):
+            step = np.diff(toward, axis=axis)
+            length = np.sqrt((step * step).sum(axis=2))
+            length = np.sort(length[length > 0.0], kind="stable")
+            found += [1.0 / float(length[len(length) // 2])] if len(length) else []
+        return max(found)
     low, high = lidar.azimuth_deg
     per_degree = lidar.azimuths / max(abs(high - low), 1e-9)
     steps = np.abs(np.diff(np.sort(lidar.elevations_deg, kind="stable")))
@@ -143,6 +155,18 @@ def rays_a_radian(lidar: Lidar) -> float:
     if len(steps):
         per_degree = max(per_degree, 1.0 / float(steps.min()))
     return per_degree * 180.0 / elementary.PI
+
+
+def lidar_directions(angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors of rays, OpenCV axes, float64 [..., 3].
+
+    Args:
+        angles_deg: Elevation and azimuth of each ray, [..., 2].
+    """
+    up, left = np.moveaxis(angles_deg * (elementary.PI / 180.0), -1, 0)
+    level = elementary.cos_array(up)
+    across, ahead = elementary.sin_array(left), elementary.cos_array(left)
+    return np.stack([-level * across, -elementary.sin_array(up), level * ahead], axis=-1)
 
 
 def sensor_poses(rig: Rig, sensor: Sensor | Lidar) -> NDArray[np.float64]:

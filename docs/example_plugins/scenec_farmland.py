@@ -1,9 +1,9 @@
 """One of each kind of thing that a package can add to scenec: see docs/plugins.md.
 
 Each kind of a cfg is a frozen dataclass, whose fields are its keys with every distribution drawn.
-Furrows and the spiral declare them where they stand, as scenec's own kinds do; the others have them
-in a ``SCHEMA``, a JSON Schema. A field ``key`` that no key of the cfg fills is a 64-bit number for
-hash noises: the same cfg and seed give the same one.
+Furrows, the spiral and the rosette declare them where they stand, as scenec's own kinds do; the
+others have them in a ``SCHEMA``, a JSON Schema. A field ``key`` that no key of the cfg fills is a
+64-bit number for hash noises: the same cfg and seed give the same one.
 """
 
 from __future__ import annotations
@@ -18,9 +18,16 @@ from scenec.backends.annotation.contract import Pass, View
 from scenec.backends.annotation.passes import normal
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
+from scenec.compiler.cameras.ranging import ScanPattern
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, LENGTH_PER_BATCH, PER_BATCH, SAMPLING
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    COUNT,
+    LENGTH_PER_BATCH,
+    PER_BATCH,
+    SAMPLING,
+)
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
@@ -253,6 +260,24 @@ class Veil(CloudLayer):
         up = np.array([max(sun.direction(i)[2], 0.01) for i in range(samples)])
         left = elementary.exp_array(-self.optical_depth / up)
         return sky, replace(sun, irradiance=sun.irradiance * left), {"left": left.tolist()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rosette(ScanPattern):
+    """A scan pattern: one beam, which two prisms lead along the petals of a rose."""
+
+    radius_deg: float = key(ANGLE_PER_BATCH, above=0, at_most=90, default=20)
+    """From the middle, which is ahead, to the tip of a petal."""
+    petals: int = key(COUNT, at_least=1, default=5)
+    """Cycles of the radius in a turn."""
+    count: int = key(COUNT, at_least=1, at_most=1_000_000, default=1000)
+    """Rays of a scan."""
+
+    def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Elevation and azimuth of each ray, degrees, [1, count]."""
+        turn = 2.0 * elementary.PI * np.arange(self.count)[None] / self.count
+        away = self.radius_deg * elementary.cos_array(self.petals * turn)
+        return away * elementary.sin_array(turn), away * elementary.cos_array(turn)
 
 
 def steepness(view: View) -> NDArray:

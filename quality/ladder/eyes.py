@@ -7,14 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.lenses import FUNCTIONS, pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
-from scenec.compiler.views.frustum import sensor_poses
+from scenec.compiler.views.frustum import lidar_directions, sensor_poses
 from scenec.schemas.lens import project
-
-_RADIAN = elementary.PI / 180.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +40,13 @@ class Eye:
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Rays of all places, own axes, float64 [n, 3], and whether there is such a ray, [n]."""
         if isinstance(self.sensor, Lidar):
-            beams = self.sensor.elevations_deg
-            low, high = self.sensor.azimuth_deg
-            up = _RADIAN * beams[np.minimum((v * len(beams)).astype(np.int64), len(beams) - 1)]
-            left = _RADIAN * (low + u * (high - low))
-            level = elementary.cos_array(up)
-            across, ahead = elementary.sin_array(left), elementary.cos_array(left)
-            local = np.stack([-level * across, -elementary.sin_array(up), level * ahead], axis=1)
-            return local, np.ones(len(u), np.bool_)
+            beams, rays = self.sensor.elevations_deg, self.sensor.rays
+            if rays is None:
+                low, high = self.sensor.azimuth_deg
+                angles = np.stack([beams[_entry(v, len(beams))], low + u * (high - low)], axis=1)
+            else:
+                angles = rays[_entry(v, len(rays)), _entry(u, rays.shape[1])]
+            return lidar_directions(angles), np.ones(len(u), np.bool_)
         width, height = self.sensor.resolution
         return pixel_rays(self.sensor.lens, self.sensor.intrinsics, u * width, v * height)
 
@@ -75,6 +71,11 @@ class Eye:
         u, v = fx * plane[:, 0] + skew * plane[:, 1] + cx, fy * plane[:, 1] + cy
         shown &= (u >= 0.0) & (u <= width) & (v >= 0.0) & (v <= height)
         return np.where(shown, v, np.nan)
+
+
+def _entry(part: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+    """Of so many entries, those at parts of the way through, [n]."""
+    return np.minimum((part * count).astype(np.int64), count - 1)
 
 
 def eyes_of(rigs: tuple[Rig, ...]) -> tuple[Eye, ...]:

@@ -86,6 +86,10 @@ def _cameras(stage: Usd.Stage) -> None:
         names.ATTR_LIDAR_DROPOUT: (_T.Double, 0.01),
         names.ATTR_LIDAR_KEY: (_T.UInt64, 3),
     })  # fmt: skip
+    _set(UsdGeom.Xform.Define(stage, "/World/Rigs/rover/rosette").GetPrim(), {
+        names.ATTR_LIDAR_RAYS: (_T.Double2Array, Vt.Vec2dArray([(-10.0, 0.0), (-20.0, 5.0)])),
+        names.ATTR_LIDAR_AZIMUTHS: (_T.Int, 2),
+    })  # fmt: skip
 
 
 def _materials(stage: Usd.Stage) -> None:

@@ -154,6 +154,30 @@ def test_angular_noise_moves_what_is_met_and_not_what_is_told(scene):
     assert abs(met.std() - 0.5) < 0.03
 
 
+def test_a_grid_of_which_each_ray_is_said_by_itself_is_scanned_as_the_grid(scene):
+    one = lidar(range_noise_m=0.1, angle_noise_deg=0.5, dropout=0.1, key=7)
+    angles = np.meshgrid(one.elevations_deg, one.azimuths_deg, indexing="ij")
+    other = dataclasses.replace(one, elevations_deg=angles[0], azimuths_deg=angles[1])
+    own, made = (scan(scene, ExactCaster(scene), each, 0) for each in (one, other))
+    assert made["elevation_deg"].shape == made["azimuth_deg"].shape == made["range"].shape
+    np.testing.assert_array_equal(made["range"], own["range"])
+    np.testing.assert_array_equal(made["label.class"], own["label.class"])
+    np.testing.assert_allclose(made["points"], own["points"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 2, 4])
+def test_rays_that_make_no_beams_are_refused(tmp_path, count):
+    path = ms.write_stage(tmp_path / "stage.usda")
+    stage = Usd.Stage.Open(str(path))
+    prim = UsdGeom.Xform.Define(stage, "/World/odd").GetPrim()
+    rays = prim.CreateAttribute(names.ATTR_LIDAR_RAYS, Sdf.ValueTypeNames.Double2Array)
+    rays.Set([(0.0, 1.0), (0.0, 2.0), (0.0, 3.0)])
+    prim.CreateAttribute(names.ATTR_LIDAR_AZIMUTHS, Sdf.ValueTypeNames.Int).Set(count)
+    stage.Save()
+    with pytest.raises(StageError, match=f"/World/odd: 3 rays, {count} a beam, are no scan"):
+        read_stage(path)
+
+
 @pytest.mark.parametrize(("near", "far"), [(0.0, 1e9), (2.5, 2.6), (5.0, 5.0)])
 def test_only_ranges_within_bounds_are_answered(scene, near, far):
     made = scan(scene, ExactCaster(scene), lidar(range_m=(near, far)), 0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scenec.compiler.scene.rig import Lidar, LidarNoise, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.views.frustum import rays_a_radian
 from scenec.compiler.views.resolution import views_of
 from scenec.quality.ladder import points
 from scenec.quality.ladder.eyes import Eye, eyes_of
@@ -49,6 +51,31 @@ def lidar(*elevations: float) -> Lidar:
         "top", np.eye(4), np.array(elevations), 360, (0.0, 90.0), (0.5, 100.0),
         LidarNoise(0.0, 0.0, 0.0, 0.0), 1,
     )  # fmt: skip
+
+
+def pattern(*elevations: float) -> Lidar:
+    """The same rays, each said by itself."""
+    angles = np.meshgrid(elevations, np.arange(360) / 4.0, indexing="ij")
+    return replace(lidar(), azimuths=0, azimuth_deg=(0.0, 0.0), rays=np.stack(angles, axis=-1))
+
+
+def test_a_pattern_of_a_grids_rays_is_looked_along_as_the_grid() -> None:
+    own, other = (
+        eyes_of((rig(NORTH, 2.0, lidars=(make(-10.0, -20.0, -30.0),)),))[0]
+        for make in (lidar, pattern)
+    )
+    u, v = np.arange(360) / 360.0, np.linspace(0.0, 1.0, 360)
+    assert other.rays(u + 1e-4, v) == pytest.approx(own.rays(u, v), abs=1e-14)
+
+
+def test_a_pattern_has_as_many_rays_a_radian_as_the_middle_one_of_its_steps_says() -> None:
+    """Steps of a quarter degree, shorter by the cosine of the middle beam's elevation."""
+    expected = math.degrees(4.0) / math.cos(math.radians(20.0))
+    assert rays_a_radian(pattern(-10.0, -20.0, -30.0)) == pytest.approx(expected, rel=1e-5)
+    # Beams nearer to each other than rays; then rays that all go the same way.
+    close = replace(lidar(), rays=np.array([[[0.0, 0.0]], [[0.01, 0.0]]]))
+    assert rays_a_radian(close) == pytest.approx(math.degrees(100.0), rel=1e-5)
+    assert rays_a_radian(replace(lidar(), rays=np.zeros((2, 5, 2)))) == 0.5 / math.pi
 
 
 def test_points_under_a_fisheye_fill_its_image_circle_evenly() -> None:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from scenec.compiler.cameras.paths.motion import Around, Built
+from scenec.compiler.cameras.ranging import ScanPattern
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
 from scenec.compiler.kinds.finding import Finding
@@ -208,6 +209,18 @@ class Mist(CloudLayer):
         return sky, replace(sun, irradiance=sun.irradiance * (1.0 - self.hides)), {}
 
 
+@dataclass(frozen=True, kw_only=True)
+class Fan(ScanPattern):
+    """Two beams with three rays each."""
+
+    tilt_deg: float = key(PER_BATCH, default=-10)
+    """Elevation of all rays."""
+
+    def rays(self) -> Any:
+        """The same elevation, a degree apart."""
+        return np.full((2, 3), self.tilt_deg), np.arange(6.0).reshape(2, 3)
+
+
 class Bare:
     """What is called a sky and is none."""
 
@@ -223,4 +236,5 @@ GROUPS = {
     "relief": ("lift", Lift), "conditions": ("east", East), "densities": ("half", Half),
     "rocks": ("ball", Ball), "surfaces": ("plain", Plain), "poses": ("hover", Hover),
     "effects": ("dim", Dim), "skies": ("even", Even), "clouds": ("mist", Mist),
+    "scans": ("fan", Fan),
 }  # fmt: skip
