@@ -26,9 +26,9 @@ from typing import Any, Self
 
 from scenec.backends.registry import distribution
 from scenec.backends.run import hands
-from scenec.backends.run.executors import fill
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once
+from scenec.backends.run.slots import fill
 from scenec.backends.run.supervise import FrameLostError
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import TEMPORARY
