@@ -45,7 +45,8 @@ from scenec.schemas.spelling import closest, shown
 
 type JSON = bool | int | float | str | Sequence[JSON] | Mapping[str, JSON] | None
 
-_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number",
+#: What types of JSON are called.
+NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number",
           dict: "an object", list: "a list"}  # fmt: skip
 
 
@@ -107,7 +108,7 @@ def decode[T](value: Any, kind: type[T], error: type[ScenecError], where: str) -
     try:
         made: T = _reader(cast(Hashable, kind))(value)
     except _MismatchError as fault:
-        place = "".join(f"/{_escaped(part)}" for part in reversed(fault.place))
+        place = "".join(f"/{escaped(part)}" for part in reversed(fault.place))
         raise error(f"{where}: {place or '/'}: {fault.text}") from None
     return made
 
@@ -165,7 +166,7 @@ def _reader(kind: Any) -> Callable[[Any], Any]:
 def _plain(kind: type) -> Callable[[Any], Any]:
     def read(value: Any) -> Any:
         if not (is_number(value) if kind is float else type(value) is kind):
-            raise _expected(_NAMES[kind], value)
+            raise _expected(NAMES[kind], value)
         return value
 
     return read
@@ -189,7 +190,7 @@ def _tuple(args: tuple[Any, ...]) -> Callable[[Any], Any]:
 
     def read(value: Any) -> Any:
         if not isinstance(value, list):
-            raise _expected(_NAMES[list], value)
+            raise _expected(NAMES[list], value)
         if not any_length and len(value) != len(readers):
             raise _MismatchError(f"expected {len(readers)} values, not {len(value)}")
         found: list[Any] = []
@@ -209,7 +210,7 @@ def _tuple(args: tuple[Any, ...]) -> Callable[[Any], Any]:
 def _mapping(inner: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def read(value: Any) -> Any:
         if not isinstance(value, dict):
-            raise _expected(_NAMES[dict], value)
+            raise _expected(NAMES[dict], value)
         found, key = {}, ""
         try:
             for key, one in value.items():
@@ -233,7 +234,7 @@ def _record(kind: Any) -> Callable[[Any], Any]:
 
     def read(value: Any) -> Any:
         if not isinstance(value, dict):
-            raise _expected(_NAMES[dict], value)
+            raise _expected(NAMES[dict], value)
         found, key = {}, ""
         try:
             for key, inner in keys.items():
@@ -254,9 +255,14 @@ def _record(kind: Any) -> Callable[[Any], Any]:
 
 
 def _expected(expected: str, value: Any) -> _MismatchError:
-    text = _NAMES[type(value)] if isinstance(value, dict | list) else shown(value)
-    return _MismatchError(f"expected {expected}, not {text}")
+    return _MismatchError(f"expected {expected}, not {told(value)}")
 
 
-def _escaped(key: str) -> str:
+def told(value: Any) -> str:
+    """Returns a JSON value for messages."""
+    return NAMES[type(value)] if isinstance(value, dict | list) else shown(value)
+
+
+def escaped(key: str) -> str:
+    """Returns a key as a part of a JSON pointer (RFC 6901)."""
     return key.replace("~", "~0").replace("/", "~1")

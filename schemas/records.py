@@ -57,6 +57,10 @@ class FileDigest:
     sha256: str
 
 
+#: Of a file that is not there yet.
+NOT_WRITTEN = FileDigest(bytes=0, sha256="")
+
+
 @dataclass(frozen=True, kw_only=True)
 class LensRecord:
     """A lens: ``schemas.lens`` says what its numbers mean, and makes a ``Lens`` of it."""
@@ -190,7 +194,7 @@ class HazePixels:
     """Pixels that had rays of their own through haze, of those over which it changes."""
 
     subsampled_pixels: int
-    changing_pixels: int
+    changing_pixels: int | None = omitted()
 
 
 @dataclass(frozen=True)
@@ -348,3 +352,36 @@ class FrameRecord:
     def firing(self) -> tuple[int, int]:
         """Samples from one frame of the camera to the next, and its first one."""
         return self.trigger or (1, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarNoise:
+    """Standard deviations of a lidar's answers, the share that it drops, and its key."""
+
+    range_m: float
+    range_ratio: float
+    angle_deg: float
+    dropout: float
+    key: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanRecord:
+    """What there is to say of a lidar's scan (``schemas.scans``)."""
+
+    version: str | Unset = UNSET
+    lidar: str | Unset = UNSET
+    lidar_prim: str | Unset = UNSET
+    sample: Natural | Unset = UNSET
+    time_s: float | None = None
+    lidar_to_world: Matrix4 | Unset = UNSET
+    range_m: tuple[float, ...] | Unset = UNSET
+    noise: LidarNoise | Unset = UNSET
+    labels: Mapping[str, Mapping[str, str]] | Unset = UNSET
+    instances: Mapping[str, int] | Unset = UNSET
+    losses: tuple[str, ...] | Unset = UNSET
+    stage_digest: str | Unset = UNSET
+    resume_key: str | Unset = UNSET
+    conventions: Mapping[str, str] | Unset = UNSET
+    npz: FileDigest
+    ply: bool | Unset = UNSET

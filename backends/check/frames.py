@@ -10,6 +10,7 @@ from typing import Literal
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
 from scenec.backends.picture.brightness import FrameBrightness, brief, told, told_of_sky
+from scenec.schemas.codec import Unset
 from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import read_frame
@@ -99,7 +100,7 @@ def check_scans(
             yield check.finding(path, str(error))
             continue
         yield from check.stale(
-            path, scan.sidecar.get("stage_digest"), "was made of another stage; scan again"
+            path, scan.sidecar.stage_digest, "was made of another stage; scan again"
         )
 
 
@@ -157,6 +158,6 @@ class _Check:
     def astray(self, path: Path, why: str) -> Finding:
         return self.finding(path, f"not of this stage: {why}: delete {path.stem}.*", "warning")
 
-    def stale(self, path: Path, digest: str | None, message: str) -> Iterator[Finding]:
+    def stale(self, path: Path, digest: str | Unset, message: str) -> Iterator[Finding]:
         if self.digest is not None and digest != self.digest:
             yield self.finding(path, message, "warning")

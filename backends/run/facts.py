@@ -21,7 +21,7 @@ from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import origins
 from scenec.schemas.picture import LUMINANCE
 from scenec.schemas.records import (
-    FileDigest,
+    NOT_WRITTEN,
     FrameRecord,
     LensRecord,
     LightRecord,
@@ -73,9 +73,9 @@ def describe_frame(
         sample=sample,
         time_s=time_of(scene, sample),
         resolution=(camera.width, camera.height),
-        intrinsics=_rows(camera.intrinsics),
+        intrinsics=rows(camera.intrinsics),
         lens=None if camera.lens is None else lens_record(camera.lens),
-        camera_to_world=_rows(camera.camera_to_world),
+        camera_to_world=rows(camera.camera_to_world),
         shutter=None if camera.shutter is None else shutter_record(camera),
         exposure_ev=camera.exposure_ev,
         trigger=camera.trigger,
@@ -87,7 +87,7 @@ def describe_frame(
         backend=renderer.backend,
         backend_version=renderer.version,
         stage_digest=scene.digest,
-        exr=FileDigest(sha256=""),
+        exr=NOT_WRITTEN,
         device=renderer.device,
         losses=tuple(scene.losses),
     )
@@ -137,10 +137,10 @@ def shutter_record(camera: Camera) -> ShutterRecord:
         exposure_s=held.shutter.exposure_s,
         readout_s=held.shutter.readout_s,
         direction="up" if held.shutter.upward else "down",
-        first_row=_rows(ends[0]),
-        last_row=_rows(ends[1]),
+        first_row=rows(ends[0]),
+        last_row=rows(ends[1]),
         times_s=tuple(np.asarray(held.times).tolist()),
-        camera_to_world=tuple(_rows(pose) for pose in np.asarray(held.camera_to_world)),
+        camera_to_world=tuple(rows(pose) for pose in np.asarray(held.camera_to_world)),
         convention=SHUTTER_CONVENTION,
     )
 
@@ -185,6 +185,6 @@ def light_record(lighting: Lighting) -> LightRecord:
     )
 
 
-def _rows(matrix: NDArray) -> Any:
+def rows(matrix: NDArray) -> Any:
     """Returns a matrix as records hold it."""
     return tuple(tuple(row) for row in matrix.tolist())
