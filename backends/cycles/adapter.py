@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.tiles import by_columns
-from scenec.backends.contract import BOUNCES, LoadCost, Radiance, Rays, Visibility
+from scenec.backends.contract import BOUNCES, Backend, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
@@ -40,7 +40,7 @@ PASSES = (ROW_PASS, FACE_PASS)
 LARGEST = 8192
 
 
-class Cycles:
+class Cycles(Backend):
     """Implements ``contract.Backend``: ``load`` once, then any number of samples.
 
     One Blender scene serves both questions. Lights come at the first radiance call, so annotation
@@ -51,7 +51,6 @@ class Cycles:
     devices = ("cpu", "cuda", "optix")
     denoiser = NAME
     load_cost = LoadCost(row=2700.0, triangle=300.0)
-    follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._bpy = blender.load_bpy()
@@ -62,10 +61,6 @@ class Cycles:
     def version(self) -> str:
         """Renderer, device and length of paths: whatever decides the picture."""
         return f"cycles {self._bpy.app.version_string} {self.device} path{self._bounces}"
-
-    def warning(self) -> str | None:
-        """Nothing to warn of."""
-        return None
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
         """Nothing of the shared surface model; light from around on what is not Lambert's."""

@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, ray_table
-from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
+from scenec.backends.contract import (
+    BOUNCES,
+    NO_ROW,
+    Backend,
+    LoadCost,
+    Radiance,
+    Rays,
+    Visibility,
+)
 from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.corners import split_corners
@@ -36,7 +44,7 @@ class _LoadCost(LoadCost):
         return super().keeps(scene) and not any(surface.emits for surface in scene.surfaces)
 
 
-class Mitsuba:
+class Mitsuba(Backend):
     """Implements ``contract.Backend``: ``load`` once, then any number of samples.
 
     Light is built at the first radiance call, so annotation alone never pays for it; visibility
@@ -53,6 +61,7 @@ class Mitsuba:
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)
+        self.device = "cuda" if self._mi.variant().startswith("cuda") else "cpu"
         self._bounces = bounces
         # It is of the variant, which is set by now.
         self._sampler = importlib.import_module("scenec.backends.mitsuba.sampler").Sobol
@@ -74,21 +83,9 @@ class Mitsuba:
         self._guided: tuple[Camera, int, int, Any] | None = None
         self._uploaded: tuple[RayTable, list[Any]] | None = None
 
-    @property
-    def device(self) -> str:
-        """Where it runs."""
-        return "cuda" if self._mi.variant().startswith("cuda") else "cpu"
-
     def version(self) -> str:
         """Renderer, variant and integrator: whatever decides the picture."""
         return f"mitsuba {self._mi.__version__} {self._mi.variant()} path{self._bounces} sobol"
-
-    def warning(self) -> None:
-        """None: it runs as fast as it can, or not at all."""
-
-    def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """None: it draws all of the surface model."""
-        return ()
 
     def load(self, scene: RenderScene) -> None:
         """Flatten the scene and build Mitsuba's hierarchy over it, or keep too many instances.

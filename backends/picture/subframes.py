@@ -208,7 +208,7 @@ class Drawing:
             from scenec.backends.picture.haze import air_at
 
             self._air = air_at(scene, sample)
-        self._stochastic = getattr(backend, "stochastic", True)
+        self._stochastic = backend.stochastic
         self.record = _record(blur, 2 if self._stochastic else 1)
 
     def draw(self, spp: int, seed: int, most: int = MOST) -> Radiance:
@@ -266,7 +266,7 @@ class Drawing:
 
     def _still(self, camera: Camera, spp: int, seed: int) -> Radiance:
         """A picture of a camera without shutter and aperture."""
-        if camera.lens is None or getattr(self._backend, "follows_lenses", False):
+        if camera.lens is None or self._backend.follows_lenses:
             return radiance(self._backend, camera, self._sample, spp, seed)
         # Imported here: few cameras have a lens.
         from scenec.backends.picture import resample

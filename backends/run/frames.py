@@ -72,7 +72,7 @@ def frames_of(
                 holds=holds,
                 what=f"{batch.name}/{camera.name}/{sample:06d}",
                 stem=stem.absolute(),
-                camera=camera.name,
+                sensor=camera.name,
                 number=number,
                 sample=sample,
                 key=plan.key(opened.digest, made, opened.backend, version),

@@ -20,7 +20,7 @@ from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import CONVENTIONS, FrameKey, beside_path
 from scenec.schemas.instances import frame_table_path, write_frame_table
 from scenec.schemas.passes import origins
-from scenec.schemas.records import FileDigest
+from scenec.schemas.records import FileDigest, FrameRecord
 
 
 def write_frame(
@@ -30,8 +30,8 @@ def write_frame(
     scene: RenderScene,
     camera: Camera,
     taken: Taken | None = None,
-) -> None:
-    """Write EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
+) -> FrameRecord:
+    """Writes EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
     Args:
         stem: See ``frame_stem``.
@@ -40,6 +40,9 @@ def write_frame(
         scene: The stage it shows.
         camera: The camera it was seen by.
         taken: What the camera's sensor made of ``rgb``, where it has imaging.
+
+    Returns:
+        The sidecar's record.
 
     Raises:
         OutputError: A file cannot be written.
@@ -91,6 +94,7 @@ def write_frame(
         effects=tuple(json.loads(one) for one in camera.effects) or None,
     )
     write_json(stem.with_suffix(".json"), encode(record))
+    return record
 
 
 def _put[T](path: Path, value: T | None, write: Callable[[Path, T], None]) -> FileDigest | None:
