@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.build import BuildLog, build_surface, stand_objects
+from scenec.compiler.build import BuildLog, build_to
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cfg.check_numbers import check_number, read_number
 from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw import draw
 from scenec.compiler.kinds.schema import Field
+from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
@@ -112,10 +114,11 @@ def stand(content: dict[str, Any], folder: Path | None = None, seed: int = 4) ->
         start = time.perf_counter()
         plan = draw(spec, seed, 0)
         seconds = time.perf_counter() - start
-        surface = build_surface(plan, log)
+        surface = build_to(build_surface, plan)["surface"]
         rigs, _ = build_rigs(plan.rigs, surface, None, {})
         start = time.perf_counter()
-        objects = stand_objects(plan, surface, rigs, None, log).objects
+        given = {"surface": surface, "rigs": rigs}
+        objects = build_to(build_objects, plan, log=log, **given)["objects"]
         seconds += time.perf_counter() - start
     return Stood(objects, log.facts["objects"], seconds, surface, plan, rigs)
 
