@@ -48,10 +48,17 @@ class Rays:
 
 @dataclass(frozen=True)
 class Visibility:
-    """First hit of each ray: ``row`` int32 [n] (NO_ROW: nothing) and ``face`` int32 [n]."""
+    """First hits of rays.
+
+    Attributes:
+        row: int32 [n]; NO_ROW: nothing.
+        face: int32 [n].
+        independent: Whether the renderer found them itself; the exact caster did otherwise.
+    """
 
     row: NDArray[np.int32]
     face: NDArray[np.int32]
+    independent: bool = True
 
 
 @dataclass(frozen=True)

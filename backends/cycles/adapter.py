@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from scenec.backends.cycles.built import Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.materials import FACE_PASS, ROW_PASS
 from scenec.backends.cycles.planetary import surfaces_by_law
+from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture.denoise import NAME, keep_rim
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.backends.surface.facets import deviation
@@ -133,7 +133,8 @@ class Cycles(Backend):
                 bounces = loaded.shares.choose(share, bounces)
                 samples = loaded.shares.samples(share, each)
             for half in range(2):
-                noise = mix(seed, half + 2 * share)
+                # Blender's seeds have 31 bits.
+                noise = half_seed(seed, half + 2 * share) >> 1
                 render.for_radiance(loaded.scene, bounces, samples, noise, denoise)
                 pictures = [
                     picture[: camera.height, : camera.width]
@@ -172,9 +173,3 @@ def _whole(picture: NDArray[np.float32]) -> NDArray[np.int32]:
     """Whole numbers from two halves of 16 bits, [h, w, 4] -> int32 [h * w]."""
     low, high = (picture[..., i].astype(np.int64) for i in range(2))
     return (low + (high << 16)).ravel().astype(np.int32)
-
-
-def mix(seed: int, half: int) -> int:
-    """A 31-bit seed for one half, unrelated to any other's."""
-    digest = hashlib.blake2b(f"{seed}/{half}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "little") >> 1

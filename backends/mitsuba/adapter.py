@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 from dataclasses import replace
 from typing import Any
@@ -24,6 +23,7 @@ from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
+from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
@@ -206,7 +206,7 @@ class Mitsuba(Backend):
             self._light.split(each if first == 0 else 4)
         self._dropped = 0
         for half in range(2):
-            halves[half], alpha = self._half(camera, first // 2, each, mix(seed, half))
+            halves[half], alpha = self._half(camera, first // 2, each, half_seed(seed, half))
             coverage += 0.5 * alpha
         covered = np.minimum(coverage, 1.0).astype(np.float32)
         if self._table is not None:
@@ -224,7 +224,7 @@ class Mitsuba(Backend):
         ):
             self._pose(self._loaded(), sample)
             self._table = None if camera.lens is None else ray_table(camera)
-            self._guided = (camera, sample, seed, self._guides(camera, mix(seed, 2)))
+            self._guided = (camera, sample, seed, self._guides(camera, half_seed(seed, 2)))
         halves = oidn.denoise(radiance.halves, radiance.coverage, *self._guided[3])
         mean = halves.mean(axis=0, dtype=np.float32)
         return replace(radiance, denoised=mean, denoised_halves=halves)
@@ -445,9 +445,3 @@ def split_samples(spp: int, pixels: int, most: int) -> list[int]:
     passes = max(1, -(-spp * pixels // most))
     passes = min(passes, spp)
     return [spp // passes + (i < spp % passes) for i in range(passes)]
-
-
-def mix(seed: int, half: int) -> int:
-    """A 32-bit seed for one half, unrelated to any other's."""
-    digest = hashlib.blake2b(f"{seed}/{half}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "little")

@@ -36,7 +36,7 @@ from scenec.schemas.frames import (
 from scenec.schemas.instances import frame_table_path, read_frame_table, write_frame_table
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import AMODAL, origins
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 from scenec.schemas.versions import version_of
 
 
@@ -226,7 +226,7 @@ def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
     if not lighting.suns:
         return None
     # Rec.709 luminance; of equal ones the first.
-    sun = max(lighting.suns, key=lambda s: float((s.irradiance * LUMINANCE).sum()))
+    sun = max(lighting.suns, key=lambda s: float(luminance(s.irradiance)))
     x, y, z = sun.to_light.tolist()
     return {
         "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
@@ -258,7 +258,7 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     suns = [
         {
             "prim": sun.path,
-            "irradiance": float((sun.irradiance * LUMINANCE).sum()),
+            "irradiance": float(luminance(sun.irradiance)),
             "angle_deg": math.degrees(sun.diameter_rad),
             "normalized": sun.normalized,
         }
@@ -267,8 +267,8 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     sky = combine(lighting.domes)
     return {
         "suns": suns,
-        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * LUMINANCE).sum()),
-        "lamps_w_sr": [float((lamp.intensity * LUMINANCE).sum()) for lamp in lighting.lamps],
+        "sky_radiance": 0.0 if sky is None else float(luminance(mean_radiance(sky))),
+        "lamps_w_sr": [float(luminance(lamp.intensity)) for lamp in lighting.lamps],
     }
 
 

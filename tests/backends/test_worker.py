@@ -15,7 +15,6 @@ import pytest
 from third_party import square_stage
 
 from scenec.backends.registry import BUILT_IN, Entry, open_backend
-from scenec.backends.run.frames import frame_seed
 from scenec.backends.run.limits import RETRIES
 from scenec.backends.run.render import render
 from scenec.backends.run.supervise import Supervisor
@@ -154,17 +153,6 @@ def test_what_libraries_print_does_not_reach_the_protocol(capfd):
         with pytest.raises(BackendError, match=r"exit status 5: the end"):
             worker.do(OfBackend(dies, exec)).result()
     assert capfd.readouterr() == ("", "")
-
-
-def test_no_two_frames_share_their_noise():
-    seeds = {
-        frame_seed(n, b, c, s)
-        for n in range(3)
-        for b in ("batch_0000", "batch_0001")
-        for c in ("left", "right")
-        for s in range(20)
-    }
-    assert len(seeds) == 240
 
 
 def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
