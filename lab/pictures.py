@@ -51,13 +51,13 @@ def frames(
 
 def photograph(frame: Frame, ev: float | None = None) -> Image.Image:
     """Develops a frame with its exposure, or another one."""
-    exposure = float(frame.sidecar["exposure_ev"]) if ev is None else ev
+    exposure = frame.sidecar.exposure_ev if ev is None else ev
     return Image.fromarray(develop(frame.passes["rgb"], exposure))
 
 
 def labels(frame: Frame, level: str) -> Image.Image:
     """The labels of a level in colors."""
-    colors = label_colors([int(i) for i in frame.sidecar["labels"][level]])
+    colors = label_colors([int(i) for i in frame.sidecar.labels[level]])
     return Image.fromarray(paint_labels(frame.passes[f"label.{level}"], colors))
 
 

@@ -45,6 +45,7 @@ from scenec.schemas import rle
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.instances import read_frame_table
+from scenec.schemas.records import FileDigest, FrameRecord
 
 _LOOP = "pycocotools' loop over run lengths, areas and boxes"
 _MASKS, _ALL = "run lengths, areas, boxes", "all that the format does"
@@ -167,10 +168,12 @@ def noise(number: int) -> LoadedFrame:
     }
     columns = ("id", "pixels", "x_min", "y_min", "x_max", "y_max", "depth_mean", "x", "y", "z")
     table = {name: np.arange(1, instances + 1).astype(np.float64) for name in columns}
-    sidecar = {
-        "resolution": [1280, 720], "intrinsics": np.eye(3).tolist(), "exposure_ev": 0.0,
-        "camera_to_world": np.eye(4).tolist(), "time_s": float(number),
-    }  # fmt: skip
+    sidecar = FrameRecord(
+        camera="camera", sample=number, resolution=(1280, 720), time_s=float(number),
+        intrinsics=((1, 0, 0), (0, 1, 0), (0, 0, 1)), exposure_ev=0.0, passes=tuple(passes),
+        camera_to_world=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)), labels={},
+        backend="none", stage_digest="", exr=FileDigest(sha256=""),
+    )  # fmt: skip
     ref = FrameRef(number, 0, "batch_0000", "none", "camera", number, Path(f"{number:06d}"))
     labels = {"class": {1: "sky", 2: "ground", 3: "rock"}}
     return LoadedFrame(ref, passes, sidecar, table, labels, np.zeros(instances, np.bool_))

@@ -20,7 +20,7 @@ from scenec.backends.picture.metering import Seen
 from scenec.backends.stage.read import read_stage
 from scenec.lab.pictures import frames
 from scenec.lab.runner import CONFIGS, Cell, Study, run
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 
 CFGS = ("jacksboro", "jacksboro_hdri", "lunar_mare", "mars_yard", "volcanic_desert", "landing_site")
 
@@ -56,7 +56,7 @@ def _row(study: Study, name: str) -> list[Cell]:
 
 def _seen(passes: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """Luminance of a frame's pixels: those that surfaces fill, the others."""
-    values = passes["rgb"].astype(np.float64) @ LUMINANCE
+    values = luminance(passes["rgb"].astype(np.float64))
     filled = np.isfinite(passes["depth"])
     return values[filled], values[~filled]
 

@@ -10,7 +10,6 @@ was before. Without a GPU it ends with status 2, unless the CPU's rows are asked
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import threading
@@ -30,6 +29,8 @@ from scenec.lab.benchmarks.growth import of_kind
 from scenec.lab.runner import ROOT, SCENEC, Cell, Study, command, names, run
 from scenec.schemas.errors import BackendError
 from scenec.schemas.exr import read_exr
+from scenec.schemas.records import FrameRecord
+from scenec.schemas.sidecars import read_sidecar
 
 #: By which mean light may differ; noise of whole pictures is far below.
 _OFF = 2e-3
@@ -99,10 +100,10 @@ def most_gib(found: list[tuple[float, float, float]]) -> float:
     return (max(taken) - taken[0]) / 1024
 
 
-def frames_of(out: Path, backend: str) -> list[dict]:
+def frames_of(out: Path, backend: str) -> list[FrameRecord]:
     """Reads sidecars, in order."""
     files = sorted((out / "batch_0000" / "frames" / backend).rglob("0*.json"))
-    return [json.loads(path.read_text(encoding="utf-8")) for path in files]
+    return [read_sidecar(path) for path in files]
 
 
 def mean_light(out: Path, backend: str) -> float:
@@ -118,12 +119,13 @@ def measured(out: Path, backend: str, device: str, spp: int, frames: int) -> lis
     with watched() as taken:
         cost = command([*SCENEC, *words, "--spp", str(spp), "--samples", f"0:{frames}"])
     told = frames_of(out, backend)
-    seconds = [sum(frame["seconds"].values()) for frame in told]
+    steps = [frame.seconds or {} for frame in told]
+    seconds = [sum(one.values()) for one in steps]
     steady = float(np.median(seconds[1:])) if len(seconds) > 1 else seconds[0]
-    drawn = float(np.median([frame["seconds"]["radiance"] for frame in told[1:] or told]))
-    width, height = told[0]["resolution"]
+    drawn = float(np.median([one["radiance"] for one in steps[1:] or steps]))
+    width, height = told[0].resolution
     rate = width * height * spp / drawn / 1e6
-    host = max(frame["peak_memory_gb"] or 0.0 for frame in told)
+    host = max(frame.peak_memory_gb or 0.0 for frame in told)
     return [cost.wall_s, seconds[0], steady, rate, host, most_gib(taken), mean_light(out, backend)]
 
 

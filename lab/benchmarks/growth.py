@@ -59,6 +59,7 @@ from scenec.lab.runner import (
     run,
 )
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.sidecars import read_sidecar
 
 _SIZE = 400.0
 CASES: dict[str, dict[str, Any]] = {
@@ -279,9 +280,9 @@ def rendered(out: Path, backend: str, spp: int) -> list[Cell]:
     except ScenecError as error:
         return [None, None, f"{error}{said}"]
     sidecar = next((out / "batch_0000" / "frames" / backend).rglob("*.json"))
-    told = json.loads(sidecar.read_text(encoding="utf-8"))
-    steps = ", ".join(f"{k} {v:.2f} s" for k, v in told["seconds"].items() if v > 0.01)
-    return [cost.wall_s, told["peak_memory_gb"], steps + said]
+    record = read_sidecar(sidecar)
+    steps = ", ".join(f"{k} {v:.2f} s" for k, v in (record.seconds or {}).items() if v > 0.01)
+    return [cost.wall_s, record.peak_memory_gb, steps + said]
 
 
 def million(study: Study) -> None:

@@ -84,7 +84,7 @@ def tiles(page: Page, title: str, assets: list[Asset], spp: int) -> dict[str, Im
     for frame in frames(
         page.cfg(cfg), page.scratch / title, spp=spp, passes=("rgb",), denoise=True
     ):
-        name = frame.sidecar["camera"].removesuffix("_eye")
+        name = frame.sidecar.camera.removesuffix("_eye")
         shown[name] = _captioned(photograph(frame), name, meters[name])
     return shown
 

@@ -76,7 +76,7 @@ def views(page: Page, name: str, folder: Path, spp: int) -> None:
             spec, folder / ("weather" if setting else "views") / name, denoise=True,
             spp=max(spp // entry.fewer, 1), passes=("rgb", "label"), samples=samples, replace=True,
         )  # fmt: skip
-        by_sample = {int(frame.sidecar["sample"]): frame for frame in found}
+        by_sample = {frame.sidecar.sample: frame for frame in found}
         for sample in samples:
             file = f"{name}_{sample}" + ("_weather" if setting else "")
             save(photograph(by_sample[sample]), page.picture(file).with_suffix(".jpg"))
@@ -88,7 +88,7 @@ def views(page: Page, name: str, folder: Path, spp: int) -> None:
 def with_names(frame: Frame, level: str) -> Image.Image:
     """Labels of a level in colors, and below them their names."""
     ids = frame.passes[f"label.{level}"]
-    of = {int(i): name for i, name in frame.sidecar["labels"][level].items()}
+    of = {int(i): name for i, name in frame.sidecar.labels[level].items()}
     colors = label_colors(list(of))
     width, height = _LABELS
     sheet = Image.new("RGB", (width, height + _LEGEND), PAPER)

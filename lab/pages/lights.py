@@ -73,7 +73,7 @@ def row(title: str, found: dict[str, Frame]) -> list[str]:
             values = flip(found[REFERENCE], frame)
             flips.append("?" if values is None else f"{float(values.mean()):.3f}")
             flips[-1] += f" ({100.0 * (light.mean() / float(reference[on].mean()) - 1.0):+.1f} %)"
-        seconds.append(f"{frame.sidecar['seconds']['radiance']:.1f}")
+        seconds.append(f"{(frame.sidecar.seconds or {})['radiance']:.1f}")
     return [title, *means, *flips, *seconds]
 
 
@@ -90,7 +90,7 @@ def main(page: Page) -> None:
         if "bearings" in case:
             seen = frames(cfg, folder / name, spp=2 if page.fast else HAZY_SPP, passes=("rgb",),
                           denoise=True)  # fmt: skip
-            by_camera = {frame.sidecar["camera"]: photograph(frame) for frame in seen}
+            by_camera = {frame.sidecar.camera: photograph(frame) for frame in seen}
             tiles = [("", by_camera[f"view{bearing:g}_eye"]) for bearing in case["bearings"]]
             save(sheet([tiles], HAZY_SIZE[0]), page.picture(name))
             continue
@@ -98,7 +98,7 @@ def main(page: Page) -> None:
                  for backend in BACKENDS}  # fmt: skip
         title = name.replace("_", ", ", 1).replace("_", " ").capitalize()
         rows.append(row(case.get("title", title), found))
-        exposure = float(found[REFERENCE].sidecar["exposure_ev"])
+        exposure = found[REFERENCE].sidecar.exposure_ev
         tiles = [(backend, photograph(frame, exposure)) for backend, frame in found.items()]
         save(sheet([tiles], SIZE[0]), page.picture(name))
     header = ["light", *(f"radiance, {b}" for b in BACKENDS), "FLIP, mitsuba", "FLIP, pyrender"]

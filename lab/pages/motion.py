@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
-from scenec.compiler.build import BuildLog, build_surface, stand_rigs
+from scenec.compiler.build import BuildLog, build_to
+from scenec.compiler.cameras.rigs import place_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.se3 import METHODS, interpolate
+from scenec.compiler.mesh.build import build_surface
 from scenec.lab.runner import Cell, Page, run, times
 from scenec.testing.small import small_cfg
 
@@ -44,10 +46,10 @@ def made(page: Page) -> None:
         cfg["rigs"][kind] = {"pose": {"type": kind, **keys}, "sensors": sensors}
     plan = draw(load(page.cfg(cfg)), 7, 0)
     log = BuildLog()
-    surface = build_surface(plan, log)
-    seconds = page.timed(lambda: stand_rigs(plan, surface, None, BuildLog()), 1)
+    surface = build_to(build_surface, plan)["surface"]
+    seconds = page.timed(lambda: build_to(place_rigs, plan, surface=surface), 1)
     page.value("seconds", f"{seconds:.2f} s")
-    rigs = stand_rigs(plan, surface, None, log)
+    rigs = build_to(place_rigs, plan, log=log, surface=surface)["rigs"]
     figure, axes = plt.subplots(3, len(rigs), figsize=(16, 8), constrained_layout=True)
     half = 0.5 * np.array(plan.terrain.size_m)
     rows = []

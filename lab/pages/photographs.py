@@ -20,7 +20,7 @@ from scenec.compiler.cfg.load import load
 from scenec.lab.pictures import frames
 from scenec.lab.runner import CONFIGS, Page, cell, names, run
 from scenec.schemas.frames import Frame
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 from scenec.testing.ground_statistics import View, in_angles, measure
 
 #: What is no ground, by its name in the level ``class``.
@@ -38,11 +38,11 @@ def views(page: Page, name: str) -> list[View]:
 
 
 def _view(one: Frame, other: Frame) -> View:
-    names_of = one.sidecar["labels"]["class"]
+    names_of = one.sidecar.labels["class"]
     away = [0, *(int(number) for number, name in names_of.items() if name in _NO_GROUND)]
     ground = ~np.isin(one.passes["label.class"], away)
-    halves = [np.asarray(f.passes["rgb"], np.float64) @ LUMINANCE for f in (one, other)]
-    return in_angles(halves, ground, one.sidecar["intrinsics"])
+    halves = [luminance(np.asarray(f.passes["rgb"], np.float64)) for f in (one, other)]
+    return in_angles(halves, ground, one.sidecar.intrinsics)
 
 
 def main(page: Page) -> None:

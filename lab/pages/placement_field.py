@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenec.compiler.build import BuildLog, build_surface, stand_objects
+from scenec.compiler.build import BuildLog, build_to
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
+from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.rig import Rig
@@ -96,10 +98,11 @@ def place(
         start = time.perf_counter()
         plan = draw(spec, 4, 0)
         seconds = time.perf_counter() - start
-        surface = build_surface(plan, log)
+        surface = build_to(build_surface, plan)["surface"]
         rigs, _ = build_rigs(plan.rigs, surface, None, {})
         start = time.perf_counter()
-        made = stand_objects(plan, surface, rigs, None, log).objects
+        given = {"surface": surface, "rigs": rigs}
+        made = build_to(build_objects, plan, log=log, **given)["objects"]
         seconds += time.perf_counter() - start
     return PlacedObjects(made, log.facts["objects"], seconds, surface, plan, rigs)
 
