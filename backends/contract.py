@@ -1,4 +1,4 @@
-"""What a backend is: it answers one question about a RenderScene, and bears witness.
+"""Defines the contract of backends: a backend estimates a RenderScene's radiance, and witnesses.
 
 *Radiance*: how much light arrives at each pixel? Annotation is not its business: that is the exact
 caster's (``scenec.backends.exact``), so a renderer never computes a label, an id or a depth.
@@ -123,7 +123,7 @@ class LoadCost:
 
 
 def _triangles(scene: RenderScene) -> tuple[int, int]:
-    """Of all meshes, and of all instances."""
+    """Counts the triangles of all meshes, and of all instances."""
     faces = np.array([len(mesh.faces) for mesh in scene.meshes], np.int64)
     return int(faces.sum()), int(faces[scene.rows.mesh].sum())
 

@@ -138,7 +138,7 @@ def open_backend(name: str, device: str = "auto") -> Backend:
 
 
 def _target(name: str) -> tuple[Callable[[], Any], str]:
-    """What imports a backend's class, and what mends it if that fails."""
+    """Returns a function that imports a backend's class, and the remedy if that fails."""
     if name in BUILT_IN:
         entry = BUILT_IN[name]
         module, _, attribute = entry.target.partition(":")

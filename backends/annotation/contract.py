@@ -1,4 +1,4 @@
-"""What a pass is, and what it is computed from.
+"""Defines passes and the views of a scene that they are computed from.
 
 A pass is a function of first hits: of each ray, or of a whole picture. What one makes on its way,
 another has through ``View.once``; nothing is made that no pass asks for.
@@ -32,7 +32,7 @@ def _gather(first, last, start, row, face, values, missing, out):  # type: ignor
 
 
 class View:
-    """What rays see of a scene: of a picture, of a band of its rows, of a lidar's scan.
+    """Holds the first hits of rays: of a picture, of a tile of its rows, of a lidar's scan.
 
     Args:
         scene: The stage.
@@ -54,7 +54,7 @@ class View:
         return self._rays()
 
     def once[T](self, make: Callable[[Self], T]) -> T:
-        """What a function gives of this view, computed once however many passes ask for it."""
+        """Returns a function's result for this view, computed once for all passes."""
         if make not in self._made:
             self._made[make] = make(self)
         made: T = self._made[make]
@@ -112,7 +112,7 @@ class Picture(View):
 
     @cached_property
     def seen(self) -> Seen:
-        """What the picture shows of instances: their table, and amodal masks if asked for."""
+        """Returns the picture's table of instances, and amodal masks if they were requested."""
         camera, hits = self.camera, self.hits
         # A pinhole's rays need not be made: their parameter is depth.
         rays = self.rays if camera.lens is not None or is_rolling(camera) else None

@@ -1,4 +1,4 @@
-"""Where what a frame shows is in another view: flow, scene flow, disparity, and what is hidden.
+"""Matches a frame to another view: flow, scene flow, disparity, and what is hidden.
 
 Everything follows from exact visibility and poses, in float64. The point X that a pixel's center
 shows belongs to a row; at the other sample the row stands elsewhere, and X with it:
@@ -37,7 +37,7 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Match:
-    """Where the points that a frame shows are in another view.
+    """Holds where a frame's points lie in another view.
 
     Attributes:
         pixel: Column and row in the other picture, float64 [n, 2]; NaN where that camera's lens
@@ -140,7 +140,7 @@ def _beside(picture: Picture) -> Match:
 
 
 def match_picture(picture: Picture, other: Camera, sample: int) -> Match:
-    """What a picture shows, in another camera's one; see ``match``."""
+    """Matches a picture to another camera's; see ``match``."""
     here, there = (picture.camera, picture.sample), (other, sample)
     return match(picture.scene, picture.caster, picture.hits, picture.rays, here, there)
 
@@ -180,7 +180,7 @@ def _moved(
     sample: int,
     other: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Where points on rows are at another sample, and which of them are gone by then."""
+    """Moves points with their rows to another sample; the second array marks those gone by then."""
     gone = np.zeros(len(points), bool)
     motion = scene.rows.motion
     if motion is None or sample == other:

@@ -1,4 +1,4 @@
-"""What a depth camera would say: exact depth with the errors of its way of measuring.
+"""Simulates depth cameras: exact depth with the errors of stereo or of time of flight.
 
 Stereo. A pair of focal length f (pixels) and baseline b sees depth Z at the disparity d = f b / Z.
 The disparity that is found has a normal error and is a multiple of a step, so depth errs by
@@ -39,7 +39,7 @@ _ZERO = np.uint64(0)
 
 
 class _Noise(NamedTuple):
-    """Where random numbers come from: the camera's key and the sample, both uint64."""
+    """Holds the keys of random numbers: the camera's key and the sample, both uint64."""
 
     key: np.uint64
     sample: np.uint64
@@ -125,7 +125,7 @@ def measure_stereo(
     key: int,
     sample: int,
 ) -> NDArray[np.float64]:
-    """What a stereo camera says.
+    """Returns the depth that a stereo camera measures.
 
     Args:
         model: The camera's pair.
@@ -153,7 +153,7 @@ def measure_time_of_flight(
     key: int,
     sample: int,
 ) -> NDArray[np.float64]:
-    """What a time-of-flight camera says.
+    """Returns the depth that a time-of-flight camera measures.
 
     Args:
         model: The camera.

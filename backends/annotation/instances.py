@@ -1,4 +1,4 @@
-"""What there is to say of each instance: pose, size, and what a frame shows of it.
+"""Tabulates instances: pose, size, and the pixels of a frame that show each.
 
 The columns, and what they mean: ``scenec.schemas.instances``, which also reads the tables.
 """
@@ -37,7 +37,7 @@ _SAME_SIZE = 2e-6
 
 @dataclass(frozen=True)
 class Seen:
-    """What a frame shows of instances.
+    """Holds a frame's table of instances and its amodal masks.
 
     Attributes:
         table: Columns, for ``schemas.instances.write_frame_table``.
@@ -94,7 +94,7 @@ class Instances:
         self._local_id = (self.ids.astype(np.int64) - bases[self._class]).astype(np.uint32)
 
     def poses(self, which: NDArray[np.int64], sample: int | NDArray[np.int64]) -> Poses:
-        """Where some instances are.
+        """Returns the poses of some instances.
 
         Args:
             which: Indices into ``ids``.
@@ -161,7 +161,7 @@ class Instances:
         masks: bool = False,
         rays: Rays | None = None,
     ) -> Seen:
-        """What a frame shows of instances.
+        """Measures the instances that a frame shows.
 
         Args:
             row: Row that each pixel shows, -1 for none, int32 [h * w].

@@ -29,7 +29,7 @@ _TURNED, _ANSWERED = np.uint64(0), np.uint64(1)
 
 
 class _Errors(NamedTuple):
-    """What a lidar gets wrong: ``Lidar``'s numbers, as kernels want them.
+    """Holds the errors of a lidar: ``Lidar``'s numbers, as kernels want them.
 
     Attributes:
         angle: Deviation of angles, radians.

@@ -153,7 +153,7 @@ class Outliner:
         )
 
     def _entries(self, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where the rows of each begin, with one more at the end, and which of all they are."""
+        """Returns each instance's first row, with one more at the end, and all these rows."""
         counts = self._firsts[which + 1] - self._firsts[which]
         firsts = np.concatenate([[0], np.cumsum(counts)])
         entries = np.arange(firsts[-1]) + np.repeat(self._firsts[which] - firsts[:-1], counts)

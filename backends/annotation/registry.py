@@ -84,7 +84,7 @@ def find_pass(name: str) -> Pass:
 
 
 def _fault(made: Any, name: str) -> str | None:
-    """What is wrong with another package's pass, in words."""
+    """Returns the first fault of another package's pass, in words; None if it has none."""
     if not isinstance(made, Pass):
         return f"expected a {Pass.__module__}.{Pass.__name__}, not {type(made).__name__}"
     if made.name != name or not name.isidentifier():

@@ -48,7 +48,7 @@ class RayTable(NamedTuple):
 
 @dataclass(frozen=True)
 class Projection:
-    """What a camera's rays depend on but for its poses: equal for all cameras that see alike.
+    """Identifies a camera's rays but for its poses; equal for all cameras with the same rays.
 
     Attributes:
         key: K, width, height, lens.

@@ -1,4 +1,4 @@
-"""Where cameras are while their shutter is open.
+"""Computes poses of cameras and pixels of points while a shutter is open.
 
 Annotation is that of the middle of each row's exposure: with a readout that takes time (a rolling
 shutter) each row has a pose of its own, without one all have the sample's. What moves but the
@@ -49,7 +49,7 @@ def is_rolling(camera: Camera) -> bool:
 
 
 def blurred_by(camera: Camera) -> str | None:
-    """What makes a camera's picture the mean of many: its aperture or its shutter; None: nothing.
+    """Returns "aperture" or "shutter" where it makes a picture the mean of many; None for neither.
 
     An open shutter of a camera that stands still is nothing.
     """
@@ -70,7 +70,7 @@ def undenoised(camera: str, cause: str) -> str:
 
 
 def row_poses(camera: Camera, rows: range | None = None) -> NDArray[np.float64]:
-    """Where the camera is in the middle of each row's exposure, float64 [rows, 4, 4].
+    """Returns the camera's pose in the middle of each row's exposure, float64 [rows, 4, 4].
 
     Args:
         camera: With an open shutter or without one.
@@ -99,7 +99,7 @@ def beside(camera: Camera, step: float) -> Camera:
 
 @dataclass(frozen=True)
 class Places:
-    """Where a camera shows points.
+    """Holds the pixels at which a camera shows points.
 
     Attributes:
         pixel: Column and row, float64 [n, 2]; NaN where it has none.
@@ -113,7 +113,7 @@ class Places:
 
 
 def places_of(camera: Camera, points: NDArray[np.float64], far: NDArray[np.bool_]) -> Places:
-    """Where a rolling camera shows points: in the row that sees them while it is exposed.
+    """Projects points by a rolling camera: to the row that sees them while it is exposed.
 
     A row v sees the point if the camera as it is in the middle of v's exposure projects it to v.
     That v is found by the secant method, from the middle of the picture on, elsewhere where that
@@ -145,7 +145,7 @@ def places_of(camera: Camera, points: NDArray[np.float64], far: NDArray[np.bool_
 
 
 def in_rows(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What each pixel shows in the frame of its row's camera, float64 [h * w, 3].
+    """Converts each pixel's point to the frame of its row's camera, float64 [h * w, 3].
 
     Args:
         camera: Whose picture it is.

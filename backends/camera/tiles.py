@@ -68,7 +68,7 @@ def tiles(camera: Camera) -> Iterator[tuple[range, range]]:
 
 
 def witness(look: Callable[[Rays, Camera], Visibility | None], camera: Camera) -> Visibility | None:
-    """What a renderer itself sees of a whole picture, band by band.
+    """Returns a renderer's own first hits of a full picture, computed in tiles of rows.
 
     Args:
         look: What it sees along rays of a band and its camera; None: it cannot follow them.

@@ -59,7 +59,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Agreement:
-    """What comparing found.
+    """Holds the results of a comparison of backends.
 
     Attributes:
         comparisons: Frames' annotation against the exact caster, one a channel and backend.
@@ -85,7 +85,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class CompareOptions:
-    """How to compare.
+    """Holds the options of a comparison.
 
     Attributes:
         spp: Samples per pixel of ``rgb`` that has to be rendered.
@@ -242,7 +242,7 @@ class _Run:
                 self._picture(file, name, first, second, flip_map)
 
     def _witness(self, batch: Batch, scene: RenderScene, places: Sequence[Place]) -> None:
-        """What each renderer itself sees of each frame."""
+        """Compares each renderer's own first hits in each frame with the exact ones."""
         caster = ExactCaster(scene)
         for name in self.backends:
             found = self.witnesses.setdefault(name, Witness())

@@ -1,4 +1,4 @@
-"""What a check finds."""
+"""Declares the record of one problem that a check reports."""
 
 from __future__ import annotations
 

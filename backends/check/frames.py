@@ -112,7 +112,7 @@ def _numbered(scans: Path, suffix: str) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Check:
-    """What checks of frames and of scans say alike."""
+    """Holds what checks of frames and of scans share."""
 
     kind: str
     folder: Path

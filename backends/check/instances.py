@@ -74,7 +74,7 @@ def _broken(table: InstanceTable) -> Iterator[str]:
 
 
 def table_faults(frame: Frame) -> Iterator[str]:
-    """What a frame's table and masks say against its EXR, its sidecar and each other."""
+    """Lists contradictions between a frame's table, its masks, its EXR and its sidecar."""
     entry = frame.sidecar.instance_table
     if entry is None:
         if "instance" in frame.sidecar.passes:
@@ -116,7 +116,7 @@ def _require_whole(path: Path, entry: FileDigest) -> None:
 
 
 def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
-    """What amodal masks say against the table, and the pixels that show instances."""
+    """Lists contradictions between amodal masks, the table, and the pixels that show instances."""
     entry = frame.sidecar.amodal
     if entry is None:
         return

@@ -1,4 +1,4 @@
-"""How far two renderings of the same radiance differ, and a picture of where."""
+"""Measures how far two renderings of the same radiance differ, and draws where."""
 
 from __future__ import annotations
 

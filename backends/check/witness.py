@@ -48,7 +48,7 @@ _RAYS = 8
 
 @dataclass
 class Witness:
-    """How far a renderer's own first hits are from the exact ones, over all frames.
+    """Accumulates how far a renderer's own first hits are from the exact ones, over all frames.
 
     Attributes:
         pixels: Compared.
@@ -100,7 +100,7 @@ class Witness:
 def ask(
     batch: Batch, plan: RenderPlan, places: Sequence[tuple[int, int]]
 ) -> Iterator[Visibility | None]:
-    """What a renderer sees of frames of a batch, asked in a process of its own.
+    """Yields a renderer's own first hits of a batch's frames, from a process of its own.
 
     Args:
         batch: The batch.
@@ -212,7 +212,7 @@ def _steps(rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @kernel
 def _nearest(first, last, g, rays, seen, found):  # type: ignore[no-untyped-def]
-    """Where and how far from each ray a face is.
+    """Computes the distance of a ray from the face that a renderer reports for it.
 
     Args:
         first, last: Range of the rays.

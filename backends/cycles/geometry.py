@@ -53,7 +53,7 @@ class Frame:
 
 
 def look_key(mesh: Mesh) -> LookKey:
-    """What meshes of one material have in common: layers, and depths of their merges."""
+    """Returns the key of a mesh's material: its layers, and the depths of their merges."""
     return mesh.layers, mesh.height_blends
 
 
@@ -63,7 +63,7 @@ def weight_name(merge: int) -> str:
 
 
 def scene_frame(scene: RenderScene) -> Frame:
-    """Where Blender's origin lies, and how long its unit is."""
+    """Returns Blender's origin and unit for a scene."""
     low, high = scene.bounds
     center = 0.5 * (low + high)
     radius = float(np.max(0.5 * (high - low)))
@@ -78,7 +78,7 @@ def _exponent(size: float) -> int:
 
 @dataclass(frozen=True)
 class Rows:
-    """What shows the rows.
+    """Holds the objects that draw the rows.
 
     Attributes:
         objects: Instancers that are in no scene yet: of what stands, and of what moves if any does.

@@ -111,7 +111,7 @@ class Graph:
         return self._tree.nodes.new(kind)
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What ``make`` makes, made once for each key."""
+        """Returns the result of ``make``, called once for each key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

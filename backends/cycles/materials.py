@@ -56,7 +56,7 @@ class Lobe:
 
 @dataclass(frozen=True)
 class Reach:
-    """What occurs on the meshes of a material.
+    """Holds which inputs vary on the meshes of a material.
 
     Attributes:
         vertex, row: Whether any varies.
@@ -70,7 +70,7 @@ class Reach:
 
 @dataclass(frozen=True)
 class Layer:
-    """What a layer is at the point shaded.
+    """Holds the outputs of a layer at the shaded point.
 
     Attributes:
         lobes: By what tells those apart that do not mix.
@@ -119,7 +119,7 @@ def make_materials(
 
 
 def _reaches(scene: RenderScene) -> dict[LookKey, Reach]:
-    """What occurs, for each ``look_key``."""
+    """Returns the inputs that vary, for each ``look_key``."""
     of_rows = np.zeros(len(scene.meshes), np.bool_)
     np.logical_or.at(of_rows, scene.rows.mesh, scene.rows.variation != 0.0)
     reaches: dict[LookKey, Reach] = {}

@@ -35,7 +35,7 @@ _COSINES = 65
 
 
 def surfaces_by_law(scene: RenderScene) -> list[Surface]:
-    """Those of its meshes' surfaces that are ``by_law``."""
+    """Returns the surfaces of a scene's meshes that are ``by_law``."""
     used = {i for mesh in scene.meshes for i in mesh.layers}
     return [scene.surfaces[i] for i in sorted(used) if by_law(scene.surfaces[i])]
 
@@ -155,7 +155,7 @@ class Laws:
         return NODES.select(NODES.dot(self._to_light(), normal), 1.0, 0.0) * asked
 
     def glow(self) -> Any:
-        """What light that surfaces give off counts: nothing where the known light is alone."""
+        """Returns the factor on emitted light: 0 where the known light is alone, else 1."""
         return 1.0 - self._light.output(self._graph, "Alone")
 
     def _to_light(self) -> Value:

@@ -82,7 +82,7 @@ class Shares:
             self._mask(made.data)
 
     def samples(self, number: int, samples: int) -> int:
-        """How many of a picture's samples a pixel a share gets."""
+        """Returns a share's samples per pixel, of the picture's."""
         return max(1, math.ceil(self._parts[number] * samples))
 
     def choose(self, number: int, bounces: int) -> int:

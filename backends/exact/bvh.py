@@ -211,7 +211,7 @@ def build_geometry(scene: RenderScene) -> Geometry:
 
 
 class Balls(NamedTuple):
-    """What bounds each mesh.
+    """Holds the bounds of each mesh.
 
     Attributes:
         low, high: Corners of its box, float64 [m, 3].
@@ -237,7 +237,7 @@ def mesh_balls(scene: RenderScene) -> Balls:
 
 
 class PlacedRows(NamedTuple):
-    """What follows from rows' matrices; see ``Geometry`` for the arrays it has too.
+    """Holds what follows from rows' matrices; see ``Geometry`` for the arrays it has too.
 
     Attributes:
         used: Whether a row has a surface, bool [r].

@@ -1,4 +1,4 @@
-"""What a hit is: one ray against one triangle, in float64. The definition behind all annotation.
+"""Intersects one ray with one triangle, in float64: the definition behind all annotation.
 
 A vertex in the world is ``to_world`` applied to the float32 point, component by component as
 ``((m0*x + m1*y) + m2*z) + m3``. The test is the watertight one of Woop, Benthin and Wald,
@@ -156,7 +156,7 @@ def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
 
 @kernel
 def _from_segment(a, b):  # type: ignore[no-untyped-def]
-    """Where a segment is nearest to the ray: its distance, and how far along it lies (0 to 1)."""
+    """Returns the least distance of a segment from the ray, and where along it that is (0 to 1)."""
     x, y = b[0] - a[0], b[1] - a[1]
     square = x * x + y * y
     along = 0.0
@@ -167,7 +167,7 @@ def _from_segment(a, b):  # type: ignore[no-untyped-def]
 
 @kernel
 def distance_from_face(points, face, matrix, frame):  # type: ignore[no-untyped-def]
-    """How far a ray passes from a triangle, for checks of what renderers see.
+    """Returns how far a ray passes from a triangle, for checks of renderers' first hits.
 
     Args:
         points: Local points, float32 [n, 3].

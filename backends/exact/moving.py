@@ -26,7 +26,7 @@ _WITHOUT_END = 1e200
 
 
 class MovingRows:
-    """What poses a scene's moving rows.
+    """Poses a scene's moving rows.
 
     Args:
         scene: The scene.

@@ -47,7 +47,7 @@ class View(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, rays: Rays) -> View:
-        """That of a picture's rays."""
+        """Builds the view of a picture's rays."""
         height, width = rays.shape
         known = np.ones(height * width, np.bool_) if rays.known is None else rays.known
         middle, spread = _eye_of(rays)
@@ -175,7 +175,7 @@ def _at_border(view, x, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def _outline_lane(g, members, order, masks, view, bounded, stack, axis):  # type: ignore[no-untyped-def]
-    """As ``outline_all``, of one lane's instances; ``stack`` and ``axis`` are scratch."""
+    """Outlines one lane's instances, as ``outline_all``; ``stack`` and ``axis`` are scratch."""
     for k in range(order.shape[0]):
         n = order[k]
         window = masks.windows[n]

@@ -59,7 +59,7 @@ class Pinhole(NamedTuple):
 
     @classmethod
     def of(cls, camera: Camera) -> Pinhole:
-        """That of a camera; its lens is disregarded."""
+        """Builds the pinhole of a camera; its lens is disregarded."""
         k = np.ascontiguousarray(camera.intrinsics, np.float64)
         pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
         eye = np.ascontiguousarray(pose[:3, 3])
@@ -100,7 +100,7 @@ class Masks(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What outlining an instance works with.
+    """Holds the buffers that outlining an instance works with.
 
     Attributes:
         vertices: Of a mesh: columns, rows, depth, and what errors make of the first two, float64
@@ -431,7 +431,7 @@ def _outline(g, members, n, view, ray_cost, window, mask, scratch):  # type: ign
 
 @kernel
 def _outline_lane(g, members, order, masks, view, ray_cost, scratch):  # type: ignore[no-untyped-def]
-    """As ``outline_all``, of one lane's instances."""
+    """Outlines one lane's instances, as ``outline_all``."""
     for k in range(order.shape[0]):
         n = order[k]
         window = masks.windows[n]

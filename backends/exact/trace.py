@@ -82,7 +82,7 @@ def _reciprocal(x: float) -> float:
 
 @kernel
 def _slabs(o, d, pad):  # type: ignore[no-untyped-def]
-    """What a ray needs to be tested against boxes widened by ``pad``, for ``_enter``."""
+    """Prepares a ray for tests against boxes widened by ``pad``, for ``_enter``."""
     ix = _reciprocal(d[0])
     iy = _reciprocal(d[1])
     iz = _reciprocal(d[2])
@@ -138,7 +138,7 @@ def largest(point):  # type: ignore[no-untyped-def]
 
 @inlined
 def in_row(g, row, ray):  # type: ignore[no-untyped-def]
-    """What a ray needs to be tested against a row's boxes (``_slabs``), and its ``row_matrix``."""
+    """Prepares a ray for a row's boxes (``_slabs``), and returns the row's ``row_matrix``."""
     o, d = _local_ray(g.to_local[row], ray.origin, ray.direction)
     pad, size = g.pad[row], ray.size
     s = _slabs(

@@ -1,1 +1,1 @@
-"""What a real camera does to radiance, after rendering: optics, electrons, numbers, a picture."""
+"""Simulates a real camera on rendered radiance: optics, electrons, numbers, a picture."""

@@ -37,7 +37,7 @@ _BORDER = 2
 
 @dataclass(frozen=True)
 class Look:
-    """How numbers above black become what is shown.
+    """Holds the factors and curves that turn numbers above black into displayed values.
 
     Attributes:
         balance: White balance: factors on red, green and blue numbers, float64 [3].

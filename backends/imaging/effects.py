@@ -17,7 +17,7 @@ GROUP = "scenec.effects"
 
 
 class Effect(Protocol):
-    """What a package offers: a dataclass whose fields are the keys of its ``SCHEMA``."""
+    """Declares what a package offers: a dataclass whose fields are the keys of its ``SCHEMA``."""
 
     def apply(self, picture: NDArray[np.uint8], random: np.random.Generator) -> NDArray[np.uint8]:
         """The changed picture.

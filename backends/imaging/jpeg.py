@@ -1,4 +1,4 @@
-"""What is left of a picture after it has been a JPEG (Pillow's libjpeg).
+"""Compresses a picture as a JPEG and reads it back (Pillow's libjpeg).
 
 A JPEG's blocks are coded one by one; only averaged colors, when they are spread over pixels again,
 look at the next line of blocks. So bands of a picture, each with one line of blocks more than is

@@ -1,4 +1,4 @@
-"""What a lens does to light on its way to the sensor: vignetting and bloom.
+"""Applies a lens to light on its way to the sensor: vignetting and bloom.
 
 Both keep the float32 of ``rgb``. Bloom is what lens and glass scatter: a part of the light is
 spread by three Gaussians, the rest stays. They are separable sums on smaller pictures, all weights
@@ -35,7 +35,7 @@ Picture = NDArray[np.float32]
 
 
 def vignetting(camera: Camera, power: int, polynomial: tuple[float, ...]) -> Picture:
-    """What arrives at each pixel of what would on the axis, [h, w].
+    """Returns each pixel's light as a fraction of that on the axis, [h, w].
 
     cos(t)^power (1 + a r^2 + b r^4 + c r^6), t the angle between the pixel's ray and the axis and
     r its distance from the principal point, 1 in the picture's farthest corner; never below 0.
@@ -105,7 +105,7 @@ def bloom(rgb: Picture, share: float, sigma_px: float) -> Picture:
 
 
 def _sum(picture: Picture, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Of each channel of a picture, or of what ``_double`` would make of it, of that shape."""
+    """Sums each channel of a picture, or of what ``_double`` would make of it, of that shape."""
     lines = _row_sums(picture)
     if shape == picture.shape:
         return lines.sum(axis=0)
@@ -291,7 +291,7 @@ def _row_sums_part(first: int, last: int, picture: Picture, out: NDArray) -> Non
 
 
 def _row_sums(picture: Picture) -> NDArray[np.float64]:
-    """Of each row and channel, float64 [h, 3]: one order whatever the number of threads."""
+    """Sums each row and channel, float64 [h, 3], in one order whatever the number of threads."""
     out = np.zeros((picture.shape[0], 3))
     over_threads(_row_sums_part, picture.shape[0], picture, out)
     return out

@@ -44,7 +44,7 @@ COLORS = {
 
 
 class Pattern(NamedTuple):
-    """What is the same in all pictures of a sensor.
+    """Holds a sensor's fixed pattern, the same in all of its pictures.
 
     Attributes:
         gain: Sensitivity of each pixel, 1 on average, 0 of dead ones, float32 [h, w, planes].
@@ -60,7 +60,7 @@ class Pattern(NamedTuple):
 
 
 class Exposed(NamedTuple):
-    """What decides the numbers of a picture.
+    """Holds the numbers that turn light into a picture's numbers.
 
     Attributes:
         weights: Electrons of a red, green, blue pixel for a value of 1 in each channel of ``rgb``,
@@ -145,7 +145,7 @@ def expose(
 
 
 class _Light(NamedTuple):
-    """What falls on a sensor.
+    """Holds the light that falls on a sensor.
 
     Attributes:
         rgb: float32 [h, w, 3].

@@ -1,4 +1,4 @@
-"""What comes out of a sensor; apart from what makes it, which is slow to import."""
+"""Declares a sensor's output, separate from the code that computes it, which imports slowly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TONE_CURVE = (
 
 @dataclass(frozen=True)
 class Taken:
-    """What a sensor made of a frame.
+    """Holds a sensor's pictures of a frame.
 
     Attributes:
         picture: uint8 [h, w, 3].

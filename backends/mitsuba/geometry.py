@@ -169,7 +169,7 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
 
 
 def unplaced(scene: RenderScene, group: Group, lanes: Any) -> FlatMesh:
-    """What varies over a group whose instances are kept: of each of its meshes once."""
+    """Joins the attributes of a group with instances, each of its meshes once."""
     meshes = [scene.meshes[i] for i in np.unique(scene.rows.mesh[group.rows])]
     surfaces = group_surfaces(scene, group)
     varies = any(s.varies for s in surfaces)
@@ -246,7 +246,7 @@ def _place_faces(begin, end, faces, to_world, first, first_face, out):  # type: 
 
 @kernel
 def cofactors(m):  # type: ignore[no-untyped-def]
-    """What takes normals along with a matrix, [3, 3], and the sign of its determinant, -1 or 1.
+    """Returns the matrix that transforms normals, [3, 3], and the determinant's sign, -1 or 1.
 
     It is det * inverse transpose, and needs no inverse.
     """

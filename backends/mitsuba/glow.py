@@ -114,7 +114,7 @@ class Glow(mi.Emitter):
         return si, normal
 
     def _density(self, ds: Any) -> Any:
-        """As weights of samples have it: by the shading normal, the one a hit tells."""
+        """Returns the density by the shading normal, the one that a hit has and weights use."""
         cosine = dr.abs(dr.dot(ds.d, ds.n))
         return dr.select(cosine > 0.0, dr.square(ds.dist) / (cosine * self.area), 0.0)
 

@@ -35,7 +35,7 @@ _SHORT = 1e-4
 
 @dataclass
 class Lanes:
-    """What varies over the surface at the hits that are shaded, for ``mix.channels_of``.
+    """Holds the attributes of the surface at the shaded hits, for ``mix.channels_of``.
 
     Attributes:
         channels: Variation of the vertices, that of the row, then the weight of each merge.
@@ -54,7 +54,7 @@ class Lanes:
 
 
 class _Tables(NamedTuple):
-    """Of all vertices, as ``Geometry.points`` has them, and of rows.
+    """Holds the attributes of all vertices, as ``Geometry.points`` has them, and of rows.
 
     Attributes:
         normals: Of shading, float32 [n, 3]; (0, 0, 0): the face's own.
@@ -210,7 +210,7 @@ class KeptScene:
         return found
 
     def _interaction(self, hit: _Hits) -> tuple[Any, Any]:
-        """Of Mitsuba, and whose surface it is."""
+        """Returns Mitsuba's surface interactions at hits, and their BSDFs."""
         import drjit as dr
 
         mi = self._mi
@@ -274,7 +274,7 @@ class KeptScene:
 
 
 class _Shaded(NamedTuple):
-    """What Mitsuba says of hits.
+    """Holds Mitsuba's results at hits.
 
     Attributes:
         to_light: Directions in which light was drawn, float64 [n, 3].
@@ -329,7 +329,7 @@ class _Hits(NamedTuple):
         return _Hits(row, places, lifts, columns)
 
     def start(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where rays in these directions begin: on their side of the face."""
+        """Returns the origins of rays in these directions, on their side of the face."""
         above = (self.lifts * directions).sum(axis=1)
         return self.places + np.sign(above)[:, None] * self.lifts
 
@@ -376,7 +376,7 @@ def _unit(v):  # type: ignore[no-untyped-def]
 
 @kernel
 def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
-    """Of a face in the world, [3, 3]."""
+    """Returns the corners of a face in the world, [3, 3]."""
     m = g.to_world[row]
     corners = np.empty((3, 3))
     for c in range(3):
@@ -388,7 +388,7 @@ def _corners(g, row, vertices):  # type: ignore[no-untyped-def]
 
 @kernel
 def _shares(origin, way, corner, p, q, normal):  # type: ignore[no-untyped-def]
-    """Of the corners where a ray crosses the plane of a face, kept inside of that."""
+    """Returns barycentric shares where a ray crosses the plane of a face, clamped into the face."""
     steep = -(normal * way).sum()
     v = w = 0.0
     if steep != 0.0:

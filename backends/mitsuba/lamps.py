@@ -71,12 +71,12 @@ class Lamps(mi.Emitter):
         dr.make_opaque(self.position, self.axis, self.intensity, self.radius, self.cone)
 
     def _falloff(self, w: Any, index: Any) -> Any:
-        """Of an emitted direction."""
+        """Returns the cone's factor on light emitted in a direction."""
         axis, numbers = (dr.gather(mi.Vector3f, a, index) for a in (self.axis, self.cone))
         return falloff(ARRAYS, mi.Vector3f(w), axis, tuple(numbers))
 
     def _weights(self, it: Any) -> list[Any]:
-        """What the lamps give a surface that faces them; of too many lamps nothing."""
+        """Estimates each lamp's light on a surface that faces it; empty for too many lamps."""
         weights = []
         for k in range(self.count if self.count <= WEIGHED else 0):
             index = mi.UInt32(k)
@@ -89,7 +89,7 @@ class Lamps(mi.Emitter):
         return weights
 
     def _fraction(self, weights: list[Any]) -> Any:
-        """Of the samples that go to lamps."""
+        """Returns the fraction of samples that go to lamps."""
         if self.around is None:
             return mi.Float(1.0)
         if not self.count:

@@ -1,4 +1,4 @@
-"""What varies over a mesh: weights of layers and variation, in as few attributes as hold it.
+"""Packs what varies over a mesh, weights of layers and variation, into few attributes.
 
 They are interpolated over a triangle. What of the lobes lies at a point is a sum of products of
 them, so it is taken at the point, as every renderer does, and not at the vertices (which was off by
@@ -21,7 +21,7 @@ _PACK = 3
 
 @dataclass(frozen=True)
 class Mix:
-    """Where a group's vertices have what varies.
+    """Locates a group's varying inputs among its vertex attributes.
 
     Attributes:
         weights: For each merge, its channel, or the weight itself where it is the same everywhere.
@@ -70,7 +70,7 @@ def pack(flat: FlatMesh) -> tuple[Mix, dict[str, NDArray[np.float32]]]:
 
 
 def channels_of(mi: Any, mix: Mix, si: Any, active: Any) -> list[Any]:
-    """What varies, at a point of the surface."""
+    """Reads the varying inputs at a point of the surface."""
     if mix.lanes is not None:
         lanes, which = mix.lanes
         return [lanes.at(mi, channel, si.prim_index, active) for channel in which]

@@ -47,7 +47,7 @@ SEEN = 1.01 * projections.GRAZING
 
 @dataclass(frozen=True)
 class Look:
-    """What a flattened mesh is made of.
+    """Holds the material of a flattened mesh.
 
     Attributes:
         bsdf: Mitsuba's.
@@ -79,7 +79,7 @@ class Layer:
 
 @dataclass
 class Found:
-    """What a layer is at a point.
+    """Holds the properties of a layer at a point.
 
     Attributes:
         share: Of the whole.
@@ -396,6 +396,6 @@ def _where_needed(pictures: Pictures, share: Any, si: Any, active: Any) -> dict[
 
 
 def _key(si: Any, active: Any) -> tuple[Any, ...]:
-    """What tells one traced interaction from others while it is kept alive."""
+    """Returns a key that identifies a traced interaction while it is alive."""
     parts = (*si.p, *si.wi, si.prim_index, active)
     return tuple(getattr(part, "index", part) for part in parts)

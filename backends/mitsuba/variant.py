@@ -1,4 +1,4 @@
-"""Which Mitsuba runs here: the variant of CUDA, or of LLVM."""
+"""Selects Mitsuba's variant on this machine: of CUDA, or of LLVM."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ def _still(owner: str, parts: tuple[int, ...]) -> Placement:
 
 
 def _ground(scene: RenderScene) -> NDArray[np.bool_]:
-    """Which rows are ground: no instances, nor of classes that have no ids, nor placed often.
+    """Marks rows of ground: no instances, nor of classes without ids, nor placed often.
 
     A horizon counts as an object: what is finest where cameras are, and pictures from above, would
     be lost on its kilometers.
@@ -327,7 +327,7 @@ def _largest(
 
 
 def _look(surface: Surface, name: str) -> Look:
-    """As plain as other formats have it: a picture only in sRGB, which a color multiplies."""
+    """Reduces a surface to what other formats have: a picture only in sRGB, times a color."""
     picture, color = None, np.array(surface.base_color)
     if surface.maps is not None and has_maps(surface.maps, "base_color"):
         reading = dict(surface.maps.readings).get("base_color", Reading())
@@ -361,7 +361,7 @@ def _object_uv(mesh: Mesh, surface: Surface) -> NDArray[np.float32] | None:
 
 
 def _losses(scene: RenderScene) -> list[str]:
-    """What no model holds."""
+    """Lists what a model cannot hold."""
     found = list(scene.losses)
     if scene.rows.motion is not None:
         found.append(

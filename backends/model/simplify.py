@@ -78,7 +78,7 @@ def simplify(
 def _levels(
     points: NDArray[np.float64], eyes: NDArray[np.float64] | None, near: float
 ) -> NDArray[np.int64]:
-    """How often the finest cell is doubled at each vertex."""
+    """Returns how often the finest cell is doubled at each vertex."""
     if eyes is None or not len(eyes):
         return np.zeros(len(points), np.int64)
     chosen = eyes[:: -(-len(eyes) // _EYES)]

@@ -1,1 +1,1 @@
-"""What pictures are composed of: halves, sky, haze, tiles, rounds, sub-frames, exposure."""
+"""Composes pictures: half buffers, sky, haze, tiles, adaptive sampling, sub-frames, exposure."""

@@ -48,7 +48,7 @@ Clock = Callable[[], float]
 
 @dataclass(frozen=True)
 class Target:
-    """What a picture is rendered to.
+    """Holds the error, time and samples at which rendering a picture ends.
 
     Attributes:
         error: Relative rms error that its 95 % bound must not exceed; None for any.
@@ -87,7 +87,7 @@ class Rounds:
 
     @property
     def seconds(self) -> float:
-        """Of all rounds."""
+        """Returns the seconds of all rounds."""
         return sum(one.seconds for one in self.made)
 
     def record(self, bound: float | None) -> RoundsRecord:

@@ -113,7 +113,7 @@ def depth_above(haze: Haze, height_m: float) -> NDArray[np.float64]:
 
 
 def sine_of(sun: Sun) -> float:
-    """Of a sun's elevation, held where the middle of what has risen of a setting disc is."""
+    """Returns the sine of a sun's elevation, at least that of a setting disc's visible middle."""
     half = 0.5 * max(sun.diameter_rad, MIN_SUN_DIAMETER_RAD)
     return max(float(sun.to_light[2]), 0.4 * math.sin(half))
 
@@ -187,7 +187,7 @@ def _sources(
     picture: NDArray[np.float64] | None,
     reflected: NDArray[np.float64],
 ) -> list[Source]:
-    """What is scattered more than once, and of the sky, of each color."""
+    """Returns light scattered more than once, and the sky's, as sources of each color."""
     to = texel_directions(_ROWS, 2 * _ROWS) @ UPRIGHT.T
     sines, azimuth = to[:, 0, 2], np.arctan2(to[_ROWS // 2, :, 1], to[_ROWS // 2, :, 0])
     sky = np.zeros((2 * STREAMS, STREAMS, 3), complex)
@@ -287,7 +287,7 @@ def _density(height, scale_height):  # type: ignore[no-untyped-def]
 
 @inlined
 def _lobe(cosine, g):  # type: ignore[no-untyped-def]
-    """As ``phase``."""
+    """Evaluates the phase function, as ``phase`` does."""
     spread = max(1.0 + g * g - 2.0 * g * cosine, (1.0 - abs(g)) * (1.0 - abs(g)))
     return (1.0 - g * g) / (4.0 * math.pi * spread * math.sqrt(spread))
 

@@ -24,7 +24,7 @@ _HOW = {
 
 
 class FrameBrightness(NamedTuple):
-    """What ``told`` needs of a frame's record, which may be long."""
+    """Holds what ``told`` needs of a frame's record, which may be long."""
 
     sample: int
     exposure_ev: float

@@ -106,7 +106,7 @@ def denoised_noise(parts: Iterable[tuple[Radiance, Veil | None]]) -> ErrorEstima
 
 
 def _of_rows(radiance: Radiance, veil: Veil | None, rows: range) -> tuple[Radiance, Veil | None]:
-    """What some rows have of either."""
+    """Returns some rows of the radiance and of the veil."""
     part = slice(rows.start, rows.stop)
     own = replace(
         radiance,
@@ -225,7 +225,7 @@ def background(
 def disc_fraction(
     sun: Sun, camera: Camera, directions: NDArray[np.float64], index: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Which of some pixels a sun's disc may touch, and what fraction of each it fills.
+    """Returns the pixels that a sun's disc may touch, and the fraction of each that it fills.
 
     Args:
         sun, camera: Which.

@@ -57,7 +57,7 @@ _MOST_EV = 512.0
 
 @dataclass(frozen=True)
 class Exposure:
-    """What a meter says.
+    """Holds a light meter's result.
 
     Attributes:
         ev: Pictures show radiance * 2**ev.

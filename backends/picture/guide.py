@@ -1,4 +1,4 @@
-"""Where to look for a sky's light: what path tracers draw directions from.
+"""Builds the picture of a sky's light that path tracers draw directions from.
 
 Of a sky only what is brighter than its mean is drawn: surfaces' own sampling finds the rest with
 less noise (Karlik et al. 2019, "MIS Compensation"). Of a constant sky nothing is drawn.
@@ -18,7 +18,7 @@ ANYWHERE = 0.25
 
 
 def sky_guide(sky: Sky, least: float) -> Sky | None:
-    """Of a sky what is brighter than its mean, as an average surface sees it.
+    """Returns the part of a sky that is brighter than its mean, as an average surface sees it.
 
     Brightness and mean are weighed by how much of a direction's light such a surface gets.
 

@@ -69,7 +69,7 @@ _SAMPLES, _RAYS = 32, 108
 
 @dataclass(frozen=True)
 class Veil:
-    """What haze does to the pixels of one picture.
+    """Holds the effect of haze on the pixels of one picture.
 
     Attributes:
         transmittance: Part of a surface's light that arrives, float64 [h, w, 3].
@@ -205,7 +205,7 @@ def veil(
     coverage: NDArray[np.float32],
     edges: bool = True,
 ) -> Veil:
-    """What haze does to a picture.
+    """Computes the effect of haze on a picture.
 
     Args:
         air: From ``air_at``.
@@ -250,7 +250,7 @@ def _through(
     directions: NDArray[np.float64],
     t: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """As ``arrive``, with the light around each bundle's first ray, which takes much memory."""
+    """Evaluates ``arrive`` with the light around each bundle's first ray, in parts for memory."""
     out = np.empty((2, len(t), 3))
     for start in range(0, len(t), _PART):
         part = slice(start, start + _PART)
@@ -264,7 +264,7 @@ def _behind(
     origins: NDArray[np.float64],
     directions: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What arrives of a sky's picture, and the airlight before it, float64 [n, 3].
+    """Returns the part of a sky's picture that arrives, and airlight before it, float64 [n, 3].
 
     Below the horizon it is ground at the height of the floor.
     """

@@ -1,4 +1,4 @@
-"""What a light meter sees of a scene: radiance estimated by a few paths of the exact caster.
+"""Meters a scene's light: estimates radiance by a few paths of the exact caster.
 
 An exposure must not depend on who draws the picture, on which frames are drawn, or on their noise;
 so it does not look at pictures. A camera's rays are cast, one anywhere in each cell of a coarse
@@ -203,7 +203,7 @@ class _Paths:
         return light, hit
 
     def _direct(self, points: _Points, sky_rays: int) -> NDArray[np.float64]:
-        """What is reflected of suns, lamps and sky, float64 [k, 3]."""
+        """Sums the light reflected of suns, lamps and sky, float64 [k, 3]."""
         out = np.zeros(points.at.shape)
         for sun in self._suns:
             ways = np.broadcast_to(sun.to_light, points.at.shape)
@@ -371,7 +371,7 @@ def _map(
     normal: NDArray[np.float64],
     uv: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """What a map multiplies a color with, float64 [3, k] or [3, 1]; 1 without one."""
+    """Returns a map's factor on a color, float64 [3, k] or [3, 1]; 1 without a map."""
     maps = surface.maps
     if maps is None or not has_maps(maps, kind):
         return np.ones((3, 1))

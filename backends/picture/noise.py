@@ -1,4 +1,4 @@
-"""How far a picture is from converged, as its two halves tell."""
+"""Estimates how far a picture is from converged, from its two half buffers."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def estimate_parts(
     parts: Callable[[], Iterable[tuple[NDArray[np.float64], NDArray[np.bool_]]]],
     stochastic: bool = True,
 ) -> ErrorEstimate:
-    """As ``estimate``, of a picture in parts: the same but for the order of sums.
+    """Evaluates ``estimate`` over a picture in parts: the same but for the order of sums.
 
     Args:
         parts: Gives ``halves`` and ``covered`` of each part; called twice.
@@ -152,7 +152,7 @@ def estimate_denoised(
 
 
 def bound_factor(squares: NDArray[np.float64]) -> float:
-    """What true over estimated squared error is below, given each pixel's estimate.
+    """Returns the bound on true over estimated squared error, given each pixel's estimate.
 
     Args:
         squares: [n], none negative.

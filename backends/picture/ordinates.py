@@ -63,7 +63,7 @@ class Beams(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """What scatters, and what is above and below it, in colors with one depth and one albedo.
+    """Holds a scattering layer and its boundaries, in colors with one depth and one albedo.
 
     Attributes:
         depth: Optical depth.
@@ -145,7 +145,7 @@ def sky_modes(
 
 
 def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]) -> Source:
-    """What the layer scatters but for the suns' first scattering.
+    """Returns the light that the layer scatters, without the suns' first scattering.
 
     Args:
         layer: The layer.

@@ -208,7 +208,7 @@ class _Rendered(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _windows(projection: Projection) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """What places within pixels take of each face's plane, and the cosine of the widest ray.
+    """Returns the window of each face's plane that pixels use, and the widest ray's cosine.
 
     Returns:
         (lowest and highest (x, y), [7, 2] each, not finite where nothing is taken; the last are

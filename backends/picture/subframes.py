@@ -73,7 +73,7 @@ class SubFrame:
 
 @dataclass(frozen=True)
 class Share:
-    """How samples are shared out.
+    """Divides samples among sub-frames.
 
     Attributes:
         count: Sub-frames of each row, in each half.
@@ -85,7 +85,7 @@ class Share:
 
 
 def share_out(blur: Blur, spp: int, stochastic: bool, most: int = MOST) -> Share:
-    """How many sub-frames there are for so many samples, and how many samples each has.
+    """Returns the number of sub-frames for so many samples, and the samples of each.
 
     A path tracer's sub-frame has two samples a pixel at least, for halves of its own; a
     rasterizer's has a square number of them. None has more than ``most`` of a row.

@@ -22,7 +22,7 @@ def radiance(
     denoise: bool = False,
     first: int = 0,
 ) -> Radiance:
-    """As ``Backend.radiance``; a large picture by tiles, each with noise of its own.
+    """Renders a picture by ``Backend.radiance``; a large one by tiles, each with noise of its own.
 
     A denoised one is drawn in one go: tiles would show. What has a ``first`` is for backends that
     go on from there (``Backend.continues``).

@@ -78,7 +78,7 @@ class Pyrender(Backend):
         return f"pyrender {pyrender.__version__} {self._context.name} {self._context.renderer}"
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """What the preview leaves out of this scene."""
+        """Lists what the preview leaves out of this scene."""
         return losses(scene)
 
     def load(self, scene: RenderScene) -> None:

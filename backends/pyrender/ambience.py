@@ -1,4 +1,4 @@
-"""What hills leave of the sky, and what light they give back, on a coarse height field.
+"""Estimates the sky's light that hills leave, and their reflected light, on a height field.
 
 Only for scenes that are ground with things on it: wide, flat and closed from above. Their heights
 are drawn once from above. For each cell the horizon in a few directions says which part of the sky
@@ -232,7 +232,7 @@ class Ambience:
 
 
 def light_ground(ground: Ground, lighting: Lighting) -> Ambience:
-    """What arrives at each cell of a ground in some light."""
+    """Returns the sky's share and the light at each cell of a ground."""
     radiance = _sky_table(lighting)
     n = CELLS
     share = np.zeros((n, n, 4), np.float32)

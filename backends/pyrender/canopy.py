@@ -1,4 +1,4 @@
-"""How much of the sky leaves and grass let through, on a coarse lattice of cells.
+"""Estimates how much of the sky leaves and grass let through, on a coarse lattice of cells.
 
 Of what transmits light, the area in each cell is summed up. Along a direction light is weakened as
 by leaves that look in all directions (Beer and Lambert; Monsi and Saeki 1953): half of their area
@@ -33,7 +33,7 @@ _FACES, _FEWEST = 2_000_000, 8
 
 @dataclass(frozen=True)
 class Canopy:
-    """What is left of the sky's light.
+    """Holds the sky's share of light in each cell of a lattice.
 
     Attributes:
         low: Least corner of the lattice, float64 [3].

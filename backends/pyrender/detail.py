@@ -68,7 +68,7 @@ def add_levels(scene: RenderScene, geometry: Geometry) -> Geometry:
 def _jobs(
     scene: RenderScene, drawn: DrawnMesh, items: Items, index: int
 ) -> Iterator[tuple[NDArray[Any], ...]]:
-    """What ``_coarse`` takes, for each group of a mesh."""
+    """Yields the arguments of ``_coarse`` for each group of a mesh."""
     mesh = scene.meshes[drawn.mesh]
     ranges = items.group_faces[items.group_mesh == index, 0]
     normals = vertex_normals(mesh)
@@ -97,7 +97,7 @@ def _coarse(
 
 
 def _surely(off: NDArray[np.float64]) -> float:
-    """What nearly all distances do not exceed."""
+    """Returns a bound that nearly all distances stay below."""
     return float(np.sort(off)[min(int(_SURE * len(off)), len(off) - 1)])
 
 
@@ -118,7 +118,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float32]:
 def border(
     vertices: int, faces: NDArray[np.uint32], firsts: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Which vertices several groups share or lie on an edge of a single face, bool [vertices].
+    """Marks vertices that several groups share or that lie on a face's free edge, bool [vertices].
 
     Args:
         vertices: Of the mesh.

@@ -43,7 +43,7 @@ class DrawnMesh:
 
 @dataclass(frozen=True)
 class Items:
-    """What can be drawn or left out, by group; all rows of a group lie together.
+    """Holds what can be drawn or left out, by group; all rows of a group lie together.
 
     Attributes:
         group: Index into ``group_*``, int32 [i], ascending.
@@ -191,7 +191,7 @@ def _rows_by_mesh(scene: RenderScene) -> list[tuple[int, NDArray[np.int32]]]:
 
 
 def _stretch(to_world: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How much longer each row makes a vector at most (its largest singular value), float64 [r]."""
+    """Returns each row's longest stretch of a vector (largest singular value), float64 [r]."""
     linear = to_world[:, :, :3]
     x, y, z = (np.ascontiguousarray(linear[:, :, k]) for k in range(3))
     lengths = [(v * v).sum(axis=1) for v in (x, y, z)]
@@ -237,7 +237,7 @@ def _spread(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 @dataclass(frozen=True)
 class View:
-    """Where one picture is drawn from: a camera, or a sun.
+    """Describes the view of one picture: a camera's, or a sun's.
 
     Attributes:
         origin: World position that everything is drawn relative to, float64 [3].
@@ -257,7 +257,7 @@ class View:
 
 @dataclass(frozen=True)
 class Selection:
-    """What is drawn of a view.
+    """Holds what is drawn of a view.
 
     Attributes:
         items: Indices into ``Items``: slot k of the picture is item items[k], or another of the
@@ -284,7 +284,7 @@ def select(
     culling: bool = True,
     standing: bool = False,
 ) -> Selection:
-    """What of a scene may be in view, and at which level.
+    """Selects the items of a scene that may be in view, and the level of each.
 
     Args:
         scene: The scene.

@@ -17,7 +17,7 @@ _NAMES = {
 
 
 class Value(Traced):
-    """What an expression gives, a "float" or a "vec3".
+    """Names the value of an expression, a "float" or a "vec3".
 
     Args:
         fn: Whose statement it is.

@@ -36,7 +36,7 @@ def law_table(surfaces: Sequence[Surface]) -> NDArray[np.float32]:
 
 
 def law_features(scene: RenderScene) -> set[str]:
-    """What the shading program has to know of the laws in use."""
+    """Returns the features that the shading program needs for the laws in use."""
     used = [scene.surfaces[i] for mesh in scene.meshes for i in mesh.layers]
     if not laws_of(used):
         return set()
@@ -45,7 +45,7 @@ def law_features(scene: RenderScene) -> set[str]:
 
 
 def even_albedo(surface: Surface) -> NDArray[np.float32]:
-    """What a surface's dull part reflects of light from all around, by channel, float32 [3]."""
+    """Returns the diffuse albedo of a surface under even light, by channel, float32 [3]."""
     color = np.array(surface.base_color, np.float32)
     if surface.reflectance is None:
         return color

@@ -93,7 +93,7 @@ def polynomials(n: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def losses(scene: RenderScene) -> tuple[str, ...]:
-    """What the preview leaves out of a scene, a line each."""
+    """Lists what the preview leaves out of a scene, a line each."""
     lines = []
     suns = [sun for lighting in scene.lighting for sun in lighting.suns]
     domes = [dome for lighting in scene.lighting for dome in lighting.domes]

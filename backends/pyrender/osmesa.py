@@ -15,7 +15,7 @@ from scenec.backends.pyrender.platforms import load_osmesa
 
 
 class WheelOSMesaPlatform(OSMesaPlatform):
-    """As PyOpenGL's, but for where the library is."""
+    """Differs from PyOpenGL's platform only in the library's path."""
 
     @baseplatform.lazy_property
     def GL(self) -> Any:  # noqa: N802

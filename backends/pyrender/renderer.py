@@ -140,7 +140,7 @@ class Renderer(pyrender.Renderer):
         self._draw("ids.frag", view, selection)
 
     def read_ids(self, name: str) -> NDArray[np.uint32]:
-        """What ``draw_ids`` drew, uint32 [h, w, 2], the view's first row first."""
+        """Returns the picture of ``draw_ids``, uint32 [h, w, 2], the view's first row first."""
         target = self._targets[name]
         out = np.empty((target.height, target.width, 2), np.uint32)
         target.read(GL.GL_RG_INTEGER, GL.GL_UNSIGNED_INT, out)

@@ -78,7 +78,7 @@ def lamp_falloff(fn: Glsl, away: Value, axis: Value, cone: Value) -> Any:
 
 
 def _lobes(through: bool) -> str:
-    """What a surface's rows in ``Tables.surfaces`` and its maps make of it."""
+    """Writes the shader's function from a surface's rows in ``Tables.surfaces`` to lobes."""
 
     def body(fn: Glsl) -> Any:
         names = ("second.y", "second.x", "second.w", "first.a", "second.z")

@@ -1,4 +1,4 @@
-"""What the shading program looks up: meshes, layers, surfaces and maps as flat tables."""
+"""Builds the shading program's tables: meshes, layers, surfaces and maps as flat arrays."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def place_maps(tables: Tables, origin: NDArray[np.float64]) -> NDArray[np.float3
 
 
 def _features(scene: RenderScene) -> tuple[str, ...]:
-    """What the surfaces in use have, so that programs do not compute what none has."""
+    """Lists features of the surfaces in use, so that programs do not compute what none has."""
     features = law_features(scene) | tile_features(scene)
     for mesh in scene.meshes:
         surfaces = [scene.surfaces[i] for i in mesh.layers]

@@ -1,4 +1,4 @@
-"""What the shading program knows of surfaces beyond their own rows: cells, far scale, emission.
+"""Adds blocks to the shading program's surfaces: cells, far scale, emission.
 
 A surface that has any of it has a block in ``Tables.surfaces``, behind all surfaces; the tables of
 cells stand behind the blocks.
@@ -41,7 +41,7 @@ def has_block(surface: Surface) -> bool:
 
 
 def tile_features(scene: RenderScene) -> set[str]:
-    """What the shading program has to know of surfaces in use."""
+    """Returns the features that the shading program needs for the surfaces in use."""
     used = [scene.surfaces[i] for mesh in scene.meshes for i in mesh.layers]
     maps = [surface.maps for surface in used if surface.maps is not None]
     heights = any(any(mesh.height_blends) for mesh in scene.meshes)

@@ -31,7 +31,7 @@ Say = Callable[[str], None]
 
 @dataclass
 class BatchReport:
-    """What came of a render or a scan.
+    """Reports the outcome of a render or a scan.
 
     Attributes:
         stems: Paths of all sidecars asked for, without suffix ``.json``, in order.

@@ -166,7 +166,7 @@ class Cluster:
         )
 
     def _shares(self) -> Counter[Hashable]:
-        """How many slots have the same cores."""
+        """Counts the slots that share the same cores."""
         return Counter(self._places[slot.address] for slot in self._slots)
 
     def _stop(self, futures: Collection[Any]) -> None:
@@ -275,7 +275,7 @@ class Cluster:
 
 
 def _facts(token: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    """What a machine has, and whether it sees a file."""
+    """Returns a machine's versions and cores, and whether it sees a file."""
     facts: dict[str, Any] = {"python": platform.python_version(), "host": socket.gethostname()}
     facts["cores"] = tuple(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else ()
     for name in names:

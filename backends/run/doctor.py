@@ -1,4 +1,4 @@
-"""Which backends work here, and what to do about those that do not."""
+"""Diagnoses which backends work on this machine, and how to mend the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who runs units: several processes of this machine (others: ``LocalExecutor``, ``cluster``)."""
+"""Runs units on several processes of this machine (others: ``LocalExecutor``, ``cluster``)."""
 
 from __future__ import annotations
 

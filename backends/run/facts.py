@@ -34,7 +34,7 @@ from scenec.schemas.versions import version_of
 
 
 class RendererFacts(NamedTuple):
-    """What draws pictures, for sidecars, resume keys and messages."""
+    """Identifies the renderer of pictures, for sidecars, resume keys and messages."""
 
     backend: str
     version: str

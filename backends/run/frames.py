@@ -19,7 +19,7 @@ from scenec.schemas.spelling import nearest
 
 
 def opening_of(batch: Batch, plan: RenderPlan) -> Opening:
-    """What a worker keeps for a batch."""
+    """Returns the opening of a batch that a worker holds."""
     passes = None if plan.passes is None else tuple(plan.passes)
     stage = os.path.abspath(batch.stage)
     return Opening(stage, plan.backend, plan.device, passes, plan.allow_missing)

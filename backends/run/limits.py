@@ -34,7 +34,7 @@ RETRIES = 2
 
 @dataclass(frozen=True)
 class Limits:
-    """What a worker process may take.
+    """Holds the limits of a worker process.
 
     Attributes:
         timeout_s: Seconds a frame may take; None is no limit.

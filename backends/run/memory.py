@@ -1,4 +1,4 @@
-"""How much memory workers may hold, what loading takes of it, and what a process has held."""
+"""Bounds the memory of workers: their limit, the cost of loading, and their peak."""
 
 from __future__ import annotations
 

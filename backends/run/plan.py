@@ -1,4 +1,4 @@
-"""What is asked of a render: one plan, checked when it is made, before anything is read."""
+"""Declares the plan of a render, which is checked when it is made, before anything is read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ USUAL_SPP = 64
 
 @dataclass(frozen=True)
 class RenderPlan:
-    """What to render, of what, how well.
+    """Declares what to render, and how well.
 
     Attributes:
         backend: Name, see ``registry``; "auto" for the first that works (``run.auto``).
@@ -88,7 +88,7 @@ class RenderPlan:
 
     @property
     def quality(self) -> str:
-        """How well ``rgb`` is rendered, in words."""
+        """Describes how well ``rgb`` is rendered, in words."""
         return quality(self.most_spp, self.error, self.seconds)
 
     def check_rgb(self, *, rgb: bool) -> None:
@@ -118,7 +118,7 @@ class RenderPlan:
             raise BackendError(f"backend {self.backend} has no denoiser{mend}{_denoisers()}")
 
     def key(self, digest: str, passes: Sequence[str], backend: str, version: str) -> FrameKey:
-        """What decides a frame's content: its resume key.
+        """Returns the resume key of a frame: all that decides its content.
 
         Args:
             digest: Of the stage.
@@ -141,7 +141,7 @@ class RenderPlan:
 
 
 def _denoisers() -> str:
-    """Which other backends have a denoiser."""
+    """Lists other backends that have a denoiser."""
     have = []
     for name in backend_names():
         try:

@@ -30,7 +30,7 @@ from scenec.schemas.update import reading
 
 @dataclass
 class RenderReport(BatchReport):
-    """What came of a render.
+    """Reports the outcome of a render.
 
     Attributes:
         backend_version: Renderer, version and variant.

@@ -31,7 +31,7 @@ from scenec.schemas.versions import version_of
 
 @dataclass
 class ScanReport(BatchReport):
-    """What came of it; steps are ``read``, ``load``, ``scan``, ``write``."""
+    """Reports the outcome of a scan; steps are ``read``, ``load``, ``scan``, ``write``."""
 
     @property
     def scans(self) -> list[Path]:
@@ -53,7 +53,7 @@ class ScanLidar(MakeFile):
 
     @property
     def key(self) -> str:
-        """What decides the scan."""
+        """Returns the resume key of the scan."""
         return scan_key(self.digest, version_of())
 
     def is_done(self) -> bool:

@@ -115,7 +115,7 @@ class Session:
         return cls(scene, open_backend(backend, device))
 
     def facts(self) -> RendererFacts:
-        """What draws the pictures, for sidecars, resume keys and messages."""
+        """Returns the facts of the pictures' renderer, for sidecars, resume keys and messages."""
         backend = self.backend
         if backend is None:
             version = f"{ANNOTATION} (scenec {version_of()})"
@@ -163,7 +163,7 @@ class Session:
 
     @cached_property
     def instances(self) -> Instances:
-        """What there is to say of the stage's instances."""
+        """Returns the stage's instances, for tables and masks."""
         return Instances(self.scene)
 
     def render(
@@ -303,7 +303,7 @@ class Session:
         return replace(record, seconds=seconds)
 
     def witness(self, camera_index: int, sample: int) -> Visibility | None:
-        """What the backend itself sees of a frame, for checks.
+        """Returns the backend's own first hits of a frame, for checks.
 
         Returns:
             None if it does not tell, or cannot follow this camera's rays.
@@ -371,7 +371,7 @@ class Session:
     def _blurred(
         self, camera: Camera, sample: int, denoise: bool, seconds: dict[str, float]
     ) -> Drawing | None:
-        """What draws a camera with an open shutter or an aperture; None where there is neither.
+        """Returns the drawing of a camera with an open shutter or an aperture; None without either.
 
         Raises:
             BackendError: Its picture is to be denoised.

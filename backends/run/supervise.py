@@ -80,7 +80,7 @@ class Supervisor:
 
     @property
     def budget(self) -> tuple[Limits, int | None]:
-        """What its workers may take: limits, and threads."""
+        """Returns the workers' limits, and threads."""
         return self._limits, self._threads
 
     @property
@@ -90,7 +90,7 @@ class Supervisor:
 
     @property
     def holds(self) -> Hashable:
-        """What the worker keeps; None without one."""
+        """Returns the key of what the worker holds; None without a worker."""
         return self._holds if self._process is not None else None
 
     @property

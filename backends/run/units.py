@@ -76,7 +76,7 @@ class CameraFacts:
 
 @dataclass(frozen=True)
 class Opened:
-    """What there is to render, and who renders it (``Session.facts``).
+    """Describes an opened stage and its renderer (``Session.facts``).
 
     Attributes:
         digest: Of the stage.
@@ -176,7 +176,7 @@ class OpenStage:
 
 @dataclass(frozen=True)
 class Made:
-    """What came of a frame or a scan.
+    """Reports the outcome of a frame or a scan.
 
     Attributes:
         busy: Who else is making it, in words; None: it is there.

@@ -107,7 +107,7 @@ def _put[T](path: Path, value: T | None, write: Callable[[Path, T], None]) -> Fi
 
 
 def _vouch(path: Path) -> FileDigest:
-    """What tells whether a file is still the one that was written."""
+    """Returns the size and digest by which a file is later verified."""
     return FileDigest(bytes=path.stat().st_size, sha256=sha256(path))
 
 

@@ -187,7 +187,7 @@ def _focus(prim: Usd.Prim, frame: StageFrame, time: Usd.TimeCode) -> Focus | Non
 
 
 def _effects(prim: Usd.Prim) -> tuple[str, ...]:
-    """What other packages do to its pictures, each as JSON."""
+    """Returns other packages' effects on the camera's pictures, each as JSON."""
     found = tuple(values.words(prim.GetAttribute(names.ATTR_EFFECTS)))
     for text in found:
         try:
@@ -307,7 +307,7 @@ def read_trigger(prim: Usd.Prim) -> tuple[int, int]:
 
 
 def _depth_camera(prim: Usd.Prim) -> DepthCamera | None:
-    """How a camera measures depth, or None."""
+    """Reads a camera's model of depth, or None."""
     kind = values.word(prim.GetAttribute(names.ATTR_DEPTH_MODEL), "")
     if not kind:
         return None
@@ -333,7 +333,7 @@ _READERS: dict[str, Callable[[Usd.Attribute, Usd.TimeCode], Any]] = {
 
 
 def read_imaging(prim: Usd.Prim, time: Usd.TimeCode) -> Imaging | None:
-    """What a camera does to light at a time; None without ``scenec:imaging:rule``.
+    """Reads a camera's imaging at a time; None without ``scenec:imaging:rule``.
 
     Raises:
         StageError: A parameter is not what it can be.

@@ -20,7 +20,7 @@ _LEAST_M, _MOST_M = 1e-12, 1e17
 
 @dataclass(frozen=True)
 class StageFrame:
-    """How the stage's world becomes the contract's.
+    """Converts the stage's world to the contract's.
 
     Attributes:
         meters_per_unit: Length of a stage unit.

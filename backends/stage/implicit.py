@@ -64,7 +64,7 @@ type _Part = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
 
 
 def dimensions(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str | float, ...]:
-    """What makes one shape differ from another: type, axis (where it has one), lengths.
+    """Returns the properties that identify a shape: type, axis (where it has one), lengths.
 
     Args:
         prim: One of ``LENGTHS``.
@@ -86,7 +86,7 @@ def dimensions(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str | float, ...]:
 
 
 def kind_of(prim: Usd.Prim) -> str:
-    """Which of ``LENGTHS`` a prim is, or derives from; "" for none."""
+    """Returns the key of ``LENGTHS`` that a prim is, or derives from; "" for none."""
     return next((kind for kind, schema in _SCHEMAS.items() if prim.IsA(schema)), "")
 
 

@@ -114,7 +114,7 @@ class _Class:
 
 @dataclass(frozen=True)
 class _Place:
-    """What a prim has from those above it.
+    """Holds the state that a prim inherits from its ancestors.
 
     Attributes:
         matrix: Of the frame it stands in, float64 [3, 4], or [samples, 3, 4] where that moves.
@@ -383,7 +383,7 @@ class Expander:
     def _contents(
         self, prim: Usd.Prim, used: NDArray[np.int32], labels: dict[str, int]
     ) -> list[Expanded]:
-        """What each prototype holds, in the frame of its instances; nothing of unused ones."""
+        """Expands each prototype in the frame of its instances; unused ones are empty."""
         contents = []
         counts = np.bincount(used)
         for index, target in enumerate(values.targets(prim, "prototypes")):

@@ -206,7 +206,7 @@ def labeled_instances(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
 
 
 def _instances(prim: Usd.Prim, of_group: bool, table: LabelTable) -> Iterator[Usd.Prim]:
-    """Those at or below a prim; ``of_group``: whether a labeled group is around it."""
+    """Yields instances at or below a prim; ``of_group``: whether a labeled group encloses it."""
     if prim.IsA(UsdGeom.PointInstancer) or any(prim.HasAttribute(name) for name in _OURS):
         return
     labeled = of_group or any(

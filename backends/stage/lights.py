@@ -116,7 +116,7 @@ def light_over_time(
 def _gobos(
     prim: Usd.Prim, frame: StageFrame, times: list[Usd.TimeCode], sources: Sources
 ) -> list[Gobo | None]:
-    """What a light shines through at each time.
+    """Returns the gobo that a light shines through at each time.
 
     Raises:
         StageError: A size is not two numbers above 0, or a filter has no extent.

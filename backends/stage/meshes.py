@@ -263,7 +263,7 @@ class _Coordinates:
     time: Usd.TimeCode
 
     def of(self, surfaces: Sequence[Surface]) -> NDArray[np.float32] | None:
-        """What the first surface with maps by texture coordinates wants, float32 [m, 3, 2].
+        """Returns texture coordinates of the first surface whose maps use them, float32 [m, 3, 2].
 
         None where no surface has such maps.
 

@@ -1,4 +1,4 @@
-"""Where the instances of a PointInstancer are: matrices from its arrays, at all samples."""
+"""Builds the matrices of a PointInstancer's instances from its arrays, at all samples."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def instance_matrices(
 def instance_mask(
     instancer: UsdGeom.PointInstancer, times: Sequence[Usd.TimeCode], count: int
 ) -> NDArray[np.bool_]:
-    """Which instances are there (``inactiveIds``, ``invisibleIds``): bool [samples or 1, n]."""
+    """Marks active instances (``inactiveIds``, ``invisibleIds``): bool [samples or 1, n]."""
     if not instancer.GetInvisibleIdsAttr().ValueMightBeTimeVarying():
         times = times[:1]
     # USD masks nothing where ids are none.

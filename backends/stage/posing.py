@@ -30,7 +30,7 @@ def pose(scene: RenderScene, sample: int) -> None:
 
 
 def moving(scene: RenderScene) -> NDArray[np.bool_]:
-    """Which rows move, bool [r]."""
+    """Marks rows that move, bool [r]."""
     moves = np.zeros(len(scene.rows.mesh), bool)
     if scene.rows.motion is not None:
         moves[scene.rows.motion.rows] = True

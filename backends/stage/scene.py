@@ -28,7 +28,7 @@ DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
 
 @dataclass(frozen=True)
 class Reading:
-    """How a picture's numbers are meant where that is not as ``Maps`` says: UsdUVTexture's inputs.
+    """Decodes a picture's numbers where they are not as ``Maps`` says: UsdUVTexture's inputs.
 
     Attributes:
         channel: "r", "g" or "b": where a single number stands.
@@ -248,7 +248,7 @@ class Motion:
     to_world: NDArray[np.float64]
 
     def among(self, rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Which of some rows move, and where those are in ``self.rows``; both int64 [m]."""
+        """Returns which of some rows move, and their indices in ``self.rows``; both int64 [m]."""
         at = np.searchsorted(self.rows, rows)
         moves = np.flatnonzero(np.append(self.rows, -2)[at] == rows)
         return moves, at[moves]
@@ -279,7 +279,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class OpenShutter:
-    """When rows of a picture are exposed, and where the camera is meanwhile.
+    """Describes the exposure of a picture's rows, and the camera's poses meanwhile.
 
     Attributes:
         shutter: When which row is exposed.
@@ -477,7 +477,7 @@ class Lighting:
 
 @dataclass(frozen=True)
 class Haze:
-    """What lies between camera and surfaces at one sample; ``picture.haze`` applies it.
+    """Describes the haze between camera and surfaces at one sample; ``picture.haze`` applies it.
 
     Attributes:
         extinction: Per meter at the world's z = 0, linear Rec.709, float64 [3].

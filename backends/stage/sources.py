@@ -33,7 +33,7 @@ _PRIM = re.compile(r"Unresolved (\w+) prim path @(.+?)@<(.*?)> introduced by @(.
 
 
 class Sources:
-    """What a stage is read from, and what of it is missing.
+    """Tracks the files that a stage is read from, and those that are missing.
 
     Args:
         path: Root layer.
@@ -256,7 +256,7 @@ def _hash(file: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """What USD says, in one line and without the addresses that it adds."""
+    """Returns USD's message in one line, without the addresses that it adds."""
     return " ".join(re.sub(r"\(?\b[\w ]*@[^@]*@ <0x[0-9a-f]+>\)?", "", text).split())
 
 
@@ -268,7 +268,7 @@ def _state(file: str, reason: str | None) -> str:
 
 
 def _located(reason: str) -> str:
-    """Of what USD says of a file, separated by semicolons, the part that names a line in it."""
+    """Returns the part of USD's message, divided by semicolons, that names a line of the file."""
     parts = [part.strip() for part in reason.split(" ; ")]
     return next((part for part in parts if re.search(r":\d+:\d+: ", part)), parts[0])
 

@@ -78,7 +78,7 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
 
 
 def bound_material(prim: Usd.Prim) -> UsdShade.Material:
-    """What is bound for full renderings, or for all purposes; invalid where nothing is."""
+    """Returns the material bound for full renderings, or for all purposes; invalid without one."""
     return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
 
 

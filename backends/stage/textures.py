@@ -29,7 +29,7 @@ _DEEPEST = 8
 
 
 class _Coordinates(NamedTuple):
-    """Where a texture is read: a primvar, and what it is multiplied with."""
+    """Names a texture's primvar and the transform of its coordinates."""
 
     primvar: str
     transform: tuple[float, ...]
@@ -154,7 +154,7 @@ def constant(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
 
 
 def _numbers[T: tuple[float, ...]](shader: UsdShade.Shader, name: str, default: T) -> T:
-    """As many numbers of an input as the default has; it, where there is no value."""
+    """Reads as many numbers of an input as the default has; returns that if there is no value."""
     attribute = constant(shader, name)
     if attribute is None:
         return default

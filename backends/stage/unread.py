@@ -1,4 +1,4 @@
-"""What a stage has that the reader does not follow: a line for each kind of it.
+"""Reports what a stage has that the reader does not follow: a line for each kind of it.
 
 Nothing is dropped in silence. Of every concrete type that USD knows one of four tables says what
 becomes of it (a test goes through USD's registry); of types that are read, attributes that are
@@ -131,7 +131,7 @@ class Unread:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What is lost, of how many prims, and of which first; a prototype counts once."""
+        """Returns a line for each loss: its number of prims, the first; a prototype counts once."""
         return tuple(
             f"{what}: {len(paths)} prim{'s, the first is' if len(paths) > 1 else ','} "
             f"{next(iter(paths.values()))}"

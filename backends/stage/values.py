@@ -29,7 +29,7 @@ _QUOTED = 40
 
 
 def value_of(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Any:
-    """What an attribute holds, of any type; None where it is not there or has no value.
+    """Returns an attribute's value, of any type; None where it is absent or has no value.
 
     Raises:
         StageError: USD cannot read it.
@@ -187,7 +187,7 @@ def as_array(
     width: tuple[int, ...] = (),
     finite: bool = True,
 ) -> NDArray[Any]:
-    """As ``array``, of a value that was made from the attribute's."""
+    """Converts a value made from the attribute's, as ``array`` does."""
     kind = np.dtype(dtype)
     if value is None:
         return np.zeros((0, *width), kind)
@@ -283,7 +283,7 @@ def own(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
 def kept[T](
     attributes: Iterable[Usd.Attribute], read: Callable[[Usd.TimeCode], T]
 ) -> Callable[[Usd.TimeCode], T]:
-    """What a function reads at a time; read once where none of the attributes it reads varies."""
+    """Returns a reader at times that reads only once where none of its attributes varies."""
     if any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes):
         return read
     found: list[T] = []
@@ -310,7 +310,7 @@ def visible(prim: Usd.Prim, times: Sequence[Usd.TimeCode]) -> NDArray[np.bool_]:
 def matrices(
     prim: Usd.Prim, times: Sequence[Usd.TimeCode], *, of_world: bool = False
 ) -> NDArray[np.float64]:
-    """Where a prim stands in its parent: affine columns in stage units.
+    """Returns a prim's transforms in its parent: affine columns in stage units.
 
     Args:
         prim: The prim.
@@ -368,7 +368,7 @@ def _world_transforms(prim: Usd.Prim, times: Sequence[Usd.TimeCode]) -> list[Gf.
 
 
 def said(error: Tf.ErrorException) -> str:
-    """What USD says, in one line: first of what names a place in a file."""
+    """Returns USD's message in one line, of its lines the first that names a place in a file."""
     lines = [" ".join(commentary(each).split()) for each in error.args]
     located = [line for line in lines if re.search(r":\d+:\d+: ", line)]
     return next((line for line in (*located, *lines) if line), "USD gives no reason")

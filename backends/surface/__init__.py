@@ -1,1 +1,1 @@
-"""What surfaces are made of, as far as renderers share it."""
+"""Defines the materials of surfaces, as far as renderers share them."""

@@ -29,7 +29,7 @@ _NO_LENGTH = 1e-30
 
 
 class Algebra(ABC):
-    """What a kind of number has beside + - * /.
+    """Declares the operations that a kind of number has beside + - * /.
 
     ``floor``, ``absolute``, ``maximum`` and ``minimum`` take vectors too, component by component.
     """

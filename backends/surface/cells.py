@@ -37,7 +37,7 @@ TO_WORLD = ((1.0, 0.5), (0.0, 0.5 * math.sqrt(3.0)))
 
 
 class Lattice(NamedTuple):
-    """Where cells are.
+    """Places the lattice of cells.
 
     Attributes:
         step: Sides of the lattice in one unit of the renderer's coordinates.

@@ -1,4 +1,4 @@
-"""How the facets of a relief that no triangle shows hide and shade each other.
+"""Models how the facets of a relief that no triangle shows hide and shade each other.
 
 A map of normals says how facets lean, and each is drawn as if it were seen and lit as a level place
 is. Of a relief of heights, seen at a slant, those that face the viewer take more of a pixel and
@@ -62,7 +62,7 @@ def deviation(surface: Surface) -> float:
 
 
 def factor(fn: Algebra, s: Number, cos_v: Number, cos_l: Number, cos_g: Number) -> Number:
-    """What facets reflect, over what they reflect drawn one by one.
+    """Returns the light that facets reflect together, relative to each drawn alone.
 
     Args:
         fn: The algebra.

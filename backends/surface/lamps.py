@@ -1,4 +1,4 @@
-"""How lamps shine over their cone: 1 - smoothstep of the angle to their axis."""
+"""Defines a lamp's light over its cone: 1 - smoothstep of the angle to the axis."""
 
 from __future__ import annotations
 

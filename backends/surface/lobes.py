@@ -45,7 +45,7 @@ MEAN_ALBEDO = (1.0025, -0.1873, -1.5814, 1.8181, -0.6433)
 
 
 class Numbers(NamedTuple):
-    """Of a surface, in an algebra's kind; ``swing`` is ``Surface.roughness_variation``."""
+    """Holds a surface's numbers, of an algebra's kind; ``swing`` is ``roughness_variation``."""
 
     color: Vector
     variation: Number
@@ -58,7 +58,7 @@ class Numbers(NamedTuple):
 
 
 class Lobes(NamedTuple):
-    """Of a surface at a point.
+    """Holds the lobes of a surface at a point.
 
     Attributes:
         color: c.
@@ -92,7 +92,7 @@ def numbers_of(fn: Algebra, surface: Surface) -> Numbers:
 def lobes_of(
     fn: Algebra, own: Numbers, pictured: Mapping[str, Any], variations: Sequence[Number]
 ) -> Lobes:
-    """What a surface is at a point.
+    """Returns a surface's lobes at a point.
 
     Args:
         fn: The algebra.
@@ -147,7 +147,7 @@ def albedo(alpha: Number, cosine: Number) -> Number:
 
 
 def gloss_color(found: Lobes, cosine: Number) -> Vector:
-    """What a white lobe that scatters once is multiplied with; ``cosine`` is the viewer's."""
+    """Returns the factor on a single-scattering white lobe; ``cosine`` is the viewer's."""
     color = found.color
     lost = 1.0 / albedo(found.alpha, cosine) - 1.0
     mean = _polynomial(MEAN_ALBEDO, found.alpha)

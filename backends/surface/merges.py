@@ -29,7 +29,7 @@ LEAST_DEPTH = 1e-3
 
 
 def slopes(depth: Number) -> tuple[Number, Number]:
-    """Of w' over the weight and over twice the difference in height; ``depth`` not below LEAST."""
+    """Returns w' over the weight, and over twice the difference in height; ``depth`` >= LEAST."""
     return (1.0 + depth) / depth, 0.5 / depth
 
 
@@ -87,5 +87,5 @@ def shares(weights: Sequence[Number]) -> list[Number]:
 
 
 def needed(depths: Sequence[float]) -> int:
-    """How many layers' heights matter: those up to the last merge that has a depth."""
+    """Returns how many layers' heights matter: those up to the last merge that has a depth."""
     return max((number + 2 for number, depth in enumerate(depths) if depth > 0.0), default=0)

@@ -51,7 +51,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Scale:
-    """How pictures of one size lie in the renderer's coordinates.
+    """Places pictures of one size in the renderer's coordinates.
 
     Attributes:
         step: Repeats in one unit.
@@ -66,7 +66,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Placement:
-    """How the maps of a surface lie.
+    """Places the maps of a surface.
 
     Attributes:
         projection: As of ``Maps``.
@@ -87,7 +87,7 @@ class Placement:
 def place(
     fn: Algebra, maps: Maps, kinds: Sequence[str], center: NDArray[np.float64], unit_m: float = 1.0
 ) -> Placement:
-    """How maps lie.
+    """Computes the placement of maps.
 
     Args:
         fn: The algebra, whose numbers they become.
@@ -164,7 +164,7 @@ def look_up(
 def far_factor(
     fn: Algebra, placement: Placement, point: Point, texels: Texels, entry: cells.Entry | None
 ) -> Vector:
-    """What the second scale multiplies colors with; arguments as of ``look_up``."""
+    """Returns the second scale's factor on colors; arguments as of ``look_up``."""
     assert placement.far is not None
 
     def larger(u: Number, v: Number, axis: int = 2, far: bool = True) -> Values:

@@ -1,4 +1,4 @@
-"""Where maps lie on a surface, and how maps of normals lean it.
+"""Projects maps onto a surface, and tilts normals by maps of normals.
 
 Triplanar normals: Golus 2017, Normal Mapping for a Triplanar Shader, the whiteout blend, summed
 over the three planes by the weights of the colors. On a plane its tangent part is added to the

@@ -71,7 +71,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Terms:
-    """What of a law depends on directions alone: f = w * scale * (single + H H' - 1).
+    """Holds a law's terms of directions alone: f = w * scale * (single + H H' - 1).
 
     Attributes:
         scale: 1/sr.

@@ -59,7 +59,7 @@ def _tells(backend: Backend) -> bool:
 
 
 class Conformance:
-    """What every backend keeps; see the package.
+    """Tests the rules that every backend follows; see the package.
 
     Attributes:
         backend: The class, or what else makes a backend; it is given ``device`` where
@@ -107,7 +107,7 @@ class Conformance:
 
     @classmethod
     def folder(cls) -> Path:
-        """Where pictures of maps and skies lie."""
+        """Returns the folder of pictures of maps and skies."""
         return Path(cls._folder.name)
 
     def scene(self, name: str, make: Callable[[], RenderScene]) -> RenderScene:
@@ -125,7 +125,7 @@ class Conformance:
         return made, sample
 
     def allow(self, check: str, case: str, made: RenderScene, sample: int = 0) -> Tolerance:
-        """What is allowed in a check; skips it if the renderer lacks that, and says so.
+        """Returns a check's tolerance; skips the check if the renderer lacks that, and says so.
 
         It says so in its losses, or refuses to draw.
         """
@@ -240,7 +240,7 @@ class Conformance:
         return self._renderer.stochastic
 
     def title(self, check: str, case: str = "") -> str:
-        """Of messages."""
+        """Returns the title of a check's messages."""
         return f"{self._renderer.name}: {check}" + (f"[{case}]" if case else "")
 
     # What a backend is
@@ -308,7 +308,7 @@ class Conformance:
 
     @pytest.mark.parametrize("shift", [0.0, 0.25, 0.5, 0.75])
     def test_coverage(self, shift: float) -> None:
-        """It is the share of a pixel's area, and one sample is not at the center alone."""
+        """Coverage is the share of a pixel's area, and one sample is not at the center alone."""
         made = geometry.edge(shift)
         height, spp = made.cameras[0][0].height, max(2, round(SAMPLES * self.effort))
         columns = self.draw(made).coverage.astype(np.float64).mean(axis=0)
@@ -426,7 +426,7 @@ class Conformance:
         assert radiance.dropped == 0
 
     def test_half_shadow(self) -> None:
-        """Of a lamp that is a sphere: its share by what an edge leaves of its disc."""
+        """A spherical lamp's light behind an edge is the share of its disc that the edge leaves."""
         made = self.scene("half_shadow", lights.edge_scene)
         self.hold("half_shadow", "", made, 0, lights.beside_edge(), 8 * SAMPLES)
 
@@ -438,7 +438,7 @@ class Conformance:
 
     @pytest.mark.parametrize("turn", [1.0, -1.0])
     def test_glow(self, turn: float) -> None:
-        """What gives off light is seen as it is, and lights its neighbor, from both sides."""
+        """An emitter is seen with its own radiance, and lights its neighbor, from both sides."""
         made = self.scene(f"glow {turn}", lambda: lights.panel_scene(turn))
         tolerance = self.allow("glow", "", made)
         expected, (panel, ground) = lights.panel_radiance(made)

@@ -116,7 +116,7 @@ def bowl() -> RenderScene:
 
 
 def bowl_radiance() -> float:
-    """Of two points of a sphere each sees as much of the other, wherever they are.
+    """Returns the radiance in a bowl: two points of a sphere see each other equally anywhere.
 
     So a point gets ``OPEN`` of the sky and 1 - OPEN of what the walls give: after k surfaces
     OPEN (1 - OPEN)^(k - 1), summed up to the surface that is seen and those between it and the sky.
@@ -374,7 +374,7 @@ def panel_scene(turn: float) -> RenderScene:
 
 
 def panel_radiance(made: RenderScene) -> tuple[NDArray[np.float64], list[NDArray[np.bool_]]]:
-    """What ``panel_scene`` shows, [24, 24, 3]; which pixels show the panel, and ground by it."""
+    """Returns ``panel_scene``'s radiance, [24, 24, 3], and its pixels of panel and ground."""
     camera = made.cameras[0][0]
     k, pose = camera.intrinsics, camera.camera_to_world
     v, u = np.meshgrid(np.arange(24) + 0.5, np.arange(24) + 0.5, indexing="ij")

@@ -81,7 +81,7 @@ class Points(NamedTuple):
 
 
 class Light(NamedTuple):
-    """What arrives at surface points from one direction each.
+    """Holds the light that arrives at surface points from one direction each.
 
     toward float64 [n, 3], unit; flux float64 [n, 3], irradiance across it, 0 in shadow; sharp
     bool [n], whether it arrives, as far as that changes within a hair.
@@ -93,7 +93,7 @@ class Light(NamedTuple):
 
 
 def picture(scene: RenderScene, sample: int = 0, side: int = 4, disc: int = 1) -> Expected:
-    """What the first camera of a sample shows.
+    """Renders the picture of a sample's first camera.
 
     Args:
         scene: The scene; its camera is a pinhole.
@@ -198,7 +198,7 @@ def metal_albedo(surface: Surface, mu: float) -> Floats:
 
 
 def unit(vectors: NDArray) -> Floats:
-    """Of length 1 along the last axis."""
+    """Scales vectors to length 1 along the last axis."""
     made: Floats = vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
     return made
 
@@ -217,7 +217,7 @@ def _points(
     row: NDArray[np.int32],
     face: NDArray[np.int32],
 ) -> Points:
-    """Where rays meet triangles of a mesh (Moeller and Trumbore 1997)."""
+    """Intersects rays with triangles of a mesh (Moeller and Trumbore 1997)."""
     matrix = scene.rows_at(sample).to_world[row]
     linear = matrix[:, :, :3]
     local = mesh.points.astype(np.float64)[mesh.faces[face]]
@@ -315,7 +315,7 @@ def _reflected(
     normal: Floats,
     light: Light,
 ) -> Floats:
-    """Of one light by one layer, [n, 3]."""
+    """Returns one light's reflection by one layer, [n, 3]."""
     vertex = np.zeros(len(normal))
     if mesh.variation is not None:
         vertex = _at(mesh, mesh.variation, points)
@@ -364,7 +364,7 @@ def _of_maps(described: Maps | None, points: Points) -> dict[str, Floats]:
 
 
 class _Reach(NamedTuple):
-    """What shadow rays are cast with; ``through``: whether light on the far side counts, too."""
+    """Holds the arguments of shadow rays; ``through``: whether light on the far side counts."""
 
     caster: ExactCaster
     through: bool

@@ -1,4 +1,4 @@
-"""What a renderer may be off by in a check, and whether it is."""
+"""Bounds a renderer's deviation in a check, and judges it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DARKEST = 0.1
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a renderer may be off, noise aside, and why.
+    """Holds a renderer's permitted deviation, noise aside, and its reason.
 
     Attributes:
         mean: Of mean radiance over a picture, relative; of first hits, the share of pixels that
