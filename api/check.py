@@ -39,7 +39,7 @@ EXPORT = "export.json"
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What was found wrong with an output folder or a dataset.
+    """Reports faults of an output folder or a dataset.
 
     Attributes:
         findings: On files, stages and frames of an output.
@@ -146,7 +146,7 @@ def _check_dataset(out: Path, options: CheckOptions) -> CheckReport:
 
 
 def _opened(folder: Path, listener: Listener) -> list[Flaw]:
-    """What the format's own reader finds, where it is installed."""
+    """Lists the flaws that the format's own reader finds, where it is installed."""
     from scenec.datasets.verify import opened
 
     try:

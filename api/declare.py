@@ -1,4 +1,4 @@
-"""How an option is declared: once, for Python and the command line alike."""
+"""Declares options once, for Python and the command line alike."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ class Spread[**P, T: CallOptions]:
         self._record = record
 
     def one[A, R](self, function: Callable[[A, T], R]) -> Callable[Concatenate[A, P], R]:
-        """Of a function with one argument before the record."""
+        """Decorates a function with one argument before the record."""
         return self._spread(function)
 
     def two[A, B, R](self, function: Callable[[A, B, T], R]) -> Callable[Concatenate[A, B, P], R]:
-        """Of a function with two arguments before the record."""
+        """Decorates a function with two arguments before the record."""
         return self._spread(function)
 
     def _spread(self, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""How good predictions are."""
+"""Evaluates predictions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def evaluate(predictions: Path | str, against: Path | str, options: EvaluateOpti
 
 
 def _task_of(path: Path, scaled: bool) -> str:
-    """What predictions are, by their files."""
+    """Returns the task of predictions, by their files."""
     if path.is_file():
         task = {".json": "instances", ".txt": "track", ".tum": "track"}.get(path.suffix.lower())
         if task is None:

@@ -49,7 +49,7 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
 
 
 def choice_of(options: ExportOptions) -> Choice:
-    """What is exported, and how.
+    """Returns the choice of frames and options that an export's options describe.
 
     Raises:
         OutputError: An option makes no sense.

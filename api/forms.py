@@ -1,4 +1,4 @@
-"""How values of options are written, and which there may be.
+"""Parses values of options, and lists the permitted ones.
 
 Each form reads a text as the command line has it. A value that is given in Python is held to the
 same form, so that both refuse the same with the same words.
@@ -19,7 +19,7 @@ _LONGEST_SPAN = 1_000_000
 
 
 def whole(low: int, high: float, expected: str) -> Callable[[str], int]:
-    """What reads a whole number between two bounds."""
+    """Returns a parser of whole numbers between two bounds."""
 
     def read(text: str) -> int:
         try:

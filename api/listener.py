@@ -1,4 +1,4 @@
-"""Who hears of long work: a terminal, a notebook, a log."""
+"""Declares listeners to long work: a terminal, a notebook, a log."""
 
 from __future__ import annotations
 

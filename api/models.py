@@ -30,7 +30,7 @@ _MOST_TEXELS = 1 << 28
 
 @dataclass(frozen=True)
 class ModelsReport:
-    """What came of an export of stages.
+    """Reports an export of stages.
 
     Attributes:
         folder: Of the files.

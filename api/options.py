@@ -1,4 +1,4 @@
-"""What may be asked of each call.
+"""Declares the options of each call.
 
 A field made by ``option`` is an option of a command, too, whose help, form and default it has.
 """
@@ -37,7 +37,7 @@ def _workers(default: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkOptions(CallOptions):
-    """Who works.
+    """Holds options of workers.
 
     Attributes:
         executor: Who works, in the place of ``workers`` and ``cluster``.
@@ -55,7 +55,7 @@ class WorkOptions(CallOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class StageOptions(WorkOptions):
-    """How stages are compiled.
+    """Holds options of stages' compilation.
 
     Attributes:
         cache: True for the folder that ``$SCENEC_CACHE`` names, or the user's; a folder; or False,
@@ -92,7 +92,7 @@ class StageOptions(WorkOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CompileOptions(StageOptions):
-    """What is compiled, and how."""
+    """Holds options of ``compile``."""
 
     settings: Sequence[str] = option(
         (),
@@ -108,7 +108,7 @@ class CompileOptions(StageOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PictureOptions(WorkOptions):
-    """What is rendered of stages, how well, by whom.
+    """Holds options of pictures: their passes, quality and renderer.
 
     Attributes:
         cameras: Only these, by name.
@@ -184,7 +184,7 @@ _ALLOW_MISSING = (
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(PictureOptions):
-    """What ``render`` does of what is there.
+    """Holds options of ``render``.
 
     Attributes:
         folder: Where frames go; None puts them into the batches' own folders.
@@ -202,7 +202,7 @@ class RenderOptions(PictureOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ScanOptions(WorkOptions):
-    """What lidars scan."""
+    """Holds options of ``scan``."""
 
     samples: Collection[int] | None = _span("only these samples")
     lidars: Sequence[str] | None = option(
@@ -215,14 +215,14 @@ class ScanOptions(WorkOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(CompileOptions, PictureOptions):
-    """What ``run`` compiles and renders."""
+    """Holds options of ``run``, which compiles and renders."""
 
     workers: int | None = _workers("$SCENEC_WORKERS, or 1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions(StageOptions, PictureOptions):
-    """What ``sweep`` varies, compiles and renders."""
+    """Holds options of ``sweep``: values to vary, and how to compile and render."""
 
     values: Mapping[str, Sequence[object]] | Sequence[str] = option(
         (),
@@ -244,7 +244,7 @@ class SweepOptions(StageOptions, PictureOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class PreviewOptions(CallOptions):
-    """What a preview shows.
+    """Holds options of a preview.
 
     Attributes:
         settings, seed, cache: As of ``CompileOptions``.
@@ -260,7 +260,7 @@ class PreviewOptions(CallOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(CallOptions):
-    """What is checked besides the files."""
+    """Holds options of ``check``: what to check besides the files."""
 
     backends: Sequence[str] = option(
         (),
@@ -295,7 +295,7 @@ class CheckOptions(CallOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(CallOptions):
-    """Which frames of an output."""
+    """Selects frames of an output."""
 
     backend: str | None = option(None, "whose frames (default: the first there is)")
     batches: Collection[int] | None = _span("only batches A to B-1")
@@ -307,7 +307,7 @@ class FrameOptions(CallOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(FrameOptions, WorkOptions):
-    """What is exported, and how.
+    """Holds options of ``export``.
 
     Attributes:
         folder: Of the dataset; None takes ``OUT/datasets/FORMAT``.
@@ -353,7 +353,7 @@ class ExportOptions(FrameOptions, WorkOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions(CallOptions):
-    """What a page of frames shows.
+    """Holds options of ``view``, a page of frames.
 
     Attributes:
         page: The HTML file; None takes ``OUT/view.html``.
@@ -387,7 +387,7 @@ class ViewOptions(CallOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(FrameOptions):
-    """How predictions are judged; each is about the tasks that its help begins with."""
+    """Holds options of ``evaluate``; each is about the tasks that its help begins with."""
 
     task: str | None = option(
         None,

@@ -46,7 +46,7 @@ _VERSION = re.compile("[0-9]{1,18}")
 
 @dataclass(frozen=True)
 class PreviewPage:
-    """What a cfg makes, as one page of HTML that asks nobody; shows itself in a notebook.
+    """Holds a cfg's preview as one offline page of HTML; shows itself in a notebook.
 
     Attributes:
         content: The page, UTF-8.
@@ -115,7 +115,7 @@ def _previewing(cfg: str, options: PreviewOptions) -> Iterator[Preview]:
 
 
 class PreviewState:
-    """What the page shows; changed by one thread, read by many."""
+    """Holds the state of the page; changed by one thread, read by many."""
 
     def __init__(self) -> None:
         self._facts: dict[str, Any] = {"version": 0, "doing": "", "faults": [], "pictures": []}
@@ -262,7 +262,7 @@ class Preview:
             now, last = self._stamps(), now
 
     def _stamps(self) -> list[Stamp | None]:
-        """What tells whether files have changed; None of one that is away."""
+        """Returns stamps by which changes of files are noticed; None for a missing file."""
         stamps: list[Stamp | None] = []
         for name in self._files:
             try:

@@ -47,7 +47,7 @@ class StageView:
 
     @cached_property
     def scene(self) -> RenderScene:
-        """What it holds, as flat arrays.
+        """Reads the stage as flat arrays.
 
         Raises:
             StageError: It cannot be read.
@@ -60,7 +60,7 @@ class StageView:
         return self.scene.cameras[0]
 
     def sketch(self, camera: int = 0, sample: int = 0, width: int = _WIDE) -> NDArray[np.uint8]:
-        """What a camera sees: label colors, shaded by the angle to the view; uint8 [h, w, 3].
+        """Draws a camera's view: label colors, shaded by the angle to the view; uint8 [h, w, 3].
 
         First hits of the exact caster, no renderer.
 
@@ -117,7 +117,7 @@ class FrameView:
 
     @cached_property
     def loaded(self) -> LoadedFrame:
-        """What was read.
+        """Loads the frame.
 
         Raises:
             FrameError: It is damaged, or of another stage.

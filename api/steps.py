@@ -1,4 +1,4 @@
-"""What compiling, rendering and scanning take: the steps of the main calls.
+"""Takes the steps of the main calls: compiling, rendering, scanning.
 
 What takes long to import is imported where it is used: a command says what it reads before.
 """
@@ -166,7 +166,7 @@ def plan_of(options: PictureOptions, batches: Collection[int] | None = None) -> 
 def hire(
     options: WorkOptions, executor: Executor | None = None, *, limited: bool = True
 ) -> AbstractContextManager[Executor]:
-    """Who works, until the context ends: who is given, or else who the options say.
+    """Returns the executor until the context ends: the given one, or else that of the options.
 
     Args:
         options: Of the call.
@@ -191,7 +191,7 @@ def hire(
 
 
 def refuse_early(options: PictureOptions, cfg: Cfg, executor: Executor | None = None) -> bool:
-    """What no renderer here can do should not cost a compilation.
+    """Refuses pictures that no renderer on this machine can draw, before any compilation.
 
     Args:
         options: What is to be rendered.

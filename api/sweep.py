@@ -80,7 +80,7 @@ def _lists(values: Mapping[str, Sequence[object]] | Sequence[str]) -> list[str]:
 
 
 class SweepTable:
-    """What each point of a sweep is, and what came of it: ``sweep.csv``, ``sweep.json``.
+    """Tabulates each point of a sweep and its outcome: ``sweep.csv``, ``sweep.json``.
 
     Attributes:
         out: Folder of the outputs.
@@ -175,7 +175,7 @@ def _require_own(out: Path) -> None:
 def _to_compile(
     out: Path, options: SweepOptions, swept: Sequence[Point], specs: Sequence[Spec]
 ) -> list[tuple[CompilePoint, bool]]:
-    """What to compile, and whether it is there already.
+    """Lists the points to compile, and whether each is compiled already.
 
     Raises:
         OutputError: A folder holds something else.

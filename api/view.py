@@ -45,7 +45,7 @@ def view(out: Path | str, options: ViewOptions) -> ViewReport:
 
 
 def page_of(out: Path, options: ViewOptions) -> Path:
-    """Where the page goes.
+    """Returns the path of the page.
 
     Raises:
         OutputError: It is no HTML file.

@@ -20,7 +20,7 @@ from scenec.schemas.errors import ScenecError
 
 
 def read_by[T](form: Callable[[str], T]) -> Callable[[str], T]:
-    """What reads an argument by a form, and answers argparse where it cannot."""
+    """Returns an argparse type from a form, whose faults argparse reports."""
 
     def read(text: str) -> T:
         try:
@@ -97,7 +97,7 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
 
 
 def add_render_options(parser: argparse.ArgumentParser) -> None:
-    """What ``run`` and ``render`` share."""
+    """Adds the options that ``run`` and ``render`` share."""
     parser.epilog = (
         "A camera that the renderer cannot draw costs its own frames and no other's. Exit status: "
         "0 all frames are there; 1 some were given up or refused, and said; 2 it cannot be done."
@@ -110,12 +110,12 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_executor(parser: argparse.ArgumentParser, record: type[CallOptions] = WorkOptions) -> None:
-    """Who works."""
+    """Adds the options of workers."""
     add(parser, record, "workers", "cluster")
 
 
 def add_keep(parser: argparse.ArgumentParser) -> None:
-    """How much stays in the stages; values as in ``scenec.compiler.views.needed``."""
+    """Adds options of pruning; values as in ``scenec.compiler.views.needed``."""
     group = parser.add_mutually_exclusive_group()
     add(group, StageOptions, "keep")
     group.add_argument(
@@ -124,7 +124,7 @@ def add_keep(parser: argparse.ArgumentParser) -> None:
 
 
 def add_cache(parser: argparse.ArgumentParser) -> None:
-    """Where steps of earlier compilations are."""
+    """Adds options of the cache of earlier compilations' steps."""
     group = parser.add_mutually_exclusive_group()
     add(group, StageOptions, "cache")
     group.add_argument(
@@ -137,12 +137,12 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
 
 
 def add_replace(parser: argparse.ArgumentParser) -> None:
-    """What a compilation may do to an output that is there, and about batches that fail."""
+    """Adds options for an output that is there, and for batches that fail."""
     add(parser, StageOptions, "replace", "faults")
 
 
 def add_allow_missing(parser: argparse.ArgumentParser) -> None:
-    """What to do with a stage that is not whole."""
+    """Adds the option for an incomplete stage."""
     add(parser, RenderOptions, "allow_missing")
 
 
@@ -157,7 +157,7 @@ def add_frames(parser: argparse.ArgumentParser) -> None:
 
 
 def add_verbose(parser: argparse.ArgumentParser) -> None:
-    """How much is said."""
+    """Adds the option of verbosity."""
     parser.add_argument("-v", "--verbose", action="store_true", help="say what took how long, too")
 
 

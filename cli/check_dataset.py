@@ -1,4 +1,4 @@
-"""What ``scenec check`` says of datasets: are they as they were written, are two the same."""
+"""Prints what ``scenec check`` finds in datasets: are they as written, are two the same."""
 
 from __future__ import annotations
 

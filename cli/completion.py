@@ -58,7 +58,7 @@ def _passes(**_: object) -> Iterable[str]:
 
 
 def _listed(names: Completer) -> Completer:
-    """Of a list divided by commas, its last name; those before it are not offered again."""
+    """Completes the last name of a list divided by commas; earlier ones are not offered again."""
 
     def completer(prefix: str, **_: object) -> list[str]:
         head, comma, _last = prefix.rpartition(",")

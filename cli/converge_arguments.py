@@ -18,7 +18,7 @@ def budgets(text: str) -> tuple[float, ...]:
 
 
 def add_converge_options(parser: argparse.ArgumentParser) -> None:
-    """What to render, and how often."""
+    """Adds the options of ``converge``."""
     parser.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     parser.add_argument(
         "--backends", metavar="A,B,…", type=names, default=["mitsuba"], help="default: mitsuba"

@@ -10,7 +10,7 @@ from scenec.cli.arguments import add, add_frames, add_json
 
 
 def add_evaluate_options(parser: argparse.ArgumentParser) -> None:
-    """What is judged, against what, and how."""
+    """Adds the options of ``evaluate``."""
     parser.epilog = "Example: scenec evaluate detections.json --against DATASET (docs/evaluate.md)"
     parser.add_argument(
         "predictions",

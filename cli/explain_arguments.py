@@ -11,7 +11,7 @@ _RUNGS = read_by(forms.whole(2, 12, "a whole number from 2 to 12"))
 
 
 def add_explain_options(parser: argparse.ArgumentParser) -> None:
-    """What is explained, of which batch; what ``--ladder`` measures anew, and where it goes."""
+    """Adds the options of ``explain``, and those of ``--ladder``."""
     parser.add_argument("out", metavar="OUT", help="output folder of compile")
     parser.add_argument(
         "--why",

@@ -58,5 +58,5 @@ def print_report(report: LadderReport) -> None:
 
 
 def slope_lines(ladder: Ladder) -> list[str]:
-    """What halving the error costs."""
+    """Describes the cost of halving the error."""
     return [f"rms error {slope_text(over, found)}" for over, found in ladder.slopes.items()]

@@ -27,7 +27,7 @@ def kept(text: str) -> tuple[str, ...]:
 
 
 def add_import_options(parser: argparse.ArgumentParser) -> None:
-    """Which format, from where, and where it goes."""
+    """Adds the options of ``import``."""
     parser.add_argument(
         "format",
         metavar="FORMAT",

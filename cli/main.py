@@ -359,7 +359,7 @@ class _Parser(argparse.ArgumentParser):
         return found, rest
 
     def error(self, message: str) -> NoReturn:
-        """As of the base class, with a question after it."""
+        """Reports an error as the base class does, with a suggestion after it."""
         if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             near = closest(choice[1], re.findall(r"[\w.-]+", choice[2]))
         elif option := re.search(r"unrecognized arguments: (-[^\s=]+)", message):
@@ -372,7 +372,7 @@ class _Parser(argparse.ArgumentParser):
         super().error(message if near is None else f"{message}; did you mean {near}?")
 
     def _options(self) -> set[str]:
-        """What this parser and those of its commands take."""
+        """Returns the options of this parser and of its commands."""
         found = {option for action in self._actions for option in action.option_strings}
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):

@@ -1,4 +1,4 @@
-"""What commands print: lines for people, JSON for scripts, progress for the impatient."""
+"""Prints for commands: lines for people, JSON for scripts, progress for the impatient."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def say_next(*commands: tuple[str, Any]) -> None:
 
 
 def status(text: str) -> None:
-    """What is going on until there is more to say: on a terminal alone, and the next line wipes it.
+    """Shows the current step on a terminal until the next line, which wipes it.
 
     Elsewhere the answer to bad input stays its faults and no more.
     """

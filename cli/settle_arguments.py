@@ -8,7 +8,7 @@ from scenec.cli.arguments import counted, names, positive
 
 
 def add_settle_options(parser: argparse.ArgumentParser) -> None:
-    """What falls in ``settle``, and how."""
+    """Adds the options of ``settle``."""
     parser.add_argument(
         "--objects",
         type=names,

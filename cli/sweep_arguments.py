@@ -19,7 +19,7 @@ from scenec.cli.arguments import (
 
 
 def add_sweep_options(parser: argparse.ArgumentParser) -> None:
-    """What is varied, and where it goes; else as of ``run``."""
+    """Adds the options of ``sweep``; the others are those of ``run``."""
     add_cfg(parser)
     add(parser, SweepOptions)
     parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")

@@ -9,7 +9,7 @@ from scenec.cli.arguments import add, add_json
 
 
 def add_view_options(parser: argparse.ArgumentParser) -> None:
-    """What is shown, how large the page may be, and Rerun in its place."""
+    """Adds the options of ``view``."""
     parser.add_argument("out", metavar="OUT", help="output folder with frames, or a USD file")
     parser.add_argument(
         "-o", "--output", dest="page", metavar="HTML", help="default: OUT/view.html"

@@ -33,7 +33,7 @@ class Bins:
     unit: str
 
     def counts(self, values: NDArray[Any]) -> Counts:
-        """How many values are in each bin: number of the bin, from 0, as text -> count.
+        """Counts the values in each bin: number of the bin, from 0, as text -> count.
 
         Bin 0 is what is below the first edge, bin ``len(edges)`` what is not below the last. NaN is
         counted nowhere.
@@ -46,7 +46,7 @@ class Bins:
         return np.array(self.edges)
 
     def table(self, counts: Mapping[str, int]) -> dict[str, Any]:
-        """As it stands in ``statistics.json``: edges of the bins that hold something, and counts.
+        """Returns the table for ``statistics.json``: edges of the bins in use, and counts.
 
         ``below`` and ``above`` are what is outside of all edges.
         """
@@ -82,7 +82,7 @@ BEARING = Bins(tuple(float(k) for k in range(0, 361, 15)), "degrees, clockwise f
 
 
 def sparse(counts: NDArray[np.integer]) -> Counts:
-    """Those that are not 0, by their number."""
+    """Returns the counts that are not 0, by their number."""
     return {str(number): int(counts[number]) for number in np.flatnonzero(counts).tolist()}
 
 

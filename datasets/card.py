@@ -142,7 +142,7 @@ def _splits(summary: dict[str, Any]) -> str:
 
 
 def _ranges(numbers: list[int]) -> str:
-    """As ``0-3, 7``, cut where that is long."""
+    """Formats numbers as ``0-3, 7``, cut where that is long."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

@@ -154,7 +154,7 @@ def instances(found: Mapping[str, Any]) -> str:
 
 
 def viewpoints(found: Mapping[str, Any]) -> str:
-    """Where cameras are and look."""
+    """Tabulates positions and directions of cameras."""
     rows = [(axis, float(low), float(high)) for axis, (low, high) in found["position_m"].items()]
     text = "Positions of cameras, meters:\n\n" + table(["axis", "least", "most"], rows, "lrr")
     titles = {

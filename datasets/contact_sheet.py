@@ -43,7 +43,7 @@ _LEGEND_LINE = 24
 
 @dataclass(frozen=True)
 class SheetFrame:
-    """What the sheet shows of one frame.
+    """Holds the pictures of one frame on the sheet.
 
     Attributes:
         title: Said beside the row.

@@ -71,7 +71,7 @@ _SAID_FAULTS = 20
 
 @dataclass
 class ExportReport:
-    """What came of an export.
+    """Reports an export.
 
     Attributes:
         folder: The dataset.
@@ -298,7 +298,7 @@ def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
 
 
 def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
-    """What is common to all tasks; then the folder gets its name."""
+    """Writes what is common to all tasks; then the folder gets its name."""
     data, scratch = partial / DATA, partial / SCRATCH
     records = Records(plan, partial)
     statistics = Statistics()
@@ -373,7 +373,7 @@ def _note(counts: dict[str, int], more: dict[str, int]) -> None:
 
 
 def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[str, Any]:
-    """What stands in ``export.json``."""
+    """Returns the content of ``export.json``."""
     choice = plan.choice
     return {
         "export": EXPORT_VERSION,

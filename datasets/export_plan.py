@@ -1,4 +1,4 @@
-"""What is to be exported and how, found to make sense before anything is written."""
+"""Plans an export, and validates the plan before anything is written."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _VOLATILE = ("seconds", "peak_memory_gb", "device")
 
 @dataclass(frozen=True)
 class Choice:
-    """What is exported, and how.
+    """Selects what to export, and how.
 
     Attributes:
         backend: Whose frames; None takes the first there is.
@@ -92,7 +92,7 @@ class Plan:
         return find_format(self.format_name)(self.info)
 
     def frames(self) -> dict[str, list[FrameRef]]:
-        """Of each split, in order."""
+        """Returns the frames of each split, in order."""
         found: dict[str, list[FrameRef]] = {name: [] for name in self.info.splits}
         for ref in self.source.frames:
             if ref.batch in self.split_of:
@@ -100,11 +100,11 @@ class Plan:
         return found
 
     def tasks(self) -> Iterator[Task]:
-        """As the format has them."""
+        """Yields the format's tasks."""
         return self.format().tasks(self.frames())
 
     def remarks(self) -> Iterator[str]:
-        """As the format has them."""
+        """Yields the format's remarks."""
         return self.format().remarks(self.frames())
 
     def task_name(self, task: Task) -> str:
@@ -118,7 +118,7 @@ class Plan:
         return tuple(f"label.{self.info.level}" if name == "label" else name for name in names)
 
     def key(self) -> dict[str, Any]:
-        """What decides the files beside the frames."""
+        """Returns the key of all that decides the files, apart from the frames."""
         choice = self.choice
         package = origin_of(self.format_name)
         return {
@@ -175,7 +175,7 @@ class Plan:
         return state.hexdigest()
 
     def origin(self) -> dict[str, Any]:
-        """What the frames were made from, as the manifest has it."""
+        """Returns the origin of the frames, as the manifest has it."""
         manifest = self.source.manifest
         if manifest is None:
             return {"stage": self.out.name}

@@ -1,4 +1,4 @@
-"""What an export writes down: a record of each task that is done, ``export.json`` at its end."""
+"""Keeps records of an export: of each task that is done, and ``export.json`` at its end."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _RECORD_SHAPE = {
 
 
 def read_export(path: Path) -> dict[str, Any]:
-    """What stands in a dataset's ``export.json``.
+    """Reads a dataset's ``export.json``.
 
     Raises:
         FileNotFoundError: It is not there.
@@ -73,7 +73,7 @@ def read_export(path: Path) -> dict[str, Any]:
 
 
 def record_path(partial: Path, task: Task) -> Path:
-    """Where the record of a task goes."""
+    """Returns the path of a task's record."""
     return partial / TASKS / f"{task.number:08d}.json"
 
 
@@ -89,7 +89,7 @@ def is_done(plan: Plan, partial: Path, task: Task) -> bool:
 
 
 def _digest(entry: dict[str, Any]) -> str:
-    """What tells whether a record is still the one that was written."""
+    """Returns the digest by which a record is verified."""
     return hashlib.sha256(as_json(entry).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""Which instances go into a dataset: conditions on what the frames' tables say of them.
+"""Selects the instances of a dataset by conditions on the frames' tables.
 
 A condition is ``NAME OPERATOR VALUE``, as in ``area>=40``, ``depth_mean<=35``, ``occlusion<0.9`` or
 ``class=*/rocks``. An instance is kept where all conditions hold.
@@ -138,7 +138,7 @@ class Filters:
 
 @dataclass
 class Tally:
-    """How many instances were seen, kept and rejected, summed over frames."""
+    """Counts instances examined, accepted and rejected, summed over frames."""
 
     seen: int = 0
     kept: int = 0

@@ -51,7 +51,7 @@ class IdSet:
         return np.concatenate(found)
 
     def text(self) -> str:
-        """As text, for ``add_text``."""
+        """Packs the ids as text, for ``add_text``."""
         return packed(self.ids())
 
     def add_text(self, text: str) -> None:

@@ -95,14 +95,14 @@ def paint_codes(codes: NDArray[np.unsignedinteger]) -> NDArray[np.uint8]:
 
 
 def lengths(values: NDArray[np.floating]) -> NDArray[np.float32]:
-    """How far each pixel's value is from 0: float32 [h, w], NaN where that is not a number."""
+    """Returns the length of each pixel's value: float32 [h, w], NaN where that is not a number."""
     wide = values.astype(np.float64)
     far = np.abs(wide) if values.ndim == 2 else np.sqrt((wide * wide).sum(axis=2))
     return np.where(np.isfinite(far), far, np.nan).astype(np.float32)
 
 
 def scale_of(name: str, arrays: Iterable[NDArray[np.floating]]) -> float:
-    """What 99 % of all pixels are within, rounded up to two digits; 1 where nothing moves.
+    """Returns a bound on 99 % of all pixels, rounded up to two digits; 1 where nothing moves.
 
     Pixels are measured from corner to corner at most: beyond, a point is outside anyway.
 

@@ -63,7 +63,7 @@ def taken(record: FrameRecord) -> bool:
 
 
 def kinds(record: FrameRecord) -> tuple[str, ...]:
-    """Which of ``BESIDE`` a frame has."""
+    """Lists the kinds of ``BESIDE`` that a frame has."""
     return tuple(_digests(record))
 
 
@@ -75,7 +75,7 @@ def _digests(record: FrameRecord) -> dict[str, FileDigest]:
 
 
 def imaging(record: FrameRecord) -> dict[str, JSON]:
-    """What a sidecar says of its sensor, which ``raw`` cannot be read without; {} without imaging.
+    """Returns the sidecar's facts of the sensor, needed to read ``raw``; {} without imaging.
 
     Colors of the mosaic, level of black, bits, exposure, gain and more, as in ``imaging``, but for
     what vouches for files.

@@ -39,7 +39,7 @@ _MOST_LABEL = 2**16 - 1
 
 @dataclass
 class Recording:
-    """What was logged.
+    """Reports what was logged.
 
     Attributes:
         frames: How many.

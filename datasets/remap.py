@@ -30,7 +30,7 @@ Names = dict[int, str]
 
 @dataclass(frozen=True)
 class Remap:
-    """What becomes of labels.
+    """Renames and renumbers labels.
 
     Attributes:
         changes: Level -> name -> (new name or None, new id or None).
@@ -93,7 +93,7 @@ class Remap:
         frame.labels = self.labels(frame.labels)
 
     def as_json(self) -> dict[str, dict[str, Any]]:
-        """As it is written in a file."""
+        """Returns the JSON form, as written in a file."""
         return {
             level: {
                 name: new if number is None else {"name": new, "id": number}

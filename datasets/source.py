@@ -1,4 +1,4 @@
-"""What an output folder holds of frames, in a fixed order, and what is wrong with it.
+"""Lists the frames of an output folder, in a fixed order, and their faults.
 
 A frame is *missing* where the manifest or its fellows say that it should be there, *foreign* where
 it was made from another stage than the one that lies beside it, or with other labels than the rest,
@@ -48,7 +48,7 @@ from scenec.schemas.spelling import nearest
 
 @dataclass(frozen=True, slots=True)
 class FrameRef:
-    """Where a frame is.
+    """Identifies a frame.
 
     Attributes:
         index: Its number among all frames that the output has a place for, from 0: batch by batch,
@@ -71,7 +71,7 @@ class FrameRef:
 
     @property
     def name(self) -> str:
-        """As it is called in messages and indices."""
+        """Returns the frame's name in messages and indices."""
         return f"{self.batch_name}/{self.camera}/{self.sample:06d}"
 
     @property
@@ -137,7 +137,7 @@ class LoadedFrame:
 
     @property
     def lens(self) -> Lens | None:
-        """What bends the plane that the intrinsics take to pixels; None: a pinhole."""
+        """Returns the lens that bends the intrinsics' plane to pixels; None: a pinhole."""
         return lens_of(self.sidecar.lens)
 
     @property
@@ -429,7 +429,7 @@ class Source:
         return sorted({p.name for f in folders if f.is_dir() for p in f.iterdir()})
 
     def _trigger(self, batch: Batch, camera: str, there: set[int]) -> tuple[int, int]:
-        """When the camera is triggered, as a sidecar of the stage says; (1, 0) if none can."""
+        """Returns the camera's trigger, as a sidecar of the stage says; (1, 0) if none can."""
         manifest = self.manifest
         digest = None if manifest is None else stage_digest(manifest, batch.name)
         for sample in sorted(there):
@@ -475,7 +475,7 @@ class Source:
 
 
 def kind_of(error: FrameError) -> str:
-    """Which kind of fault an error of ``Source.load`` is: ``foreign`` or ``damaged``."""
+    """Returns the kind of fault that an error of ``Source.load`` is: ``foreign`` or ``damaged``."""
     return "foreign" if isinstance(error, ForeignFrameError) else "damaged"
 
 

@@ -1,4 +1,4 @@
-"""Which batches are for training, validation, test: whole terrains, never one in two splits."""
+"""Assigns batches to training, validation, test: whole terrains, never one in two splits."""
 
 from __future__ import annotations
 

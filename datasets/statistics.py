@@ -1,4 +1,4 @@
-"""What a dataset holds, in numbers that add up over frames, in any order and to the same bits.
+"""Counts a dataset's content in numbers that add up over frames, in any order, bit for bit.
 
 Everything is a whole number in fixed bins (``scenec.datasets.bins``), a least or a greatest value,
 or a set of ids: no sum of floats, whose last bits would tell in which order frames came.
@@ -81,7 +81,7 @@ class Statistics:
 
     @property
     def frames(self) -> int:
-        """How many were added."""
+        """Counts the frames added."""
         return int(self._counts.get("frames", 0))
 
     def add(self, measured: Mapping[str, Any]) -> None:
@@ -116,7 +116,7 @@ class Statistics:
         }
 
     def as_json(self) -> dict[str, Any]:
-        """As it stands in ``statistics.json``: histograms with their edges, shares, angles."""
+        """Returns the content of ``statistics.json``: histograms with edges, shares, angles."""
         counts = _sorted(self._counts)
         found: dict[str, Any] = {
             "version": VERSION,
@@ -222,7 +222,7 @@ def _histograms(table: Mapping[str, NDArray[Any]]) -> Counts:
 
 
 def _view(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
-    """Where the camera is and looks."""
+    """Counts the camera's position and direction."""
     pose = frame.camera_to_world
     x_axis, forward = pose[:3, 0].tolist(), pose[:3, 2].tolist()
     level = math.hypot(forward[0], forward[1])
@@ -266,7 +266,7 @@ def _angle(of: bins.Bins, degrees: float, closed: float | None = None) -> Counts
 
 
 def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
-    """Where the sun is; nothing where the sidecar is of a version that does not say."""
+    """Counts the sun's direction; nothing where an old version's sidecar does not have it."""
     sun = frame.sidecar.sun
     if sun is UNSET:
         return {}
@@ -282,7 +282,7 @@ def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
 
 
 def _made(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
-    """How it was rendered, and by which camera."""
+    """Counts the backend and the camera of the frame."""
     record = frame.sidecar
     how = {
         "backend": record.backend,

@@ -37,7 +37,7 @@ TARGETS = ("boxes", "labels", "masks")
 
 
 class Options(TypedDict, total=False):
-    """What else may be said of a ``FrameDataset``, by name.
+    """Declares the other keyword arguments of a ``FrameDataset``.
 
     Args:
         split: Name of the split; None (the default) takes all frames.

@@ -142,7 +142,7 @@ def verify(folder: Path) -> list[Flaw]:
 
 
 def opened(folder: Path) -> list[Flaw]:
-    """What pycocotools finds wrong with a COCO dataset; nothing of one of another format.
+    """Lists the flaws that pycocotools finds in a COCO dataset; empty for another format.
 
     Raises:
         OutputError: pycocotools is not installed.
@@ -253,7 +253,7 @@ def _index(folder: Path) -> list[dict[str, str]]:
 
 
 def _contradictions(folder: Path, summary: dict[str, Any]) -> Iterator[Flaw]:
-    """What index, summary and statistics say of each other."""
+    """Yields contradictions between index, summary and statistics."""
     try:
         lines = _index(folder)
         statistics = read_shaped(folder / STATISTICS, dict, OutputError, STATISTICS)

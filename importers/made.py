@@ -18,7 +18,7 @@ Writer = Callable[[Path], object]
 
 
 def track_writer(times_s: Sequence[float], poses: Sequence[NDArray[np.float64]]) -> Writer:
-    """What writes a track.
+    """Returns a writer of a track.
 
     Args:
         times_s: Rising.
@@ -32,7 +32,7 @@ def track_writer(times_s: Sequence[float], poses: Sequence[NDArray[np.float64]])
 
 
 def table_writer(poses: Sequence[NDArray[np.float64]], **columns: Sequence[float] | None) -> Writer:
-    """What writes a table of poses for a class of type ``placed``.
+    """Returns a writer of a table of poses for a class of type ``placed``.
 
     Args:
         poses: From a model to the world, [4, 4] each; an uneven scale becomes an even one.
@@ -53,7 +53,7 @@ def _csv_writer(header: Sequence[str], rows: Iterable[Sequence[float]]) -> Write
 
 
 def mesh_writer(points: NDArray[np.float64], faces: NDArray[np.int64]) -> Writer:
-    """What writes triangles as USD, in meters, z up.
+    """Returns a writer of triangles as USD, in meters, z up.
 
     Args:
         points: [n, 3], m.

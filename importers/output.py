@@ -35,11 +35,11 @@ class Imported:
 
     @property
     def folder(self) -> Path:
-        """Where files are that are made for the cfg."""
+        """Returns the folder of the files that are made for the cfg."""
         return self.out.with_name(f"{self.out.stem}_files")
 
     def refer(self, file: Path) -> str:
-        """How the cfg names a file that is there."""
+        """Returns the cfg's reference to an existing file."""
         # Where links are, ".." leads from what they point to.
         return Path(os.path.relpath(file.resolve(), self.out.parent.resolve())).as_posix()
 

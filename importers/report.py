@@ -1,4 +1,4 @@
-"""What became of each value of an imported file."""
+"""Reports the fate of each value of an imported file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FATES = (TRANSLATED, APPROXIMATED, DROPPED, ADDED)
 
 @dataclass(frozen=True)
 class Entry:
-    """What became of one value.
+    """Records the fate of one value.
 
     Attributes:
         fate: One of ``FATES``.
@@ -70,7 +70,7 @@ class Report:
         self.add(ADDED, "", None, to, note)
 
     def counts(self) -> dict[str, int]:
-        """How many values have each fate."""
+        """Counts the values of each fate."""
         found = Counter(entry.fate for entry in self.entries)
         return {fate: found[fate] for fate in FATES}
 

@@ -1,4 +1,4 @@
-"""What importers of scenes share: names, labels, ground, cameras and light that vary."""
+"""Shares code of scene importers: names, labels, ground, cameras and light that vary."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def soil() -> dict[str, Any]:
 
 
 def intrinsics(k: Sequence[float], corner: float = 0.5) -> dict[str, Any]:
-    """What a sensor says of a camera's matrix.
+    """Returns a sensor's intrinsics from a camera's matrix.
 
     Args:
         k: The matrix by row, pixels.

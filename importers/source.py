@@ -282,18 +282,18 @@ class Item:
     # What became of it.
 
     def translated(self, to: str, note: str = "") -> Item:
-        """It is carried over as it was meant."""
+        """Notes that the value is carried over as it was meant."""
         self.source.note(self.path, TRANSLATED, to, note, self.value)
         return self
 
     def approximated(self, to: str, note: str) -> Item:
-        """It is carried over, but for what the note says; without one, as it was meant."""
+        """Notes a value carried over but for the note's difference; without one, as meant."""
         fate = APPROXIMATED if note else TRANSLATED
         self.source.note(self.path, fate, to, note, self.value)
         return self
 
     def dropped(self, note: str) -> None:
-        """It is not carried over, for what the note says."""
+        """Notes that the value is not carried over, for what the note says."""
         self.source.note(self.path, DROPPED, "", note, self.value)
 
     def drop(self, note: str, *keys: str) -> None:

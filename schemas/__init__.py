@@ -1,4 +1,4 @@
-"""What the parts of scenec agree on: cfg schema, stage names, frame contract, errors, file formats.
+"""Declares what all parts of scenec share: cfg schema, stage names, frames, errors, file formats.
 
 Every other package imports this one; it imports none of them.
 """

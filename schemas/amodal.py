@@ -79,7 +79,7 @@ class Amodal:
         return inside
 
     def _ones(self) -> NDArray[np.bool_]:
-        """Which runs are of ones."""
+        """Marks runs of ones."""
         sizes = np.diff(self.starts)
         number = np.arange(len(self.counts)) - np.repeat(self.starts[:-1], sizes)
         return number % 2 == 1

@@ -1,4 +1,4 @@
-"""How many threads a process may work with, where somebody has said so."""
+"""Reads how many threads a process may work with, if a caller has limited them."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def encode(value: Any) -> Any:
 
 
 class _MismatchError(Exception):
-    """What is wrong, and the keys to where, from the inside out."""
+    """Carries a mismatch and the keys that lead to it, from the inside out."""
 
     def __init__(self, text: str) -> None:
         self.text = text

@@ -16,7 +16,7 @@ _MOST_PACKED = 4 * 255
 
 
 def crate_fault(path: Path) -> str:
-    """What is wrong with the table of contents of a .usdc file, or the counts in it.
+    """Returns a fault of a .usdc file's table of contents, or of its counts.
 
     OpenUSD checks some of these, after it has reserved memory: 4 to 10 GB for a file of 2.8 kB.
 

@@ -19,7 +19,7 @@ def guarded(text: str) -> str:
 
 
 def unguarded(text: str) -> str:
-    """What ``guarded`` was given, of what it returned."""
+    """Returns the text that ``guarded`` was given, from what it returned."""
     return text[1:] if text.startswith("'") and _is_formula(text) else text
 
 

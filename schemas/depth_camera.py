@@ -37,7 +37,7 @@ class TimeOfFlightDepth:
 
 @dataclass(frozen=True)
 class DepthCamera:
-    """What measures depth, and the key of its random numbers, below 2**64."""
+    """Holds a depth sensor's model and the key of its random numbers, below 2**64."""
 
     model: StereoDepth | TimeOfFlightDepth
     key: int

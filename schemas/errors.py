@@ -69,7 +69,7 @@ class FrameError(ScenecError):
 
     @classmethod
     def none_readable(cls, out: Path, count: int, first: str) -> FrameError:
-        """Of an output whose frames are all faulty; ``first`` is what is wrong with one."""
+        """Reports an output whose frames are all faulty; ``first`` is the fault of one."""
         return cls(f"{out}: not one of {count} frames can be read; the first: {first}")
 
 

@@ -81,7 +81,7 @@ def _cut(data: bytes, unwanted: Collection[str]) -> bytes:
 
 
 def _header(data: bytes, at: int) -> tuple[int, dict[str, bytes]]:
-    """Where a header ends, and its attributes: name -> bytes of the value."""
+    """Returns the offset after a header, and its attributes: name -> bytes of the value."""
     attributes = {}
     while data[at]:
         name, at = _text(data, at)

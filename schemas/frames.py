@@ -101,7 +101,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameKey:
-    """What decides a frame's content, beside its place.
+    """Holds all that decides a frame's content, apart from its place.
 
     Two things are left out on purpose. *Which backend annotated*: annotation is defined, not
     rendered, and so the same to the bit; the sidecar says which one it was (``annotation``), and

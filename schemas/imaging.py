@@ -1,4 +1,4 @@
-"""What a real camera does to light: parameters, their names in the stage, arithmetic of exposure.
+"""Declares a real camera's parameters, their names in the stage, and arithmetic of exposure.
 
 A sensor counts electrons. Of a surface whose value in ``rgb`` is L (radiance in W/(m^2 sr) with the
 spectrum of sunlight; equal channels are white), a pixel of area A behind a lens of f-number N gets,
@@ -121,7 +121,7 @@ def attribute(field: str) -> str:
 
 
 def faults(imaging: Imaging) -> list[str]:
-    """What is wrong with parameters, one line each: field, value, what was expected."""
+    """Lists faults of the parameters, one line each: field, value, what was expected."""
     found = []
 
     def need(field: str, good: bool, expected: str) -> None:
@@ -185,7 +185,7 @@ MIN_WHITE = 1e-3
 
 
 def determinant(matrix: tuple[float, ...]) -> float:
-    """Of a row-major 3 x 3 matrix."""
+    """Computes the determinant of a row-major 3 x 3 matrix."""
     a, b, c, d, e, f, g, h, i = matrix
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
@@ -236,7 +236,7 @@ def base_iso(imaging: Imaging) -> float:
 
 
 def shown_per_value(f_number: float, time_s: float, iso: float, white: float) -> float:
-    """What a picture shows of a value of 1: 2**exposure_ev.
+    """Returns the displayed value of a value of 1: 2**exposure_ev.
 
     Args:
         f_number: Of the lens.

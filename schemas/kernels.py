@@ -49,7 +49,7 @@ _making = RLock()
 
 
 class Kernel:
-    """What a decorated function has become: called from Python, or from other kernels."""
+    """Wraps a decorated function, to be called from Python or from other kernels."""
 
     def __init__(self, function: FunctionType, inline: bool) -> None:
         self.py_func = function
@@ -81,7 +81,7 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes it for, where a kernel names it."""
+        """Returns numba's type of the kernel, for kernels that call it."""
         return self._called._numba_type_
 
     @functools.cached_property
@@ -126,7 +126,7 @@ class Intrinsic:
 
     @functools.cached_property
     def _numba_type_(self) -> Any:
-        """What numba takes it for, where a kernel names it."""
+        """Returns numba's type of the intrinsic, for kernels that call it."""
         _numba()
         from numba.core.registry import cpu_target
         from numba.extending import intrinsic
@@ -137,7 +137,7 @@ class Intrinsic:
 
 
 def intrinsic(definition: Callable[..., Any]) -> Intrinsic:
-    """As ``numba.extending.intrinsic``; whatever of numba it needs, it imports inside."""
+    """Wraps ``numba.extending.intrinsic``; the definition imports what it needs of numba."""
     assert isinstance(definition, FunctionType)
     return Intrinsic(definition)
 
@@ -174,7 +174,7 @@ def _typed(dispatcher: Any) -> Any:
 
 @functools.cache
 def _compilers() -> tuple[type, type]:
-    """What compiles kernels that Python calls, and what compiles the parts of these.
+    """Returns the compiler of kernels that Python calls, and that of the parts of these.
 
     As numba does, for less: most of what that takes is work on text of its own in Python. It leans
     on what numba offers nobody: where another numba is installed, that compiles as it does.
@@ -211,7 +211,7 @@ def _compilers() -> tuple[type, type]:
     register_default(NamedUniTuple)(type("WholeUniTuple", (Whole, UniTupleModel), {}))
 
     class Typing(typing.Context):
-        """What numba knows of types; what an operator makes of some is looked up once."""
+        """Extends numba's table of types: looks up an operator's result for some types once."""
 
         found: ClassVar[dict[Any, Any]] = {}
 
@@ -269,7 +269,7 @@ def _compilers() -> tuple[type, type]:
                     module.link_in(library._get_module_for_linking(), preserve=True)
 
     class Part(Linked):
-        """What a function was lowered to, to be linked to its callers; it has no address."""
+        """Holds a lowered function, to be linked to its callers; it has no address."""
 
         _shared_module: Any
 
@@ -296,10 +296,10 @@ def _compilers() -> tuple[type, type]:
             return self
 
         def set_env(self, env_name: str, env: object) -> None:
-            """Callers do, where it is theirs (``_Kept.save_overload``)."""
+            """Leaves it to callers, which own the process (``_Kept.save_overload``)."""
 
     class Entry(Linked):
-        """What Python calls."""
+        """Holds a kernel that Python calls."""
 
         def finalize(self) -> None:
             self._link_parts(self._final_module)
@@ -403,7 +403,7 @@ def _owns_nothing(state: Any) -> bool:
 
 
 def user_folder() -> Path:
-    """Where kernels are kept: ``$NUMBA_CACHE_DIR``, or in the user's folder for caches."""
+    """Returns the folder of kernels: ``$NUMBA_CACHE_DIR``, or in the user's folder for caches."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(chosen, "scenec")
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -422,7 +422,7 @@ def _own_folder() -> Path | None:
 
 
 def _content(function: FunctionType, options: object = None) -> str:
-    """As ``Kernel.content``."""
+    """Computes ``Kernel.content`` of a function."""
     digest = hashlib.sha256(repr(options).encode())
     named: set[str] = set()
     attributes: set[str] = set()
@@ -525,7 +525,7 @@ class _Kept:
 
     @_uninterrupted()
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """What was compiled for these types, or None: numba then compiles it."""
+        """Returns the code compiled for these types, or None: numba then compiles it."""
         from numba.core.compiler import CompileResult
         from numba.core.runtime import rtsys
 

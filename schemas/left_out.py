@@ -1,4 +1,4 @@
-"""What a compilation left out of a batch, and why: entries of the report, and a record by instance.
+"""Records what a compilation left out of a batch, and why: in the report, and by instance.
 
 **Entries.** ``report.json`` lists under ``left_out`` what has no place in the stage, each entry as
 ``entry`` makes it: ``pass`` (what decided it), ``what`` (beginning with the cfg's path of the
@@ -126,7 +126,7 @@ class ClassRecord:
         return Reason.NOT_PLACED
 
     def counts(self) -> dict[Reason, int]:
-        """How many of the ids 1 … ``drawn`` have each reason that any has."""
+        """Counts the ids 1 … ``drawn`` by reason, for each reason that any has."""
         numbers = np.bincount(self.reasons, minlength=len(ORDER))
         numbers[ORDER.index(Reason.NOT_PLACED)] += self.drawn - len(self.ids)
         return {reason: int(n) for reason, n in zip(ORDER, numbers, strict=True) if n}
@@ -138,7 +138,7 @@ class ClassRecord:
 
 @dataclass(frozen=True)
 class Record:
-    """What ``left_out.json`` holds.
+    """Holds the content of ``left_out.json``.
 
     Attributes:
         classes: By name of the class.

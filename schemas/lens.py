@@ -247,7 +247,7 @@ def _distort(c, a, b, x, y):  # type: ignore[no-untyped-def]
 
 
 def reach(lens: Lens) -> float:
-    """How far from the axis a lens is one-to-one, at least.
+    """Returns the angle or tangent from the axis within which a lens is one-to-one, at least.
 
     Returns:
         Of brown_conrady a tangent of the angle to the axis, inf if everywhere; of kannala_brandt an
@@ -293,7 +293,7 @@ def _product(a: Sequence[float], b: Sequence[float]) -> list[float]:
 
 
 def _positive_roots(coefficients: Sequence[float]) -> list[float]:
-    """Where a polynomial changes its sign between 0 and ``_FARTHEST``, ascending.
+    """Returns where a polynomial changes its sign between 0 and ``_FARTHEST``, ascending.
 
     Its coefficients from the constant one up.
 

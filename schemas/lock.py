@@ -1,4 +1,4 @@
-"""Who is at work where: files that the operating system locks.
+"""Locks folders by files that the operating system locks, and names their holders.
 
 A lock is a file with a line about each that holds it (host, process, command, since when). What
 counts is the lock of the operating system (``flock``), which ends with its process however that
@@ -133,7 +133,7 @@ def clear(path: Path) -> None:
 
 
 def _holders(file: int) -> str:
-    """Who holds a lock, in words, as far as its file says; empty if they are no more."""
+    """Describes the holders of a lock, as far as its file says; empty if they have ended."""
     found = []
     with suppress(OSError):
         for line in os.pread(file, 1 << 16, 0).decode("utf-8", "replace").splitlines():
@@ -151,7 +151,7 @@ def _holders(file: int) -> str:
 
 
 def process_id() -> str:
-    """Of this process: its number and, on Linux, a dot and when it started.
+    """Returns this process's number and, on Linux, a dot and the time at which it started.
 
     Numbers come again, soon where many processes start.
     """

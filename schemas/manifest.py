@@ -78,7 +78,7 @@ class BatchEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class FileEntry:
-    """What a file is, and what tells whether it is still the one that was written."""
+    """Describes a file, with the size and digest by which it is verified."""
 
     what: str | Unset = UNSET
     bytes: Natural | Unset = UNSET
@@ -205,7 +205,7 @@ def stage_digest(manifest: Manifest, batch: str) -> str:
 
 
 def files_of_stage(stage: Path) -> dict[str, str] | None:
-    """What the manifest of the output around a stage says of the files that it is composed of.
+    """Returns the manifest's digests of the files that a stage is composed of.
 
     Args:
         stage: Root layer.

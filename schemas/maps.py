@@ -113,7 +113,7 @@ def meant(
 
 
 def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.float32]:
-    """What stored pixels mean, float32 [h, w, channels of the kind].
+    """Decodes stored pixels, float32 [h, w, channels of the kind].
 
     ``base_color``, ``emission``: linear Rec.709, decoded from sRGB (IEC 61966-2-1) unless floating;
     the former in [0, 1], the latter not below 0.

@@ -1,4 +1,4 @@
-"""How much memory there is, of the machine and its container; and what a process keeps of it."""
+"""Measures the memory of the machine and its container, and what a process keeps of it."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where some parts stand, together.
+    """Places some parts together.
 
     Attributes:
         owner: Prim path of the class or object; "" for the ground.
@@ -128,13 +128,13 @@ class Model:
 
     @property
     def triangles(self) -> int:
-        """How many are drawn, with those of each instance."""
+        """Counts the triangles drawn, with those of each instance."""
         faces = [len(part.faces) for part in self.parts]
         return sum(len(p.ids) * sum(faces[i] for i in p.parts) for p in self.placements)
 
     @property
     def instances(self) -> int:
-        """How many instances of objects there are; of those without ids each part counts."""
+        """Counts instances of objects; of those without ids each part counts."""
         ids = [p.ids for p in self.placements if p.owner]
         found = np.concatenate(ids) if ids else np.zeros(0, np.uint32)
         return len(np.unique(found[found > 0])) + int((found == 0).sum())

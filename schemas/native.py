@@ -1,4 +1,4 @@
-"""Which file native code is reading: a crash leaves no other word of it.
+"""Notes the file that native code is reading: a crash leaves no other word of it.
 
 The note is in memory that processes share, so that who supervises one can read it when that is no
 more: a command (``scenec.cli.supervise``), a worker (``scenec.backends.run.supervise``).
@@ -35,7 +35,7 @@ class Note:
         self._memory = mmap.mmap(file, SIZE, offset=place * SIZE)
 
     def read(self) -> str:
-        """What is being read; empty if nothing is."""
+        """Returns the file that is being read; empty if there is none."""
         return self._memory[:].rstrip(b"\0").decode("utf-8", "replace")
 
     def write(self, text: str) -> None:
@@ -64,7 +64,7 @@ def native_reading(path: Path) -> Iterator[None]:
 
 
 def commentary(diagnostic: Any) -> str:
-    """What OpenUSD says of something, which may quote bytes of a file that are no text."""
+    """Returns OpenUSD's comment, which may quote bytes of a file that are no text."""
     try:
         return str(diagnostic.commentary)
     except UnicodeDecodeError as error:
@@ -72,7 +72,7 @@ def commentary(diagnostic: Any) -> str:
 
 
 def read_note() -> str:
-    """What this process, or one that was forked from it, is reading; empty if nothing is."""
+    """Returns the file that this process, or a fork of it, is reading; empty if there is none."""
     return _own[0].read()
 
 

@@ -22,7 +22,7 @@ AMODAL, LABEL = "amodal", "label"
 
 @dataclass(frozen=True, kw_only=True)
 class PassFormat:
-    """What a pass holds, and how it stands in a frame's EXR.
+    """Describes a pass's values and their storage in a frame's EXR.
 
     Attributes:
         name: Of the pass and of its part of the file.

@@ -101,7 +101,7 @@ def tally(
 
 
 def fault(tallies: Sequence[PictureRecord]) -> str | None:
-    """What is wrong with all pictures of a camera together: "black", "burnt out" or None.
+    """Returns the fault of all pictures of a camera together: "black", "burnt out" or None.
 
     Together, so that a sequence may begin in the dark and end in the sun.
     """

@@ -1,4 +1,4 @@
-"""What other packages add by entry points: passes, and kinds of things that a cfg names.
+"""Finds what other packages add by entry points: passes, and kinds of things that a cfg names.
 
 A cfg's kind is a dataclass whose fields are its keys: declared as scenec's own
 (``scenec.compiler.kinds.declare``), or by a ``SCHEMA``, the JSON Schema of them. Which kinds there
@@ -53,7 +53,7 @@ _names: dict[tuple[str, Any], str] = {}
 
 
 def entry_points_of(group: str, name: str) -> tuple[EntryPoint, ...]:
-    """What other packages offer under a name."""
+    """Returns other packages' entry points of a name."""
     return _offered(group, tuple(sys.path)).get(name, ())
 
 
@@ -76,7 +76,7 @@ def origins(group: str, names: Iterable[str]) -> dict[str, str]:
 
 
 def place(point: EntryPoint) -> str:
-    """Where an entry point leads, for messages."""
+    """Returns the target of an entry point, for messages."""
     return point.value + (f" of {point.dist.name}" if point.dist else "")
 
 

@@ -106,7 +106,7 @@ class SunLight:
 
 @dataclass(frozen=True, kw_only=True)
 class LightRecord:
-    """What light there is at a sample, by luminance: W/m^2, W/(m^2 sr) and W/sr."""
+    """Records the light at a sample, by luminance: W/m^2, W/(m^2 sr) and W/sr."""
 
     suns: tuple[SunLight, ...]
     sky_radiance: float
@@ -115,7 +115,7 @@ class LightRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class PictureRecord:
-    """How bright a picture shows surfaces: pixels, and mean luminance, W/(m^2 sr).
+    """Records how bright a picture shows surfaces: pixels, and mean luminance, W/(m^2 sr).
 
     Attributes:
         surfaces: Pixels that show any.
@@ -150,7 +150,7 @@ class ImagingRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class LensRadiance:
-    """How a backend drew through a lens: ``rays`` of its own, or pinhole views, ``resampled``."""
+    """Records how a backend drew through a lens: by its own ``rays`` or ``resampled`` pinholes."""
 
     way: str
     views: int | None = omitted()
@@ -161,7 +161,7 @@ class LensRadiance:
 
 @dataclass(frozen=True, kw_only=True)
 class BlurRecord:
-    """What is approximated of an open shutter and an aperture (``backends.picture.subframes``)."""
+    """Records approximations of a shutter and an aperture (``backends.picture.subframes``)."""
 
     exposure_s: float | None = None
     readout_s: float | None = None
@@ -225,7 +225,7 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class RoundsRecord:
-    """What a picture was rendered to in rounds, and how it ended."""
+    """Records the target of a picture rendered in rounds, and how it ended."""
 
     target_relative_rms: float | None = None
     target_seconds: float | None = None
@@ -239,7 +239,7 @@ class RoundsRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class ExposureRecord:
-    """Where an exposure comes from.
+    """Records the origin of an exposure.
 
     Attributes:
         rule: "given", "picture" (a sensor meters each), or "auto", which has all that follows.
@@ -275,7 +275,7 @@ class BackendChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameRecord:
-    """What there is to say of a frame: ``conventions`` says what the values mean.
+    """Records the facts of a frame: ``conventions`` says what the values mean.
 
     Attributes:
         partner: Name of the camera that disparity goes to; None where that is not rendered, unset
@@ -367,7 +367,7 @@ class LidarNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class ScanRecord:
-    """What there is to say of a lidar's scan (``schemas.scans``)."""
+    """Records the facts of a lidar's scan (``schemas.scans``)."""
 
     version: str | Unset = UNSET
     lidar: str | Unset = UNSET

@@ -73,7 +73,7 @@ def scan_stem(folder: Path, lidar: str, sample: int) -> Path:
 
 
 def scan_key(stage_digest: str, scenec: str) -> str:
-    """What decides a scan beside its place: sha256, hex."""
+    """Returns the key of all that decides a scan, apart from its place: sha256, hex."""
     text = f"{SCAN_VERSION} {scenec} {stage_digest}"
     return hashlib.sha256(text.encode()).hexdigest()
 

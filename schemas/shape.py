@@ -31,7 +31,7 @@ from scenec.schemas.spelling import closest, shown
 
 @dataclass(frozen=True)
 class Each:
-    """Of an object with any keys: what its values are."""
+    """Declares the shape of all values of an object with any keys."""
 
     shape: Any
 
@@ -99,7 +99,7 @@ def _fault_of_keys(value: dict[str, Any], shape: dict[str, Any], at: str) -> str
 
 
 def _expected(value: Any, shape: Any) -> str | None:
-    """What was expected of a value that is no list or object, or of another kind than its shape."""
+    """Returns the kind that a value was expected to have; None for lists and objects."""
     if shape is None:
         return None if value is None else "null"
     if isinstance(shape, dict | Each):

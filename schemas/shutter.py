@@ -1,4 +1,4 @@
-"""When the rows of a picture are exposed, and where the camera is between given poses.
+"""Computes when rows of a picture are exposed, and poses between given ones.
 
 Time counts from the sample's, at which the middle of the picture is in the middle of its exposure.
 """

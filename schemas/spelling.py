@@ -1,4 +1,4 @@
-"""How messages speak of values and of words that are wrong."""
+"""Words messages about values and misspelled names."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def rendered_files(folder: Path, digest: str | None = None) -> Iterator[Path]:
 
 
 def count_rendered(folders: Iterable[Path]) -> tuple[int, int]:
-    """How many frames and scans there are in some batches' folders."""
+    """Counts the frames and scans in some batches' folders."""
     found = [path for folder in folders for path in _rendered(folder, "*.json")]
     scans = sum(path.parents[1].name == SCANS for path in found)
     return len(found) - scans, scans

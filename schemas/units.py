@@ -28,7 +28,7 @@ _LOOK_S = 0.1
 
 
 class Keeper:
-    """What a worker keeps from one unit to the next: one thing, such as a stage that was read.
+    """Holds one thing from one unit to the next in a worker, such as a stage that was read.
 
     Attributes:
         say: Told lines that a user should see.
@@ -49,7 +49,7 @@ class Keeper:
         return said
 
     def keep(self, name: Hashable, make: Callable[[], T]) -> T:
-        """What is kept under a name, made if it is not; what was kept under another is let go."""
+        """Returns what is held under a name, made if need be; what another name held is let go."""
         if self._name != name or self._kept is None:
             self._name = self._kept = None
             self._kept = make()
@@ -72,7 +72,7 @@ class Unit(Protocol):
 
     @property
     def holds(self) -> Hashable:
-        """What it needs a worker to keep (``Keeper.keep``'s name); None for nothing."""
+        """Returns the name of what a worker must hold (``Keeper.keep``); None for nothing."""
         ...
 
     def run(self, keeper: Keeper) -> Any:
@@ -86,7 +86,7 @@ class Unit(Protocol):
 
 @dataclass
 class Outcome:
-    """What came of a unit.
+    """Reports the outcome of a unit.
 
     Attributes:
         value: What it returned.

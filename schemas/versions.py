@@ -1,4 +1,4 @@
-"""What is installed: packages of extras, and versions."""
+"""Looks up installed packages: those of extras, and versions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scenec.schemas.errors import OutputError
 
 @cache
 def version_of(distribution: str = "scenec") -> str:
-    """As the package says; asked for once a process, for looking takes some milliseconds.
+    """Returns a package's version; looked up once a process, since that takes milliseconds.
 
     Args:
         distribution: Name of the package, as pip knows it.

@@ -39,12 +39,12 @@ class Body:
 
     @property
     def radius(self) -> float:
-        """Of the ball around ``center`` that holds it, meters."""
+        """Returns the radius of the ball around ``center`` that holds it, meters."""
         return self.scale * self.shape.radius
 
     @property
     def center(self) -> NDArray[np.float64]:
-        """Of the ball, world, [3]."""
+        """Returns the center of the bounding ball, world, [3]."""
         return self.at(self.shape.center[None])[0]
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Which bodies fall together: those that can meet; each such group is simulated by itself."""
+"""Groups bodies that can meet; each group is simulated by itself."""
 
 from __future__ import annotations
 

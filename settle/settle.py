@@ -37,7 +37,7 @@ _SOLID = ("placed", "rocks")
 
 @dataclass(frozen=True)
 class SettleReport:
-    """What settling did.
+    """Reports a settling.
 
     Attributes:
         files: CSV file of each class.

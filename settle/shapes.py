@@ -1,4 +1,4 @@
-"""What physics sees of a model: convex hulls of its connected pieces."""
+"""Builds a model's collision shapes: convex hulls of its connected pieces."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ _MEETS = 1 << 20
 
 @dataclass(frozen=True)
 class Options:
-    """How things fall.
+    """Holds the options of the fall.
 
     Attributes:
         drop_m: Least height over the ground to fall from; None: a tenth of the own diameter.
@@ -254,12 +254,12 @@ class _World:
         return out
 
     def speed(self) -> NDArray[np.float64]:
-        """Of the fastest point of each body, m/s, [n]."""
+        """Returns the speed of each body's fastest point, m/s, [n]."""
         out: NDArray[np.float64] = self._speed() * np.sqrt(self._unit)
         return out
 
     def overlap_m(self) -> float:
-        """How deep bodies are in each other or in obstacles at most."""
+        """Returns how deep bodies are in each other or in obstacles at most."""
         self._mj.mj_forward(self._model, self._data)
         return self._unit * max((depth for _, _, depth in self._overlaps()), default=0.0)
 

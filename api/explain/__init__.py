@@ -1,1 +1,1 @@
-"""What a compilation made, left out and erred: of a batch, or of one thing in it."""
+"""Explains a batch, or one thing in it: what was built and left out, with which errors."""

@@ -1,4 +1,4 @@
-"""What ``scenec explain`` reads: reports, timings, sidecars of frames."""
+"""Reads the inputs of ``scenec explain``: reports, timings, sidecars of frames."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ _TIMINGS = {"compile?": Each(Each(float))}
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """What the frames of one backend took.
+    """Holds the times of one backend's frames.
 
     Attributes:
         backend: Its name.

@@ -19,7 +19,7 @@ WIDTH = 100
 
 @dataclass(frozen=True)
 class BatchExplanation:
-    """What there is to say of a batch.
+    """Explains one batch.
 
     Attributes:
         data: The batch.
@@ -52,7 +52,7 @@ class BatchExplanation:
         return "\n\n".join(part for part in parts if part)
 
     def as_json(self) -> dict[str, Any]:
-        """What is kept and left out, for scripts."""
+        """Returns what is in the stage and what is left out, for scripts."""
         left = left_out_of(self.data.report, rates_of(self.data, self._contents))
         kept = vars(kept_of(self.data.report, self._contents, left))
         return {
@@ -63,7 +63,7 @@ class BatchExplanation:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What there is to say of an output; prints and shows itself as text.
+    """Explains an output; prints and shows itself as text.
 
     Attributes:
         batches: Of each batch that was asked for.
@@ -92,7 +92,7 @@ class Explanation:
 
 
 def explain(out: Path | str, batch: int | None = None) -> Explanation:
-    """What each pass cost and erred, what was left out, and what that spared.
+    """Explains each pass's time and error, what was left out, and what that spared.
 
     Args:
         out: Output folder of a compile.

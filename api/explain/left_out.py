@@ -1,4 +1,4 @@
-"""What a batch leaves out, most effective first, with what that spares."""
+"""Lists what a batch leaves out, most effective first, with what that spares."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Rates:
-    """What a byte and a triangle of this batch took.
+    """Holds this batch's costs of a byte and of a triangle.
 
     Attributes:
         emit_s: Seconds that writing the stage took; None where it is not known.
@@ -57,7 +57,7 @@ class Rates:
     backend: str
 
     def seconds(self, one: LeftOut) -> float | None:
-        """What leaving something out spared, estimated; None where too little is known."""
+        """Estimates the seconds that leaving something out spared; None if too little is known."""
         if not self.known:
             return None
         assert self.emit_s is not None
@@ -72,7 +72,7 @@ class Rates:
 
     @property
     def text(self) -> str:
-        """How seconds are estimated."""
+        """Describes how seconds are estimated."""
         if not self.known:
             return "seconds saved are not known: nothing was rendered, or there are no timings"
         return (
@@ -84,7 +84,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Kept:
-    """How much of a batch is in its stage: (kept, of how much)."""
+    """Holds how much of a batch is in its stage: (in it, of how much)."""
 
     instances: tuple[int, int]
     triangles: tuple[int, int]
@@ -101,7 +101,7 @@ class Kept:
 
 
 def rates_of(batch: BatchData, contents: StageContents) -> Rates:
-    """What a byte and a triangle of a batch took."""
+    """Measures a batch's costs of a byte and of a triangle."""
     loads = [(one.seconds["load"], one.backend) for one in batch.frames if "load" in one.seconds]
     load, backend = max(loads, default=(None, ""))
     return Rates(
@@ -110,7 +110,7 @@ def rates_of(batch: BatchData, contents: StageContents) -> Rates:
 
 
 def left_out_of(report: Mapping[str, Any], rates: Rates | None = None) -> list[LeftOut]:
-    """What is not in the stage, most effective first.
+    """Lists what is not in the stage, most effective first.
 
     By seconds where they can be estimated, else by bytes and triangles; then by instances.
 
@@ -144,7 +144,7 @@ def left_out_of(report: Mapping[str, Any], rates: Rates | None = None) -> list[L
 
 
 def kept_of(report: Mapping[str, Any], contents: StageContents, left: Sequence[LeftOut]) -> Kept:
-    """How much of a batch is in its stage.
+    """Measures how much of a batch is in its stage.
 
     Args:
         report: report.json.

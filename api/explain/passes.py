@@ -149,7 +149,7 @@ def _cut(cut: Mapping[str, Any]) -> str:
 
 
 def _mesh_errors(mesh: Mapping[str, Any] | None) -> Iterator[tuple[str, str]]:
-    """What the adaptive mesh left out, in pixels of the nearest view."""
+    """Yields the adaptive mesh's errors, in pixels of the nearest view."""
     if mesh is None:
         return
     asked = f"{mesh['tolerance_px']:g} px asked"
@@ -190,7 +190,7 @@ def _objects(entry: Mapping[str, Any]) -> str:
 
 
 def _prune(prune: Mapping[str, Any], seconds: float | None) -> list[Row]:
-    """What pruning neglects of light, and how much of everything stays."""
+    """Tabulates the light that pruning neglects, and how much of everything stays."""
     rows = [Row("pruning", seconds, _light(prune.get("light")))]
     if "tiles" in prune:
         kept, of = prune["tiles"]["kept"], prune["tiles"]["of"]
@@ -215,7 +215,7 @@ def _light(light: Mapping[str, Any] | None) -> str:
 
 
 def _sky(sky: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What baking a sky, or taking one from a picture, got wrong."""
+    """Yields errors of skies, baked or from pictures."""
     baked = [e["resolution_error"] for e in sky.values() if "resolution_error" in e]
     if baked:
         which = f"{len(baked)} sky picture" + ("" if len(baked) == 1 else "s")

@@ -17,7 +17,7 @@ _NEAREST_M = 0.05
 
 @dataclass(frozen=True)
 class Sight:
-    """Where the nearest camera stands.
+    """Holds the nearest camera's view of a point.
 
     Attributes:
         camera: Prim path.

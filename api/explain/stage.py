@@ -1,4 +1,4 @@
-"""What a stage holds of the terrain and of each class of objects, by prim."""
+"""Reads a stage's content, of the terrain and of each class of objects, by prim."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class StageContents:
 
     @property
     def triangles(self) -> int:
-        """Of the terrain and of all objects, each counted."""
+        """Counts triangles of the terrain and of all objects, each instance counted."""
         objects = sum(one.drawn_triangles for one in self.classes.values())
         return sum(self.tiles.values()) + objects
 

@@ -155,7 +155,7 @@ class _Asked:
         return there.count if there.ids is None else int(there.ids.max(initial=0))
 
     def base(self, name: str) -> int:
-        """What is added to a class's local ids: running sums over the classes, in their order."""
+        """Returns the offset of a class's local ids: the sum over the classes before it."""
         there = self.contents.classes.get(name)
         if there is not None and there.base is not None:
             return there.base

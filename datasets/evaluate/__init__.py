@@ -1,4 +1,4 @@
-"""How good predictions are, held against a dataset that knows the truth of every object.
+"""Evaluates predictions against a dataset that knows the truth of every object.
 
 Standard judges give the numbers: pycocotools' COCOeval for instances, evo for trajectories;
 confusion matrices and the usual seven depth errors are counted here. Each comes whole and in parts:

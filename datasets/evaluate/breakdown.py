@@ -39,7 +39,7 @@ class Attribute:
 
     @property
     def count(self) -> int:
-        """How many bins."""
+        """Counts the bins."""
         return len(self.edges) + 1
 
     def numbers(self, values: NDArray[Any]) -> NDArray[np.int64]:
@@ -48,7 +48,7 @@ class Attribute:
         return np.where(np.isfinite(values), found, -1)
 
     def text(self, number: int) -> str:
-        """What a bin holds, for people."""
+        """Describes a bin, for people."""
         unit = f" {self.unit}" if self.unit else ""
         if number == 0:
             # Shares are never below 0.

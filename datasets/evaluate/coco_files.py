@@ -186,7 +186,7 @@ def _masked(mask: Any, image: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _fault_of_mask(mask: Any, height: int, width: int) -> str:
-    """What is wrong with a mask; "" for nothing."""
+    """Returns the fault of a mask; "" for none."""
     if isinstance(mask, list):
         far = _FAR * max(height, width)
         sound = bool(mask) and all(
@@ -238,7 +238,7 @@ def _lengths(text: str) -> NDArray[np.float64] | None:
 
 
 def flaws_of(file: Path) -> Sequence[str]:
-    """What pycocotools finds wrong with a COCO file of instances; nothing for a sound one.
+    """Lists the flaws that pycocotools finds in a COCO file of instances; empty for a sound one.
 
     Each annotation's mask is decoded by pycocotools and its area and box held against those stated.
 

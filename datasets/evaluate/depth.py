@@ -121,7 +121,7 @@ def evaluate_depth(
 
 
 def _terms(d: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What is averaged, pixel by pixel: one row a measure, then ones, [8, n]."""
+    """Computes the terms to be averaged, pixel by pixel: one row a measure, then ones, [8, n]."""
     off = d - t
     ratio = np.maximum(d / t, t / d)
     deltas = [(ratio < 1.25**k).astype(np.float64) for k in (1, 2, 3)]

@@ -34,7 +34,7 @@ class Table:
 
 @dataclass
 class Evaluation:
-    """What was found.
+    """Holds the results of an evaluation.
 
     Attributes:
         task: ``instances``, ``labels``, ``depth`` or ``track``.

@@ -102,7 +102,7 @@ def evaluate_labels(
 
 
 def iou(confusion: Counts) -> NDArray[np.float64]:
-    """Of each class, [n]; NaN where the truth has none of it: others pay for what is wrongly it.
+    """Returns each class's IoU, [n]; NaN where the truth lacks it: wrong pixels cost other classes.
 
     Args:
         confusion: Pixels by true class and predicted one, the last column predicting none,

@@ -257,7 +257,7 @@ def _place(task: Task) -> str:
 
 
 def _table_path(ref: FrameRef) -> Path:
-    """Of all instances of the frame's batch: frames/<backend>/<camera>/<sample>."""
+    """Returns the path of the batch's table: frames/<backend>/<camera>/<sample>."""
     return ref.stem.parents[2] / BATCH_TABLE
 
 

@@ -222,7 +222,7 @@ class Cityscapes(Format):
         return [LABELS]
 
     def usage(self) -> str:
-        """How to read it."""
+        """Explains how to read the dataset."""
         return (
             "Folders and names are those of Cityscapes, a city is a batch: "
             "`leftImg8bit/<split>/<city>/<city>_<camera>_<sample>_leftImg8bit.png`, "

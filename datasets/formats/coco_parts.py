@@ -1,4 +1,4 @@
-"""What COCO's instance and panoptic formats share: pictures, categories, JSON in streams."""
+"""Shares code of COCO's instance and panoptic formats: pictures, categories, streamed JSON."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def units_of(frame: LoadedFrame, level: str) -> Units:
 
 @dataclass
 class Seen:
-    """Which categories occur, and what they are called on other levels.
+    """Collects the categories that occur, and their names on other levels.
 
     Attributes:
         things: Those that instances have.
@@ -233,7 +233,7 @@ class Seen:
 
 
 def gathered(done: Iterable[Done], splits: Sequence[str]) -> tuple[Seen, dict[str, list[int]]]:
-    """What all tasks saw, and the numbers of those that wrote something, by split."""
+    """Joins all tasks' categories, and the numbers of tasks that wrote something, by split."""
     seen = Seen()
     numbers: dict[str, list[int]] = {split: [] for split in splits}
     for each in done:
@@ -271,7 +271,7 @@ def _pairs(a, b):  # type: ignore[no-untyped-def]
 
 
 def fragment(scratch: Path, number: int) -> Path:
-    """Where a task leaves its lines for ``finish``."""
+    """Returns the path at which a task leaves its lines for ``finish``."""
     return scratch / f"{number:08d}.lines"
 
 

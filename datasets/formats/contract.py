@@ -1,4 +1,4 @@
-"""What a dataset format is: it writes tasks (a frame, a sequence, a shard), then what is common.
+"""Defines dataset formats: they write tasks (a frame, a sequence, a shard), then what is common.
 
 Tasks run in any order, in several processes, and are not run again when an export goes on after it
 was cut short; so a task writes files of its own, and what it leaves for ``finish`` is a small
@@ -35,7 +35,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Task:
-    """What one call of ``Format.write`` makes.
+    """Describes the work of one call of ``Format.write``.
 
     Attributes:
         number: From 0, in the order of the dataset.
@@ -107,7 +107,7 @@ class Narrowed:
 
 @dataclass
 class Written:
-    """What a task left.
+    """Reports a task's output.
 
     Attributes:
         files: Paths of the dataset's files that it wrote, relative to the folder.
@@ -146,7 +146,7 @@ class Done:
 
 @dataclass(frozen=True)
 class Settled:
-    """What becomes of tasks' files once it is known which frames could be read.
+    """Moves or deletes tasks' files once it is known which frames could be read.
 
     Attributes:
         moved: Path of a task's file -> where it goes, or None: it is deleted, and ``finish`` may
@@ -258,7 +258,7 @@ class Format(ABC):
         return []
 
     def mend(self, most: float) -> str:
-        """What to set so that the largest of ``Written.narrowed`` fits; "" where nothing helps."""
+        """Suggests a setting with which the largest ``Written.narrowed`` fits; "" if none does."""
         return ""
 
     def usage(self) -> str:

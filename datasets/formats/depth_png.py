@@ -33,7 +33,7 @@ class Depth16:
     narrowed: dict[str, Narrowed]
 
     def counts(self) -> dict[str, int]:
-        """What a task records."""
+        """Returns the counts that a task records."""
         return {"hits": self.hits, "beyond": self.beyond, "under": self.under}
 
 

@@ -119,7 +119,7 @@ def picture_png(frame: LoadedFrame) -> bytes:
 
 
 def file_bytes(path: Path) -> bytes:
-    """What is in a frame's file.
+    """Reads the bytes of a frame's file.
 
     Raises:
         FrameError: It cannot be read.

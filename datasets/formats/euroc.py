@@ -161,7 +161,7 @@ class Euroc(Format):
 
 
 class _Camera:
-    """What is known of a camera while its sequence is written."""
+    """Holds the state of a camera while its sequence is written."""
 
     def __init__(self, task: Task, record: dict[str, Any], list_file: TextIO) -> None:
         self.task = task

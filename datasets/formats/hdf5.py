@@ -197,7 +197,7 @@ class Hdf5(Format):
             return file.count
 
     def usage(self) -> str:
-        """How to read it."""
+        """Explains how to read the dataset."""
         level = self.info.level
         return (
             "One HDF5 file for each split and resolution: every pass is an array "

@@ -191,7 +191,7 @@ class Oaisys(Format):
         return [*files, LABELS]
 
     def usage(self) -> str:
-        """How to read it."""
+        """Explains how to read the dataset."""
         base = self.generation.semantic_base
         return (
             "The tree of OAISYS: `batch_0001/<sensor>/NNNN<sensor>_{rgb_00, semantic_label_LL, "

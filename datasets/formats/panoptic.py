@@ -171,7 +171,7 @@ class Panoptic(Format):
         return picture, found, len(frame.table["id"]) - len(np.unique(lines))
 
     def _name(self, frame: LoadedFrame, other: str, seen: Seen) -> None:
-        """What the pixels of each label are called on another level."""
+        """Records the names that each label's pixels have on another level."""
         there = frame.passes.get(f"label.{other}")
         if there is None:
             return

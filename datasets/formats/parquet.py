@@ -239,7 +239,7 @@ class Parquet(Format):
         )
 
     def usage(self) -> str:
-        """How to load it."""
+        """Explains how to load the dataset."""
         names = [_name(split) for split in self.info.splits]
         files = ", ".join(f'"{name}": "data/{name}-*.parquet"' for name in names)
         # For the card's head, where the Hugging Face hub's loader looks for it.

@@ -1,4 +1,4 @@
-"""Which formats there are: ours, and those of packages that offer one (``scenec.exporters``)."""
+"""Lists the formats: ours, and those of packages that offer one (``scenec.exporters``)."""
 
 from __future__ import annotations
 

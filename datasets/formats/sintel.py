@@ -144,7 +144,7 @@ class Sintel(Format):
 
 
 def _name(split: str, ref: FrameRef, later: bool = False) -> str:
-    """Of the sequence that a frame is the first of; ``later``: after a gap."""
+    """Names the sequence that a frame is the first of; ``later``: after a gap."""
     name = f"{split}_{ref.batch_name}_{ref.camera}"
     return f"{name}-{ref.sample:06d}" if later else name
 

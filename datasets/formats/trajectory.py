@@ -1,4 +1,4 @@
-"""What formats of camera trajectories share: time stamps, rigs, pictures, lists in text files."""
+"""Shares code of trajectory formats: time stamps, rigs, pictures, lists in text files."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def copy_picture(frame: LoadedFrame, path: Path, gray: bool = False) -> None:
 
 
 def picture_path(frame: LoadedFrame) -> Path:
-    """Where the frame's picture is.
+    """Returns the path of the frame's picture.
 
     Raises:
         FrameError: It has none, or it is gone.

@@ -143,7 +143,7 @@ class WebDataset(Format):
         return [INDEX]
 
     def usage(self) -> str:
-        """How to load it."""
+        """Explains how to load the dataset."""
         split = self.info.splits[0]
         arrays = self.option("arrays")
         return (

@@ -38,7 +38,7 @@ _Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
 
 
 class Written(NamedTuple):
-    """What a file holds.
+    """Reports the content of a file.
 
     Attributes:
         triangles: Drawn, with those of each instance.

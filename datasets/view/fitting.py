@@ -1,4 +1,4 @@
-"""How fine the page can store its frames within its size."""
+"""Chooses how fine the page can store its frames within its size."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class Task:
 
 @dataclass(frozen=True)
 class SourceNames:
-    """What names the sources of a page: what a worker keeps of it."""
+    """Names the sources of a page, which a worker holds."""
 
     out: Path
     backends: tuple[str | None, ...]
@@ -68,7 +68,7 @@ class _Apply:
 
 
 class Pool:
-    """Who stores frames, and where these are.
+    """Stores frames by an executor, and knows their files.
 
     Args:
         names: Of the sources.

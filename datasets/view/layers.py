@@ -34,7 +34,7 @@ NORMAL_ERROR_DEG = 1.0
 
 @dataclass(frozen=True)
 class Fineness:
-    """How fine the page stores pictures.
+    """Sets the resolution and quality at which the page stores pictures.
 
     Attributes:
         side: Most pixels along the longer side; None: as many as the frame has, if a JPEG holds
@@ -74,7 +74,7 @@ class Layer:
 
 
 def taken(size: int, stored: int) -> NDArray[np.int64]:
-    """Which column (or row) of a frame each stored one is: int64 [stored]."""
+    """Returns the column (or row) of a frame that each stored one shows: int64 [stored]."""
     return (2 * np.arange(stored, dtype=np.int64) + 1) * size // (2 * stored)
 
 

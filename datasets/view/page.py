@@ -293,7 +293,7 @@ class _Book:
                 ]
 
     def _index(self) -> dict[str, Any]:
-        """What the page knows before it shows anything: columns, one value a frame."""
+        """Returns the page's index, needed before it shows anything: columns, one value a frame."""
         columns = ("at", "fault", "seconds", "error", "eye", "ahead", "half", "size", "passes",
                    "pixels", "instances", "sun")  # fmt: skip
         kinds: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""What the page holds of one frame: its layers, its facts, and what it adds to the statistics."""
+"""Builds the page's record of one frame: layers, facts, and its part of the statistics."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _half(frame: LoadedFrame) -> float:
 
 
 def record(frame: LoadedFrame, fineness: Fineness) -> Record:
-    """What the page holds of a frame.
+    """Builds the page's record of a frame.
 
     Raises:
         FrameError: A picture of it is missing or damaged.

@@ -1,4 +1,4 @@
-"""What a scene of BlenderProc says, whichever format it is in."""
+"""Declares a scene of BlenderProc, whichever format it is in."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Kind:
 
 @dataclass
 class Scene:
-    """What a scene says.
+    """Holds the content of a scene.
 
     Attributes:
         poses: Of the camera in each picture: from x right, y down, z ahead to the world.

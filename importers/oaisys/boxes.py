@@ -1,4 +1,4 @@
-"""What a uniform box of targets means for bearing, distance and pitch of a view.
+"""Derives bearing, distance and pitch of a view from a uniform box of targets.
 
 OAISYS draws a target in a box about the camera. A cfg draws bearing and distance; each has the
 distribution that it has in the box, as a histogram.

@@ -1,4 +1,4 @@
-"""What all parts of an OAISYS cfg share while it is translated."""
+"""Holds the state that all parts of an OAISYS cfg share while it is translated."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _named(names: dict[int, list[str]]) -> dict[int, str]:
 
 
 def _beginning(names: Sequence[str]) -> str:
-    """What all of some names begin with."""
+    """Returns the common prefix of some names."""
     columns = zip(*names, strict=False)
     return "".join(column[0] for column in takewhile(lambda c: len(set(c)) == 1, columns))
 

@@ -283,7 +283,7 @@ def _sizes(
 
 
 def _stops(texture: _Texture, to: str) -> float:
-    """How much of the heights a ramp of colors keeps."""
+    """Returns the share of heights that a ramp of colors keeps."""
     ends = []
     for i in (0, 1):
         color = texture.get(f"dispColorStopColor_{i}").translated(f"{to}/maps/displacement_m")
@@ -310,7 +310,7 @@ def _colors(texture: _Texture, material: dict[str, Any], to: str) -> None:
 
 
 def _curve(points: Item) -> float:
-    """How bright a curve through a point makes what is there."""
+    """Returns the brightness factor of a curve through a point."""
     value = points.value
     if isinstance(value, list) and value and isinstance(value[0], list) and len(value[0]) == 2:
         x, y = value[0]

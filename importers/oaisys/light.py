@@ -65,7 +65,7 @@ def _strength(ctx: Context, item: Item, ends: tuple[float, float], per: str) -> 
 
 
 def _per(ctx: Context, params: Item) -> str:
-    """How often light is drawn: "" is once a sample."""
+    """Returns how often light is drawn: "" is once a sample."""
     option, step = params.get("stepIntervalOption"), params.get("stepInterval")
     option.translated("light").one_of("GLOBAL", "LOCAL")
     interval = step.whole(1, usual=1)

@@ -31,7 +31,7 @@ def ordered(outputs: list[str]) -> list[str]:
 
 
 def counts(ctx: Context, setup: Item) -> None:
-    """How many batches and samples."""
+    """Translates the numbers of batches and samples."""
     for key, ours in (("numBatches", "batches"), ("numSamplesPerBatch", "samples")):
         ctx.cfg[ours] = setup.need(key).translated(ours).whole(1, 1_000_000)
 
@@ -120,7 +120,7 @@ _CLEAN: dict[str, Any] = {
 
 
 def _of_focus(sensor: dict[str, Any]) -> dict[str, Any]:
-    """What a sensor's own optics say of its focus, taken from there."""
+    """Returns a sensor's focus settings, removed from its own optics."""
     focus = sensor.get("focus")
     if focus is None:
         return {}

@@ -1,4 +1,4 @@
-"""How fast an error falls: a line through logarithms, and how sure its slope is."""
+"""Fits how fast an error falls: a line through logarithms, with its slope's confidence."""
 
 from __future__ import annotations
 

@@ -39,13 +39,13 @@ class Rung:
 
     @property
     def name(self) -> str:
-        """Of its folder and in tables."""
+        """Returns the name of its folder, also used in tables."""
         return f"spp_{self.spp:06d}" if self.seconds is None else f"seconds_{self.seconds:g}"
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """What to render.
+    """Declares what to render.
 
     Attributes:
         spp: Samples per pixel of the rungs, ascending.

@@ -151,7 +151,7 @@ def _row(
 
 
 def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
-    """What differs between backends however many samples: their references, pair by pair.
+    """Compares backends' references, pair by pair: differences that more samples leave.
 
     The noise of both is subtracted. Means over frames: ``relative_ms`` and ``relative_ms_error``
     (``metrics.square_and_error``), ``noise_ms`` (relative variance that was subtracted),

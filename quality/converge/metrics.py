@@ -63,7 +63,7 @@ class Reference:
 
     @property
     def relative_rms(self) -> float:
-        """Of the reference's own noise."""
+        """Returns the relative rms of the reference's own noise."""
         if self.level <= 0.0:
             return 0.0
         return float(np.sqrt(self.variance.mean())) / self.level
@@ -71,7 +71,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one picture; formulas: ``FORMULAS``.
+    """Holds the errors of one picture; formulas: ``FORMULAS``.
 
     A squared error that comes out negative is lost in the reference's noise; it stays negative
     here, so that means over pictures are unbiased.

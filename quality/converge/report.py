@@ -1,4 +1,4 @@
-"""What ``scenec converge`` writes: CSV, JSON, plots, pictures of differences."""
+"""Writes the files of ``scenec converge``: CSV, JSON, plots, pictures of differences."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write(folder: Path, found: ConvergeReport) -> None:
 
 
 def findings(series: Series) -> list[str]:
-    """What a series' slope means, and rungs that the reference cannot judge."""
+    """Interprets a series' slope, and lists rungs that the reference cannot judge."""
     lines: list[str] = []
     if not series.own:
         return lines
@@ -73,7 +73,7 @@ def findings(series: Series) -> list[str]:
 
 
 def against_plain(series: Sequence[Series]) -> list[str]:
-    """Where denoising falls slower than the samples it is made of: it gains less and less."""
+    """Lists backends where denoising falls slower than the samples: it gains less and less."""
     plain = {one.backend: one.over_spp for one in series if one.own and not one.denoised}
     lines = []
     for one in series:

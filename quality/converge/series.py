@@ -1,4 +1,4 @@
-"""What was found of how pictures converge: steps of series, and all of them."""
+"""Holds the results of convergence: steps of series, and all of them."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Series:
 
 @dataclass
 class ConvergeReport:
-    """What was found.
+    """Reports the convergence of backends.
 
     Attributes:
         series: Errors over samples and seconds.
@@ -121,7 +121,7 @@ def step_cells(step: Step) -> list[str]:
 
 
 def floor_cells(floor: dict[str, Any]) -> list[str]:
-    """What differs between two backends as text, under ``FLOOR_HEADER``."""
+    """Formats the difference of two backends as text, under ``FLOOR_HEADER``."""
     return [
         f"{floor['backend']} : {floor['against']}",
         percent(floor["relative_rms"]),

@@ -1,4 +1,4 @@
-"""How far two meshes are apart, by points of both held against all triangles of the other."""
+"""Measures the distance of two meshes, by points of each against all triangles of the other."""
 
 from __future__ import annotations
 

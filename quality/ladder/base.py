@@ -1,4 +1,4 @@
-"""What all ladders of a scene share: built once, when the first of them asks for it."""
+"""Builds what all ladders of a scene share, once, when the first of them asks for it."""
 
 from __future__ import annotations
 

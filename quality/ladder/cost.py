@@ -1,4 +1,4 @@
-"""What a rung costs: seconds of the processor, and bytes of what is really written."""
+"""Measures a rung's cost: seconds of the processor, and bytes of what is really written."""
 
 from __future__ import annotations
 

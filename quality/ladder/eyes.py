@@ -1,4 +1,4 @@
-"""What looks at the ground from where, with its lens: for rays that it sees along, and pixels."""
+"""Lists the sensors that look at the ground, with poses and lenses: for rays, and for pixels."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Eye:
 
 
 def _entry(part: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Of so many entries, those at parts of the way through, [n]."""
+    """Returns the indices of entries at parts of the way through so many, [n]."""
     return np.minimum((part * count).astype(np.int64), count - 1)
 
 

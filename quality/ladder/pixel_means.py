@@ -1,4 +1,4 @@
-"""What square pixels show of a picture that repeats: its exact mean over each.
+"""Averages a picture that repeats over square pixels, exactly.
 
 A picture read linearly between texels has an integral from its corner to any place that is a
 polynomial within a cell (Crow 1984, Summed-Area Tables for Texture Mapping, for texels that are

@@ -1,4 +1,4 @@
-"""Where errors are measured: points spread evenly, the same for every rung.
+"""Spreads the points at which errors are measured evenly, the same for every rung.
 
 Multiples of the plastic number's reciprocals modulo 1 fill a square evenly from the first point on
 (Roberts 2018, The Unreasonable Effectiveness of Quasirandom Sequences).

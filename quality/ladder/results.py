@@ -1,4 +1,4 @@
-"""What ladders find, for people, scripts and plots."""
+"""Holds the results of ladders, for people, scripts and plots."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Ladder:
 
     @cached_property
     def slopes(self) -> dict[str, Slope | None]:
-        """Of the rms error over seconds, bytes, and triangles where there are some."""
+        """Returns slopes of the rms error over seconds, bytes, and triangles if there are some."""
         errors = [rung.rms for rung in self.rungs]
         found = {
             "seconds": slope([rung.seconds for rung in self.rungs], errors),
@@ -199,7 +199,7 @@ def steps(finer: int, coarser: int) -> Sequence[float]:
 
 
 def split(rungs: int) -> tuple[int, int]:
-    """How many of so many rungs are finer and coarser than the one in the middle of things.
+    """Divides a number of rungs into finer and coarser ones than the setting in use.
 
     Finer ones are what takes the time: a third of them.
     """

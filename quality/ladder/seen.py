@@ -53,7 +53,7 @@ def spread(field: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]
 def looked_at(
     field: HeightField, eyes: Sequence[Eye]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where rays through pixels, spread evenly over all pictures and scans, meet the ground first.
+    """Returns where rays through pixels, spread over all pictures and scans, first meet the ground.
 
     The ground is the grid's triangles, which only decides where points lie, never what is measured
     there.
@@ -108,7 +108,7 @@ def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[
 
 @kernel
 def _march(first, last, height, frame, origin, toward, growth, out):  # type: ignore[no-untyped-def]
-    """How far along rays the ground is first above them; ``out`` stays where it never is."""
+    """Marches along rays to the ground's first height above them; ``out`` stays elsewhere."""
     x0, y0, dx, dy = frame
     for n in range(first, last):
         before, at = 0.0, _FIRST_M
@@ -131,7 +131,7 @@ def _march(first, last, height, frame, origin, toward, growth, out):  # type: ig
 
 
 def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:
-    """Where to look for the horizons of some cameras; None: there is none."""
+    """Returns the horizons to look for from some cameras; None: there is none."""
     cameras = np.array([n for n, eye in enumerate(eyes) if not isinstance(eye.sensor, Lidar)])
     if not len(cameras):
         return None

@@ -232,7 +232,7 @@ def _picture(made: _Made, rows: int) -> tuple[tuple[SkyLight, dict[str, Any]], i
 
 
 def _bytes(light: SkyLight, sun: SunLight | None) -> int:
-    """Of the layer of lights and its picture."""
+    """Measures the bytes of the layer of lights and its picture."""
     bare = Scene(
         name="",
         samples=1,

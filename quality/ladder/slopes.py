@@ -1,4 +1,4 @@
-"""How error falls with cost: slopes through logarithms."""
+"""Fits how error falls with cost: slopes through logarithms."""
 
 from __future__ import annotations
 

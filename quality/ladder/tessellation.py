@@ -175,7 +175,7 @@ def _rung(
 def distances(
     truth: Truth, heights: Heights
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """How far a mesh is from the truth where it is, up or down and along its normal, meters [m].
+    """Measures a mesh's distance from the truth, vertically and along its normal, meters [m].
 
     Returns:
         Both, and which of the points that count, bool [n], have a triangle above or below them: no
@@ -188,7 +188,7 @@ def distances(
 
 
 def holes(truth: Truth, there: NDArray[np.bool_], size_m: tuple[float, float]) -> int:
-    """How many points have no triangle, but for those that the border's rounding leaves out.
+    """Counts points without a triangle, but for those that the border's rounding leaves out.
 
     Args:
         truth: The points.
@@ -202,7 +202,7 @@ def holes(truth: Truth, there: NDArray[np.bool_], size_m: tuple[float, float]) -
 
 
 def _silhouettes(base: Base, truth: Truth, heights: Heights) -> dict[str, float | int | bool]:
-    """How far horizons move up or down in the picture."""
+    """Measures how far horizons move up or down in the picture."""
     lines = truth.lines
     if lines is None:
         return {}

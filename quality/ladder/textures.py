@@ -169,7 +169,7 @@ def _possible(one: _Picture, times: int) -> bool:
 
 
 def _nearest(one: _Picture, times: int) -> int:
-    """How often a picture is halved on a rung: as often as it can be, at most so often."""
+    """Returns how often a rung halves a picture: at most ``times``, as often as it can be."""
     return next(own for own in range(max(times, 0), -1, -1) if _possible(one, own))
 
 

@@ -20,7 +20,7 @@ _HAIR = 1e-9
 
 
 class Heights(NamedTuple):
-    """What lies at points.
+    """Holds a mesh's heights at points.
 
     Attributes:
         z: Meters, float64 [n]; NaN where no triangle is.
@@ -75,7 +75,7 @@ class Index:
         self._points = _Cells(x, y, order, starts, columns, *low, size)
 
     def heights(self, tiles: Sequence[Tile]) -> Heights:
-        """Of the mesh that tiles make.
+        """Returns the heights of the mesh that tiles form.
 
         Args:
             tiles: Of a ground that is a function of x and y.
