@@ -25,8 +25,8 @@ How accurate sizes, places, distances, seats and levels of detail are ([objects.
 [keys](cfg.md#objects-scattered)), and what they cost. Seconds are single readings on {cores} cores
 ({versions});
 everything else does not depend on the machine. Tests check the same facts
-(`tests/compiler/test_scatter*.py`, `test_objects_*.py`, `tests/cfg/test_laws.py`); this page
-makes them readable.
+(`tests/compiler/objects/test_scatter*.py`, `test_objects_*.py`,
+`tests/compiler/distributions/test_laws.py`); this page makes them readable.
 """
 
 _CASES = ("uniform", "clusters", "overlap-free")

@@ -25,7 +25,7 @@ HEAD = """# Relief: what it looks like, and how sound it is
 Every operator of `terrain.relief` ([keys](cfg.md#relief-operator)), what it looks like, and what
 it keeps to over ranges far wider than sensible ones. Seconds are best readings on {cores} cores
 ({versions}); everything else does not depend on the machine. Tests check the same facts
-(`tests/compiler/test_relief*.py`, `test_extents.py`, `test_georeference.py`,
+(`tests/compiler/terrain/test_relief*.py`, `test_extents.py`, `test_georeference.py`,
 `test_fastscapelib.py`); this page makes them readable.
 """
 

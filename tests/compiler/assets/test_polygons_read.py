@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
-from test_polygons import CROSSES, EMPTY, C
 
 from scenec.cli.main import main
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.compile import compile_cfg
+from scenec.testing.outlines import CROSSES, EMPTY, C
 
 #: A square, a C that opens to the right and begins where a fan from its first corner is wrong.
 SQUARE = [(2, 0), (3, 0), (3, 1), (2, 1)]

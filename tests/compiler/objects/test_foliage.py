@@ -21,7 +21,7 @@ from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import Views
 from scenec.testing.small import small_cfg, write_cfg
 
-MODELS = Path(__file__).parents[2] / "assets" / "models"
+MODELS = Path(__file__).parents[3] / "assets" / "models"
 SIDE, HEIGHT, WIDTH = 0.1, 1.0, 0.01
 
 

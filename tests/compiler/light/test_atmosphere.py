@@ -252,7 +252,7 @@ def test_the_sky_is_blenders_within_two_percent(tmp_path):
     # Blender's sums are coarse: near the horizon and through its aerosol they err by up to 30 %.
     # The same sums, done here, are Blender's; what they err is taken out of the comparison.
     asked = [["SINGLE_SCATTERING", e, a, *factors] for e, a, factors in CASES]
-    script = Path(__file__).resolve().parents[2] / "testing" / "blender_sky.py"
+    script = Path(__file__).resolve().parents[3] / "testing" / "blender_sky.py"
     done = subprocess.run(
         [sys.executable, str(script), str(tmp_path / "b.npz"), "16", json.dumps(asked)],
         capture_output=True,

@@ -14,7 +14,7 @@ from small_cfg import DELETE, changed, faults_of, load_cfg, minimal
 from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.numbers import Distribution
 
-_ROOT = Path(__file__).parents[2]
+_ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize("file", sorted((_ROOT / "configs").glob("*.json")), ids=lambda f: f.name)

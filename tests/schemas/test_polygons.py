@@ -9,11 +9,19 @@ from hypothesis import strategies as st
 
 from scenec.schemas.polygons import triangulate
 from scenec.testing.examples import examples
-from scenec.testing.outlines import SHAPES, edges, is_simple, keyhole, shoelace, turn
+from scenec.testing.outlines import (
+    CROSSES,
+    EMPTY,
+    SHAPES,
+    C,
+    edges,
+    is_simple,
+    keyhole,
+    shoelace,
+    turn,
+)
 
 FLAT = "a polygon with corners that repeat or stand in line has triangles without area"
-CROSSES = "a polygon that crosses itself is cut into triangles that overlap"
-EMPTY = "a polygon has no area"
 
 
 def cut(outline, faults=()):
@@ -130,9 +138,6 @@ def test_a_polygon_out_of_plane_is_cut_as_it_is_seen_along_its_normal(seed, corn
     # Seen obliquely, an outline with thin parts may cross itself.
     assert found.faults or (seen > -1e-12).all()
     assert not found.faults or warp > 1e-3
-
-
-C = [(-1, 0), (1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2)]
 
 
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e9, 1e30])

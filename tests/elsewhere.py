@@ -60,7 +60,7 @@ def printed_elsewhere(code: str, *arguments: object) -> str:
     """What a program prints in another process, in all circumstances at once.
 
     One process serves all tests: to start it, and to load or compile every kernel for another CPU,
-    takes longer than what most of them ask of it. It sees modules of this folder.
+    takes longer than what most of them ask of it. It sees modules of the compiler's tests.
 
     Args:
         code: The program; it finds its arguments in ``sys.argv[1:]``.
@@ -94,14 +94,15 @@ def digest_elsewhere(module: str) -> str:
     """What ``module.digest()`` returns in all circumstances at once.
 
     Args:
-        module: Of this folder.
+        module: Of the compiler's tests.
     """
     return printed_elsewhere(f"import {module}; print({module}.digest())").strip()
 
 
 @cache
 def _server() -> subprocess.Popen[str]:
-    paths = os.pathsep.join([str(HERE), str(HERE.parent)])
+    rooms = HERE / "compiler"
+    paths = os.pathsep.join(map(str, [HERE, rooms, *rooms.glob("*/")]))
     # It ends with this process, when its standard input does.
     return subprocess.Popen(
         [sys.executable, "-W", "ignore", "-c", _SERVER],

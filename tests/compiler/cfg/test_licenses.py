@@ -16,7 +16,7 @@ from scenec.compiler.kinds.context import InputFile
 from scenec.schemas.manifest import read_manifest, stage_digest
 from scenec.testing.small import small_cfg, write_cfg
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 BESIDE = """\
 SPDX-FileCopyrightText: 2020 Ada <ada@example.org>
 SPDX-FileCopyrightText: 2021 Grace

@@ -24,7 +24,7 @@ from scenec.compiler.kinds.schema import (
 from scenec.testing import cfg_reference
 
 _WHOLE = {"$defs": load_bundle()["$defs"]}
-_DOCS = Path(__file__).parents[2] / "docs"
+_DOCS = Path(__file__).parents[3] / "docs"
 _NAMES = list(load_schemas())
 
 

@@ -10,7 +10,7 @@ from small_cfg import DELETE, changed, faults_of, load_cfg
 
 from scenec.compiler.cfg.load import load
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 _SENSOR = "/rigs/rover/sensors/front"
 _FOV = f"{_SENSOR}/fov_deg"
 _COLOR = "/materials/sand/base_color"

@@ -27,7 +27,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.kinds.schema import load_schemas
 from scenec.schemas.errors import CfgError
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 CONFIGS = sorted((ROOT / "configs").glob("*.json"))
 
 

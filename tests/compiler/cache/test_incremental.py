@@ -26,7 +26,7 @@ from scenec.compiler.emit.batch import write_batch
 from scenec.schemas.files import digest_of_folder
 from scenec.testing import small
 
-_LANDER = Path(__file__).parents[2] / "assets" / "models" / "lander.glb"
+_LANDER = Path(__file__).parents[3] / "assets" / "models" / "lander.glb"
 
 
 def _cfg() -> dict[str, Any]:

@@ -18,7 +18,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.files import tree
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 TRACK = "x_m,y_m\n-4,0\n4,0\n"
 
 
