@@ -28,16 +28,7 @@ MERGES = (
 
 def relief(size: float = 60.0, spacing: float = 0.15) -> HeightField:
     grid = Grid.with_spacing((size, 0.8 * size), spacing)
-    operator = Multifractal(
-        key=1,
-        amplitude_m=1.5,
-        scale_m=12.0,
-        octaves=7,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="hetero",
-        offset=0.7,
-    )
+    operator = Multifractal(key=1, amplitude_m=1.5, scale_m=12.0, octaves=7)
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
 
 

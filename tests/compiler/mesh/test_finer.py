@@ -30,16 +30,7 @@ from scenec.testing.examples import examples
 
 MERGES = (Merge(5, 3.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5),)
 GRAINS = Worley(key=9, amplitude_m=0.03, scale_m=0.12).everywhere()
-ROUGH = Multifractal(
-    key=2,
-    amplitude_m=1.2,
-    scale_m=9.0,
-    octaves=10,
-    lacunarity=2.0,
-    gain=0.5,
-    variant="fbm",
-    offset=0.7,
-)
+ROUGH = Multifractal(key=2, amplitude_m=1.2, scale_m=9.0, octaves=10, variant="fbm")
 
 
 def surface(smooth: bool = True) -> Surface:
@@ -76,7 +67,6 @@ def test_grid_and_detail_add_up_to_all_octaves(variant, distortion):
         lacunarity=2.1,
         gain=0.55,
         variant=variant,
-        offset=0.7,
         distortion=distortion,
         distortion_octaves=1,
     )
@@ -179,14 +169,7 @@ def test_displacement_lies_where_its_material_does():
 
 def test_parts_of_a_displacement_add_up():
     other = Multifractal(
-        key=3,
-        amplitude_m=0.01,
-        scale_m=0.1,
-        octaves=2,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="fbm",
-        offset=0.7,
+        key=3, amplitude_m=0.01, scale_m=0.1, octaves=2, variant="fbm"
     ).everywhere()
     x, y = np.random.default_rng(4).uniform(-9.0, 9.0, (2, 100))
     both = Sum((GRAINS, other))

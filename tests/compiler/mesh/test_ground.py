@@ -23,16 +23,7 @@ MERGES = (
 
 def relief(size: float = 40.0, spacing: float = 0.4) -> HeightField:
     grid = Grid.with_spacing((size, size), spacing)
-    operator = Multifractal(
-        key=1,
-        amplitude_m=0.6,
-        scale_m=8.0,
-        octaves=5,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="hetero",
-        offset=0.7,
-    )
+    operator = Multifractal(key=1, amplitude_m=0.6, scale_m=8.0, octaves=5)
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
 
 

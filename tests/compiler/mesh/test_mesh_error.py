@@ -50,14 +50,7 @@ def ground(kind: str, size_m: float, detail_m: float, variant: str, seed: int) -
     grid = Grid((12.0, 10.0), (int(rng.integers(12, 60)), int(rng.integers(12, 60))))
     field = HeightField(grid, heights(kind, grid, size_m, rng).reshape(grid.shape))
     rough = Multifractal(
-        key=seed,
-        amplitude_m=detail_m,
-        scale_m=3.0,
-        octaves=8,
-        lacunarity=2.1,
-        gain=0.5,
-        variant=variant,
-        offset=0.7,
+        key=seed, amplitude_m=detail_m, scale_m=3.0, lacunarity=2.1, variant=variant
     ).detail(grid)
     pits = Worley(key=9, amplitude_m=-0.3 * detail_m, scale_m=rng.uniform(0.04, 0.5))
     return Surface(

@@ -165,16 +165,7 @@ def test_a_plane_lifts_every_layer_by_itself(cave):
 
 
 def test_relief_crosses_no_surfaces_and_keeps_the_gaps_between_layers(cave):
-    relief = Multifractal(
-        key=1,
-        amplitude_m=2.0,
-        scale_m=4.0,
-        octaves=4,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="hetero",
-        offset=0.7,
-    )
+    relief = Multifractal(key=1, amplitude_m=2.0, scale_m=4.0, octaves=4)
     before, _ = base(cave).stage(GRID, 10**6)
     after = run([base(cave), relief], GRID).field
     assert isinstance(after, MeshSurface)

@@ -30,16 +30,7 @@ def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: in
 
 def relief() -> HeightField:
     grid = Grid.with_spacing((40.0, 40.0), 0.4)
-    operator = Multifractal(
-        key=1,
-        amplitude_m=1.5,
-        scale_m=8.0,
-        octaves=5,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="hetero",
-        offset=0.7,
-    )
+    operator = Multifractal(key=1, amplitude_m=1.5, scale_m=8.0, octaves=5)
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
 
 

@@ -162,39 +162,17 @@ def test_one_pixel_that_is_not_black_holds_everything(tmp_path):
 
 def test_rings_follow_the_ejecta_and_favor_fresh_craters():
     # One crater alone: the number between r1 and r2 goes as the integral of r^-3 2 pi r dr.
-    alone = RingDensity(
-        craters=((craters((0.0,)), ()),),
-        min_radii=1.0,
-        max_radii=4.0,
-        freshness=2.0,
-        background=0.0,
-    )
+    alone = RingDensity(craters=((craters((0.0,)), ()),), min_radii=1.0, max_radii=4.0)
     x, y = points(alone)
     away = np.hypot(x + 9.0, y - 2.0) / 4.0
     inner = ((away > 1.2) & (away < 1.5)).sum() / ((away > 1.5) & (away < 2.0)).sum()
     assert inner == pytest.approx((1 / 1.2 - 1 / 1.5) / (1 / 1.5 - 1 / 2), rel=0.03)
     assert away.max() < 4.1
     assert (away < 0.75).sum() == 0
-    both = RingDensity(
-        craters=((craters((0.0, 0.0)), ()),),
-        min_radii=1.0,
-        max_radii=3.0,
-        freshness=2.0,
-        background=0.0,
-    )
-    worn = RingDensity(
-        craters=((craters((0.0, 0.3)), ()),),
-        min_radii=1.0,
-        max_radii=3.0,
-        freshness=2.0,
-        background=0.0,
-    )
+    both = RingDensity(craters=((craters((0.0, 0.0)), ()),), min_radii=1.0, max_radii=3.0)
+    worn = RingDensity(craters=((craters((0.0, 0.3)), ()),), min_radii=1.0, max_radii=3.0)
     equal = RingDensity(
-        craters=((craters((0.0, 0.3)), ()),),
-        min_radii=1.0,
-        max_radii=3.0,
-        freshness=0.0,
-        background=0.0,
+        craters=((craters((0.0, 0.3)), ()),), min_radii=1.0, max_radii=3.0, freshness=0.0
     )
     second = [(points(density)[0] > 2.0).mean() for density in (both, worn, equal)]
     assert second[0] > 2.0 * second[1]

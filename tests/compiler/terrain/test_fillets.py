@@ -61,14 +61,7 @@ def ground(amplitude_m: float = 0.0, size=SIZE, spacing: float = 0.4) -> Surface
     height = np.zeros(grid.shape)
     if amplitude_m:
         height = Multifractal(
-            key=1,
-            amplitude_m=amplitude_m,
-            scale_m=8.0,
-            octaves=5,
-            lacunarity=2.0,
-            gain=0.5,
-            variant="fbm",
-            offset=0.7,
+            key=1, amplitude_m=amplitude_m, scale_m=8.0, octaves=5, variant="fbm"
         ).apply(grid, height)[0]
     return Surface(HeightField(grid, height))
 

@@ -17,16 +17,7 @@ from scenec.compiler.terrain.sources.plane import Plane
 from scenec.schemas.errors import SceneError
 
 DEM = Dem(file=Path(), pixel_m=(1.0, 1.0), first_row="south", edge="clamp")
-FRACTAL = Multifractal(
-    key=7,
-    amplitude_m=1.0,
-    scale_m=10.0,
-    octaves=8,
-    lacunarity=2.0,
-    gain=0.5,
-    variant="hetero",
-    offset=0.7,
-)
+FRACTAL = Multifractal(key=7, amplitude_m=1.0, scale_m=10.0)
 
 
 def apply(operator, grid: Grid, height: np.ndarray | None = None) -> np.ndarray:

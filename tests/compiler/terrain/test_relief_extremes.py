@@ -124,14 +124,7 @@ def test_every_operator_is_the_same_at_every_extent(size, tmp_path):
         grid = Grid.with_spacing((scale, 0.7 * scale), scale / 40)
         ops = [op for op in operators(scale, tmp_path) if name_of("relief", type(op)) in SCALE_FREE]
         base = Multifractal(
-            key=1,
-            amplitude_m=0.1 * scale,
-            scale_m=0.3 * scale,
-            octaves=6,
-            lacunarity=2.0,
-            gain=0.5,
-            variant="fbm",
-            offset=0.7,
+            key=1, amplitude_m=0.1 * scale, scale_m=0.3 * scale, octaves=6, variant="fbm"
         )
         ground = base.apply(grid, np.zeros(grid.shape))[0]
         results.append([op.apply(grid, ground)[0] / scale for op in ops])
@@ -226,9 +219,7 @@ def test_detail_finer_than_float64_can_place_is_left_out(scale, lacunarity):
                     scale_m=scale,
                     octaves=24,
                     lacunarity=lacunarity,
-                    gain=0.5,
                     variant=variant,
-                    offset=0.7,
                     distortion=0.5,
                 )
             assert np.isfinite(noise.apply(grid, np.zeros(grid.shape))[0]).all()
@@ -247,16 +238,7 @@ FRACTALS = ("fbm", "hetero", "hybrid", "ridged", "billow")
 def test_detail_that_no_renderer_can_hold_is_refused():
     # Below the grid, octave upon octave of twice the amplitude of the one before.
     grid = Grid.with_spacing((20.0, 20.0), 5.0)
-    wild = Multifractal(
-        key=1,
-        amplitude_m=1e6,
-        scale_m=5.0,
-        octaves=24,
-        lacunarity=2.0,
-        gain=2.0,
-        variant="hybrid",
-        offset=0.7,
-    )
+    wild = Multifractal(key=1, amplitude_m=1e6, scale_m=5.0, octaves=24, gain=2.0, variant="hybrid")
     assert np.abs(wild.apply(grid, np.zeros(grid.shape))[0]).max() < 1e9
     with pytest.raises(SceneError, match=r"heights reach .*e\+\d\d m, at most 1e\+18 m"):
         run((wild,), grid)

@@ -29,14 +29,7 @@ from scenec.testing.examples import examples
 
 VARIANTS = ["fbm", "hetero", "hybrid", "ridged", "billow"]
 FRACTAL = Multifractal(
-    key=7,
-    amplitude_m=3.0,
-    scale_m=25.0,
-    octaves=6,
-    lacunarity=2.13,
-    gain=0.6,
-    variant="fbm",
-    offset=0.7,
+    key=7, amplitude_m=3.0, scale_m=25.0, octaves=6, lacunarity=2.13, gain=0.6, variant="fbm"
 )
 CELLS = Worley(key=9, amplitude_m=2.0, scale_m=8.0)
 GRID = Grid((60.0, 40.0), (41, 61))

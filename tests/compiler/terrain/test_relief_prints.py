@@ -90,16 +90,7 @@ def test_the_volume_converges_with_the_spacing():
 def test_a_grid_holds_all_of_a_print_or_leaves_it_to_the_detail():
     prints, ground = (
         one_print(turn=0.3),
-        Multifractal(
-            key=1,
-            amplitude_m=0.1,
-            scale_m=0.5,
-            octaves=3,
-            lacunarity=2.0,
-            gain=0.5,
-            variant="fbm",
-            offset=0.7,
-        ),
+        Multifractal(key=1, amplitude_m=0.1, scale_m=0.5, octaves=3, variant="fbm"),
     )
     fine, coarse = Grid((0.7, 0.7), (101, 101)), Grid((0.7, 0.7), (15, 15))
     height, report = prints.apply(fine, ground.apply(fine, np.zeros(fine.shape))[0])

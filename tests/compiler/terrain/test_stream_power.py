@@ -35,14 +35,7 @@ RIVERS = StreamPower(
 def hills(n: int = 65, size: float = 4000.0, seed: int = 1) -> tuple[Grid, np.ndarray]:
     grid = Grid((size, size), (n, n))
     noise = Multifractal(
-        key=seed,
-        amplitude_m=0.03 * size,
-        scale_m=0.5 * size,
-        octaves=7,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="fbm",
-        offset=0.9,
+        key=seed, amplitude_m=0.03 * size, scale_m=0.5 * size, octaves=7, variant="fbm", offset=0.9
     )
     return grid, noise.apply(grid, np.zeros((n, n)))[0]
 

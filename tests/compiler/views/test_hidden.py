@@ -46,16 +46,7 @@ def visible(field: HeightField, eye: np.ndarray, j: int, i: int) -> bool:
 @given(st.integers(0, 1000), st.floats(-18.0, 18.0), st.floats(-18.0, 18.0), st.floats(0.1, 6.0))
 def test_nothing_that_can_be_seen_counts_as_hidden(key, x, y, height):
     grid = Grid((40.0, 40.0), (161, 161))
-    relief = Multifractal(
-        key=key,
-        amplitude_m=4.0,
-        scale_m=14.0,
-        octaves=5,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="fbm",
-        offset=0.7,
-    )
+    relief = Multifractal(key=key, amplitude_m=4.0, scale_m=14.0, octaves=5, variant="fbm")
     field = HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0])
     ground = field.height_at(np.array([x]), np.array([y]))[0]
     eye = np.array([x, y, ground + height])
