@@ -21,7 +21,6 @@ from scenec.schemas.errors import SceneError
 from scenec.testing import overhangs
 from scenec.testing.small import small_cfg, write_cfg
 
-SIZE = (20.0, 16.0)
 BOX = "".join(f"v {x} {y} {z}\n" for x in (-1, 1) for y in (-1, 1) for z in (0, 2))
 SIDES = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 2 6 8 4\n"
 FLOOR = "f 1 3 7 5\n"

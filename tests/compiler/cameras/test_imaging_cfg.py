@@ -34,7 +34,6 @@ from scenec.schemas.imaging import Imaging
 from scenec.schemas.picture import develop
 from scenec.testing import small
 
-SENSOR = ("rigs", "rover", "sensors", "front")
 PATH = "rigs/rover/sensors/front/imaging"
 
 

@@ -261,7 +261,6 @@ def test_what_was_looked_at_is_there_once_all_objects_are_laid(tmp_path):
 @pytest.mark.parametrize(
     ("change", "pointer", "part"),
     [
-        ({"look": {"type": "object", "object": "rock"}}, "look/object", 'did you mean "rocks"'),
         ({"limits": {"min_distance_m": 5, "max_distance_m": 2}}, "limits/min_distance_m", "above"),
         ({"region_m": [[0, 0]]}, "region_m", "at least 2 items"),
         ({"tries": 0}, "tries", "at least 1"),

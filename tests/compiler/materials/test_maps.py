@@ -148,13 +148,11 @@ def test_compiling_twice_gives_the_same_bytes(out, tmp_path):
         ({"base_color": "nothing.png"}, "/materials/gravel/maps/base_color", "no file"),
         ({"base_color": "cfg.json"}, "/materials/gravel/maps/base_color", "not a readable picture"),
         ({"base_colour": "c.PNG"}, "/materials/gravel/maps/base_colour", 'mean "base_color"?'),
-        ({"size_m": 0}, "/materials/gravel/maps/size_m", "more than 0 m"),
         (
             {"normal_convention": "gl"},
             "/materials/gravel/maps/normal_convention",
             "opengl, directx",
         ),
-        ({"projection": "box"}, "/materials/gravel/maps/projection", "above, triplanar, uv"),
     ],
 )
 def test_what_is_wrong_with_maps_is_said_where_it_stands(tmp_path, change, pointer, message):

@@ -60,16 +60,8 @@ def test_the_stage_is_sound_and_lambert_is_not_written(batch):
 @pytest.mark.parametrize(
     ("law", "place"),
     [
-        ({"type": "minnaert"}, "reflectance/type"),
         ({"type": "hapke", "b": 1.0}, "reflectance/b"),
         ({"type": "hapke", "c": -1.1}, "reflectance/c"),
-        ({"type": "hapke", "opposition": -0.1}, "reflectance/opposition"),
-        ({"type": "hapke", "opposition_width": 0}, "reflectance/opposition_width"),
-        ({"type": "hapke", "roughness_deg": 90}, "reflectance/roughness_deg"),
-        ({"type": "lommel_seeliger", "roughness_deg": 10}, "reflectance"),
-        ({"type": "lambert", "b": 0.1}, "reflectance"),
-        ({}, "reflectance"),
-        ("hapke", "reflectance"),
     ],
 )
 def test_what_is_no_law_is_refused_where_it_stands(tmp_path, law, place):

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.scene.ground import Ground
-from scenec.schemas.errors import CfgError
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -57,23 +55,3 @@ def test_shades_move_neither_points_nor_labels(tmp_path):
     ):
         for key in ("points", "faces", "normals", "layer", "weights"):
             assert np.array_equal(getattr(bare, key), getattr(shaded, key)), key
-
-
-@pytest.mark.parametrize(
-    ("shade", "pointer", "words"),
-    [
-        ({"by": 3, "where": [{"type": "slope", "min_deg": 3}]}, "by", "at most 2"),
-        ({"by": 1, "where": []}, "where", "at least 1"),
-        ({"by": 1, "where": [{"type": "slope"}]}, "where/0", "no bounds"),
-        ({"by": 1, "where": [{"type": "path", "file": "no.csv", "max_m": 1}]}, "where/0/file",
-         "no file"),
-        ({"by": 1, "where": [{"type": "crater_freshness", "min": 0.5}]}, "where/0/type",
-         "no craters"),
-    ],
-)  # fmt: skip
-def test_faults_in_shades_are_found_in_the_cfg(tmp_path, shade, pointer, words):
-    with pytest.raises(CfgError) as caught:
-        ground(tmp_path, [shade])
-    (fault,) = caught.value.faults
-    assert fault.pointer == f"/terrain/shades/0/{pointer}"
-    assert words in fault.message

@@ -131,11 +131,6 @@ FLAT_MAPS = {"size_m": 1, "base_color": "c.png"}
     ("change", "pointer", "message"),
     [
         (
-            {"base_color": [1, 1, 1], "maps": {"size_m": 1}},
-            "/gravel/maps",
-            "expected one of base_color",
-        ),
-        (
             {"maps": {**FLAT_MAPS, "cells": {}, "projection": "triplanar"}},
             "/gravel/maps/cells",
             'is "triplanar"',
@@ -162,7 +157,6 @@ FLAT_MAPS = {"size_m": 1, "base_color": "c.png"}
             "/gravel/maps/gloss",
             "take one away",
         ),
-        ({"maps": {**FLAT_MAPS, "cells": {"size_m": 0}}}, "/gravel/maps/cells/size_m", "more than"),
         ({"maps": {**FLAT_MAPS, "far": {"factor": 0.5}}}, "/gravel/maps/far/factor", "at least 1"),
         ({"maps": {**FLAT_MAPS, "resolution": "low"}}, "/gravel/maps/resolution", "seen, as_is"),
         ({"base_color": [1, 1, 1], "emission": [1, 1]}, "/gravel/emission", "at least 3"),

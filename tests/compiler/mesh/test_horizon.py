@@ -174,9 +174,7 @@ def test_without_color_there_are_labels_alone(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "pointer", "said"),
     [
-        ({"relief": [HORIZON["relief"][1]]}, "/terrain/horizon/relief/0/type", "is the base"),
         ({"material": "hil"}, "/terrain/horizon/material", "hill"),
-        ({"labels": {"surface": "hil"}}, "/terrain/horizon/labels/surface", "hill"),
         ({"spacing_m": 0.1}, "/terrain/horizon/spacing_m", "expected a spacing of"),
         ({"blend_m": 0}, "/terrain/horizon/blend_m", "0"),
     ],

@@ -194,9 +194,6 @@ MASK = [{"type": "height", "min_m": 0}]
         ({"part": "attic"}, "/terrain/relief/0/file", "no part 'attic'; it has /shelter"),
         ({"file": "cave.obj"}, "/terrain/relief/0", 'the key "unit_m" is missing'),
         ({"file": "no.glb"}, "/terrain/relief/0/file", "no.glb"),
-        ({"up": "w"}, "/terrain/relief/0/up", "w"),
-        ({"unit_m": 0}, "/terrain/relief/0/unit_m", "0"),
-        ({"scale": -1}, "/terrain/relief/0/scale", "-1"),
     ],
 )
 def test_faults_of_a_mesh_base_are_found_in_the_cfg(tmp_path, change, pointer, words):

@@ -123,21 +123,8 @@ def test_a_coverage_that_cannot_be_reached_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("layer", "pointer", "words"),
     [
-        ({"where": []}, "where", "at least 1"),
-        ({"where": [{"type": "slope"}]}, "where/0", "no bounds"),
-        ({"where": [{"type": "slop", "min_deg": 1}]}, "where/0/type", "slope"),
         ({"where": [{"type": "height", "min_m": 3, "max_m": 1}]}, "where/0/min_m", "below"),
         ({"where": [{"type": "flow", "max_m2": -1}]}, "where/0/max_m2", "more than 0"),
-        ({"where": [{"type": "crater_freshness", "min": 2}]}, "where/0/min", "at most 1"),
-        ({"where": [{"type": "material", "material": "sand"}]}, "where/0/type", "slope"),
-        ({"where": [{"type": "path", "file": "pth.csv", "max_m": 1}]}, "where/0/file", "no file"),
-        (
-            {"where": [{"type": "height", "min_m": 0, "ragged": {"amplitude": 1}}]},
-            "where/0/ragged",
-            "scale_m",
-        ),
-        ({"noise": None, "coverage": 0.1, "where": [WHERE[0]]}, "coverage", "of the noise"),
-        ({"noise": None, "sharpness": 3, "where": [WHERE[0]]}, "sharpness", "of the noise"),
     ],
 )
 def test_faults_in_conditions_are_found_in_the_cfg(tmp_path, layer, pointer, words):

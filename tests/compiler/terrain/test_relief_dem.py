@@ -271,7 +271,6 @@ def test_a_cfg_can_leave_the_pixel_to_the_file_and_give_a_picture_s_range(tmp_pa
 @pytest.mark.parametrize(
     ("keys", "pointer", "words"),
     [
-        ({"file": "a.npy"}, "", '"pixel_m" is missing'),
         ({"file": "a.png", "pixel_m": 1}, "/file", "height_range_m"),
         ({"file": "a.npy", "pixel_m": 1, "height_range_m": [0, 1]}, "/file", "height_scale"),
         ({"file": "a.npy", "pixel_m": 1, "holes": "fil"}, "/holes", 'did you mean "fill"?'),
