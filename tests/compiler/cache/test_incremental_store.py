@@ -55,6 +55,11 @@ def _written(path: Path, text: str) -> None:
     path.write_text(text)
 
 
+@pytest.fixture(autouse=True)
+def _no_calls():
+    _calls.clear()
+
+
 def test_without_a_memo_steps_are_functions():
     x = np.arange(3.0)
     assert np.array_equal(_scaled(x)[0], 2.0 * x)

@@ -12,7 +12,6 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cameras.enclosed import require_open
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import load
-from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
@@ -293,10 +292,3 @@ def test_a_moving_object_counts_where_it_is_at_the_sample():
             require_open((plan,), (rig,), ground, (ring,), (100.0, 100.0))
         told = re.findall(r"sample (\d)[^;]* inside of object 3 of objects/ring", str(caught.value))
         assert list(map(int, told)) == samples
-
-
-def test_nothing_is_written_of_a_batch_whose_camera_is_below_the_ground(tmp_path):
-    file = write_cfg(tmp_path, on_a_plane(tmp_path, [(0, 0, -1.0)]))
-    with pytest.raises(SceneError):
-        compile_cfg(file, seed=1, out=tmp_path / "out")
-    assert not list((tmp_path / "out").glob("*"))

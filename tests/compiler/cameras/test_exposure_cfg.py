@@ -12,7 +12,6 @@ from pxr import Usd, UsdGeom
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
-from scenec.schemas.errors import CfgError
 from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -98,8 +97,3 @@ def test_all_frames_have_one_value_whatever_is_rendered_first(tmp_path: Path) ->
     frames = [*late.frames, *rest.frames, *other.frames]
     values = {json.loads(f.with_suffix(".json").read_bytes())["exposure_ev"] for f in frames}
     assert len(values) == 1
-
-
-def test_a_word_that_is_none_of_the_choices_is_said(tmp_path: Path) -> None:
-    with pytest.raises(CfgError, match=r"exposure/per.*sample"):
-        compiled(tmp_path, exposure={"type": "auto", "per": "smaple"})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -71,12 +70,6 @@ def exposed(plan: ImagingPlan, ev: list[float]) -> Sensor:
     rig_plan = RigPlan("rover", TrackPlan(eye[None], np.zeros(1)), (drawn_sensor,))
     rigs = expose((Rig("rover", eye[None], (sensor,)),), (rig_plan,))
     return rigs[0].sensors[0]
-
-
-def test_a_cfg_without_imaging_is_what_it_was(tmp_path: Path) -> None:
-    assert loaded(tmp_path, None) is None
-    spec = load(small.write_cfg(tmp_path, cfg(None)))
-    assert "imaging" not in json.dumps(spec.cfg, default=str)
 
 
 def test_an_empty_imaging_is_a_camera_with_all_its_noise(tmp_path: Path) -> None:

@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
 
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
-from scenec.compiler.emit.cameras import write_lens
 from scenec.compiler.geometry import lenses
-from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.lens import Lens, radial
 from scenec.testing.small import small_cfg, write_cfg
@@ -62,26 +59,6 @@ def test_a_fisheye_may_fold_beyond_its_image_circle_only(tmp_path: Path) -> None
     assert sensor.lens.max_angle == pytest.approx(math.radians(70), rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("sensor", "said"),
-    [
-        ({"fov_deg": 180}, "180"),
-        ({"fov_deg": 180, "lens": {"type": "brown_conrady"}}, "180"),
-        ({"lens": {"type": "kannala_brandt"}}, "fov_deg or the key intrinsics"),
-        ({"fov_deg": 361, "lens": {"type": "equirectangular"}}, "360"),
-        ({"fov_deg": 60, "lens": {"type": "fisheye"}}, "fisheye"),
-        ({"fov_deg": 60, "lens": {"type": "brown_conrady", "k7": 0.1}}, "k7"),
-        ({"fov_deg": 120, "lens": {"type": "brown_conrady", "k1": -0.4}}, "folds back"),
-        ({"fov_deg": 60, "lens": {"type": "equirectangular", "k1": 0.1}}, "k1"),
-    ],
-)
-def test_what_no_lens_can_be_is_one_message(
-    tmp_path: Path, sensor: dict[str, Any], said: str
-) -> None:
-    """At the lens or the field of view."""
-    assert said in faults_of(tmp_path, **sensor)
-
-
 def test_a_drawn_lens_that_folds_ends_in_one_message(tmp_path: Path) -> None:
     """Whatever of its law was sound: it is looked at once it is drawn."""
     law = {"type": "uniform", "min": -0.6, "max": -0.5}
@@ -108,16 +85,6 @@ def test_a_panorama_is_the_whole_sphere_unless_told(tmp_path: Path) -> None:
     assert whole.intrinsics[:2] == pytest.approx((640 / (2 * math.pi), 480 / math.pi), rel=1e-15)
     part = drawn(tmp_path, fov_deg=180, lens={"type": "equirectangular"})
     assert part.intrinsics[:2] == pytest.approx((640 / math.pi,) * 2, rel=1e-15)
-
-
-def test_what_a_lens_is_stands_on_the_camera() -> None:
-    """As a token and doubles; a pinhole has none of them."""
-    stage = Usd.Stage.CreateInMemory()
-    prim = UsdGeom.Camera.Define(stage, "/C").GetPrim()
-    write_lens(prim, Lens("kannala_brandt", (0.1, 0.2, 0.3, 0.4), 1.5))
-    assert prim.GetAttribute(names.ATTR_LENS_MODEL).Get() == "kannala_brandt"
-    assert list(prim.GetAttribute(names.ATTR_LENS_COEFFICIENTS).Get()) == [0.1, 0.2, 0.3, 0.4]
-    assert prim.GetAttribute(names.ATTR_LENS_MAX_ANGLE).Get() == 1.5
 
 
 def test_a_survey_overlaps_by_what_the_lens_sees(tmp_path: Path) -> None:

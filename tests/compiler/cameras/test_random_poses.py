@@ -20,7 +20,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw import draw
-from scenec.schemas.errors import CfgError, SceneError
+from scenec.schemas.errors import SceneError
 from scenec.testing.small import small_cfg, write_cfg
 
 FREE = Limits()
@@ -256,21 +256,6 @@ def test_what_was_looked_at_is_there_once_all_objects_are_laid(tmp_path):
             to = (middles - pose[:3, 3]) / away[:, None]
             # Positions are stored in float32.
             assert np.linalg.norm(to - pose[:3, 2], axis=1).min() < 1e-6
-
-
-@pytest.mark.parametrize(
-    ("change", "pointer", "part"),
-    [
-        ({"limits": {"min_distance_m": 5, "max_distance_m": 2}}, "limits/min_distance_m", "above"),
-        ({"region_m": [[0, 0]]}, "region_m", "at least 2 items"),
-        ({"tries": 0}, "tries", "at least 1"),
-    ],
-)
-def test_faults_of_poses_are_told_when_the_cfg_is_loaded(tmp_path, change, pointer, part):
-    with pytest.raises(CfgError) as caught:
-        load(write_cfg(tmp_path, moving(random=POSES["random"] | change)))
-    assert [fault.pointer for fault in caught.value.faults] == [f"/rigs/random/pose/{pointer}"]
-    assert part in caught.value.faults[0].message
 
 
 @pytest.mark.invariant

@@ -53,12 +53,6 @@ def drawn(folder: Path, document: dict[str, Any], batch: int = 0) -> SensorPlan:
 # What is drawn, and what is refused --------------------------------------------------------------
 
 
-def test_a_cfg_without_a_shutter_is_what_it_was(tmp_path: Path) -> None:
-    spec = load(small.write_cfg(tmp_path, cfg(None)))
-    assert "shutter" not in json.dumps(spec.cfg, default=str)
-    assert drawn(tmp_path, cfg(None)).shutter is None
-
-
 def test_the_exposure_is_that_of_a_manual_imaging(tmp_path: Path) -> None:
     """Of each sample, where the shutter says none; its own goes before."""
     time = {"type": "log_uniform", "min": 1e-3, "max": 1e-1}

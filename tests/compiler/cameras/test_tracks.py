@@ -205,11 +205,3 @@ def test_keys_that_do_not_go_together_are_told(tmp_path, pose, pointer, part):
         planned(tmp_path, 3, file="t.csv", **pose)
     assert [fault.pointer for fault in caught.value.faults] == [f"/rigs/rover/pose{pointer}"]
     assert part in caught.value.faults[0].message
-
-
-def test_a_cfg_that_asks_for_nothing_new_has_the_digest_it_had(tmp_path):
-    np.savetxt(tmp_path / "t.csv", [[t, 0, 0, 1, 1, 0, 0, 0] for t in range(4)], "%g", ",")
-    cfg = small_cfg()
-    cfg["rigs"]["rover"]["pose"] = {"type": "track", "file": "t.csv"}
-    spec = load(write_cfg(tmp_path, cfg))
-    assert list(spec.cfg["rigs"]["rover"]["pose"]) == ["type", "file", "convention"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from small_cfg import changed, faults_of, load_cfg
+from small_cfg import changed, faults_of
 
 _RIG = {"type": "rig", "rig": "rover"}
 _WORLD = {"type": "world", "x_m": 1, "y_m": 2}
@@ -74,12 +74,3 @@ def test_a_fault_of_lamps_and_further_suns_is_told_where_it_is(tmp_path, change,
 def test_off_the_terrain_a_lamp_has_its_height_over_zero(tmp_path):
     far = {**_WORLD, "x_m": 500, "heights": "world", "target": {"x_m": -500, "y_m": 0}}
     assert not faults_of(changed({"/light/lamps": {"a": lamp(far)}}), tmp_path)
-
-
-def test_lamps_and_further_suns_are_filled_in(tmp_path):
-    change = {"/light/lamps": {"a": lamp(_RIG)}, "/light/more": {"e": {"type": "earthshine"}}}
-    light = load_cfg(changed(change), tmp_path).cfg["light"]
-    assert light["lamps"]["a"]["mount"]["position_m"] == [0.0, 0.0, 0.0]
-    assert light["lamps"]["a"]["cone_deg"] == 30.0
-    assert light["more"]["e"]["diameter_deg"] == 1.9
-    assert load_cfg(changed({}), tmp_path).cfg["light"]["lamps"] == {}

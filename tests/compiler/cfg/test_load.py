@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_cfg import DELETE, changed, faults_of, load_cfg, minimal
+from small_cfg import changed, faults_of, load_cfg, minimal
 
 from scenec.compiler.cfg.load import load
-from scenec.compiler.distributions.numbers import Distribution
 
 _ROOT = Path(__file__).parents[3]
 
@@ -27,24 +26,6 @@ def test_the_cfgs_of_the_repository_load(file):
     spec = load(file)
     assert spec.cfg["name"]
     assert all(entry.path.is_file() for entry in spec.files.values())
-
-
-def test_defaults_are_filled_in_at_every_depth(tmp_path):
-    cfg = load_cfg(changed({"/light": DELETE, "/labels/class/sky": DELETE}), tmp_path).cfg
-    assert (cfg["batches"], cfg["samples"]) == (1, 1)
-    assert cfg["light"]["sun"]["irradiance"] == 1000.0
-    assert cfg["light"]["sun"]["color"] == [1.0, 0.94, 0.86]
-    assert cfg["light"]["sky"]["type"] == "clear"
-    assert cfg["light"]["sky"]["labels"] == {}
-    embed = Distribution("uniform", "instance", False, 0.1, 0.4)
-    assert cfg["objects"]["rocks"]["embed"] == embed
-    sensor = cfg["rigs"]["rover"]["sensors"]["front"]
-    assert sensor["mount"] == {"position_m": [0.0] * 3, "rotation_deg": [0.0] * 3}
-    assert sensor["intrinsics"] is None
-    assert sensor["outputs"] == cfg["outputs"] == ["rgb", "label", "instance", "depth"]
-    assert cfg["terrain"]["relief"] == [
-        {"type": "plane", "height_m": 0.0, "slope": [0.0, 0.0], "mask": None}
-    ]
 
 
 def test_no_sun_and_no_offset_stay_null(tmp_path):

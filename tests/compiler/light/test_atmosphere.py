@@ -300,12 +300,6 @@ def test_what_is_left_out_of_the_sun_is_the_planets(tmp_path, planet):
     assert {key: filled["sun"][key] for key in own} == own
 
 
-def test_another_skys_sun_keeps_its_defaults(tmp_path):
-    filled, _ = lit(tmp_path, {"sky": {"type": "clear"}})
-    assert filled["sun"]["irradiance"] == 1000.0
-    assert filled["sun"]["color"] == [1.0, 0.94, 0.86]
-
-
 def test_the_stages_sun_is_what_the_air_leaves_and_exposures_are_metered_with_it(tmp_path):
     sky = {"resolution": 32}
     _, light = lit(tmp_path, {"sky": sky, "sun": {"elevation_deg": 30, "color": [0.5, 1, 1]}})

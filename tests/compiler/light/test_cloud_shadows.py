@@ -219,14 +219,3 @@ def test_a_stage_tells_which_places_lie_in_shadow(tmp_path, elevation):
     found = passed(one, places)
     assert 0.05 < beams.mean() < 0.95
     assert np.corrcoef(found, beams)[0, 1] > 0.97
-
-
-def test_a_cfg_without_clouds_has_no_filter(tmp_path):
-    cfg = small_cfg()
-    cfg |= {"samples": 1, "outputs": ["rgb"]}
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps(cfg))
-    compile_cfg(path, seed=3, out=tmp_path / "out")
-    scene = read_stage(tmp_path / "out" / "batch_0000" / "stage.usda")
-    assert scene.lighting[0].suns[0].gobo is None
-    assert not list((tmp_path / "out").rglob("clouds_*.png"))

@@ -321,15 +321,3 @@ def test_the_stage_holds_what_shines_and_says_what_was_left_out(night):
     assert earth.diameter_rad == pytest.approx(np.radians(1.9))
     assert earth.irradiance[2] > earth.irradiance[1] > earth.irradiance[0]
     assert not check_stage(path)
-
-
-def test_without_rgb_there_are_no_lamps(tmp_path):
-    cfg = small_cfg(objects={}, outputs=["depth"], samples=1)
-    del cfg["materials"]["stone"], cfg["labels"]["class"]["rock"]
-    del cfg["labels"]["surface"]["stone"]
-    cfg["terrain"]["spacing_m"] = 2
-    cfg["light"]["lamps"] = {
-        "Head": {"mount": {"type": "rig", "rig": "rover"}, "intensity": 1},
-    }
-    compile_cfg(write_cfg(tmp_path, cfg), seed=2, out=tmp_path / "out")
-    assert not (tmp_path / "out/batch_0000/lights.usdc").exists()

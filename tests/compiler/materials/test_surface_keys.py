@@ -13,10 +13,7 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
-from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw import draw
-from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import CfgError
 from scenec.testing.small import small_cfg, write_cfg
@@ -56,20 +53,6 @@ def folder(tmp_path) -> Path:
         codes = rng.integers(0, 255, shape).astype(np.uint8)
         Image.fromarray(codes).save(tmp_path / f"{name}.png")
     return tmp_path
-
-
-@pytest.mark.parametrize("kind", sorted(CHOICES["surface"].kinds))
-def test_a_surface_has_the_numbers_that_its_keys_say(tmp_path, kind):
-    cfg = keyed_cfg()
-    cfg["materials"]["sand"]["maps"] = {"procedural": {"type": kind}}
-    cfg["materials"]["gravel"].pop("maps")
-    del cfg["terrain"]["ground"][1]["height_blend"]
-    spec = load(write_cfg(tmp_path, cfg))
-    surface = draw(spec, 1, 0).materials["sand"].procedural
-    assert type(surface) is kind_of("surface", kind)
-    given = resolve(spec.cfg["materials"]["sand"]["maps"]["procedural"], Streams(1, 0), "x")
-    constant = {k: v for k, v in given.items() if isinstance(v, (int, float, str)) and k != "type"}
-    assert constant == {key: getattr(surface, key) for key in constant}
 
 
 def test_keys_reach_the_renderers(folder):

@@ -17,7 +17,6 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.kinds.schema import describe, load_schemas
 from scenec.compiler.kinds.table import CHOICES, kind_of
 from scenec.compiler.materials import periodic
 from scenec.compiler.materials.grounds import Sand
@@ -326,21 +325,6 @@ def test_all_kinds_have_the_same_bytes_in_all_circumstances_at_once(reference, t
     assert hashes(tmp_path / "out") == hashes(reference)
 
 
-@pytest.mark.parametrize(
-    ("change", "pointer", "message"),
-    [
-        ({"procedural": {"type": "granit"}}, "/procedural/type", 'did you mean "granite"?'),
-    ],
-)
-def test_what_is_wrong_is_said_where_it_stands(tmp_path, change, pointer, message):
-    cfg = procedural_cfg()
-    cfg["materials"]["sand"]["maps"] |= change
-    with pytest.raises(CfgError) as caught:
-        compile_cfg(write_cfg(tmp_path, cfg), seed=0, out=tmp_path / "out")
-    assert [f.pointer for f in caught.value.faults] == [f"/materials/sand/maps{pointer}"]
-    assert message in caught.value.faults[0].message
-
-
 def test_a_procedural_surface_needs_a_color_and_lies_in_the_world(tmp_path):
     cfg = procedural_cfg()
     del cfg["materials"]["sand"]["base_color"]
@@ -351,12 +335,3 @@ def test_a_procedural_surface_needs_a_color_and_lies_in_the_world(tmp_path):
     told = {f.pointer: f.message for f in caught.value.faults}
     assert "expected the key base_color" in told["/materials/sand"]
     assert "lie in the world" in told["/materials/stone/maps/procedural"]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_schema_of_a_kind_has_its_fields_and_its_size(kind):
-    name = f"#/$defs/surface_{kind}"
-    schema = load_schemas()[name]
-    assert schema["properties"].keys() - {"type"} == vars(surface(kind)).keys() - {"key"}
-    assert f"is {kind_of('surface', kind).SIZE_M:g} m." in schema["description"]
-    assert describe({"$ref": "#/$defs/surface"}, {"type": kind}).keywords["title"]

@@ -16,10 +16,8 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere
 from scenec.compiler.geometry.normals import faces_of_vertices
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import own_keys
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.objects.creases import along_creases
-from scenec.compiler.objects.families.rocks import Rocks, family_of
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.lod import budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.plan import ScatterPlan
@@ -456,14 +454,6 @@ def test_a_size_that_is_drawn_once_a_batch_is_that_of_every_rock():
     assert len(set(alike)) == 1
     assert len(set(each)) == len(each)
     assert alike[0] == each[0]
-
-
-@pytest.mark.parametrize("key", ["elongation", "flatness", "wear"])
-def test_what_a_family_has_where_the_cfg_says_nothing_is_what_its_key_says_of_it(key):
-    said = own_keys(Rocks)[key][0]["description"]
-    for family in FAMILIES:
-        usual = f"{family} {getattr(family_of(family).USUAL, key):g}"
-        assert (usual in said) == (key != "wear" or family != "weathered")
 
 
 def test_slabs_lie_unless_told_otherwise():

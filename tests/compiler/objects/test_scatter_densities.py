@@ -10,8 +10,6 @@ from laying import laid, plan, surroundings
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from scenec.compiler.distributions.streams import Streams
-from scenec.compiler.kinds.context import InputFile
 from scenec.compiler.objects.density import (
     AroundDensity,
     ClusterDensity,
@@ -263,13 +261,3 @@ def test_a_density_that_is_nowhere_is_refused():
 def test_too_many_parents_are_refused_with_their_number():
     with pytest.raises(SceneError, match=r"objects/rocks/density: .* parents are expected"):
         plan(count=1, density={"type": "clusters", "sigma_m": 1e6, "parents_per_m2": 1.0})
-
-
-def test_files_of_densities_come_from_the_cfg(tmp_path):
-    files = {"objects/rocks/density/file": InputFile(path_file(tmp_path), "")}
-    density = {"type": "path", "file": "path.csv", "width_m": 1}
-    drawn = plan(count=1, density=density, files=files)
-    assert drawn.density == PathDensity(
-        file=tmp_path / "path.csv", law="gaussian", width_m=1.0, offset_m=0.0, background=0.0
-    )
-    assert Streams(1, 0).key("objects/rocks/density") != 0

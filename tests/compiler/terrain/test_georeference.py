@@ -13,7 +13,6 @@ from scenec.backends.check.stage import check_stage
 from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
-from scenec.schemas.errors import CfgError
 from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
@@ -102,8 +101,3 @@ def test_without_a_place_there_is_nothing(tmp_path):
     stage = Usd.Stage.Open(str(batch / "stage.usda"))
     root = stage.GetDefaultPrim()
     assert not [name for name in root.GetPropertyNames() if "georeference" in name]
-
-
-def test_a_place_that_is_no_number_is_refused(tmp_path):
-    with pytest.raises(CfgError, match=r"dem\.tif: .*transform"):
-        compiled(tmp_path / "scene", (np.nan, 0.0))

@@ -429,17 +429,6 @@ def test_a_coverage_beyond_the_conditions_is_refused_with_what_can_be_reached():
     assert (laid.side(x, y) >= 0.0).mean() == pytest.approx(40 / 81)
 
 
-def test_a_merge_that_is_not_laid_says_so():
-    with pytest.raises(ValueError, match="laid"):
-        where(Interval(Height(), 0.0, None, 1.0)).side(np.zeros(1), np.zeros(1))
-
-
-def test_a_merge_without_conditions_is_what_it_was():
-    x, y = GRID.points()
-    for merge in MERGES:
-        assert np.array_equal(merge.side(x, y), merge.noise(x, y) - merge.level())
-
-
 # Masks by material.
 
 

@@ -191,14 +191,6 @@ def test_at_its_border_no_pixels_of_a_dem_are_large_enough(tmp_path):
         apply(dem, Grid.with_spacing((8.0, 8.0), 1.0))
 
 
-@pytest.mark.parametrize("content", [b"", b"not a DEM", b"PK\x03\x04broken"])
-@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.tif", "a.bin"])
-def test_a_file_that_is_no_dem_is_named(tmp_path, name, content):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(SceneError, match=name):
-        apply(replace(DEM, file=tmp_path / name), Grid.with_spacing((8.0, 8.0), 1.0))
-
-
 @pytest.mark.parametrize("variant", ["fbm", "hetero", "ridged"])
 def test_relief_scales_with_its_amplitude_and_is_about_centered(variant):
     grid = Grid.with_spacing((400.0, 400.0), 2.0)

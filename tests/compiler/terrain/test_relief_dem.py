@@ -67,26 +67,6 @@ def test_a_geotiff_s_scale_offset_and_nodata_hold_for_every_kind_of_number(tmp_p
     assert np.allclose(dem.values[~dem.holes], samples[~dem.holes] * 0.25 - 3.0, rtol=0, atol=1e-12)
 
 
-def test_a_place_on_a_planet_is_reported_and_moves_no_bit_of_the_heights(tmp_path):
-    reports, heights = [], []
-    for i, origin in enumerate([(3.0, 5.0), (1e7, -1e7), (123456.7, 9876543.2)]):
-        path = write_geotiff(tmp_path / f"{i}.tif", field(), origin=origin)
-        out, report = replace(DEM, file=path, center=(0.4, 0.6)).apply(GRID, np.zeros(GRID.shape))
-        heights.append(out)
-        reports.append(report["georeference"])
-        # The terrain's center: 0.4 * 50 columns to the east, 0.4 * 40 rows to the south.
-        assert report["georeference"]["center"] == pytest.approx([origin[0] + 20, origin[1] - 16])
-    assert np.array_equal(heights[0], heights[1])
-    assert np.array_equal(heights[0], heights[2])
-    assert {r["crs"] for r in reports} == {"EPSG:32617"}
-    np.save(tmp_path / "a.npy", field())
-    out, report = replace(DEM, file=tmp_path / "a.npy", center=(0.4, 0.6)).apply(
-        GRID, np.zeros(GRID.shape)
-    )
-    assert "georeference" not in report
-    assert np.array_equal(out, heights[0])
-
-
 def test_the_pixel_of_a_geotiff_in_meters_is_the_default(tmp_path):
     for origin in ((3.0, 5.0), (1e7, 1e7)):
         path = write_geotiff(tmp_path / "a.tif", field(), pixel=0.7, origin=origin)
@@ -99,15 +79,6 @@ def test_the_pixel_of_a_geotiff_in_meters_is_the_default(tmp_path):
     feet = write_geotiff(tmp_path / "c.tif", field(), crs="EPSG:2225", pixel=3.0)
     survey = pytest.approx(3.0 * 1200 / 3937, rel=1e-12)
     assert read_dem(feet, unit_m=1.0).reference.pixel_m() == (survey, survey)
-
-
-def test_a_file_whose_rows_run_north_is_not_laid_upside_down(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", field(), crs="EPSG:32617")
-    with rasterio.open(path, "r+") as file:
-        file.transform = rasterio.Affine(1.0, 0.0, 500.0, 0.0, 1.0, 700.0)
-    with pytest.raises(SceneError, match='"first_row": "south"'):
-        apply(replace(DEM, file=path))
-    assert apply(replace(DEM, file=path, first_row="south")).shape == GRID.shape
 
 
 @pytest.mark.parametrize(("bits", "kind"), [(8, "png"), (16, "png"), (8, "bmp"), (8, "jpg")])
