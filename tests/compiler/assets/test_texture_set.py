@@ -22,90 +22,45 @@ from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 from scenec.testing.small import small_cfg, write_cfg
 
+#: A pattern of names, and for each kind the word in it; of "" is what is not used.
 SCHEMES = {
     "ambientCG": (
         "Rock035_2K-JPG_{}.jpg",
-        {
-            "base_color": "Color",
-            "normal": "NormalGL",
-            "": "NormalDX",
-            "roughness": "Roughness",
-            "ambient_occlusion": "AmbientOcclusion",
-            "displacement": "Displacement",
-            "metallic": "Metalness",
-            "emission": "Emission",
-        },
+        "base_color=Color normal=NormalGL =NormalDX roughness=Roughness "
+        "ambient_occlusion=AmbientOcclusion displacement=Displacement metallic=Metalness "
+        "emission=Emission",
     ),
     "Poly Haven": (
         "metal_plate_02_{}_1k.png",
-        {
-            "base_color": "diff",
-            "normal": "nor_gl",
-            "": "nor_dx",
-            "roughness": "rough",
-            "ambient_occlusion": "ao",
-            "displacement": "disp",
-            "metallic": "metal",
-        },
+        "base_color=diff normal=nor_gl =nor_dx roughness=rough ambient_occlusion=ao "
+        "displacement=disp metallic=metal",
     ),
-    "Poly Haven, packed": (
-        "rocky_trail_{}_4k.jpg",
-        {"base_color": "diff", "normal": "nor_gl", "packed": "arm"},
-    ),
+    "Poly Haven, packed": ("rocky_trail_{}_4k.jpg", "base_color=diff normal=nor_gl packed=arm"),
     "cgbookcase": (
         "Ground12_2K_{}.png",
-        {
-            "base_color": "BaseColor",
-            "normal": "Normal",
-            "roughness": "Roughness",
-            "ambient_occlusion": "AO",
-            "displacement": "Height",
-            "metallic": "Metallic",
-        },
+        "base_color=BaseColor normal=Normal roughness=Roughness ambient_occlusion=AO "
+        "displacement=Height metallic=Metallic",
     ),
     "3dtextures": (
         "Stylized_Rocks_002_{}.jpg",
-        {
-            "base_color": "basecolor",
-            "normal": "normal",
-            "roughness": "roughness",
-            "ambient_occlusion": "ambientOcclusion",
-            "displacement": "height",
-        },
+        "base_color=basecolor normal=normal roughness=roughness "
+        "ambient_occlusion=ambientOcclusion displacement=height",
     ),
     "textures.com": (
         "TexturesCom_Ground_Soil_2x2_1K_{}.tif",
-        {
-            "base_color": "albedo",
-            "normal": "normal",
-            "roughness": "roughness",
-            "ambient_occlusion": "ao",
-            "displacement": "height",
-        },
+        "base_color=albedo normal=normal roughness=roughness ambient_occlusion=ao "
+        "displacement=height",
     ),
     "Quixel": (
         "vlkhcbxia_4K_{}.jpg",
-        {
-            "base_color": "Albedo",
-            "normal": "Normal",
-            "gloss": "Gloss",
-            "ambient_occlusion": "AO",
-            "displacement": "Displacement",
-            "": "Specular",
-        },
+        "base_color=Albedo normal=Normal gloss=Gloss ambient_occlusion=AO "
+        "displacement=Displacement =Specular",
     ),
     "Poliigon, as OAISYS reads it": (
         "GroundForest003_{}_3K.jpg",
-        {
-            "base_color": "COL_VAR1",
-            "normal": "NRM",
-            "gloss": "GLOSS",
-            "": "REFL",
-            "ambient_occlusion": "AO",
-            "displacement": "DISP",
-        },
+        "base_color=COL_VAR1 normal=NRM gloss=GLOSS =REFL ambient_occlusion=AO displacement=DISP",
     ),
-    "plain": ("{}.png", {"base_color": "diffuse", "normal": "nor", "emission": "EMISSIVE"}),
+    "plain": ("{}.png", "base_color=diffuse normal=nor emission=EMISSIVE"),
 }
 
 
@@ -113,7 +68,8 @@ SCHEMES = {
 @pytest.mark.parametrize("change", [str, str.lower, str.upper])
 def test_naming_schemes_are_understood_in_any_case(scheme, change):
     pattern, words = SCHEMES[scheme]
-    expected = {kind: change(pattern.format(word)) for kind, word in words.items()}
+    pairs = (pair.split("=") for pair in words.split())
+    expected = {kind: change(pattern.format(word)) for kind, word in pairs}
     found = recognize([*expected.values(), "preview.png", "Rock_thumbnail.jpg", "set.usda"])
     other = expected.pop("", None)
     assert found.files == expected

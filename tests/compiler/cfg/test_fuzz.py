@@ -46,22 +46,10 @@ def _paths(value, path=()):
 
 
 _PATHS = [path for path in _paths(_FULL) if path]
-_WORDS = st.sampled_from(
-    [
-        "uniform",
-        "normal",
-        "batch",
-        "sand",
-        "class",
-        "x\n",
-        "",
-        "é",
-        "package:sys/x",
-        ".",
-        "\0",
-        "~/",
-    ]
-) | st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
+_PLAIN = "uniform normal batch sand class package:sys/x . ~/"
+_WORDS = st.sampled_from(["x\n", "", "é", "\x00", *_PLAIN.split()]) | st.text(
+    st.characters(exclude_categories=["Cs"]), max_size=5
+)
 _LEAVES = (
     st.none()
     | st.booleans()

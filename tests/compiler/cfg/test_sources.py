@@ -278,24 +278,8 @@ def test_a_faulty_setting_is_told_as_it_was_given(tmp_path, setting, where, part
     assert part in fault
 
 
-_WORDS = st.sampled_from(
-    [
-        "terrain",
-        "spacing_m",
-        "relief",
-        "0",
-        "ground",
-        "labels",
-        "objects",
-        "rocks",
-        "size_m",
-        "light",
-        "sun",
-        "sky",
-        "type",
-        "x",
-    ]
-)
+_KEYS = "terrain spacing_m relief 0 ground labels objects rocks size_m light sun sky type x"
+_WORDS = st.sampled_from(_KEYS.split())
 _PATHS = st.lists(_WORDS, min_size=1, max_size=5).map(".".join) | st.text(".[]0ax=", max_size=6)
 _VALUES = st.sampled_from(
     ["null", "1", "x", "{}", "[]", "[1", '{"type": "none"}', "true", "1e400", "", "\ud800", "//"]
