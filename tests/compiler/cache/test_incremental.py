@@ -247,35 +247,6 @@ def test_a_cache_deleted_on_the_way_changes_nothing(place, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_cache_that_cannot_be_is_said_once(place, tmp_path):
-    (tmp_path / "file").write_text("no folder")
-    said: list[str] = []
-
-    def tell(text: str, _place: tuple[int, int] | None) -> None:
-        said.append(text)
-
-    _, found = place.compiled(_cfg(), tmp_path / "file" / "cache", progress=tell)
-    assert found == place.scratch(_cfg())
-    assert len([line for line in said if "cache" in line]) == 1
-
-
-@pytest.mark.skipif(os.name == "nt", reason="modes say nothing there")
-def test_a_folder_of_others_is_left_alone_and_said_once(place, tmp_path):
-    (tmp_path / "cache").mkdir()
-    (tmp_path / "cache").chmod(0o777)
-    said: list[str] = []
-
-    def tell(text: str, _place: tuple[int, int] | None) -> None:
-        said.append(text)
-
-    cfg = _cfg() | {"batches": 2}
-    report, _ = place.compiled(cfg, tmp_path / "cache", progress=tell)
-    assert report.made == report.taken == {}
-    assert not list((tmp_path / "cache").iterdir())
-    assert ["others can write to it" in line for line in said if "cache" in line] == [True]
-
-
-@pytest.mark.slow
 def test_a_bound_is_kept(place, tmp_path, monkeypatch):
     monkeypatch.setenv("SCENEC_CACHE_MAX", "100000")
     _, found = place.compiled(_cfg(), tmp_path / "cache")

@@ -218,12 +218,6 @@ def test_a_mesh_later_in_the_program_becomes_heights_and_may_have_a_mask(tmp_pat
     assert np.ptp(field.height) > 4.0
 
 
-def test_a_broken_mesh_is_a_fault_at_its_file(tmp_path):
-    (tmp_path / "cave.glb").write_bytes(b"glTF and no more")
-    with pytest.raises(CfgError, match=r"/terrain/relief/0/file: cave\.glb: not a binary glTF"):
-        load(mesh_cfg(tmp_path))
-
-
 def test_keys_of_the_formats_are_those_that_a_cfg_must_give(tmp_path):
     for suffix in ("obj", "ply", "usda"):
         write(tmp_path / f"a.{suffix}", *shelter(8))
