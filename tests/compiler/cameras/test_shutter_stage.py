@@ -18,9 +18,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera
-from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.shutters import codes_at
-from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
@@ -53,15 +51,6 @@ def front(stage: Path, sample: int = 1, index: int = 0) -> Camera:
 
 def test_cameras_come_back_as_they_move(output: Path, stage: Path) -> None:
     """Shutter, times and poses: those of the orbit, to rounding; that of the sample to the bit."""
-    orbit = Orbit(
-        center=PointAim(height_m=0.5),
-        radius_m=5.0,
-        height_m=1.5,
-        sweep_deg=60.0,
-        period_s=6.0,
-        clearance_m=0.1,
-        sampling=Sampling(),
-    )
     report = json.loads((output / "batch_0000" / "report.json").read_text())
     said = report["motion"]["rover"]["shutter"]
     for index, (name, shutter) in enumerate(
@@ -84,7 +73,6 @@ def test_cameras_come_back_as_they_move(output: Path, stage: Path) -> None:
             expected = np.radians(60.0) * np.clip(0.5 + held.times, 0.0, 1.0)
             assert np.abs(angle - expected).max() < 1e-12
             assert np.abs(np.linalg.norm(held.camera_to_world[:, :2, 3], axis=1) - 5.0).max() < 1e-9
-    assert orbit.sweep_deg == 60.0
 
 
 def test_viewers_see_the_same_poses_at_fractional_time_codes(stage: Path) -> None:

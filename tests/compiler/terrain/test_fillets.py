@@ -280,27 +280,20 @@ def test_bytes_do_not_depend_on_threads_or_the_cpu_s_extras():
     assert digest_elsewhere("test_fillets") == digest()
 
 
-def test_on_a_mesh_there_are_none_and_the_report_says_so(tmp_path):
-    write(tmp_path / "cave.ply", *shelter(8))
-    cfg = small_cfg()
-    cfg["terrain"] |= {"size_m": [20, 20], "spacing_m": 0.4}
-    cfg["terrain"]["relief"] = [{"type": "mesh", "file": "cave.ply", "unit_m": 1, "up": "z"}]
-    cfg["objects"]["rocks"] |= {"count": 10, "fillet": {}}
-    log = BuildLog()
-    build(draw(load(write_cfg(tmp_path, cfg)), 3, 0), log)
-    assert log.facts["objects"]["rocks"]["fillets"] == 0
-    what = [(e["what"], e["why"]) for e in log.facts["left_out"] if "fillet" in e["what"]]
-    assert what == [("objects/rocks: fillet", "the terrain is a mesh")]
-
-
-def test_on_a_plain_grid_there_are_none_and_the_report_says_so(tmp_path):
+@pytest.mark.parametrize("why", ["the terrain is a mesh", "the mesh is the plain grid"])
+def test_on_a_mesh_and_on_a_plain_grid_there_are_none_and_the_report_says_so(tmp_path, why):
     cfg = _cfg()
     cfg["terrain"]["mesh"] = {"tolerance_px": 0}
+    if "terrain" in why:
+        write(tmp_path / "cave.ply", *shelter(8))
+        base = {"type": "mesh", "file": "cave.ply", "unit_m": 1, "up": "z"}
+        cfg["terrain"] |= {"size_m": [20, 20], "spacing_m": 0.4, "relief": [base], "mesh": {}}
+        cfg["objects"]["rocks"]["count"] = 10
     log = BuildLog()
     build(draw(load(write_cfg(tmp_path, cfg)), 3, 0), log)
     assert log.facts["objects"]["rocks"]["fillets"] == 0
     what = [(e["what"], e["why"]) for e in log.facts["left_out"] if "fillet" in e["what"]]
-    assert what == [("objects/rocks: fillet", "the mesh is the plain grid")]
+    assert what == [("objects/rocks: fillet", why)]
 
 
 def test_ladders_are_of_the_ground_that_is_meshed(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from test_ground import MERGES, relief, welded
+from test_ground import MERGES, assert_sound, plan_area, relief, welded
 
 from scenec.compiler.mesh.cover import MaterialCondition, _laid, lay
 from scenec.compiler.mesh.merge import Merge, label_index
@@ -44,25 +44,6 @@ def built(field: HeightField, *merges: Merge, coverage=None):
     tiles, report = build_tiles(Surface(field, laid, smooth=False), 1)
     points, faces = welded(tiles)
     return laid, points, faces, np.concatenate([t.layer for t in tiles]), report
-
-
-def plan_area(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (points[faces[:, i], :2] for i in range(3))
-    u, v = b - a, c - a
-    return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-
-
-def assert_sound(points: np.ndarray, faces: np.ndarray, size: tuple[float, float]) -> None:
-    """No crack, no T-junction, nothing folded, nothing lost."""
-    area = plan_area(points, faces)
-    assert area.min() > 0.0
-    assert area.sum() == pytest.approx(size[0] * size[1], rel=1e-6)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    unique, uses = np.unique(edges, axis=0, return_counts=True)
-    assert uses.max() == 2
-    once = points[unique[uses == 1]][:, :, :2]
-    border = np.abs(np.abs(once) - 0.5 * np.array(size)) < 1e-6 * max(size)
-    assert border.all(axis=1).any(axis=1).all()
 
 
 # Lines where analysis says.
