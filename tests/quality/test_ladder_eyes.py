@@ -125,7 +125,6 @@ def test_the_horizon_of_a_level_eye_lies_as_far_down_as_its_lens_shows_it(
     """Ground 2 m below the eye that ends, or is left, at the last place along each bearing."""
     eyes = one(NORTH, 2.0, sensor(lens, focal))
     lines = skylines(flat(), eyes)
-    assert lines is not None
     across = (np.arange(lines.x.shape[1]) + 0.5) / lines.x.shape[1] * 200.0 - 100.0
     rows = horizons(lines, eyes, np.zeros(lines.x.shape))[0]
     dip = 2.0 / lines.away[0, :, -1]
@@ -149,7 +148,6 @@ def test_the_horizon_of_a_level_eye_lies_as_far_down_as_its_lens_shows_it(
 def test_ground_that_is_nowhere_has_no_horizon(lens: Lens | None) -> None:
     eyes = one(NORTH, 2.0, sensor(lens, 30.0))
     lines = skylines(flat(), eyes)
-    assert lines is not None
     assert np.isnan(horizons(lines, eyes, np.full(lines.x.shape, np.nan))).all()
 
 
@@ -159,7 +157,6 @@ def test_lidars_have_no_horizon_and_eyes_are_in_the_order_of_views() -> None:
     assert np.array_equal([eye.pose[:, 3] for eye in eyes], views_of(rigs).eye)
     assert np.array_equal([eye.pose[:, 2] for eye in eyes], views_of(rigs).axis)
     lines = skylines(flat(), eyes)
-    assert lines is not None
     assert lines.eye.tolist() == [0, 1]
     assert skylines(flat(), eyes[2:]) is None
     u, v = points.square(100)

@@ -81,7 +81,6 @@ def test_pictures_are_as_small_as_the_cameras_with_color_let_them_be(tmp_path: P
     spec = load(write_cfg(tmp_path, cfg))
     scene = build(draw(spec, SEED, 0), BuildLog())
     maps = scene.materials["sand"].maps
-    assert maps is not None
     texels = stored(maps.files["base_color"]).shape[0]
     assert texels < 512
     found = climb_base(Base(spec, SEED, 0), ["textures"], 2)

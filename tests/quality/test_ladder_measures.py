@@ -40,7 +40,6 @@ def test_a_power_law_s_exponent_is_found(exponent, scale, cost):
     if max(cost) < 1.5 * min(cost):
         return
     found = slope(cost, [scale * c**-exponent for c in cost])
-    assert found is not None
     assert found.exponent == pytest.approx(exponent, rel=1e-6)
     assert found.low == pytest.approx(exponent, rel=1e-4)
     assert found.high == pytest.approx(exponent, rel=1e-4)
@@ -55,7 +54,6 @@ def test_costs_that_hardly_differ_have_no_slope():
 
 def test_cost_that_does_not_buy_error_has_no_price():
     found = slope([1.0, 2.0, 4.0], [1.0, 1.0, 1.1])
-    assert found is not None
     assert found.halving is None
 
 
@@ -99,7 +97,6 @@ def test_linear_interpolation_of_a_smooth_surface_errs_as_one_over_its_triangles
         triangles.append(float(report["faces"]))
         error.append(points.rms(away))
     found = slope(triangles, error)
-    assert found is not None
     assert found.exponent == pytest.approx(1.0, abs=0.03)
 
 
@@ -175,7 +172,6 @@ def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():
         horizon_color=np.array([[0.5, 0.6, 0.9]]), ground_color=np.array([[0.3, 0.3, 0.3]]),
     )  # fmt: skip
     light, _, _ = plan.build(sun(40.0), 1)
-    assert light is not None
     picture = light.pictures[light.texture[0]][:32].reshape(-1, 3)
     to = directions(64)[:32].reshape(-1, 3)
     found = clear_along(plan, sun(40.0), to, points.upper_half(100_000))
@@ -190,7 +186,6 @@ def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():
 def test_an_atmosphere_along_rays_is_the_picture_s_at_texels(scattering):
     plan = replace(atmosphere(32), scattering=scattering)
     light, _, _ = plan.build(sun(30.0), 1)
-    assert light is not None
     picture = light.pictures[light.texture[0]][:15].reshape(-1, 3)
     to = directions(32)[:15].reshape(-1, 3)
     found = atmosphere_along(plan, sun(30.0), to, 32, 17)

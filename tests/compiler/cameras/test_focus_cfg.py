@@ -63,7 +63,6 @@ def test_without_imaging_the_aperture_is_focal_length_over_twice_the_f_number(
     tmp_path: Path,
 ) -> None:
     focus = drawn(tmp_path, focus=FREE)
-    assert focus is not None
     assert focus.radius_m(0) == pytest.approx(0.025 / 4.0, rel=1e-15)
     assert focus.distance_m.tolist() == [2.5] * 3
 
@@ -72,7 +71,6 @@ def test_with_imaging_f_number_and_size_of_pixels_are_its_own(tmp_path: Path) ->
     focus = drawn(
         tmp_path, focus={"distance_m": 3}, imaging={"f_number": 2.8, "pixel_um": 5.0}, fov_deg=90
     )
-    assert focus is not None
     # 96 pixels of 5 um that see 90 degrees: 0.24 mm.
     assert focus.focal_length_m == pytest.approx(48 * 5e-6, rel=1e-12)
     assert focus.f_number.tolist() == [2.8] * 3
@@ -81,7 +79,6 @@ def test_with_imaging_f_number_and_size_of_pixels_are_its_own(tmp_path: Path) ->
 def test_distance_and_f_number_can_be_drawn_for_each_sample(tmp_path: Path) -> None:
     spread = {"type": "log_uniform", "min": 1.0, "max": 8.0}
     focus = drawn(tmp_path, focus={**FREE, "distance_m": spread, "f_number": spread})
-    assert focus is not None
     assert len(set(focus.distance_m.tolist())) == 3
     assert len(set(focus.f_number.tolist())) == 3
     assert set(focus.distance_m.tolist()).isdisjoint(focus.f_number.tolist())
@@ -101,7 +98,6 @@ def test_the_stage_has_usds_own_numbers_of_the_lens(tmp_path: Path) -> None:
     fov = camera.GetFieldOfView(camera.FOVHorizontal)
     assert fov == pytest.approx(70.0, abs=1e-4)
     for read in cameras:
-        assert read.focus is not None
         assert read.focus.distance_m == pytest.approx(2.5, rel=1e-6)
         assert read.focus.aperture_radius_m == pytest.approx(0.025 / 4.0, rel=1e-6)
 
@@ -111,7 +107,6 @@ def test_drawn_focus_comes_back_at_each_sample(tmp_path: Path) -> None:
     _, cameras = compiled(tmp_path, focus={**FREE, "distance_m": spread})
     distances = [camera.focus.distance_m for camera in cameras if camera.focus is not None]
     focus = draw(load(tmp_path / "small.json"), 3, 0).rigs[0].sensors[0].sensor.focus
-    assert focus is not None
     assert distances == pytest.approx(focus.distance_m.tolist(), rel=1e-6)
 
 
@@ -163,7 +158,6 @@ def foreign(folder: Path, f_stop: float, distance: float, meters: float) -> Path
 def test_a_foreign_stages_aperture_is_in_tenths_of_its_units(tmp_path: Path) -> None:
     """Centimeters: the default focal length of 50 is 50 mm."""
     focus = read_stage(foreign(tmp_path, 4.0, 300.0, 0.01)).cameras[0][0].focus
-    assert focus is not None
     assert focus.distance_m == pytest.approx(3.0, rel=1e-6)
     assert focus.aperture_radius_m == pytest.approx(0.05 / 8.0, rel=1e-6)
 

@@ -58,7 +58,6 @@ def test_the_exposure_is_that_of_a_manual_imaging(tmp_path: Path) -> None:
     time = {"type": "log_uniform", "min": 1e-3, "max": 1e-1}
     imaging = {"exposure": {"type": "manual", "time_s": time, "iso": 200}}
     made = drawn(tmp_path, cfg({"direction": "up"}, imaging=imaging))
-    assert made.imaging is not None
     assert made.shutter is not None
     assert [one.exposure_s for one in made.shutter] == [one.time_s for one in made.imaging.samples]
     assert len({one.exposure_s for one in made.shutter}) == 3
@@ -70,8 +69,6 @@ def test_the_exposure_is_that_of_a_manual_imaging(tmp_path: Path) -> None:
 def test_numbers_are_drawn_once_a_batch(tmp_path: Path) -> None:
     spread = {"type": "uniform", "min": 0.01, "max": 0.03}
     made = [drawn(tmp_path, cfg(SHUTTER | {"readout_s": spread}), batch) for batch in (0, 1)]
-    assert made[0].shutter is not None
-    assert made[1].shutter is not None
     assert len(set(made[0].shutter)) == 1
     assert made[0].shutter[0].readout_s != made[1].shutter[0].readout_s
 
@@ -203,7 +200,6 @@ def test_between_its_poses_a_camera_is_where_the_motion_takes_it(name: str) -> N
     to_rig[:3, 3] = 0.3, -0.1, 0.4
     rig, facts, way = rig_of(WAYS[name], Shutter(0.005, 0.02), to_rig=to_rig)
     opened = rig.sensors[0].shutter
-    assert opened is not None
     assert facts["error_px"] <= ERROR_PX
     assert facts["poses"] == len(opened.times) <= 65
     assert opened.times[0] == -0.0125
@@ -235,7 +231,6 @@ def test_before_its_beginning_and_after_its_end_a_rig_stands_still() -> None:
     for pose in (WAYS["orbit"], WAYS["track"], WAYS["mav"]):
         rig = rig_of(pose, Shutter(0.0, 0.5))[0]
         opened = rig.sensors[0].shutter
-        assert opened is not None
         assert (opened.to_world[0][opened.times < 0.0] == rig.to_world[0]).all()
         late = opened.to_world[-1][opened.times > 0.0]
         assert np.abs(late - rig.to_world[-1]).max() < 1e-12
@@ -263,7 +258,6 @@ def test_a_motion_of_no_length_stands_still() -> None:
         drawn_sensor = SensorPlan(sensor, False, shutter=(Shutter(0.1, 0.2),) * samples)
         (rig,), _ = build_rigs((RigPlan("r", pose, (drawn_sensor,)),), flat(), None, {})
         opened = rig.sensors[0].shutter
-        assert opened is not None
         assert (opened.to_world == opened.to_world[:, :1]).all()
         assert opened.times[-1] >= 0.5 * (0.1 + 0.2)
 
@@ -272,7 +266,6 @@ def test_the_number_of_poses_is_bounded_and_the_error_said() -> None:
     """A second of a shaken camera's track: more than 64 steps can follow to a thousandth."""
     rig, facts, _ = rig_of(tracked(spin=6.0, sway=4.0), Shutter(2.0, 1.0))
     opened = rig.sensors[0].shutter
-    assert opened is not None
     assert facts["poses"] == len(opened.times) == 65
     assert facts["error_px"] > ERROR_PX
     _, calm, _ = rig_of(tracked(spin=6.0, sway=4.0), Shutter(1e-4, 0.0))
@@ -283,7 +276,6 @@ def test_the_number_of_poses_is_bounded_and_the_error_said() -> None:
 def test_an_instant_has_one_pose() -> None:
     rig, facts, _ = rig_of(WAYS["orbit"], Shutter(0.0, 0.0))
     opened = rig.sensors[0].shutter
-    assert opened is not None
     assert opened.times.tolist() == [0.0]
     assert facts["poses"] == 1
     assert facts["error_px"] == 0.0
@@ -352,7 +344,6 @@ def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
     )
     free = replace(motion, sampling=Sampling(times_s=ends))
     way = way_of(free, free.built(around), around)
-    assert way is not None
     with pytest.raises(SceneError) as caught:
         way.at(np.array([0.0, 0.1, seconds, ends[1]]))
     said = str(caught.value)
@@ -437,7 +428,6 @@ def test_pruning_changes_no_annotation_of_a_rolling_shutter(seed: int, tmp_path:
             sensor["shutter"] = {"exposure_s": 0.02, "readout_s": 0.3}
     batch = compiled(tmp_path, document, Keep.SEEN)
     record = read_left_out(batch)
-    assert record is not None
     counts = [one.counts() for one in record.classes.values()]
     assert sum(n for of in counts for why, n in of.items() if not why.kept) > 20
     pairs = zip(

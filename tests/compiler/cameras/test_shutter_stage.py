@@ -58,7 +58,6 @@ def test_cameras_come_back_as_they_move(output: Path, stage: Path) -> None:
     ):
         camera = front(stage, index=index)
         held = camera.shutter
-        assert held is not None
         assert held.shutter == shutter
         assert len(held.times) == said[name]["poses"]
         middle = len(held.times) // 2
@@ -84,7 +83,6 @@ def test_viewers_see_the_same_poses_at_fractional_time_codes(stage: Path) -> Non
         for camera in scene.cameras[sample]:
             prim = UsdGeom.Camera(opened.GetPrimAtPath(camera.path))
             held = camera.shutter
-            assert held is not None
             codes = codes_at(scene.times, scene.times[sample] + held.times)
             low, high = (a.Get(sample) for a in (prim.GetShutterOpenAttr(),
                                                  prim.GetShutterCloseAttr()))  # fmt: skip
@@ -118,8 +116,6 @@ def test_poses_compose_with_what_the_camera_is_below(stage: Path, tmp_path: Path
     outer.GetRootLayer().Save()
     inner = front(stage, index=0)
     found = next(c for c in read_stage(path).cameras[1] if "front" in c.path)
-    assert inner.shutter is not None
-    assert found.shutter is not None
     assert found.shutter.shutter == inner.shutter.shutter
     turn = found.camera_to_world @ np.linalg.inv(inner.camera_to_world)
     expected = turn @ inner.shutter.camera_to_world
@@ -190,7 +186,6 @@ def test_sidecars_say_where_the_camera_was(stage: Path, tmp_path: Path) -> None:
     session.render_to(stem, 0, 1, key, 1)
     frame = read_frame(stem)
     held = camera.shutter
-    assert held is not None
     said = frame.sidecar["shutter"]
     assert (said["exposure_s"], said["readout_s"], said["direction"]) == (0.01, 0.04, "up")
     assert np.array_equal(said["camera_to_world"], held.camera_to_world)

@@ -85,7 +85,6 @@ def test_nothing_above_a_checkout_is_asked(tmp_path: Path) -> None:
 def test_a_file_of_a_package_has_the_package_s_terms(name: str) -> None:
     """NumPy's metadata have an expression, SciPy's the whole text and a classifier."""
     spec = importlib.util.find_spec(name)
-    assert spec is not None
     assert spec.origin is not None
     found = terms_of(Path(spec.origin).parent / "version.py", f"package:{name}/version.py")
     metadata = importlib.metadata.metadata(name)

@@ -59,7 +59,6 @@ def test_shadows_of_a_layer_moved_by_texels_are_the_same_texels_elsewhere():
     layer = heaps(0.45)
     land = Land((-8000.0, -8000.0, -20.0), (8000.0, 8000.0, 60.0), 0.0)
     still = cloud_shadows(up, RADIUS, layer, no_cirrus(), land)
-    assert still is not None
     # East is along the picture's first axis or its second, this way or that.
     east, north = 5.0 * still.texel_m * facing(up)[:2, 0]
     moved = cloud_shadows(
@@ -84,7 +83,6 @@ def test_shadows_lie_where_beams_from_the_suns_disc_are_stopped(elevation, cover
         made = cloud_shadows(way, RADIUS, cumulus, cirrus, LAND)
         if made is not None and 0.3 < made.picture.mean() / 65535.0 < 0.7:
             break
-    assert made is not None
     axes = facing(way)
     rng = np.random.default_rng(2)
     places = rng.uniform(LAND.low, LAND.high, (120, 3))
@@ -106,9 +104,7 @@ def test_the_middle_has_the_share_that_the_sky_shows():
     clouds = Clouds(resolution=8, cumulus=cumulus_plan(0.5, 12, offset_m=offsets))
     land = Land((-300.0, -300.0, 0.0), (300.0, 300.0, 20.0), 0.0)
     light = build_light(light_plan(clouds, 12), 12, True, False, land)
-    assert light.sun is not None
     gobo = light.sun.gobo
-    assert gobo is not None
     middle = np.array(light.facts["clouds"]["sun_transmittance"])
     crossed = np.flatnonzero([bool(name) for name in gobo.texture])
     assert len(crossed) > 3
@@ -205,7 +201,6 @@ def test_a_stage_tells_which_places_lie_in_shadow(tmp_path, elevation):
     from scenec.compiler.draw import draw
 
     plan = draw(load(path), 3, 0).light.clouds
-    assert plan is not None
     assert plan.cumulus is not None
     cumulus = CumulusField(plan.cumulus).at(cloudy[0])
     places = np.random.default_rng(1).uniform(*scene.bounds, (400, 3))

@@ -47,7 +47,6 @@ def test_the_floor_of_haze_is_the_same_with_and_without_pruning(stages: dict[Kee
         sky = stage.GetPrimAtPath(names.SKY_PRIM)
         floors.append(sky.GetAttribute(names.ATTR_HAZE_FLOOR).Get())
         haze = read_stage(path).haze[0]
-        assert haze is not None
         assert haze.floor_m == floors[-1]
     assert floors[0] == floors[1]
     # It is below all there was, and what stayed would have said something else.

@@ -157,7 +157,6 @@ def test_samples_under_one_sky_share_a_picture_that_is_made_once(monkeypatch):
         ground_color=ground,
     )  # fmt: skip
     sky, _, _ = plan.build(None, 40)
-    assert sky is not None
     assert len(made) == 2
     assert list(sky.pictures) == ["sky_0000.exr", "sky_0001.exr"]
     assert sky.texture == ("sky_0000.exr", "sky_0001.exr") * 20

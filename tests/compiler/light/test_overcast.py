@@ -75,7 +75,6 @@ def test_the_sun_is_left_out_where_none_of_it_comes_through():
     assert light.sun is None
     assert left_out == [("light/sun", "no light at every sample")]
     thin = build_light(*made(5.0, 80.0), True, False).sun
-    assert thin is not None
     share = np.exp(-5.0 / np.sin(np.radians(80.0)))
     assert thin.irradiance[0] == pytest.approx(1000.0 * share)
 
@@ -83,7 +82,6 @@ def test_the_sun_is_left_out_where_none_of_it_comes_through():
 def test_samples_that_differ_in_strength_share_a_picture_and_night_is_black():
     plan, n = made([5.0, 30.0, 100.0], albedo=0.0)
     sky = build_light(plan, n, True, False).sky
-    assert sky is not None
     assert len(sky.pictures) == 1
     assert (np.diff(sky.intensity) < 0.0).all()
     night = build_light(*made(30.0, -1.0), True, False)

@@ -109,7 +109,6 @@ def test_the_sun_is_found_where_it_is_and_no_light_is_lost(azimuth, elevation, d
     picture = sky_with((azimuth, elevation), diameter, radiance)
     left, sun, facts = extract_sun(picture)
     assert facts["found"]
-    assert sun is not None
     before = horizontal_irradiance(picture)
     np.testing.assert_allclose(horizontal_irradiance(left) + level_of(sun), before, rtol=1e-6)
     assert luminance(sun.color) == pytest.approx(1.0, rel=1e-9)
@@ -130,7 +129,6 @@ def test_the_sun_is_found_where_it_is_and_no_light_is_lost(azimuth, elevation, d
 def test_a_sun_of_a_texel_has_the_suns_diameter():
     picture = sky_with((200.0, 40.0), 0.3, 1e5)
     _, sun, _ = extract_sun(picture)
-    assert sun is not None
     assert sun.diameter_deg == DIAMETER_DEG
 
 
@@ -305,12 +303,10 @@ def test_haze_is_drawn_for_each_sample_and_read_back(tmp_path):
     }
     path.write_text(json.dumps(cfg))
     plan = draw(load(path), 1, 0)
-    assert plan.light.haze is not None
     compile_cfg(path, seed=1, out=tmp_path / "out")
     scene = read_stage(tmp_path / "out/batch_0000/stage.usda")
     assert len(scene.haze) == 2
     for i, haze in enumerate(scene.haze):
-        assert haze is not None
         np.testing.assert_allclose(haze.extinction, plan.light.haze.extinction[i], rtol=1e-6)
         assert haze.extinction[2] == pytest.approx(2 * haze.extinction[0], rel=1e-6)
         assert 3.912 / 90 <= luminance(haze.extinction) <= 3.912 / 50

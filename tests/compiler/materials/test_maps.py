@@ -56,7 +56,6 @@ def test_maps_reach_the_renderers_as_the_cfg_names_them(out):
     assert surface.base_color == (1.0, 1.0, 1.0)
     assert surface.metallic == 0.25
     maps = surface.maps
-    assert maps is not None
     assert 1.0 <= maps.size_m <= 2.0
     assert maps.flip_green
     assert maps.metallic is None

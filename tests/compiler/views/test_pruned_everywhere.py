@@ -50,7 +50,6 @@ def _panorama(path: Path, radiance: float, extract: bool) -> bool:
     sun = "extract" if extract else "keep"
     plan = ImageSky(files=(path,), strength=np.ones(1), rotation_deg=np.zeros(1), sun=sun)
     sky, _, _ = plan.build(None, 1)
-    assert sky is not None
     return sky.sharp
 
 
