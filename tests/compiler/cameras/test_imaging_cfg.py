@@ -203,47 +203,25 @@ def test_a_foreign_stages_impossible_sensor_is_one_clear_error(
     assert name in str(error.value)
 
 
+MANUAL = {"type": "manual", "time_s": 1}
+FIXED = {"exposure": {"type": "fixed", "ev": 0}}
+LIMITED = {"type": "metered", "time_range_s": [1, 0.5]}
+SINGULAR, ZERO = [[1, 0, 0], [1, 0, 0], [0, 0, 1]], [[1, -1, 0], [0, 1, 0], [0, 0, 1]]
+
+
 @pytest.mark.parametrize(
     ("imaging", "sensor", "place", "message"),
     [
-        ({"exposure": {"type": "manual", "time_s": 1}}, {}, "imaging/exposure", "iso or the key"),
-        (
-            {"exposure": {"type": "manual", "time_s": 1, "iso": 1, "gain_e": 1}},
-            {},
-            "imaging/exposure",
-            "iso or the key",
-        ),
-        (
-            {"exposure": {"type": "auto"}},
-            {"exposure": {"type": "fixed", "ev": 0}},
-            "front/exposure",
-            "nothing reads it",
-        ),
-        (
-            {"exposure": {"type": "metered", "time_range_s": [1, 0.5]}},
-            {},
-            "time_range_s",
-            "the smaller one first",
-        ),
+        ({"exposure": MANUAL}, {}, "imaging/exposure", "iso or the key"),
+        ({"exposure": MANUAL | {"iso": 1, "gain_e": 1}}, {}, "imaging/exposure", "iso or the key"),
+        ({"exposure": {"type": "auto"}}, FIXED, "front/exposure", "nothing reads it"),
+        ({"exposure": LIMITED}, {}, "time_range_s", "the smaller one first"),
         ({"bits": 8, "black_level": 255}, {}, "black_level", "less than 255"),
         ({"raw": True, "mosaic": "none"}, {}, "raw", "there is none"),
         ({"raw": True}, {"resolution": [1, 9]}, "raw", "there is none"),
         ({"jpeg": {}}, {"resolution": [65501, 1]}, "imaging/jpeg", "at most 65500"),
-        (
-            {"color_matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]},
-            {},
-            "color_matrix",
-            "cannot be inverted",
-        ),
-        (
-            {"color_matrix": [[1, -1, 0], [0, 1, 0], [0, 0, 1]]},
-            {},
-            "color_matrix/0",
-            "adds up to 0",
-        ),
-        ({"focus_distance_m": 3}, {}, "focus_distance_m", "unknown"),
-        ({"jpeg": {"qualty": 3}}, {}, "qualty", "quality"),
-        ({"mosaic": "rgbg"}, {}, "mosaic", "rggb"),
+        ({"color_matrix": SINGULAR}, {}, "color_matrix", "cannot be inverted"),
+        ({"color_matrix": ZERO}, {}, "color_matrix/0", "adds up to 0"),
     ],
 )
 def test_what_does_not_go_together_is_said(

@@ -15,60 +15,67 @@ def lamp(mount: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"mount": mount, "intensity": 10} | more
 
 
-_FAULTS = [
-    ({"/light/lamps": {"a": lamp({"type": "rig", "rig": "rovr"})}}, "a/mount/rig", '"rover"?'),
-    ({"/light/lamps": {"a": lamp({"type": "rig"})}}, "a/mount", '"rig" is missing'),
-    ({"/light/lamps": {"a": {"mount": _RIG}}}, "a", '"intensity" is missing'),
-    ({"/light/lamps": {"a": {"intensity": 1}}}, "a", '"mount" is missing'),
-    ({"/light/lamps": {"1a": lamp(_RIG)}}, "1a", "letters, digits and underscores"),
-    ({"/light/lamps": {"Sun": lamp(_RIG)}}, "Sun", "the name of the sun"),
-    ({"/light/lamps": {"Dome": lamp(_WORLD)}}, "Dome", "the name of the sky"),
+#: A lamp, where below it the fault is, what is said.
+_LAMPS = [
+    ("a", lamp({"type": "rig", "rig": "rovr"}), "/mount/rig", '"rover"?'),
+    ("a", lamp({"type": "rig"}), "/mount", '"rig" is missing'),
+    ("a", {"mount": _RIG}, "", '"intensity" is missing'),
+    ("a", {"intensity": 1}, "", '"mount" is missing'),
+    ("1a", lamp(_RIG), "", "letters, digits and underscores"),
+    ("Sun", lamp(_RIG), "", "the name of the sun"),
+    ("Dome", lamp(_WORLD), "", "the name of the sky"),
+    ("a", lamp(_RIG, color=[0, 0, 0]), "/color", "black"),
+    ("a", lamp(_RIG, cone_deg=0), "/cone_deg", "more than 0 °"),
+    ("a", lamp(_RIG, cone_deg=181), "/cone_deg", "at most 180 °"),
+    ("a", lamp(_RIG, radius_m=-1), "/radius_m", "at least 0 m"),
+    ("a", lamp(_RIG, softnes=0), "/softnes", '"softness"'),
+    ("a", lamp({**_WORLD, "x_m": 11}), "/mount/x_m", "-10 m to 10 m"),
     (
-        {"/light/lamps": {"x": lamp(_RIG)}, "/light/more": {"x": {"type": "sun"}}},
-        "x",
-        "light/more/x already",
-    ),
-    ({"/light/lamps": {"a": lamp(_RIG, color=[0, 0, 0])}}, "a/color", "black"),
-    ({"/light/lamps": {"a": lamp(_RIG, cone_deg=0)}}, "a/cone_deg", "more than 0 °"),
-    ({"/light/lamps": {"a": lamp(_RIG, cone_deg=181)}}, "a/cone_deg", "at most 180 °"),
-    ({"/light/lamps": {"a": lamp(_RIG, radius_m=-1)}}, "a/radius_m", "at least 0 m"),
-    ({"/light/lamps": {"a": lamp(_RIG, softnes=0)}}, "a/softnes", '"softness"'),
-    ({"/light/lamps": {"a": lamp({**_WORLD, "x_m": 11})}}, "a/mount/x_m", "-10 m to 10 m"),
-    (
-        {"/light/lamps": {"a": lamp({**_WORLD, "y_m": {"type": "normal", "mean": 0, "std": 1}})}},
-        "a/mount/y_m",
+        "a",
+        lamp({**_WORLD, "y_m": {"type": "normal", "mean": 0, "std": 1}}),
+        "/mount/y_m",
         "expected a place on it",
     ),
     (
-        {"/light/lamps": {"a": lamp({**_WORLD, "target": {"x_m": 0, "y_m": -6}})}},
-        "a/mount/target/y_m",
+        "a",
+        lamp({**_WORLD, "target": {"x_m": 0, "y_m": -6}}),
+        "/mount/target/y_m",
         '"heights": "world"',
     ),
     (
-        {"/light/lamps": {"a": lamp({**_WORLD, "target": {"x_m": 0, "y_m": 0}, "bearing_deg": 5})}},
-        "a/mount/bearing_deg",
+        "a",
+        lamp({**_WORLD, "target": {"x_m": 0, "y_m": 0}, "bearing_deg": 5}),
+        "/mount/bearing_deg",
         "target and bearing_deg",
     ),
 ]
-_MORE_FAULTS = [
-    ({"/light/more": {"Sun": {"type": "sun"}}}, "Sun", "the name of the sun"),
-    ({"/light/more": {"a": {"type": "moon"}}}, "a/type", "sun, earthshine"),
-    ({"/light/more": {"a": {}}}, "a", '"type" is missing'),
-    ({"/light/more": {"a": {"type": "sun", "color": [0, 0, 0]}}}, "a/color", "black"),
-    ({"/light/more": {"a": {"type": "earthshine", "phase_deg": 181}}}, "a/phase_deg", "at most"),
-    ({"/light/more": {"a": {"type": "earthshine", "irradiance": 1}}}, "a/irradiance", "unknown"),
+_SUNS = [
+    ("Sun", {"type": "sun"}, "", "the name of the sun"),
+    ("a", {"type": "moon"}, "/type", "sun, earthshine"),
+    ("a", {}, "", '"type" is missing'),
+    ("a", {"type": "sun", "color": [0, 0, 0]}, "/color", "black"),
+    ("a", {"type": "earthshine", "phase_deg": 181}, "/phase_deg", "at most"),
+    ("a", {"type": "earthshine", "irradiance": 1}, "/irradiance", "unknown"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("change", "pointer", "words"),
-    [(c, f"/light/lamps/{p}", w) for c, p, w in _FAULTS]
-    + [(c, f"/light/more/{p}", w) for c, p, w in _MORE_FAULTS],
+    ("group", "name", "given", "below", "words"),
+    [("lamps", *row) for row in _LAMPS] + [("more", *row) for row in _SUNS],
 )
-def test_a_fault_of_lamps_and_further_suns_is_told_where_it_is(tmp_path, change, pointer, words):
-    (fault,) = faults_of(changed(change), tmp_path)
-    assert fault.pointer == pointer
+def test_a_fault_of_lamps_and_further_suns_is_told_where_it_is(
+    tmp_path, group, name, given, below, words
+):
+    (fault,) = faults_of(changed({f"/light/{group}": {name: given}}), tmp_path)
+    assert fault.pointer == f"/light/{group}/{name}{below}"
     assert words in fault.message
+
+
+def test_a_lamp_and_a_further_sun_have_two_names(tmp_path):
+    both = {"/light/lamps": {"x": lamp(_RIG)}, "/light/more": {"x": {"type": "sun"}}}
+    (fault,) = faults_of(changed(both), tmp_path)
+    assert fault.pointer == "/light/lamps/x"
+    assert "light/more/x already" in fault.message
 
 
 def test_off_the_terrain_a_lamp_has_its_height_over_zero(tmp_path):

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 from small_cfg import DELETE, changed, faults_of, load_cfg
 
-from scenec.compiler.cfg.load import load
-
-ROOT = Path(__file__).resolve().parents[3]
 _SENSOR = "/rigs/rover/sensors/front"
 _FOV = f"{_SENSOR}/fov_deg"
 _COLOR = "/materials/sand/base_color"
@@ -107,8 +103,3 @@ def test_other_small_angles_are_taken_as_they_are(tmp_path, angle):
     assert load_cfg(changed({"/light/sun": {"elevation_deg": angle}}), tmp_path).warnings == ()
     if float(angle).is_integer() or angle > 4:
         assert load_cfg(changed({_FOV: angle}), tmp_path).warnings == ()
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.json")), ids=lambda p: p.stem)
-def test_no_cfg_that_ships_is_warned_of(path):
-    assert load(path).warnings == ()

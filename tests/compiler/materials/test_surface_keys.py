@@ -107,51 +107,24 @@ def test_cells_are_others_in_each_batch_and_the_same_for_one_seed(folder):
     assert seeds[0] == seeds[2] != seeds[1]
 
 
-FLAT_MAPS = {"size_m": 1, "base_color": "c.png"}
-
-
 @pytest.mark.parametrize(
-    ("change", "pointer", "message"),
+    ("change", "below", "message"),
     [
-        (
-            {"maps": {**FLAT_MAPS, "cells": {}, "projection": "triplanar"}},
-            "/gravel/maps/cells",
-            'is "triplanar"',
-        ),
-        (
-            {"maps": {**FLAT_MAPS, "far": {}, "projection": "triplanar"}},
-            "/gravel/maps/far",
-            "projected from above",
-        ),
-        ({"maps": {**FLAT_MAPS, "displacement": "h.png"}}, "/gravel/maps", "displacement_m"),
-        (
-            {"maps": {**FLAT_MAPS, "displacement_m": 0.1}},
-            "/gravel/maps/displacement_m",
-            "without a picture",
-        ),
-        (
-            {"maps": {**FLAT_MAPS, "ambient_occlusion_strength": 0.1}},
-            "/gravel/maps/ambient_occlusion_strength",
-            "without a picture",
-        ),
-        ({"maps": {**FLAT_MAPS, "emission": "e.png"}}, "/gravel/maps/emission", "left out"),
-        (
-            {"maps": {**FLAT_MAPS, "gloss": "h.png", "roughness": "h.png"}},
-            "/gravel/maps/gloss",
-            "take one away",
-        ),
-        ({"maps": {**FLAT_MAPS, "far": {"factor": 0.5}}}, "/gravel/maps/far/factor", "at least 1"),
-        ({"maps": {**FLAT_MAPS, "resolution": "low"}}, "/gravel/maps/resolution", "seen, as_is"),
-        ({"base_color": [1, 1, 1], "emission": [1, 1]}, "/gravel/emission", "at least 3"),
-        ({"base_color": [1, 1, 1], "emission": [1, 1, -1]}, "/gravel/emission/2", "at least 0"),
+        ({"cells": {}, "projection": "triplanar"}, "/cells", 'is "triplanar"'),
+        ({"far": {}, "projection": "triplanar"}, "/far", "projected from above"),
+        ({"displacement": "h.png"}, "", "displacement_m"),
+        ({"displacement_m": 0.1}, "/displacement_m", "without a picture"),
+        ({"ambient_occlusion_strength": 1}, "/ambient_occlusion_strength", "without a picture"),
+        ({"emission": "e.png"}, "/emission", "left out"),
+        ({"gloss": "h.png", "roughness": "h.png"}, "/gloss", "take one away"),
     ],
 )
-def test_faults_of_maps_name_the_key(folder, change, pointer, message):
+def test_faults_of_maps_name_the_key(folder, change, below, message):
     cfg = small_cfg()
-    cfg["materials"]["gravel"] = change
+    cfg["materials"]["gravel"] = {"maps": {"size_m": 1, "base_color": "c.png"} | change}
     with pytest.raises(CfgError, match=message) as caught:
         load(write_cfg(folder, cfg))
-    assert [fault.pointer for fault in caught.value.faults] == [f"/materials{pointer}"]
+    assert [fault.pointer for fault in caught.value.faults] == [f"/materials/gravel/maps{below}"]
 
 
 @pytest.mark.parametrize("made", [True, False])

@@ -73,13 +73,6 @@ def test_a_layer_with_conditions_and_no_noise_lies_wherever_they_hold(tmp_path):
     assert 0 < inside.sum() < (value >= 10.0).sum()
 
 
-def test_a_layer_without_conditions_is_drawn_as_before(tmp_path):
-    (first, second), _ = laid(write(tmp_path))
-    assert first.where == second.where == ()
-    assert first.noisy
-    assert second.noisy
-
-
 def test_the_default_smoothing_on_the_ground_is_two_spacings_and_reported(tmp_path):
     path = write(tmp_path, {"noise": None, "where": [{"type": "slope", "min_deg": 10}]})
     log = BuildLog()
