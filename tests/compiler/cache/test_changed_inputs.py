@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from small_cfg import changed
 
 from scenec.backends.run.executors import make_executor
 from scenec.cli.main import main
@@ -27,43 +28,24 @@ from scenec.schemas.errors import CfgError, OutputError
 from scenec.schemas.files import once_per_file, stamp, tree
 from scenec.schemas.units import Keeper
 
-CFG: dict[str, Any] = {
-    "version": 1,
-    "name": "inputs",
-    "samples": 1,
-    "outputs": ["rgb", "label", "instance"],
-    "labels": {"class": {"sky": 1, "ground": 2, "rock": 4}},
-    "terrain": {
-        "size_m": [8, 8],
-        "spacing_m": 0.5,
-        "relief": [{"type": "dem", "file": "dem.npy", "pixel_m": 0.5}],
-        "ground": [{"material": "sand", "labels": {"class": "ground"}}],
-    },
-    "materials": {
-        "sand": {"maps": {"base_color": "sand.png", "size_m": 1}},
-        "basalt": {"base_color": [0.1, 0.1, 0.1]},
-    },
-    "objects": {
-        "boxes": {
-            "type": "meshes",
-            "count": 3,
-            "material": "basalt",
-            "labels": {"class": "rock"},
-            "models": [{"file": "box.obj", "unit_m": 1, "up": "z"}],
-        }
-    },
-    "light": {"sky": {"type": "clear", "labels": {"class": "sky"}}},
-    "rigs": {
-        "rover": {
-            "pose": {
-                "type": "random_target",
-                "position": {"x_m": 0, "y_m": -2, "height_m": 2},
-                "target": {"distance_m": 3, "height_m": 0, "bearing_deg": 0},
-            },
-            "sensors": {"front": {"resolution": [32, 24], "fov_deg": 65}},
-        }
-    },
-}
+CFG: dict[str, Any] = changed(
+    {
+        "/name": "inputs",
+        "/outputs": ["rgb", "label", "instance"],
+        "/terrain/size_m": [8, 8],
+        "/terrain/relief": [{"type": "dem", "file": "dem.npy", "pixel_m": 0.5}],
+        "/materials/sand": {"maps": {"base_color": "sand.png", "size_m": 1}},
+        "/objects": {
+            "boxes": {
+                "type": "meshes", "count": 3, "material": "basalt", "labels": {"class": "rock"},
+                "models": [{"file": "box.obj", "unit_m": 1, "up": "z"}],
+            }
+        },
+        "/rigs/rover/pose/position": {"x_m": 0, "y_m": -2, "height_m": 2},
+        "/rigs/rover/pose/target": {"distance_m": 3, "height_m": 0, "bearing_deg": 0},
+        "/rigs/rover/sensors/front": {"resolution": [32, 24], "fov_deg": 65},
+    }
+)  # fmt: skip
 
 
 def _box(path: Path, half: float) -> None:

@@ -134,62 +134,24 @@ def tracked(method: str = "cubic", **change: Any) -> TrackPlan:
 
 WAYS: dict[str, Any] = {
     "track": tracked(),
-    "orbit": Orbit(
-        center=PointAim(),
-        radius_m=6.0,
-        height_m=2.0,
-        sweep_deg=90.0,
-        period_s=8.0,
+    "orbit": Orbit(center=PointAim(), radius_m=6.0, height_m=2.0, sweep_deg=90.0, period_s=8.0,
+        clearance_m=0.1, sampling=FREE),
+    "whole orbit": Orbit(center=PointAim(), radius_m=6.0, height_m=2.0, period_s=20.0,
         clearance_m=0.1,
-        sampling=FREE,
-    ),
-    "whole orbit": Orbit(
-        center=PointAim(), radius_m=6.0, height_m=2.0, period_s=20.0, clearance_m=0.1, sampling=FREE
-    ),
-    "lawn_mower": LawnMower(
-        along_m=20.0,
-        across_m=12.0,
-        bearing_deg=30.0,
-        spacing_m=4.0,
+        sampling=FREE),
+    "lawn_mower": LawnMower(along_m=20.0, across_m=12.0, bearing_deg=30.0, spacing_m=4.0,
         overlap=0.2,
-        height_m=8.0,
-        speed_m_s=5.0,
-        turn_radius_m=2.0,
-        pitch_deg=-60.0,
-        sampling=FREE,
-    ),
-    "rover": Rover(
-        waypoints_m=[[-8.0, 0.0], [4.0, 3.0], [4.0, -6.0]],
-        height_m=1.2,
-        speed_m_s=1.0,
-        turn_rate_deg_s=40.0,
-        max_slope_deg=30.0,
-        max_object_m=0.2,
-        pitch_deg=-10.0,
-        sampling=FREE,
-    ),
-    "mav": Mav(
-        waypoints_m=[[-15.0, -5.0], [0.0, 8.0], [15.0, -5.0]],
-        height_m=5.0,
-        follow_m=6.0,
-        clearance_m=1.0,
-        speed_m_s=6.0,
-        acceleration_m_s2=4.0,
-        jerk_m_s3=10.0,
-        tilt=True,
-        sampling=FREE,
-    ),
-    "descent": Descent(
-        entry_height_m=40.0,
-        touchdown_height_m=2.0,
-        entry_speed_m_s=8.0,
+        height_m=8.0, speed_m_s=5.0, turn_radius_m=2.0, pitch_deg=-60.0, sampling=FREE),
+    "rover": Rover(waypoints_m=[[-8.0, 0.0], [4.0, 3.0], [4.0, -6.0]], height_m=1.2, speed_m_s=1.0,
+        turn_rate_deg_s=40.0, max_slope_deg=30.0, max_object_m=0.2, pitch_deg=-10.0,
+        sampling=FREE),
+    "mav": Mav(waypoints_m=[[-15.0, -5.0], [0.0, 8.0], [15.0, -5.0]], height_m=5.0, follow_m=6.0,
+        clearance_m=1.0, speed_m_s=6.0, acceleration_m_s2=4.0, jerk_m_s3=10.0, tilt=True,
+        sampling=FREE),
+    "descent": Descent(entry_height_m=40.0, touchdown_height_m=2.0, entry_speed_m_s=8.0,
         drift_m_s=3.0,
-        drift_deg=40.0,
-        heading_deg=10.0,
-        pitch_deg=-80.0,
-        sampling=FREE,
-    ),
-}
+        drift_deg=40.0, heading_deg=10.0, pitch_deg=-80.0, sampling=FREE),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", WAYS)
@@ -238,17 +200,7 @@ def test_before_its_beginning_and_after_its_end_a_rig_stands_still() -> None:
 
 
 def test_a_motion_of_no_length_stands_still() -> None:
-    hover = Mav(
-        waypoints_m=[[1.0, 2.0]],
-        height_m=5.0,
-        follow_m=6.0,
-        clearance_m=1.0,
-        speed_m_s=6.0,
-        acceleration_m_s2=4.0,
-        jerk_m_s3=10.0,
-        tilt=True,
-        sampling=FREE,
-    )
+    hover = replace(WAYS["mav"], waypoints_m=[[1.0, 2.0]])
     point = Stamped(np.zeros(1), 2.0, np.ones((1, 3)), np.array([[1.0, 0, 0, 0]]), (1,))
     way = TrackWay(np.zeros(1), point, "linear", Gaps(), "t", False)
     alone = TrackPlan(way.at(np.zeros(1)), np.full(1, 2.0), way)
@@ -301,36 +253,14 @@ def test_a_gap_of_a_track_is_one_while_a_shutter_is_open() -> None:
 @pytest.mark.parametrize(
     ("motion", "seconds", "ends"),
     [
-        (
-            LawnMower(
-                along_m=20.0,
-                across_m=0.0,
-                bearing_deg=90.0,
-                spacing_m=1.0,
-                overlap=0.0,
-                height_m=1.0,
-                above="world",
-                speed_m_s=1.0,
-                sampling=FREE,
-            ),
-            8.0,
-            (0.0, 20.0),
-        ),
-        (
-            Descent(
-                entry_height_m=1.0,
-                touchdown_height_m=0.5,
-                entry_speed_m_s=0.05,
-                touchdown_speed_m_s=0.05,
-                drift_m_s=1.0,
-                drift_deg=90.0,
-                sampling=FREE,
-            ),
-            3.5,
-            (0.0, 10.0),
-        ),
+        (LawnMower(along_m=20.0, across_m=0.0, bearing_deg=90.0, spacing_m=1.0, overlap=0.0,
+             height_m=1.0, above="world", speed_m_s=1.0, sampling=FREE),
+         8.0, (0.0, 20.0)),
+        (Descent(entry_height_m=1.0, touchdown_height_m=0.5, entry_speed_m_s=0.05,
+             touchdown_speed_m_s=0.05, drift_m_s=1.0, drift_deg=90.0, sampling=FREE),
+         3.5, (0.0, 10.0)),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
     motion: Any, seconds: float, ends: tuple[float, float]
 ) -> None:
