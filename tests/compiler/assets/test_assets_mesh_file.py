@@ -189,14 +189,6 @@ def test_without_trimesh_the_extra_to_install_is_named(tmp_path, monkeypatch):
         assert len(read_mesh(other, unit_m=1, up="z").faces) == 12
 
 
-def test_vertices_counted_backward_are_those_before_the_face(tmp_path):
-    one, two = ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "v 0 0 5\nv 1 0 5\nv 0 1 5\n")
-    (tmp_path / "a.obj").write_text(f"{one}f -3 -2 -1\n{two}f -3 -2 -1\n")
-    mesh = read_mesh(tmp_path / "a.obj", unit_m=1, up="z")
-    assert mesh.points[mesh.faces][:, :, 2].tolist() == [[0.0] * 3, [5.0] * 3]
-    assert mesh.faces.tolist() == [[0, 1, 2], [3, 4, 5]]
-
-
 def test_what_a_model_looks_like_is_not_read_for_a_terrain(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text(
@@ -470,15 +462,3 @@ def test_a_buffer_beside_a_gltf_is_read_and_its_pictures_are_not(tmp_path):
     assert np.array_equal(mesh.points[mesh.faces], whole.points[whole.faces])
     found = parse_model(tmp_path / "box.gltf", looks=False).companions
     assert [path.name for path in found] == ["box data.bin"]
-
-
-def test_a_folder_and_a_missing_file_are_told(tmp_path):
-    (tmp_path / "a.obj").mkdir()
-    assert "not a file" in fails(tmp_path / "a.obj", unit_m=1, up="z")
-    assert "there is no such file" in fails(tmp_path / "b.obj", unit_m=1, up="z")
-
-
-def test_a_part_that_is_not_there_is_told_with_those_that_are(tmp_path):
-    path = write(tmp_path / "a.usda", *shelter(6))
-    assert "no part 'cliff'; it has /World/shelter" in fails(path, part="cliff")
-    assert len(read_mesh(path, part="World").faces) == 50

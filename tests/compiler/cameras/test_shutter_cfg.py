@@ -77,10 +77,6 @@ def test_numbers_are_drawn_once_a_batch(tmp_path: Path) -> None:
     ("shutter", "change", "where", "said"),
     [
         ({}, {}, "/shutter", "expected the key exposure_s"),
-        ({"readout_s": 0.1}, {"imaging": {}}, "/shutter", "exposure_s"),
-        ({"exposure_s": -1}, {}, "/shutter/exposure_s", "at least 0"),
-        ({"exposure": 1}, {}, "/shutter/exposure", "exposure_s"),
-        (SHUTTER | {"direction": "dawn"}, {}, "/shutter/direction", '"down"'),
         (SHUTTER, {"pose": small.small_cfg()["rigs"]["rover"]["pose"]}, "/shutter", "of no time"),
     ],
 )

@@ -76,9 +76,6 @@ def test_the_pixel_of_a_geotiff_in_meters_is_the_default(tmp_path):
     with pytest.raises(SceneError, match="give pixel_m"):
         apply(replace(DEM, file=degrees, pixel_m=None))
     assert apply(replace(DEM, file=degrees)).shape == GRID.shape
-    feet = write_geotiff(tmp_path / "c.tif", field(), crs="EPSG:2225", pixel=3.0)
-    survey = pytest.approx(3.0 * 1200 / 3937, rel=1e-12)
-    assert read_dem(feet, unit_m=1.0).reference.pixel_m() == (survey, survey)
 
 
 @pytest.mark.parametrize(("bits", "kind"), [(8, "png"), (16, "png"), (8, "bmp"), (8, "jpg")])
@@ -230,13 +227,6 @@ def cfg_with(folder: Path, **keys) -> Path:
     cfg = small_cfg()
     cfg["terrain"]["relief"][0] = {"type": "dem", **keys}
     return write_cfg(folder, cfg)
-
-
-def test_a_cfg_can_leave_the_pixel_to_the_file_and_give_a_picture_s_range(tmp_path):
-    write_geotiff(tmp_path / "a.tif", field())
-    Image.fromarray(np.zeros((40, 50), np.uint8)).save(tmp_path / "a.png")
-    assert load(cfg_with(tmp_path, file="a.tif")).cfg["terrain"]["relief"][0]["pixel_m"] is None
-    load(cfg_with(tmp_path, file="a.png", pixel_m=1, height_range_m=[0, 5], holes="fill"))
 
 
 @pytest.mark.parametrize(

@@ -243,10 +243,12 @@ def test_a_feature_point_lies_in_its_cell_and_nowhere_in_particular():
 
 
 def test_cellular_relief_is_its_distance_in_cells_times_its_amplitude():
-    key = part(CELLS.key, 0)
+    key, x, y = part(CELLS.key, 0), GRID.x()[11] / 8.0, GRID.y()[7] / 8.0
+    blocks2_points(key, np.array([x]), np.array([y]), 1.0, rubble := np.empty(1))
+    assert apply(replace(CELLS, distance="blocks"))[7, 11] == 2.0 * rubble[0]
     for distance in ("f1", "f2-f1"):
         height = apply(replace(CELLS, distance=distance))
-        first, second = worley2(key, GRID.x()[11] / 8.0, GRID.y()[7] / 8.0, 1.0)
+        first, second = worley2(key, x, y, 1.0)
         assert height[7, 11] == 2.0 * (second - first if distance == "f2-f1" else first)
         assert height.min() >= 0.0
         assert height.max() <= 2.0 * 1.6
@@ -290,11 +292,3 @@ def test_rubble_has_level_ground_tilted_tops_and_sides_of_one_slope():
     # Turned any way: no side of the compass has more of the sides than another.
     turned = np.arctan2(up - here, right - here)[kinds[2]]
     assert np.histogram(turned, 8, (-np.pi, np.pi))[0].min() > 0.1 * kinds[2].sum()
-
-
-def test_relief_of_blocks_is_their_height_in_cells_times_its_amplitude():
-    height = apply(replace(CELLS, distance="blocks"))
-    expected = np.empty(1)
-    x, y = np.array([GRID.x()[11] / 8.0]), np.array([GRID.y()[7] / 8.0])
-    blocks2_points(part(CELLS.key, 0), x, y, 1.0, expected)
-    assert height[7, 11] == 2.0 * expected[0]

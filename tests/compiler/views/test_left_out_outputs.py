@@ -219,15 +219,6 @@ def test_geometry_stands_where_it_stands_whatever_is_asked_for(chosen, whole):
         assert first == second, (path, name)
 
 
-def test_needs_follow_from_outputs_alone_for_all_of_their_combinations():
-    for count in range(1, len(PASSES) + 1):
-        for outputs in combinations(PASSES, count):
-            asked = set(outputs)
-            wanted = Needs(bool(asked & COLOR), bool(asked & LABELS), bool(asked & IDS))
-            assert needs_of(outputs) == wanted
-    assert needs_of(()) == Needs(False, False, False)
-
-
 def test_someone_who_walks_around_in_a_stage_gets_all_of_it():
     assert needs_of(("depth",), Keep.ALL) == Needs(True, True, True)
     assert needs_of(("depth",), Keep.ALL, levels=False) == Needs(True, False, True)
