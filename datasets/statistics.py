@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scenec.datasets import bins
 from scenec.datasets.idset import IdSet, packed
 from scenec.datasets.source import LoadedFrame
+from scenec.schemas.picture import luminance
 
 #: Version of what stands in ``statistics.json``.
 VERSION = 1
@@ -276,10 +277,7 @@ def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     row = min(int((elevation + 90.0) // 10.0), 17)
     bounds["sun_elevation_deg"] = [elevation, elevation]
     light = sun["irradiance"]
-    luminance = math.fsum(
-        w * float(e) for w, e in zip((0.2126, 0.7152, 0.0722), light, strict=True)
-    )
-    bounds["sun_irradiance"] = [luminance, luminance]
+    bounds["sun_irradiance"] = [float(luminance(np.array(light, np.float64)))] * 2
     return {"directions": {str(row): {str(int(azimuth // 30.0)): 1}}}
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import rle
+from scenec.schemas.affine import mirrored, orthonormal
 
 _NO_FACE = 0xFFFFFFFF
 #: Numbers of K in pixels, and meters of a pose, that single precision and squares hold.
@@ -120,12 +121,10 @@ def _pose_faults(sidecar: Mapping[str, Any]) -> Iterator[str]:
     for pose in (sidecar["camera_to_world"], *shutter.get("camera_to_world", ())):
         matrix = np.array(pose, np.float64)
         turn = matrix[:3, :3]
-        with np.errstate(over="ignore", invalid="ignore"):
-            off = np.abs((turn[:, :, None] * turn[:, None, :]).sum(axis=0) - np.eye(3)).max()
         far = np.abs(matrix[:3, 3]).max() > _MOST_M
-        if far or not off <= _RIGID or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        if far or not orthonormal(turn, _RIGID) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
             yield "camera_to_world is no pose: it stretches, shears, projects or is too far away"
             return
-        if (np.cross(turn[0], turn[1]) * turn[2]).sum() < 0.0:
+        if mirrored(turn):
             yield "camera_to_world is mirrored (determinant -1), which no pose is"
             return

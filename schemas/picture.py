@@ -20,8 +20,8 @@ _AT_ONCE = 1 << 22
 #: ``BURNT``. Pictures are, if more than these shares of all pixels that show surfaces are.
 BLACK, BURNT = 2, 254
 BLACK_SHARE, BURNT_SHARE = 0.999, 0.5
-#: Of linear Rec.709.
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+#: Weights of linear Rec.709 in luminance.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
@@ -29,6 +29,11 @@ DESCRIPTION = (
     "0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; "
     "sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
 )
+
+
+def luminance(rgb: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Returns Rec.709 luminance of linear colors [..., 3]; of float32 ones in float32."""
+    return LUMINANCE[0] * rgb[..., 0] + LUMINANCE[1] * rgb[..., 1] + LUMINANCE[2] * rgb[..., 2]
 
 
 def tone_map(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.float64]:
@@ -90,12 +95,12 @@ def tally(
         and the ``mean_luminance`` of these surfaces, W/(m^2 sr).
     """
     seen = pixels[surfaces]
-    luminance = radiance[surfaces].astype(np.float64) @ LUMINANCE
+    level = luminance(radiance[surfaces].astype(np.float64))
     return {
         "surfaces": len(seen),
         "black": int((seen < BLACK).all(axis=1).sum()),
         "burnt": int((seen >= BURNT).all(axis=1).sum()),
-        "mean_luminance": float(luminance.mean()) if len(seen) else 0.0,
+        "mean_luminance": float(level.mean()) if len(seen) else 0.0,
     }
 
 

@@ -24,7 +24,7 @@ from scenec.schemas.errors import PluginError, ScenecError
 from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+    from importlib.metadata import EntryPoint, EntryPoints
 
 #: Groups of entry points whose names a cfg can give, and what one of each is called.
 KINDS = {
@@ -54,12 +54,12 @@ _names: dict[tuple[str, Any], str] = {}
 
 def entry_points_of(group: str, name: str) -> tuple[EntryPoint, ...]:
     """What other packages offer under a name."""
-    return tuple(point for point in _offered(group, tuple(sys.path)) if point.name == name)
+    return _offered(group, tuple(sys.path)).get(name, ())
 
 
 def names_of(group: str) -> tuple[str, ...]:
     """All names in a group, sorted."""
-    return tuple(sorted({point.name for point in _offered(group, tuple(sys.path))}))
+    return tuple(sorted(_offered(group, tuple(sys.path))))
 
 
 def origin(group: str, name: str) -> str:
@@ -78,6 +78,11 @@ def origins(group: str, names: Iterable[str]) -> dict[str, str]:
 def place(point: EntryPoint) -> str:
     """Where an entry point leads, for messages."""
     return point.value + (f" of {point.dist.name}" if point.dist else "")
+
+
+def named(group: str, name: str) -> str:
+    """Returns what a kind that packages offer is called in messages, and whose it is."""
+    return f"{KINDS[group]} {shown(name)} ({', '.join(map(place, entry_points_of(group, name)))})"
 
 
 def load(point: EntryPoint) -> Any:
@@ -125,14 +130,13 @@ def load_offered(group: str, name: str, title: str, kind: type[ScenecError]) -> 
 
 
 def told(error: BaseException) -> str:
-    """Describes an error of another package's code, and where it was raised, in a line."""
-    frames = traceback.extract_tb(error.__traceback__)
-    found = _raised_in(error)
-    at = found[1] if found else frames[-1]
-    file = Path(at.filename)
-    name = file.relative_to(found[0].parent).as_posix() if found else file.name
-    text = _text(error)
-    return f"{type(error).__name__}{text and f': {text}'} ({name}, line {at.lineno})"
+    """Describes an error of another package's code, and where in it it was raised, in a line."""
+    text, found = _text(error), _raised_in(error)
+    said = f"{type(error).__name__}{text and f': {text}'}"
+    if found is None:
+        return said
+    root, at = found
+    return f"{said} ({Path(at.filename).relative_to(root.parent).as_posix()}, line {at.lineno})"
 
 
 @contextmanager
@@ -263,8 +267,17 @@ def give_name(group: str, kind: type[Any], name: str) -> None:
 
 
 @cache
-def _offered(group: str, _path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """All entry points of a group; searching other packages' metadata takes milliseconds."""
+def _offered(group: str, _path: tuple[str, ...]) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """All entry points of a group, by name."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for point in _all(_path).select(group=group):
+        found[point.name] = (*found.get(point.name, ()), point)
+    return found
+
+
+@cache
+def _all(_path: tuple[str, ...]) -> EntryPoints:
+    """All entry points; searching other packages' metadata takes milliseconds."""
     from importlib.metadata import entry_points
 
-    return tuple(entry_points(group=group))
+    return entry_points()

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.adaptive import Draw, Target, collect, round_seed
+from scenec.backends.noise_seeds import round_seed
+from scenec.backends.picture.adaptive import Draw, Target, collect
 from scenec.backends.picture.noise import estimate
 from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg

@@ -16,6 +16,7 @@ from tools import cfg_stub
 
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import bundle
+from scenec.compiler.kinds.table import CLASSES
 from scenec.testing import cfg_reference
 
 TARGET = Path(__file__).resolve().parents[1] / "schemas" / "cfg.schema.json"
@@ -45,8 +46,28 @@ def _line(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
+def _missing() -> list[str]:
+    """Returns what declarations do not say."""
+    found = []
+    for name, of in bundle()["$defs"].items():
+        place = CLASSES.get(name, name)
+        found += [] if of["description"] else [f"{place}: no docstring"]
+        found += [
+            f"{place}: {key}: no string below it that says what it is"
+            for key, said in of.get("properties", {}).items()
+            if not said.get("description")
+        ]
+    return found
+
+
 def main() -> None:
-    """Writes all three."""
+    """Writes all three.
+
+    Raises:
+        SystemExit: A class or a key is not described.
+    """
+    if missing := _missing():
+        raise SystemExit("\n".join(missing))
     TARGET.write_text(text(), encoding="utf-8")
     for cached in (schema.load_bundle, schema.load_schemas):
         cached.cache_clear()

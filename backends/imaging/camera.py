@@ -22,11 +22,11 @@ from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.imaging.taken import Taken
 from scenec.backends.stage.scene import Camera
 from scenec.schemas import imaging as formulas
+from scenec.schemas.affine import inverses
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.kernels import kernel
+from scenec.schemas.picture import LUMINANCE, luminance
 from scenec.schemas.threads import over_threads
-
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int) -> Taken:
@@ -91,8 +91,7 @@ def exposure(rgb: NDArray[np.float32], imaging: Imaging) -> tuple[float, float]:
         stops = sums[0] / sums[1] / math.log(2.0) if sums[1] else math.inf
     else:
         seen = optics.light(rgb, np.ones((1, 1), np.float32))
-        luminance = sum(weight * seen[:, :, c] for c, weight in enumerate(_LUMINANCE))
-        level = float(np.percentile(luminance, imaging.percentile))
+        level = float(np.percentile(luminance(seen), imaging.percentile))
         stops = math.log2(level) if level > 0.0 else math.inf
     if math.isinf(stops):
         return limits[0][1], limits[1][1]
@@ -134,22 +133,9 @@ def _color(
     per_value = np.array(formulas.electrons_per_value(Imaging(quantum_efficiency=efficiency), 1.0))
     seen = per_value * np.array(matrix).reshape(3, 3).sum(axis=1)
     balance = per_value[1] / seen
-    # What the balanced sensor sees of Rec.709, and its inverse by cofactors: no LAPACK.
-    a, b, c, d, e, f, g, h, i = (
-        (np.array(matrix).reshape(3, 3) * (per_value * balance / per_value[1])[:, None])
-        .ravel()
-        .tolist()
-    )
-    cofactors = np.array(
-        [
-            [e * i - f * h, c * h - b * i, b * f - c * e],
-            [f * g - d * i, a * i - c * g, c * d - a * f],
-            [d * h - e * g, b * g - a * h, a * e - b * d],
-        ]
-    )
-    return balance * np.array(wanted), cofactors / (
-        a * cofactors[0, 0] + b * cofactors[1, 0] + c * cofactors[2, 0]
-    )
+    # What the balanced sensor sees of Rec.709. Inverted by rows: its bits have always been those.
+    sees = np.array(matrix).reshape(3, 3) * (per_value * balance / per_value[1])[:, None]
+    return balance * np.array(wanted), np.ascontiguousarray(inverses(sees.T[None])[0][0].T)
 
 
 def _facts(
@@ -220,7 +206,7 @@ def _log_luminance(first, last, rgb, out):  # type: ignore[no-untyped-def]
             value = 0.0
             for c in range(3):
                 part = np.float64(rgb[y, x, c])
-                value += _LUMINANCE[c] * (min(part, 1e30) if part > 0.0 else 0.0)
+                value += LUMINANCE[c] * (min(part, 1e30) if part > 0.0 else 0.0)
             if value > 0.0:
                 out[y, 0] += log(value)
                 out[y, 1] += 1.0

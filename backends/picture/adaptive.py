@@ -9,7 +9,6 @@ says how many are left to draw, or of a sequence the slope that the last rounds 
 
 from __future__ import annotations
 
-import hashlib
 import math
 import time
 from collections.abc import Callable
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise_seeds import round_seed
 from scenec.backends.picture.compose import denoised_noise, noisy_pixels, through
 from scenec.backends.picture.noise import UNKNOWN, Noise, estimate
 
@@ -224,12 +224,6 @@ def grid(spp: int, up: bool = True) -> int:
         return 2 if spp < 3 or (spp < 4 and not up) else 4
     step = 2 ** max(1, int(math.log2(spp)) - 2)
     return -(-spp // step) * step if up else spp // step * step
-
-
-def round_seed(seed: int, number: int) -> int:
-    """Seed of one round, 32 bits, unrelated to any other's."""
-    digest = hashlib.blake2b(f"{seed}/round/{number}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "little")
 
 
 def _noise_of(picture: Radiance) -> Noise:

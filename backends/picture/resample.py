@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import Projection, RayTable, local_rays, ray_table
 from scenec.backends.contract import Backend, Radiance
+from scenec.backends.noise_seeds import view_seed
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
@@ -140,9 +141,7 @@ def draw(
     each = max(1, int(np.ceil(spp / views.fineness**2)))
     parts = []
     for i, view in enumerate(views.cameras):
-        # Another odd number than tiles of a view have between them (``bands``).
-        noise = (seed + 0x85EBCA6B * i) & 0xFFFFFFFF
-        parts.append(radiance(backend, view, sample, each, noise, denoise))
+        parts.append(radiance(backend, view, sample, each, view_seed(seed, i), denoise))
     clean = [_denoised(part) for part in parts]
     channels = 7 + 3 * len(clean[0])
     picture = np.zeros((camera.height, camera.width, channels), np.float32)

@@ -27,7 +27,6 @@ are blurred is measured by ``blur``, which misses nothing that is seen.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -41,6 +40,7 @@ from scenec.backends.camera.shutter import poses_at
 from scenec.backends.camera.tiles import bands, crop
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.noise_seeds import sub_frame_number, sub_frame_seed
 from scenec.backends.picture.blur import MOST, Blur
 from scenec.backends.picture.compose import background
 from scenec.backends.picture.sky import combine
@@ -107,7 +107,9 @@ def sub_frames(blur: Blur, count: int, seed: int, half: int) -> Iterator[SubFram
         half: Which half.
     """
     camera = replace(blur.camera, shutter=None, focus=None)
-    start, radius, turn = (_number(seed, half, what) for what in ("time", "radius", "turn"))
+    start, radius, turn = (
+        sub_frame_number(seed, half, what) for what in ("time", "radius", "turn")
+    )
     rows = np.arange(camera.height)
     times: NDArray[np.float64]
     if blur.shutter is None:
@@ -205,7 +207,7 @@ class Drawing:
             from scenec.backends.picture.haze import air_at
 
             self._air = air_at(scene, sample)
-        self._stochastic = getattr(backend, "stochastic", True)
+        self._stochastic = backend.stochastic
         self.facts: dict[str, Any] = _facts(blur, 2 if self._stochastic else 1)
 
     def draw(self, spp: int, seed: int, most: int = MOST) -> Radiance:
@@ -232,10 +234,10 @@ class Drawing:
                 # Haze is looked at in one place of the pixels. The same one moves a rasterizer's
                 # samples, which have theirs on a lattice, within its cells.
                 cell = 1.0 if self._stochastic else 1.0 / math.sqrt(share.each)
-                u, v = (_number(seed, half, f"{axis}/{one.index}") - 0.5 for axis in ("u", "v"))
+                u, v = (sub_frame_number(seed, half, f"{n}/{one.index}") - 0.5 for n in ("u", "v"))
                 there = _moved(one.camera, cell * u, cell * v)
                 view = one.camera if self._stochastic else there
-                drawn = self._still(view, share.each, _digest(seed, half, f"{one.index}") >> 32)
+                drawn = self._still(view, share.each, sub_frame_seed(seed, half, one.index))
                 light, behind = self._complete(one.camera, there, drawn)
                 own = slice(one.first, one.first + view.height)
                 halves[half, own] += light
@@ -263,7 +265,7 @@ class Drawing:
 
     def _still(self, camera: Camera, spp: int, seed: int) -> Radiance:
         """A picture of a camera without shutter and aperture."""
-        if camera.lens is None or getattr(self._backend, "follows_lenses", False):
+        if camera.lens is None or self._backend.follows_lenses:
             return radiance(self._backend, camera, self._sample, spp, seed)
         # Imported here: few cameras have a lens.
         from scenec.backends.picture import resample
@@ -331,13 +333,3 @@ def _facts(blur: Blur, halves: int) -> dict[str, Any]:
         "timing_px": None,
         "samples_per_sub_frame": None,
     }
-
-
-def _digest(seed: int, half: int, what: str) -> int:
-    digest = hashlib.blake2b(f"{seed}/{half}/{what}".encode(), digest_size=8).digest()
-    return int.from_bytes(digest, "little")
-
-
-def _number(seed: int, half: int, what: str) -> float:
-    """A number in [0, 1) of its own for each name."""
-    return (_digest(seed, half, what) >> 11) * 2.0**-53

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+from scenec.backends.noise_seeds import frame_seed
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
 from scenec.schemas.errors import BackendError, FrameError, StageError
@@ -72,7 +72,7 @@ def frames_of(
                 holds=holds,
                 what=f"{batch.name}/{camera.name}/{sample:06d}",
                 stem=stem.absolute(),
-                camera=camera.name,
+                sensor=camera.name,
                 number=number,
                 sample=sample,
                 key=plan.key(opened.digest, made, opened.backend, version),
@@ -144,9 +144,3 @@ def unasked(cameras: Sequence[CameraFacts]) -> Iterator[str]:
                 f"camera {camera.name} did not ask for {', '.join(missing)}: what only that "
                 "would show may not be in the stage; compile with that output, or with --keep all"
             )
-
-
-def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
-    """Seed of one frame's noise, 32 bits: no two frames share their noise."""
-    text = f"{noise_seed}/{batch}/{camera}/{sample}"
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")

@@ -239,7 +239,7 @@ class Session:
         seed: int,
         choice: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Render a frame and write it; returns its details, with the seconds of writing.
+        """Renders a frame and writes it; returns its sidecar, with the seconds of writing.
 
         A ``choice`` of this backend (``auto.Choice``) is noted in the sidecar.
 
@@ -283,26 +283,24 @@ class Session:
                 taken = take(arrays["rgb"], camera, camera.imaging, sample)
         with _timed(details["seconds"], "write"):
             more = details, listed, taken, surfaces
-            write_frame(stem, arrays, key, self.scene, camera, sample, *more)
-        return details
+            sidecar = write_frame(stem, arrays, key, self.scene, camera, sample, *more)
+        return sidecar | {"seconds": details["seconds"]}
 
     def witness(self, camera_index: int, sample: int) -> Visibility | None:
         """What the backend itself sees of a frame, for checks.
 
         Returns:
-            None if it does not tell: a backend may have no such method, or be unable to follow this
-            camera's rays.
+            None if it does not tell, or cannot follow this camera's rays.
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
         """
         camera = self._camera(camera_index, sample)
         backend = self._renderer({})
-        look = getattr(backend, "witness", None)
-        if look is None:
-            return None
         plain = camera.lens is None and not is_rolling(camera)
-        return witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
+        return witness(
+            lambda rays, part: backend.witness(rays, sample, part if plain else None), camera
+        )
 
     def _radiance(
         self,
@@ -323,7 +321,7 @@ class Session:
             from scenec.backends.camera import lens
             from scenec.backends.picture import resample
 
-            if getattr(backend, "follows_lenses", False):
+            if backend.follows_lenses:
                 error = lens.ray_table(camera).error_px
                 details["lens_radiance"] = {"way": "rays", "interpolation_px": error}
             else:
@@ -341,10 +339,10 @@ class Session:
 
         blurred = self._blurred(camera, sample, denoise, details)
         # What can denoise a mean of rounds does so, and no round.
-        clean = getattr(backend, "denoise", None) if denoise and views is None else None
+        clean = backend.denoise if denoise and views is None else None
         later = None if clean is None or target is None else partial(clean, camera, sample)
         draws_clean = denoise and later is None
-        goes_on = getattr(backend, "continues", False) and views is None and blurred is None
+        goes_on = backend.continues and views is None and blurred is None
         rounds = None
         with _timed(seconds, "radiance"):
             if target is None:
@@ -470,8 +468,7 @@ class Session:
             )
         with _timed(seconds, "load"):
             if not self._loaded:
-                cost = getattr(self.backend, "load_cost", None)
-                memory.require_room(self.backend.name, cost, self.scene)
+                memory.require_room(self.backend.name, self.backend.load_cost, self.scene)
                 self.backend.load(self._hazy.lit() if any(self.scene.haze) else self.scene)
                 self._loaded = True
         return self.backend

@@ -36,7 +36,7 @@ from scenec.schemas.frames import (
 from scenec.schemas.instances import frame_table_path, read_frame_table, write_frame_table
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import AMODAL, origins
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 from scenec.schemas.versions import version_of
 
 
@@ -51,8 +51,8 @@ def write_frame(
     seen: Seen | None = None,
     taken: Taken | None = None,
     surfaces: NDArray[np.bool_] | None = None,
-) -> None:
-    """Write EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
+) -> dict[str, Any]:
+    """Writes EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
     Args:
         stem: See ``frame_stem``.
@@ -66,6 +66,9 @@ def write_frame(
             pass.
         taken: What the camera's sensor made of ``rgb``, where it has imaging.
         surfaces: Where ``rgb`` shows surfaces, [h, w]; None: not known.
+
+    Returns:
+        The sidecar.
 
     Raises:
         OutputError: A file cannot be written.
@@ -93,7 +96,7 @@ def write_frame(
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
     table = _put(frame_table_path(stem), listed, write_frame_table)
     masks = _put(amodal_path(stem), amodal, write_amodal)
-    sidecar = {
+    sidecar: dict[str, Any] = {
         "version": FRAME_VERSION,
         "camera": camera.name,
         "camera_prim": camera.path,
@@ -129,7 +132,9 @@ def write_frame(
         **({"effects": [json.loads(one) for one in camera.effects]} if camera.effects else {}),
         **details,
     }
-    write_json(stem.with_suffix(".json"), plain(sidecar))
+    sidecar = plain(sidecar)
+    write_json(stem.with_suffix(".json"), sidecar)
+    return sidecar
 
 
 def annotated(stem: Path, digest: str, passes: Sequence[str]) -> Annotation | None:
@@ -221,7 +226,7 @@ def sun_facts(lighting: Lighting) -> dict[str, Any] | None:
     if not lighting.suns:
         return None
     # Rec.709 luminance; of equal ones the first.
-    sun = max(lighting.suns, key=lambda s: float((s.irradiance * LUMINANCE).sum()))
+    sun = max(lighting.suns, key=lambda s: float(luminance(s.irradiance)))
     x, y, z = sun.to_light.tolist()
     return {
         "elevation_deg": math.degrees(math.atan2(z, math.hypot(x, y))),
@@ -253,7 +258,7 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     suns = [
         {
             "prim": sun.path,
-            "irradiance": float((sun.irradiance * LUMINANCE).sum()),
+            "irradiance": float(luminance(sun.irradiance)),
             "angle_deg": math.degrees(sun.diameter_rad),
             "normalized": sun.normalized,
         }
@@ -262,8 +267,8 @@ def light_facts(lighting: Lighting) -> dict[str, Any]:
     sky = combine(lighting.domes)
     return {
         "suns": suns,
-        "sky_radiance": 0.0 if sky is None else float((mean_radiance(sky) * LUMINANCE).sum()),
-        "lamps_w_sr": [float((lamp.intensity * LUMINANCE).sum()) for lamp in lighting.lamps],
+        "sky_radiance": 0.0 if sky is None else float(luminance(mean_radiance(sky))),
+        "lamps_w_sr": [float(luminance(lamp.intensity)) for lamp in lighting.lamps],
     }
 
 

@@ -75,10 +75,6 @@ class Fixed(Exposure):
     """Radiance times 2^ev is shown."""
 
 
-#: Poses that come one by one, at no time.
-_STILL = ("random", "random_target")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shutter:
     """When the rows of a picture are exposed, while the rig goes on moving: motion blur, and a
@@ -102,10 +98,10 @@ class Shutter:
     def check(node: Node) -> Iterator[Finding]:
         """Finds a rig that stands still, and that nothing says how long it is open."""
         cfg, sensor = node.whole(), node.path[:-1]
-        pose = cfg.at(*sensor[:-2], "pose")["type"]
-        if pose in _STILL:
+        pose = cfg.at(*sensor[:-2], "pose")
+        if (name := pose["type"]) is not None and not pose.takes("sampling"):
             yield node.key_fault(
-                f'poses of the type "{pose}" are of no time, so nothing moves while a shutter '
+                f'poses of the type "{name}" are of no time, so nothing moves while a shutter '
                 "is open: take it away, or let the rig move (track, orbit, lawn_mower, rover, mav, "
                 "descent)"
             )

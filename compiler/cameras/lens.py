@@ -128,8 +128,7 @@ def _fold(sensor: Node, node: Node) -> str | None:
     fov = sensor.constant("fov_deg")
     five: Any = None
     if "intrinsics" in sensor:
-        skew = given.constant("skew") if "skew" in given else 0.0
-        five = (*map(given.constant, ("fx", "fy", "cx", "cy")), skew)
+        five = tuple(map(given.constant, ("fx", "fy", "cx", "cy", "skew")))
         if None in five:
             return None
     elif fov is None and ("fov_deg" in sensor or made.model != EQUIRECTANGULAR):

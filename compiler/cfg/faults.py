@@ -14,7 +14,11 @@ def locate(findings: Iterable[Finding], document: Document) -> list[Fault]:
     faults = []
     for finding in findings:
         where = document.keys if finding.at_key else document.values
-        position = finding.position or where.get(finding.path) or document.values[finding.path]
+        path = finding.path
+        while path not in document.values:
+            # A key that is left out: what it is left out of.
+            path = path[:-1]
+        position = finding.position or where.get(path) or document.values[path]
         at = pointer(finding.path)
         faults.append(Fault(position.file, position.line, position.column, at, finding.message))
     return list(dict.fromkeys(faults))

@@ -22,8 +22,8 @@ from scenec.compiler.kinds import Finding, InputFile, Node, schema
 from scenec.compiler.kinds.node import Tree
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
-from scenec.schemas.errors import CfgError, Fault
-from scenec.schemas.plugins import load_kind
+from scenec.schemas.errors import CfgError, Fault, PluginError
+from scenec.schemas.plugins import blaming, load_kind, named
 from scenec.schemas.spelling import shown
 
 
@@ -139,8 +139,24 @@ def _check_kinds(
             elif hasattr(kind, "check_files"):
                 yield from kind.check_files(node, files)
         if files is None and "x-offered" in place.keywords and (node := cfg.at(*place.path)):
-            # A package's check may end without a word.
-            yield from load_kind(*place.keywords["x-offered"]).check(node) or ()
+            group, name = place.keywords["x-offered"]
+            yield from _offered_findings(group, name, node)
+
+
+def _offered_findings(group: str, name: str, node: Node) -> list[Finding]:
+    """Returns what the ``check`` of another package's kind finds, or what is wrong with it."""
+    try:
+        with blaming():
+            made = load_kind(group, name).check(node)
+            # It may end without a word.
+            found = [] if made is None else [*made] if isinstance(made, Iterable) else [made]
+    except PluginError as error:
+        return [node.fault(str(error))]
+    for one in found:
+        if not isinstance(one, Finding):
+            who = named(group, name)
+            return [node.fault(f"{who}: check gave {one!r:.60}: expected what node.fault returns")]
+    return found
 
 
 def digest_of(

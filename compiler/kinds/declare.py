@@ -199,7 +199,8 @@ def _listed(annotation: Any, kind: type[Any]) -> list[Any]:
 def description(kind: type[Any]) -> str:
     """Returns what a class says of itself, but for its notes to who reads the code, in a line."""
     text = inspect.cleandoc(kind.__doc__ or "").partition("\n\nNote:")[0]
-    return " ".join(text.split())
+    # A dataclass without a docstring has its signature there.
+    return "" if text.startswith(f"{kind.__name__}(") else " ".join(text.split())
 
 
 def descriptions(kind: type[Any]) -> dict[str, str]:

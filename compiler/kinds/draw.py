@@ -10,8 +10,9 @@ from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import Form, keys_of, made_of_context
 from scenec.compiler.kinds.forms import RAGGED, SAMPLING, file
-from scenec.compiler.kinds.table import BASES, CHOICES, class_of, is_own, kind_of
-from scenec.schemas.plugins import give_name
+from scenec.compiler.kinds.table import CHOICES, base_of, class_of, is_own, kind_of, lacking
+from scenec.schemas.errors import ScenecError
+from scenec.schemas.plugins import give_name, named
 
 #: What a kind with a ``SCHEMA`` gets under these keys.
 _FOREIGN = {"file": file(""), "ragged": RAGGED, "sampling": SAMPLING}
@@ -27,15 +28,24 @@ def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context)
         choice: Of which it is, see ``table.CHOICES``.
         node: Part of the cfg.
         path: Where it stands: "terrain/relief/0".
+
+    Raises:
+        ScenecError: What another package's kind draws is nothing of its group.
     """
     context = dataclasses.replace(context, choice=choice)
     kind = kind_of(choice, node["type"])
     made = _made(kind, {k: v for k, v in node.items() if k != "type"}, path, context)
+    group = CHOICES[choice].group
     # What a class with a ``SCHEMA`` calls so is its own affair, unless its base says what it is.
-    if hasattr(made, "draw") and (CHOICES[choice].group in BASES or not hasattr(kind, "SCHEMA")):
+    if hasattr(made, "draw") and (not hasattr(kind, "SCHEMA") or hasattr(base_of(group), "draw")):
         made = made.draw(context.at(path))
-    if not is_own(kind) and not is_own(type(made)):
-        give_name(CHOICES[choice].group, type(made), node["type"])
+    if is_own(kind) or (made is None and choice == "sky"):
+        return made
+    if lacks := lacking(group, type(made)):
+        who = named(group, node["type"])
+        raise ScenecError(f"{who}: draw returned {made!r:.60}: expected {lacks}")
+    if not is_own(type(made)):
+        give_name(group, type(made), node["type"])
     return made
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from scenec.compiler.kinds.finding import Finding, Path
-from scenec.compiler.kinds.schema import Field
+from scenec.compiler.kinds.schema import Field, child, is_of
 from scenec.compiler.kinds.support import support
 from scenec.schemas.spelling import nearest, shown
 
@@ -68,6 +68,10 @@ class Node:
             return None
         return self._field.keywords.get("properties", {}).get(key, {}).get("default")
 
+    def takes(self, key: str) -> bool:
+        """Returns whether an object as it is here may have a key."""
+        return self._field is not None and key in self._field.keywords.get("properties", {})
+
     def at(self, *keys: str | int) -> Node:
         """The object or list that stands at a key or, of several keys, below it."""
         return Node(self._tree, (*self.path, *keys))
@@ -89,12 +93,11 @@ class Node:
         return found
 
     def span(self, key: str | int) -> tuple[float, float] | None:
-        """The least and the largest that a number can be; None without a sound one."""
-        path = (*self.path, key)
-        if not self._tree.is_sound(path):
-            return None
-        field = self._tree.fields[path]
-        return support(field.value, field.keywords) if field.is_number else None
+        """The least and the largest that a number, or its default, can be; None without one."""
+        value = self[key]
+        field = None if value is None or self._field is None else child(self._field, key, value)
+        is_number = field is not None and (field.is_number or is_of(value, "number"))
+        return support(value, field.keywords) if field is not None and is_number else None
 
     def constant(self, key: str | int) -> float | None:
         """A number that is the same whenever it is drawn; None without one."""

@@ -21,7 +21,8 @@ from typing import Any
 from scenec.compiler.kinds.finding import Path
 from scenec.compiler.kinds.forms import DEFS
 from scenec.schemas.errors import ScenecError
-from scenec.schemas.plugins import KINDS, entry_points_of, names_of, origin
+from scenec.schemas.plugins import KINDS, entry_points_of, named, names_of, origin, place
+from scenec.schemas.spelling import shown
 
 ROOT, NUMBER = f"{DEFS}cfg", f"{DEFS}number"
 
@@ -64,7 +65,33 @@ def _with_kinds(schema: Any, partial: bool) -> Any:
     }
     if "enum" in found and isinstance(found.get("x-open"), str):
         found["enum"] = list(dict.fromkeys([*found["enum"], *names_of(found["x-open"])]))
+    if isinstance(key := found.get("x-kinds"), str):
+        of = schema["properties"][key]
+        branches = [
+            {
+                "if": {"properties": {key: {"const": name}}, "required": [key]},
+                "then": _with_kinds(_keys_of(of["x-open"], name, key), partial),
+            }
+            for name in names_of(of["x-open"])
+            if name not in of["enum"]
+        ]
+        if branches:
+            found["allOf"] = [*found.get("allOf", ()), *branches]
+            found.pop("additionalProperties", None)
     return found
+
+
+def _keys_of(group: str, name: str, key: str) -> dict[str, Any]:
+    """Returns the keys of another package's kind; of one that is broken, any."""
+    try:
+        found = dict(own_schema(group, name))
+    except ScenecError:
+        return {}
+    if key != "type":
+        # What is named so has keys beside.
+        del found["additionalProperties"]
+        return found
+    return {**found, "properties": {key: {"const": name}, **found["properties"]}}
 
 
 @dataclass(frozen=True)
@@ -124,8 +151,11 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
 def _offered(key: Mapping[str, Any], name: Any) -> dict[str, Any]:
     """What another package's kind adds to an object; ``key`` is the schema of what names it."""
     group = key["x-open"]
-    if not isinstance(name, str) or name in key["enum"] or not entry_points_of(group, name):
+    if not isinstance(name, str) or not (points := entry_points_of(group, name)):
         return {}
+    if name in key["enum"]:
+        what, whose = f"{KINDS[group]} {shown(name)}", ", ".join(map(place, points))
+        return {"x-fault": f"several packages offer the {what}: scenec, {whose}; remove one"}
     try:
         return dict(own_schema(group, name))
     except ScenecError as error:
@@ -175,9 +205,8 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     except (SchemaError, KeyError, NameError) as error:
         why = error.message if isinstance(error, SchemaError) else f"there is no {error}"
         why = str(error) if isinstance(error, NameError) else why
-        who = f"{KINDS[group]} {name} ({kind.__module__}.{kind.__qualname__})"
         what = "SCHEMA" if hasattr(kind, "SCHEMA") else "keys"
-        raise ScenecError(f"{who}: {what}: {why}") from error
+        raise ScenecError(f"{named(group, name)}: {what}: {why}") from error
     return found
 
 
@@ -186,6 +215,8 @@ def _referred(reference: str) -> Mapping[str, Any]:
     if reference in load_schemas():
         return load_schemas()[reference]
     of, _, law = reference.rpartition("/$defs/")
+    if of not in load_schemas():
+        raise KeyError(reference)
     found: Mapping[str, Any] = load_schemas()[of]["$defs"][law]
     return found
 

@@ -7,13 +7,14 @@ Nothing is imported before it is named. Kinds of other packages come in by entry
 from __future__ import annotations
 
 import importlib
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 from scenec.schemas.errors import ScenecError
-from scenec.schemas.plugins import KINDS, load_kind, plugin_name
+from scenec.schemas.plugins import load_kind, named, plugin_name
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,8 @@ _KINDS = {
     "light": {"sun": "light.suns:Sun", "earthshine": "light.earthshine:Earthshine"},
     "light_mount": {"rig": "light.lamp:RigMount", "world": "light.lamp:WorldMount"},
 }
+#: Families of rocks: each is the ``Carved`` of that name in a module of that name.
+ROCKS = ("weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia")
 #: Objects of a cfg that have no ``type``.
 _OBJECTS = {
     "cfg": "cfg.whole:Cfg",
@@ -235,8 +238,9 @@ def _of(group: str, names: str = "") -> dict[str, str]:
     return {name: f"{group}_{name}" for name in names.split() or _KINDS[group]}
 
 
-#: Conditions on a place; others are of objects alone.
-_PLACES = _of("condition", "height slope curvature flow crater_freshness noise point path")
+#: Conditions of objects alone, and those on a place.
+_OF_OBJECTS = _of("condition", "camera object")
+_PLACES = {name: kind for name, kind in _of("condition").items() if name not in _OF_OBJECTS}
 _CONDITIONS: dict[str, Any] = {
     "of": "Kind of condition.",
     "group": "scenec.conditions",
@@ -335,7 +339,7 @@ CHOICES = {
         title="Objects: where",
         description="One condition on where objects lie; several multiply.",
         **_CONDITIONS,
-        kinds={**_PLACES, "material": "relief_mask_material", **_of("condition", "camera object")},
+        kinds={**_PLACES, "material": "relief_mask_material", **_OF_OBJECTS},
     ),
     "pose": Choice(
         title="Pose",
@@ -407,12 +411,22 @@ CHOICES = {
         kinds=_of("surface"),
     ),
 }
-#: What kinds of other packages have to derive from, by group, as in ``CLASSES``; else anything.
+#: What kinds of other packages have to derive from, by group, as in ``CLASSES``.
 BASES = {
     "scenec.clouds": "light.sky:CloudLayer",
+    "scenec.conditions": "terrain.condition:Quantity",
+    "scenec.densities": "objects.density:Density",
     "scenec.rocks": "objects.families.shape:Shape",
     "scenec.scans": "cameras.ranging:ScanPattern",
     "scenec.skies": "light.sky:Sky",
+    "scenec.surfaces": "materials.surface:Surface",
+}
+#: What they, or what they draw, have beside what is abstract there.
+NEEDS = {
+    "scenec.effects": ("apply(picture, random)",),
+    "scenec.poses": ("built(around)", "needs_objects"),
+    "scenec.relief": ("apply(grid, height)",),
+    "scenec.surfaces": ("SIZE_M", "RELIEF"),
 }
 
 
@@ -439,13 +453,50 @@ def offered_kind(group: str, name: str) -> type[Any]:
         ScenecError: No package offers it, or what it offers is no kind of its group.
     """
     kind = load_kind(group, name)
-    base = loaded(BASES[group]) if group in BASES else object
-    if not issubclass(kind, base):
-        raise ScenecError(
-            f"{KINDS[group]} {name} ({kind.__module__}.{kind.__qualname__}): expected a subclass "
-            f"of {base.__module__}.{base.__qualname__}"
-        )
+    draws = group not in BASES and hasattr(kind, "draw") and not hasattr(kind, "SCHEMA")
+    lacks = "" if draws else lacking(group, kind)
+    if not lacks and hasattr(kind, "check") and not _answers(kind, "check(node)"):
+        lacks = "a static method check(node)"
+    if lacks:
+        raise ScenecError(f"{named(group, name)}: expected {lacks}")
     return kind
+
+
+def base_of(group: str) -> type[Any]:
+    """Returns what kinds of other packages have to derive from."""
+    return loaded(BASES[group]) if group in BASES else object
+
+
+def lacking(group: str, kind: type[Any]) -> str:
+    """Returns what another package's class, or what its kind draws, lacks; "": nothing."""
+    base = base_of(group)
+    if not issubclass(kind, base):
+        return f"a subclass of {base.__module__}.{base.__qualname__}"
+    abstract = (
+        f"{name}({', '.join([*inspect.signature(getattr(of, name)).parameters][1:])})"
+        for of in filter(is_own, kind.__mro__)
+        for name in sorted(getattr(of, "__abstractmethods__", ()))
+    )
+    needed = (*abstract, *NEEDS.get(group, ()))
+    lacks = next((need for need in needed if not _answers(kind, need)), "")
+    return lacks and f"{'a method' if '(' in lacks else 'an attribute'} {lacks}"
+
+
+def _answers(kind: type[Any], need: str) -> bool:
+    """Whether a class has an attribute, or a method that takes such arguments."""
+    name, is_method, arguments = need.rstrip(")").partition("(")
+    found = inspect.getattr_static(kind, name, None)
+    if not is_method or found is None or getattr(found, "__isabstractmethod__", False):
+        return not is_method and hasattr(kind, name)
+    own = [] if isinstance(found, staticmethod | classmethod) or name == "check" else [kind]
+    try:
+        inspect.signature(getattr(kind, name)).bind(*own, *filter(None, arguments.split(", ")))
+    except TypeError:
+        return False
+    except ValueError:
+        # Compiled, without a signature.
+        return True
+    return True
 
 
 def name_of(choice: str, kind: type[Any]) -> str:

@@ -50,13 +50,11 @@ class RingDensity(Density):
     def check(node: Node) -> Iterator[Finding]:
         """Findings between its keys, and on the relief."""
         yield from require_craters(node, node.whole().each("terrain", "relief", "*"))
-        low, high = node.span("min_radii"), node.span("max_radii")
-        least = low or ((node["min_radii"],) * 2 if "min_radii" not in node else None)
-        most = high or ((node["max_radii"],) * 2 if "max_radii" not in node else None)
+        least, most = node.span("min_radii"), node.span("max_radii")
         if least and most and least[1] >= most[0]:
             yield node.fault(
                 f"min_radii ({least[1]:g}) can reach max_radii ({most[0]:g}): expected it below",
-                "min_radii" if low else "max_radii",
+                "min_radii" if "min_radii" in node else "max_radii",
             )
 
     def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.errors import SceneError
+from scenec.schemas.plugins import named, plugin_name
 
 
 class ReliefOperator(Protocol):
@@ -26,11 +27,11 @@ def applied(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -
     Raises:
         SceneError: It is not what an operator returns.
     """
-    kind = type(operator)
+    kind, group = type(operator), "scenec.relief"
     if kind.__module__.startswith("scenec."):
         return operator.apply(grid, height)
     made: Any = operator.apply(grid, height.copy())
-    who = f"relief operator {kind.__module__}:{kind.__qualname__}: returned"
+    who = f"{named(group, plugin_name(group, kind))}: returned"
     if not isinstance(made, tuple) or len(made) != 2 or not isinstance(made[1], dict):
         raise SceneError(f"{who} {type(made).__name__}: expected heights and a dict")
     heights, report = made

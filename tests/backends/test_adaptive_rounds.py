@@ -14,8 +14,9 @@ from scipy.stats import f as snedecor
 from third_party import LEVEL, NOISE, install, square_stage
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise_seeds import round_seed
 from scenec.backends.picture import adaptive as rounds
-from scenec.backends.picture.adaptive import Target, collect, grid, round_seed
+from scenec.backends.picture.adaptive import Target, collect, grid
 from scenec.backends.picture.noise import QUANTILE, Noise, bound_factor, estimate
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import render

@@ -13,8 +13,9 @@ from scipy.ndimage import uniform_filter
 from test_mitsuba_kept import field, loaded
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise_seeds import round_seed
 from scenec.backends.picture import denoise
-from scenec.backends.picture.adaptive import Target, collect, round_seed
+from scenec.backends.picture.adaptive import Target, collect
 from scenec.backends.picture.compose import denoised_noise
 from scenec.backends.picture.noise import estimate, estimate_denoised
 from scenec.backends.registry import open_backend

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import TOLERANCE_PX, ray_table
 from scenec.backends.camera.rays import camera_rays, subpixel_directions
-from scenec.backends.contract import Radiance, Rays
+from scenec.backends.contract import Radiance, Rays, completed
 from scenec.backends.exact import ExactCaster
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.picture import resample
@@ -349,8 +349,8 @@ def test_a_backend_that_knows_pinholes_alone_draws_lenses_and_the_sidecar_says_h
     """It is never shown a lens; annotation is cast."""
     camera = CAMERAS["kannala_brandt"]
     world = scene([mesh(*plane())], [surface()], cameras=[camera])
-    backend = Pinholes()
-    session = Session(world, backend)  # type: ignore[arg-type]
+    backend: Any = completed(Pinholes)()
+    session = Session(world, backend)
     arrays, details = session.render(camera, 0, ["rgb", "depth"], 4, 1)
     assert session.witness(0, 0) is None
     assert backend.seen == [None]

@@ -10,11 +10,12 @@ import pytest
 from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
 from workers_here import here
 
+from scenec.api.options import RunOptions
+from scenec.api.steps import refuse_early
 from scenec.backends.registry import backend_class
 from scenec.backends.run.auto import check_backend
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
-from scenec.cli import run_command
 from scenec.cli.main import main, parser
 from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import BackendError
@@ -283,11 +284,9 @@ def test_run_refuses_before_it_compiles(words, tmp_path, monkeypatch, capsys):
 @pytest.mark.usefixtures("worker_here")
 def test_run_asks_for_light_only_where_a_sensor_does(tmp_path):
     cfg = load(write_cfg(tmp_path, small_cfg(outputs=["depth"]))).cfg
-    words = ["run", "CFG", "--seed", "1", "-o", "OUT", "--backend", "reference"]
-    options = parser().parse_args(words)
-    run_command.refuse_early(options, cfg)
+    refuse_early(RunOptions(backend="reference"), cfg)
     cfg["rigs"]["rover"]["sensors"]["front"]["outputs"] = ["rgb"]
     with pytest.raises(BackendError, match="has no rgb"):
-        run_command.refuse_early(options, cfg)
-    # What is asked for on the command line goes before the cfg.
-    run_command.refuse_early(parser().parse_args([*words, "--passes", "depth"]), cfg)
+        refuse_early(RunOptions(backend="reference"), cfg)
+    # What is asked for goes before the cfg.
+    refuse_early(RunOptions(backend="reference", passes=["depth"]), cfg)

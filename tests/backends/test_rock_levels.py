@@ -7,14 +7,12 @@ import pytest
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.kinds.table import ROCKS
 from scenec.schemas.frames import Frame, read_frame
 from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
-FAMILIES = (
-    "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
-)  # fmt: skip
 _WIDTH = 240
 _FOV_DEG = 70
 
@@ -27,7 +25,7 @@ def frames(tmp_path_factory) -> dict[float, Frame]:
         folder = tmp_path_factory.mktemp(f"lod_{lod_px}")
         cfg = small_cfg(samples=1, outputs=["label", "instance", "depth"])
         rocks = cfg["objects"].pop("rocks") | {"subdivisions": 4, "count": 80, "lod_px": lod_px}
-        for family in FAMILIES:
+        for family in ROCKS:
             cfg["objects"][family] = rocks | {"family": family}
         cfg["rigs"]["rover"]["sensors"]["front"] |= {"resolution": [_WIDTH, 180]}
         compile_cfg(write_cfg(folder, cfg), seed=3, out=folder / "out")

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scenec.api.check import find
 from scenec.backends.check.frames import check_scans
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.stage.read import read_stage
-from scenec.cli.check_command import find
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export

@@ -297,7 +297,7 @@ def test_what_an_operator_returns_is_held_against_its_contract(
     made: str, told: str, odd: Package, tmp_path: Path
 ) -> None:
     odd.edit("height + 0.5, {}", made)
-    with pytest.raises(SceneError, match=f"^relief operator odd:Lift: returned {told}"):
+    with pytest.raises(SceneError, match=rf"\(odd:Lift of odd\): returned {told}"):
         compile_cfg(cfg(tmp_path), seed=1, out=tmp_path / "out")
 
 

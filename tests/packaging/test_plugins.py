@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from typing import Any
 import declared_kinds
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 
 from scenec.backends.imaging.effects import apply
 from scenec.compiler.build import BuildLog, build
@@ -23,8 +26,9 @@ from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import with_forms
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas import plugins
-from scenec.schemas.errors import BackendError, CfgError
+from scenec.schemas.errors import BackendError, CfgError, ScenecError
 from scenec.schemas.frames import read_frame
+from scenec.testing.small import small_cfg
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "example_plugins"
 
@@ -51,7 +55,7 @@ def cfg() -> dict[str, Any]:
         "terrain": {
             "size_m": [16, 16],
             "spacing_m": 0.1,
-            "relief": RELIEF,
+            "relief": copy.deepcopy(RELIEF),
             "ground": [
                 {"material": "soil", "labels": {"class": "soil"}},
                 {"material": "stubble", "labels": {"class": "soil"}, "where": [bare]},
@@ -267,8 +271,24 @@ def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
         ("@dataclass\nclass Odd:\n  a: int", "a JSON Schema of its keys, or one whose fields are"),
         ("@dataclass\nclass Odd:\n  a: int = key(forms.COUNT, most=3)", "unexpected keyword"),
         (
-            "@dataclass\nclass Odd:\n  a: 'Kind' = key(forms.CHOICE)",
+            "@dataclass\nclass Odd:\n  a: 'Kind' = key(forms.CHOICE)\n  apply = max",
             "keys: name 'Kind' is not defined",
+        ),
+        (
+            "@dataclass\nclass Odd:\n  a: int = key(forms.COUNT, default=1)",
+            "a method apply(grid, height)",
+        ),
+        (
+            "@dataclass\nclass Odd:\n  def apply(self, grid):\n    return grid, {}",
+            "a method apply(grid, height)",
+        ),
+        (
+            "@dataclass\nclass Odd:\n  apply = max\n  def check(self, node):\n    return []",
+            "expected a static method check(node)",
+        ),
+        (
+            "@dataclass\nclass Odd:\n  a: dict = key(forms.an('od'), default={})\n  apply = max",
+            "$defs/od'",
         ),
         ("Odd = 3", "expected a dataclass with a SCHEMA, a JSON Schema of its keys"),
         ("class Odd:\n  SCHEMA = {}", "expected a dataclass with a SCHEMA"),
@@ -284,29 +304,161 @@ def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
 def test_a_broken_package_is_named_at_its_place_in_the_cfg(
     source: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    info = tmp_path / "site" / "odd-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[scenec.relief]\nodd = odd:Odd\n")
     if source.startswith("SCHEMA"):
         source = (
             "from dataclasses import dataclass\nfrom typing import ClassVar\n@dataclass\n"
             f"class Odd:\n  a: int\n  SCHEMA: ClassVar = {source.partition(' = ')[2]}\n"
+            "  def apply(self, grid, height): ...\n"
         )
     elif source.startswith("@"):
         source = (
             "from dataclasses import dataclass\nfrom scenec.compiler.kinds import forms\n"
             f"from scenec.compiler.kinds.declare import key\n{source}\n"
         )
-    (tmp_path / "site" / "odd.py").write_text(source)
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    monkeypatch.delitem(sys.modules, "odd", raising=False)
-    plugins.load_kind.cache_clear()
+    offer(source, tmp_path, monkeypatch)
     document = cfg()
     document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
     found = dict(faults(tmp_path / "farm.json", document))
     assert told in found["/terrain/relief/1"]
     assert found["/terrain/relief/1"].startswith("relief operator")
+
+
+def offer(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *points: str) -> None:
+    """A package, importable here, whose one module is called odd."""
+    info = tmp_path / "site" / "odd-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
+    lines = points or ("[scenec.relief]", "odd = odd:Odd")
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    (tmp_path / "site" / "odd.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    monkeypatch.delitem(sys.modules, "odd", raising=False)
+    for found in (plugins.load_kind, schema.own_schema):
+        found.cache_clear()
+
+
+OPERATOR = """
+from dataclasses import dataclass
+from scenec.compiler.kinds import forms
+from scenec.compiler.kinds.declare import key
+
+@dataclass(frozen=True, kw_only=True)
+class Odd:
+    a: float = key(forms.CONSTANT, default=1)
+    def apply(self, grid, height):
+        return height, {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ("raise KeyError('soil')", "plug-in odd: KeyError: 'soil' (odd.py, line 13)"),
+        ("return 1 / 0", "plug-in odd: ZeroDivisionError: division by zero (odd.py, line 13)"),
+        ("yield 'wrong'", "check gave 'wrong': expected what node.fault returns"),
+        ("return True", "check gave True: expected what node.fault returns"),
+        ("return [node.fault(f'{node.span(\"a\")}')]", "(1.0, 1.0)"),
+    ],
+)
+def test_a_check_that_fails_is_a_fault_at_its_place(
+    body: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check = f"    @staticmethod\n    def check(node):\n        {body}\n"
+    offer(OPERATOR + check, tmp_path, monkeypatch)
+    document = cfg()
+    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
+    found = dict(faults(tmp_path / "farm.json", document))
+    assert found["/terrain/relief/1"].endswith(told)
+
+
+def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check = "    @staticmethod\n    def check(node):\n        yield node.fault('odd', 'a')\n"
+    offer(OPERATOR + check, tmp_path, monkeypatch)
+    document = cfg()
+    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
+    path = tmp_path / "farm.json"
+    path.write_text(json.dumps(document, indent=1))
+    with pytest.raises(CfgError) as info:
+        load(path)
+    (fault,) = [fault for fault in info.value.faults if fault.message == "odd"]
+    line = path.read_text().splitlines().index('    "type": "odd"')
+    assert (fault.line, fault.pointer) == (line, "/terrain/relief/1/a")
+
+
+@pytest.mark.parametrize("made", ["None", "3"])
+def test_what_an_operator_draws_is_held_against_its_group(
+    made: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = f"    def draw(self, context):\n        return {made}\n"
+    offer(OPERATOR + drawn, tmp_path, monkeypatch)
+    path = tmp_path / "small.json"
+    path.write_text(json.dumps(small_cfg()))
+    spec = load(path, ['terrain.relief.1={"type": "odd"}'])
+    told = (
+        rf'^relief operator "odd" \(odd:Odd of odd\): draw returned {made}: expected a method apply'
+    )
+    with pytest.raises(ScenecError, match=told):
+        draw(spec, 3, 0)
+
+
+def test_what_does_not_derive_from_its_groups_class_is_told_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups = ("conditions", "densities", "surfaces", "skies", "rocks")
+    points = [line for of in groups for line in (f"[scenec.{of}]", "odd = odd:Odd")]
+    offer(OPERATOR, tmp_path, monkeypatch, *points)
+    for group, base in zip(groups, ("Quantity", "Density", "Surface", "Sky", "Shape"), strict=True):
+        with pytest.raises(
+            ScenecError, match=rf"odd:Odd of odd\): expected a subclass .*\.{base}$"
+        ):
+            schema.own_schema(f"scenec.{group}", "odd")
+
+
+@pytest.mark.parametrize(
+    ("group", "kind", "told"),
+    [
+        ("poses", "Odd:\n    def built(self, around): ...", "an attribute needs_objects"),
+        ("poses", "Odd:\n    needs_objects = False", "a method built(around)"),
+        ("effects", "Odd:\n    def apply(self, picture): ...", "a method apply(picture, random)"),
+        ("surfaces", "Odd(Surface):\n    def paint(self, tile): ...", "an attribute SIZE_M"),
+        ("skies", "Odd(Sky):\n    def build(self, sun): ...", "a method build(sun, samples)"),
+        ("densities", "Odd(Everywhere):\n    def on(self, a, b): ...", "a method at(x, y)"),
+        ("scans", "Odd(ScanPattern):\n    def rays(self, n): ...", "a method rays()"),
+    ],
+)
+def test_what_a_kind_lacks_of_its_group_is_told(
+    group: str, kind: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = (
+        "from dataclasses import dataclass\n"
+        "from scenec.compiler.cameras.ranging import ScanPattern\n"
+        "from scenec.compiler.light.sky import Sky\n"
+        "from scenec.compiler.materials.surface import Surface\n"
+        "from scenec.compiler.objects.density import Everywhere\n\n"
+        f"@dataclass(frozen=True, kw_only=True)\nclass {kind}\n"
+    )
+    offer(source, tmp_path, monkeypatch, f"[scenec.{group}]", "odd = odd:Odd")
+    with pytest.raises(ScenecError, match=rf"odd:Odd of odd\): expected {re.escape(told)}$"):
+        schema.own_schema(f"scenec.{group}", "odd")
+
+
+def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offer(OPERATOR, tmp_path, monkeypatch, "[scenec.relief]", "smooth = odd:Odd")
+    path = tmp_path / "small.json"
+    path.write_text(json.dumps(small_cfg()))
+    with pytest.raises(CfgError) as info:
+        load(path)
+    (fault,) = info.value.faults
+    assert fault.message == (
+        'several packages offer the relief operator "smooth": scenec, odd:Odd of odd; remove one'
+    )
+    del (document := small_cfg())["terrain"]["relief"][2]
+    path.write_text(json.dumps(document))
+    assert load(path).plugins == {}
 
 
 # Kinds that declare their keys -------------------------------------------------------------------
@@ -462,5 +614,15 @@ def test_the_schema_for_editors_and_the_two_forms_say_the_same(there: Path) -> N
         assert keys[first] == with_forms({**length, **said})
         assert {"mask", "sampling"} & keys.keys()
         assert made["additionalProperties"] is False
-    names = schema.bundled()["$defs"]["pose"]["properties"]["type"]["enum"]
-    assert names[-1] == "spiral"
+    editor = Draft202012Validator(schema.bundled())
+    assert editor.schema["$defs"]["pose"]["properties"]["type"]["enum"][-1] == "spiral"
+    document = cfg()
+    document["light"]["clouds"] = {"more": [{"type": "veil", "optical_depth": 0.5}]}
+    assert [error.message for error in editor.iter_errors(document)] == []
+    document["terrain"]["relief"][1]["deph_m"] = 1
+    document["objects"]["clods"]["crumbel"] = 1
+    document["rigs"]["drone"]["sensors"]["eye"]["effects"][0]["strenth"] = 1
+    document["light"]["clouds"]["more"][0]["optical_depht"] = 1
+    assert len([*editor.iter_errors(document)]) == 4
+    partly = Draft202012Validator(schema.bundled(partial=True))
+    assert partly.is_valid({"terrain": {"relief": [{"type": "furrows"}]}})

@@ -61,11 +61,9 @@ class Descent:
     def check(node: Node) -> Iterator[Finding]:
         """Yields a finding where it can begin below its end."""
         high, low = node.span("entry_height_m"), node.span("touchdown_height_m")
-        # The default counts, too: its bounds are those of the schema's.
-        lowest = low[1] if low else 1.0
-        if high and lowest > high[0]:
+        if high and low and low[1] > high[0]:
             yield node.fault(
-                f"{high[0]:g} m can be below touchdown_height_m ({lowest:g} m): expected it above",
+                f"{high[0]:g} m can be below touchdown_height_m ({low[1]:g} m): expected it above",
                 "entry_height_m",
             )
 

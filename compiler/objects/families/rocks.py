@@ -10,7 +10,7 @@ from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Context, Finding, Form, Node, an, draw_object, forms, key, list_of
 from scenec.compiler.kinds.declare import keys_of
 from scenec.compiler.kinds.draw import values_of
-from scenec.compiler.kinds.table import loaded, offered_kind
+from scenec.compiler.kinds.table import ROCKS, loaded, offered_kind
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.scattered import Scattered
 from scenec.schemas.spelling import shown
@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     from scenec.compiler.objects.feet import Fillet
     from scenec.compiler.objects.plan import ScatterPlan
 
-#: Families of this package: each is the ``Carved`` of that name in a module of that name.
-FAMILIES = (
-    "weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia",
-)  # fmt: skip
-
 
 def family_of(name: str) -> type[Any]:
     """Returns the class of a family; another package's where it is no own one.
@@ -31,7 +26,7 @@ def family_of(name: str) -> type[Any]:
     Raises:
         ScenecError: No package offers it, or what it offers is no kind.
     """
-    if name not in FAMILIES:
+    if name not in ROCKS:
         return offered_kind("scenec.rocks", name)
     found: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}")
     return found
@@ -54,7 +49,7 @@ class Rocks(Scattered):
 
     material: str = key(forms.TEXT)
     """Name of a material."""
-    family: str = key(Form({"x-open": "scenec.rocks", "enum": list(FAMILIES)}), default="weathered")
+    family: str = key(Form({"x-open": "scenec.rocks", "enum": list(ROCKS)}), default="weathered")
     """Kind of rock. weathered: worn blocks with spalls and pits, by angularity. angular: broken
     along planes, corners chipped, faces of fresh breaks lighter. rounded: cobbles. slab: layered
     plates with stepped sides, which lie flat unless orientation says otherwise. vesicular: basalt
@@ -98,7 +93,7 @@ class Rocks(Scattered):
     @staticmethod
     def check(node: Node, hint: str | None = "") -> Iterator[Finding]:
         """Yields findings between its keys, as of ``Scattered``, and with its family's."""
-        family = family_of(node["family"]) if node["family"] in FAMILIES else None
+        family = family_of(node["family"]) if node["family"] in ROCKS else None
         if family:
             (other,) = {"wear", "angularity"} - {family.READS}
             if other in node:
@@ -169,7 +164,7 @@ class Rocks(Scattered):
         u = streams.uniforms(f"{path}/axes", 2)
         middle = 1.0 - min(elongation * (0.4 + 1.2 * u[0]), 0.95)
         low = 1.0 - flatness * (0.75 + 0.5 * u[1])
-        if self.family in FAMILIES:
+        if self.family in ROCKS:
             own = {"drawn": family.draw(path, streams, wear)}
         else:
             own = self._of_package(family, context)

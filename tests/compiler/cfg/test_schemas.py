@@ -161,6 +161,17 @@ def test_the_schema_is_made_of_what_kinds_declare(monkeypatch):
     assert file.read_text(encoding="utf-8") == declarations.text(), "python -m tools.declarations"
 
 
+def test_what_is_not_described_is_told_before_anything_is_written(monkeypatch):
+    monkeypatch.syspath_prepend(str(_DOCS.parent))
+    declarations = importlib.import_module("tools.declarations")
+    of = {"description": "", "properties": {"a": {}, "b": {"description": "B."}}}
+    monkeypatch.setattr(declarations, "bundle", lambda: {"$defs": {"relief_plane": of}})
+    plane = "terrain.sources.plane:Plane: "
+    said = f"{plane}no docstring\n{plane}a: no string below it that says what it is"
+    with pytest.raises(SystemExit, match=re.escape(said)):
+        declarations.main()
+
+
 def test_the_reference_page_is_up_to_date():
     page = (_DOCS / "cfg.md").read_text(encoding="utf-8")
     assert page == cfg_reference.make(), "run: python -m tools.declarations"

@@ -76,6 +76,10 @@ def test_a_class_says_what_json_schema_says_of_its_keys() -> None:
     assert description(Sample) == "Waves on a pond, as they come."
 
 
+def test_a_class_without_a_docstring_says_nothing() -> None:
+    assert description(_one(key(TRUTH))) == ""
+
+
 def test_what_may_be_left_out_has_its_default_in_python_too() -> None:
     made = Sample(length_m=1.0, owner="me", key=5)
     assert (made.many, made.kind, made.rare, made.sides) == (3, None, None, (True,))

@@ -26,6 +26,14 @@ def test_a_value_is_read_as_it_stands_and_a_default_where_the_key_is_left_out():
     assert ("apart" in rocks, rocks["apart"]) == (False, None)
 
 
+def test_the_span_of_a_number_that_is_left_out_is_that_of_its_default():
+    relief = [{"type": "plane"}, {"type": "polygons", "scale_m": -5, "depth_m": 1}]
+    polygons = node(changed({"/terrain/relief": relief})).at("terrain", "relief", 1)
+    spans = [polygons.span(key) for key in ("depth_m", "width_m", "scale_m", "mask", "no")]
+    assert spans == [(1.0, 1.0), (0.8, 0.8), None, None, None]
+    assert polygons.constant("width_m") == 0.8
+
+
 @pytest.mark.parametrize("value", ["slap", 3, None, ["slab"], {"type": "slab"}])
 def test_a_faulty_value_is_there_and_not_to_be_read(value):
     rocks = node(changed({"/objects/rocks/family": value})).at("objects", "rocks")
