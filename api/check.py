@@ -213,10 +213,10 @@ def agreement_json(agreement: Agreement) -> dict[str, Any]:
                 "second": r.second,
                 "frames": r.frames,
                 "mean_ratio": r.mean_ratio,
-                "relative_mse": _known(r.relative_mse),
-                "noise_relative_mse": _known(r.noise),
-                "flip": _known(r.flip),
-                "flip_floor": _known(r.floor),
+                "relative_mse": _numbers_only(r.relative_mse),
+                "noise_relative_mse": _numbers_only(r.noise),
+                "flip": _numbers_only(r.flip),
+                "flip_floor": _numbers_only(r.floor),
             }
             for r in agreement.radiance
         ],
@@ -224,5 +224,5 @@ def agreement_json(agreement: Agreement) -> dict[str, Any]:
     }
 
 
-def _known(values: list[float]) -> list[float | None]:
+def _numbers_only(values: list[float]) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values]

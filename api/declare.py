@@ -100,10 +100,10 @@ class Spread[**P, T: CallOptions]:
         call.__signature__ = inspect.signature(function).replace(  # type: ignore[attr-defined]
             parameters=[*(p.replace(kind=p.POSITIONAL_ONLY) for p in before), *after]
         )
-        call.__doc__ = re.sub(r"(?m)^( +)options: .*$", self._told, function.__doc__ or "")
+        call.__doc__ = re.sub(r"(?m)^( +)options: .*$", self._option_help, function.__doc__ or "")
         return call
 
-    def _told(self, line: re.Match[str]) -> str:
+    def _option_help(self, line: re.Match[str]) -> str:
         told = {name: f.metadata["help"] for name, f in declared(self._record).items()}  # type: ignore[arg-type]
         return "\n".join(
             f"{line[1]}{name}: {text.replace('%%', '%')}" for name, text in told.items()

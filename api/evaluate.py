@@ -187,12 +187,12 @@ def _track(
     return _without_unrendered(found, source)
 
 
-def _without_unrendered(found: Evaluation, source: Source | None) -> Evaluation:
+def _without_unrendered(evaluation: Evaluation, source: Source | None) -> Evaluation:
     """Says which frames of the truth there are none of."""
     if source is not None:
-        found.settings["frames_not_rendered"] = len(source.missing)
-        found.notes += unrendered(source)
-    return found
+        evaluation.settings["frames_not_rendered"] = len(source.missing)
+        evaluation.notes += unrendered(source)
+    return evaluation
 
 
 def _only_truth(against: Path) -> Path:

@@ -84,10 +84,10 @@ def export_models(out: Path, format: str, options: ExportOptions) -> ModelsRepor
             raise OutputError(f"{file}: is there already; --replace writes it anew")
     folder.mkdir(parents=True, exist_ok=True)
     steps = options.listener.steps("exported", unit="batch", units="batches")
-    told: dict[str, dict[str, Any]] = {}
+    contents: dict[str, dict[str, Any]] = {}
     for number, batch in enumerate(batches):
         written = _write(format, batch, files[batch.name], texels)
-        told[batch.name] = {
+        contents[batch.name] = {
             "file": files[batch.name].name,
             "bytes": files[batch.name].stat().st_size,
             "sha256": sha256(files[batch.name]),
@@ -96,7 +96,7 @@ def export_models(out: Path, format: str, options: ExportOptions) -> ModelsRepor
             "losses": list(written.losses),
         }
         steps(number + 1, len(batches), batch.name)
-    report = {"format": format, "scenec": version_of(), "batches": told}
+    report = {"format": format, "scenec": version_of(), "batches": contents}
     with atomic(folder / "export.json") as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return ModelsReport(folder, format, tuple(files.values()), report)

@@ -254,10 +254,10 @@ class Preview:
             if stem.name == f"{sample:06d}"
         ]
 
-    def _wait(self, seen: list[Stamp | None]) -> None:
+    def _wait(self, before: list[Stamp | None]) -> None:
         """Wait until files change, and rest: some editors empty one before they write it."""
-        now = last = seen
-        while now == seen or now != last:
+        now = last = before
+        while now == before or now != last:
             time.sleep(_LOOK_S)
             now, last = self._stamps(), now
 

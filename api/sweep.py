@@ -90,7 +90,7 @@ class SweepTable:
     def __init__(self, out: Path, swept: Sequence[Point], specs: Sequence[Spec]) -> None:
         if (out / MANIFEST).exists():
             raise OutputError(f"{out}: holds one compilation, no sweep; choose another folder")
-        _require_own(out)
+        _require_sweep_table(out)
         self.out, self.points = out, tuple(swept)
         self._name = specs[0].cfg["name"]
         self._rows: dict[str, dict[str, Any]] = {
@@ -142,7 +142,7 @@ def _as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
-def _require_own(out: Path) -> None:
+def _require_sweep_table(out: Path) -> None:
     """Refuses a folder whose tables of that name are not those of a sweep.
 
     Raises:
@@ -205,14 +205,14 @@ def _refuse_early(options: SweepOptions, specs: Sequence[Spec]) -> list[bool]:
     """
     if options.compile_only:
         return [False] * len(specs)
-    known: list[tuple[Any, bool]] = []
+    answers: list[tuple[Any, bool]] = []
     found = []
     for spec in specs:
         # Most points have the same cameras.
-        lidars = next((answer for rigs, answer in known if rigs == spec.cfg["rigs"]), None)
+        lidars = next((answer for rigs, answer in answers if rigs == spec.cfg["rigs"]), None)
         if lidars is None:
             lidars = refuse_early(options, spec.cfg)
-            known.append((spec.cfg["rigs"], lidars))
+            answers.append((spec.cfg["rigs"], lidars))
         found.append(lidars)
     return found
 

@@ -220,6 +220,8 @@ class Backend:
         return None
 
 
-def completed(made: type) -> type[Backend]:
+def completed(backend: type) -> type[Backend]:
     """Returns a backend's class, or, if it does not derive from ``Backend``, a subclass of both."""
-    return made if issubclass(made, Backend) else type(made.__name__, (made, Backend), {})
+    return (
+        backend if issubclass(backend, Backend) else type(backend.__name__, (backend, Backend), {})
+    )

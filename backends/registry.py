@@ -107,16 +107,16 @@ def backend_class(name: str, device: str = "auto") -> type[Backend]:
         )
     get, mend = _target(name)
     try:
-        found: type[Backend] = get()
+        backend: type[Backend] = get()
     except Exception as error:
         if name in BUILT_IN and not isinstance(error, ImportError | AttributeError):
             raise
         raise _not_imported(name, error, mend) from error
-    if device not in ("auto", *found.devices):
+    if device not in ("auto", *backend.devices):
         raise BackendError(
-            f"backend {name} has no device {device!r}; it has auto, {', '.join(found.devices)}"
+            f"backend {name} has no device {device!r}; it has auto, {', '.join(backend.devices)}"
         )
-    return completed(found)
+    return completed(backend)
 
 
 def open_backend(name: str, device: str = "auto") -> Backend:

@@ -71,8 +71,8 @@ def _listed(names: Completer) -> Completer:
 def _cfgs(prefix: str, **_: object) -> Iterable[str]:
     from argcomplete.completers import FilesCompleter
 
-    found: Iterable[str] = FilesCompleter(("json",))(prefix)
-    return found
+    names: Iterable[str] = FilesCompleter(("json",))(prefix)
+    return names
 
 
 #: Option, or name of a positional argument, to what completes it; paths are the shell's own.

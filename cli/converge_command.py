@@ -36,16 +36,16 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def print_report(found: ConvergeReport) -> None:
+def print_report(report: ConvergeReport) -> None:
     """Tables: convergence to oneself, differences between backends, annotation."""
     rows = [
         [series.name, series.against, step.rung, *step_cells(step)]
-        for series in sorted(found.series, key=lambda one: not one.own)
+        for series in sorted(report.series, key=lambda one: not one.own)
         for step in series.steps
     ]
     print(table(rows, ["backend", "against", "rung", *STEP_HEADER]))
-    if found.floors:
+    if report.floors:
         print("\nbetween references, noise subtracted (not from FLIP):")
-        print(table([floor_cells(floor) for floor in found.floors], FLOOR_HEADER))
-    for path in found.files:
+        print(table([floor_cells(floor) for floor in report.floors], FLOOR_HEADER))
+    for path in report.files:
         print(path)

@@ -34,21 +34,22 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def print_report(found: Evaluation) -> None:
+def print_report(evaluation: Evaluation) -> None:
     """The measures, then a table a part."""
     rows = [
-        [name, _text(value), found.units.get(name, "")] for name, value in found.measures.items()
+        [name, _text(value), evaluation.units.get(name, "")]
+        for name, value in evaluation.measures.items()
     ]
-    print(table(rows, [found.task, "value", "unit"]))
-    for one in found.tables:
+    print(table(rows, [evaluation.task, "value", "unit"]))
+    for one in evaluation.tables:
         if one.name not in _LONG and one.rows:
             print(f"\n{one.title}")
             print(table([list(map(_text, row)) for row in one.rows[:_ROWS]], list(one.columns)))
             if len(one.rows) > _ROWS:
                 print(f"and {len(one.rows) - _ROWS} more rows (-o FOLDER or --json)")
-    for note in found.notes:
+    for note in evaluation.notes:
         say(f"note: {note}")
-    for path in found.files:
+    for path in evaluation.files:
         print(path)
 
 

@@ -42,23 +42,23 @@ def run(options: argparse.Namespace) -> int:
     if isinstance(report, ModelsReport):
         if options.json:
             print_json({"folder": str(report.folder), **report.content})
-        _tell_models(report)
+        _print_models(report)
         say_next(("explain", options.out))
         return 0
     if options.json:
         print_json(as_json(report))
-    _tell(report)
+    _print_report(report)
     return 0
 
 
-def _tell_models(report: ModelsReport) -> None:
+def _print_models(report: ModelsReport) -> None:
     for line in report.losses:
         say(f"not in it: {line}")
     for file in report.files:
         say(f"{report.format}: {file} ({file.stat().st_size / 1e6:.1f} MB)")
 
 
-def _tell(report: ExportReport) -> None:
+def _print_report(report: ExportReport) -> None:
     if report.there:
         say("the dataset is there already, made of the same frames in the same way")
     splits = ", ".join(f"{name} {count:,}" for name, count in report.splits.items())

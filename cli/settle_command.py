@@ -33,11 +33,11 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({**asdict(report), "files": {n: str(f) for n, f in report.files.items()}})
     else:
-        _tell(report)
+        _print_report(report)
     return 0
 
 
-def _tell(report: SettleReport) -> None:
+def _print_report(report: SettleReport) -> None:
     say(
         f"settled {report.objects:,} objects in {report.groups:,} groups: {report.steps:,} steps, "
         f"{report.seconds:.1f} s (building the batch: {report.build_seconds:.1f} s)"

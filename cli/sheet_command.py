@@ -30,18 +30,18 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _show(path: Path, asked: str | None) -> None:
+def _show(path: Path, requested: str | None) -> None:
     """Shows the sheet in the terminal, where that was asked for or can do it."""
     from PIL import Image
 
     from scenec.datasets.terminal import protocol_of, shown
 
-    known = protocol_of(os.environ) if asked == "auto" or sys.stdout.isatty() else None
+    known = protocol_of(os.environ) if requested == "auto" or sys.stdout.isatty() else None
     # Asked for, it is shown as well as the terminal is known to; otherwise only if it is known.
-    protocol = known or ("blocks" if asked == "auto" else None)
-    if asked in ("kitty", "iterm2", "blocks"):
-        protocol = asked
-    if protocol is None or asked == "none":
+    protocol = known or ("blocks" if requested == "auto" else None)
+    if requested in ("kitty", "iterm2", "blocks"):
+        protocol = requested
+    if protocol is None or requested == "none":
         return
     with Image.open(path) as picture:
         sys.stdout.write(

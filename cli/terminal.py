@@ -49,7 +49,7 @@ class Terminal(Listener):
         """Says what each batch holds, what is improbable of it, and where the stages are."""
         self.made["compile"] = compile_json(report)
         for name in report.seconds:
-            self._tell_batch(name, report)
+            self._print_batch(name, report)
         for name, attempts in report.attempts.items():
             say(f"{name}: drawn again {attempts} times, since it could not be built")
         if report.failed:
@@ -71,7 +71,7 @@ class Terminal(Listener):
             say(f"{taken} of {made + taken} steps were taken from the cache, {cache}")
         say(f"stages: {report.out}/batch_*/stage.usda")
 
-    def _tell_batch(self, name: str, report: CompileReport) -> None:
+    def _print_batch(self, name: str, report: CompileReport) -> None:
         from scenec.api.explain.passes import precision_text
         from scenec.compiler.kinds.table import CHOICES
         from scenec.compiler.mesh.precision import WARN_PX

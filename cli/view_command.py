@@ -52,7 +52,7 @@ def _open(page: Path) -> None:
 
 def watch(
     out: Path,
-    asked: ViewOptions,
+    options: ViewOptions,
     opened: bool = True,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -60,11 +60,11 @@ def watch(
 
     Args:
         out: The output.
-        asked: What is shown.
+        options: What is shown.
         opened: Whether a browser shows the page already, or shall not.
         sleep: Waits for so many seconds.
     """
-    page = page_of(out, asked)
+    page = page_of(out, options)
     shown, before = "", ""
     try:
         while True:
@@ -73,7 +73,7 @@ def watch(
             if state != shown and state == before:
                 shown = state
                 try:
-                    report = write_page(out, asked, state)
+                    report = write_page(out, options, state)
                 except ScenecError as error:
                     say(f"waiting: {error}")
                 else:

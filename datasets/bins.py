@@ -86,15 +86,15 @@ def sparse(counts: NDArray[np.integer]) -> Counts:
     return {str(number): int(counts[number]) for number in np.flatnonzero(counts).tolist()}
 
 
-def share_counts(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Counts:
+def share_counts(part: NDArray[np.int64], total: NDArray[np.int64]) -> Counts:
     """Histogram of 1 - part / whole in tenths, in whole numbers throughout.
 
     Returns:
         Bin 0: exactly 0; bin k of 1 to 10: from (k - 1) / 10, and above 0, to below k / 10; bin 11:
         exactly 1.
     """
-    rest = np.maximum(whole - part, 0)
-    tenth = 1 + 10 * rest // np.maximum(whole, 1)
+    rest = np.maximum(total - part, 0)
+    tenth = 1 + 10 * rest // np.maximum(total, 1)
     return sparse(np.bincount(np.where(rest == 0, 0, tenth)))
 
 

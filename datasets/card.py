@@ -261,7 +261,7 @@ def _again(summary: dict[str, Any], statistics: dict[str, Any], cfg: str | None)
         if "rgb" in (how["passes"] or ()):
             words += ["--spp", str(how["samples_per_pixel"])]
             words += ["--noise-seed", str(how["noise_seed"])]
-        words += ["--passes", ",".join(_asked_passes(how["passes"] or ()))]
+        words += ["--passes", ",".join(_requested_passes(how["passes"] or ()))]
         words += ["--denoise"] if how["denoised"] else []
         words += _span("--samples", asked["samples"])
         lines.append(shlex.join(words))
@@ -300,7 +300,7 @@ def _again(summary: dict[str, Any], statistics: dict[str, Any], cfg: str | None)
     return text
 
 
-def _asked_passes(passes: Sequence[str]) -> list[str]:
+def _requested_passes(passes: Sequence[str]) -> list[str]:
     """``label`` for all its levels, in the order of the frame."""
     return list(dict.fromkeys("label" if p.startswith("label.") else p for p in passes))
 

@@ -58,38 +58,38 @@ def bar(count: int, most: int) -> str:
     return (_EIGHTHS[8] * (eighths // 8) + _EIGHTHS[eighths % 8]).strip()
 
 
-def histogram(found: Mapping[str, Any], what: str, counted: str) -> str:
+def histogram(entry: Mapping[str, Any], what: str, counted: str) -> str:
     """A histogram of ``statistics.json`` as a table with bars.
 
     Args:
-        found: ``edges``, ``counts``, and what is beyond them.
+        entry: ``edges``, ``counts``, and what is beyond them.
         what: Header of the first column.
         counted: Header of the second.
     """
-    edges, counts = found["edges"], found["counts"]
+    edges, counts = entry["edges"], entry["counts"]
     rows: list[tuple[str, int]] = []
-    if found.get("zero"):
-        rows.append(("0", found["zero"]))
-    if found.get("below"):
-        rows.append((f"below {edges[0]:g}" if edges else "below all bins", found["below"]))
+    if entry.get("zero"):
+        rows.append(("0", entry["zero"]))
+    if entry.get("below"):
+        rows.append((f"below {edges[0]:g}" if edges else "below all bins", entry["below"]))
     rows += [
         (f"{low:g} to {high:g}", count)
         for low, high, count in zip(edges, edges[1:], counts, strict=False)
     ]
-    if found.get("above"):
-        rows.append((f"from {edges[-1]:g}" if edges else "above all bins", found["above"]))
-    if found.get("one"):
-        rows.append(("1", found["one"]))
-    if found.get("nothing"):
-        rows.append(("nothing hit", found["nothing"]))
+    if entry.get("above"):
+        rows.append((f"from {edges[-1]:g}" if edges else "above all bins", entry["above"]))
+    if entry.get("one"):
+        rows.append(("1", entry["one"]))
+    if entry.get("nothing"):
+        rows.append(("nothing hit", entry["nothing"]))
     most = max((count for _, count in rows), default=0)
     return table([what, counted, ""], [(t, c, bar(c, most)) for t, c in rows], "lr")
 
 
-def levels(found: Mapping[str, Any]) -> str:
+def levels(entries: Mapping[str, Any]) -> str:
     """Labels of all levels, with what is seen of them."""
     parts = []
-    for level, entry in found.items():
+    for level, entry in entries.items():
         rows: list[Sequence[object]] = [
             (
                 label["id"],
@@ -114,21 +114,21 @@ def levels(found: Mapping[str, Any]) -> str:
 _COCO_DETECTIONS = 100
 
 
-def instances(found: Mapping[str, Any]) -> str:
+def instances(statistics: Mapping[str, Any]) -> str:
     """Classes of instances, and histograms over all of them."""
     rows = [
         (code(name), entry["seen"], entry["distinct"], entry["frames"], entry["at_border"])
-        for name, entry in found["classes"].items()
+        for name, entry in statistics["classes"].items()
     ]
     if len(rows) > 1:
-        rows.append(("all", found["seen"], found["distinct"], "", ""))
+        rows.append(("all", statistics["seen"], statistics["distinct"], "", ""))
     header = ["class", "seen in frames", "distinct", "frames", "at the border"]
     text = table(header, rows, "lrrrr")
     text += (
         "\n*Seen* counts an instance once for each frame that shows it, *distinct* once for its "
         "batch.\n"
     )
-    most = found["most_in_a_frame"]
+    most = statistics["most_in_a_frame"]
     text += f"No frame shows more than {most:,}.\n"
     if most > _COCO_DETECTIONS:
         text += (
@@ -137,8 +137,8 @@ def instances(found: Mapping[str, Any]) -> str:
             f"line of its summary stays that of {_COCO_DETECTIONS}; "
             "`eval['precision'][..., -1]` has them all.\n"
         )
-    if found["ignored"]:
-        text += f"{found['ignored']:,} are marked as not to be judged, and not counted here.\n"
+    if statistics["ignored"]:
+        text += f"{statistics['ignored']:,} are marked as not to be judged, and not counted here.\n"
     titles = {
         "area": ("pixels that show it", "Area"),
         "size": ("longest side, meters", "Size"),
@@ -146,16 +146,20 @@ def instances(found: Mapping[str, Any]) -> str:
         "occlusion": ("part hidden by others", "Occlusion"),
         "truncation": ("part beyond the border", "Truncation"),
     }
-    text += "\nInstances in a frame:\n\n" + histogram(found["per_frame"], "instances", "frames")
+    text += "\nInstances in a frame:\n\n" + histogram(
+        statistics["per_frame"], "instances", "frames"
+    )
     for key, (what, title) in titles.items():
-        if key in found["all"]:
-            text += f"\n{title}:\n\n" + histogram(found["all"][key], what, "instances")
+        if key in statistics["all"]:
+            text += f"\n{title}:\n\n" + histogram(statistics["all"][key], what, "instances")
     return text
 
 
-def viewpoints(found: Mapping[str, Any]) -> str:
+def viewpoints(statistics: Mapping[str, Any]) -> str:
     """Tabulates positions and directions of cameras."""
-    rows = [(axis, float(low), float(high)) for axis, (low, high) in found["position_m"].items()]
+    rows = [
+        (axis, float(low), float(high)) for axis, (low, high) in statistics["position_m"].items()
+    ]
     text = "Positions of cameras, meters:\n\n" + table(["axis", "least", "most"], rows, "lrr")
     titles = {
         "height_above_surface": "Height above the first surface straight below, meters",
@@ -164,20 +168,20 @@ def viewpoints(found: Mapping[str, Any]) -> str:
         "heading": "Heading, degrees clockwise from +Y (north)",
     }
     for key, title in titles.items():
-        if key in found:
-            text += f"\n{title}:\n\n" + histogram(found[key], key.split("_")[0], "frames")
+        if key in statistics:
+            text += f"\n{title}:\n\n" + histogram(statistics[key], key.split("_")[0], "frames")
     return text
 
 
-def sun(found: Mapping[str, Any]) -> str:
+def sun(statistics: Mapping[str, Any]) -> str:
     """Elevations by bearings of the sun."""
-    edges = found["azimuth_edges_deg"]
+    edges = statistics["azimuth_edges_deg"]
     header = ["elevation \\ bearing", *(f"{low:g}°" for low in edges[:-1])]
     rows = [
         [f"{10 * int(row) - 90}° to {10 * int(row) - 80}°", *(count or "" for count in counts)]
-        for row, counts in reversed(found["frames"].items())
+        for row, counts in reversed(statistics["frames"].items())
     ]
     text = table(header, rows, "l" + "r" * 12) if rows else ""
-    if found["without"]:
-        text += f"\n{found['without']:,} frames have no sun.\n"
+    if statistics["without"]:
+        text += f"\n{statistics['without']:,} frames have no sun.\n"
     return text

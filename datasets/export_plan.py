@@ -93,11 +93,11 @@ class Plan:
 
     def frames(self) -> dict[str, list[FrameRef]]:
         """Returns the frames of each split, in order."""
-        found: dict[str, list[FrameRef]] = {name: [] for name in self.info.splits}
+        result: dict[str, list[FrameRef]] = {name: [] for name in self.info.splits}
         for ref in self.source.frames:
             if ref.batch in self.split_of:
-                found[self.split_of[ref.batch]].append(ref)
-        return found
+                result[self.split_of[ref.batch]].append(ref)
+        return result
 
     def tasks(self) -> Iterator[Task]:
         """Yields the format's tasks."""

@@ -63,13 +63,13 @@ def read_export(path: Path) -> dict[str, Any]:
         OutputError: It is none, or of another version.
     """
     what = f"{EXPORT} of scenec"
-    found: dict[str, Any] = read_shaped(path, {"export": natural}, OutputError, what)
-    if found["export"] != EXPORT_VERSION:
+    summary: dict[str, Any] = read_shaped(path, {"export": natural}, OutputError, what)
+    if summary["export"] != EXPORT_VERSION:
         raise OutputError(
-            f"{path}: is of version {found['export']}, and this scenec knows {EXPORT_VERSION}"
+            f"{path}: is of version {summary['export']}, and this scenec knows {EXPORT_VERSION}"
         )
-    require_shape(found, _EXPORT_SHAPE, OutputError, f"{path}: is no {what}")
-    return found
+    require_shape(summary, _EXPORT_SHAPE, OutputError, f"{path}: is no {what}")
+    return summary
 
 
 def record_path(partial: Path, task: Task) -> Path:

@@ -144,10 +144,10 @@ class Tally:
     kept: int = 0
     rejected: dict[str, int] = field(default_factory=dict)
 
-    def add(self, seen: int, kept: int, rejected: dict[str, int]) -> None:
+    def add(self, examined: int, accepted: int, rejected: dict[str, int]) -> None:
         """Add a frame's."""
-        self.seen += seen
-        self.kept += kept
+        self.seen += examined
+        self.kept += accepted
         for name, count in rejected.items():
             self.rejected[name] = self.rejected.get(name, 0) + count
 

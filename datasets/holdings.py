@@ -67,12 +67,14 @@ def coco_apart(first: Path, second: Path, masks: bool) -> Iterator[str]:
         if len(a) != len(b):
             yield f"{name}: {len(a):,} against {len(b):,} annotations"
             continue
-        told = next((text for pair in zip(a, b, strict=True) if (text := _apart(*pair, masks))), "")
+        told = next(
+            (text for pair in zip(a, b, strict=True) if (text := _difference(*pair, masks))), ""
+        )
         if told:
             yield f"{name}: {told}"
 
 
-def _apart(a: Mapping[str, Any], b: Mapping[str, Any], masks: bool) -> str:
+def _difference(a: Mapping[str, Any], b: Mapping[str, Any], masks: bool) -> str:
     """Names what two annotations differ in first; "" where they are the same."""
     keys = dict.fromkeys([*a, *b])
     for key in keys if masks else [key for key in keys if "segmentation" not in key]:
@@ -86,7 +88,7 @@ def _apart(a: Mapping[str, Any], b: Mapping[str, Any], masks: bool) -> str:
 
 def _images(folder: Path) -> dict[str, tuple[dict[str, Any], list[dict[str, Any]]]]:
     """Maps each image's file name to its entry and its annotations, in order."""
-    found: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {}
+    images: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {}
     for path in sorted((folder / ANNOTATIONS).glob("instances_*.json")):
         document = read_json(path, FrameError, "a COCO file")
         try:
@@ -99,7 +101,7 @@ def _images(folder: Path) -> dict[str, tuple[dict[str, Any], list[dict[str, Any]
                 of_id[one["image_id"]][1].append({"category": names[one["category_id"]], **plain})
             for image, listed in of_id.values():
                 listed.sort(key=lambda one: (str(one.get("instance_id")), one["category"]))
-                found[image["file_name"]] = image, listed
+                images[image["file_name"]] = image, listed
         except (KeyError, TypeError, AttributeError) as error:
             raise FrameError(f"{path}: is no COCO file of scenec: {error!r}") from error
-    return found
+    return images

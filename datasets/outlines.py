@@ -35,12 +35,12 @@ def outlines(
     rings = _trace(slots, starts, glued, owner, sizes, np.empty((0, 2), np.int32))
     points = np.empty((int(sizes[rings]), 2), np.int32)
     _trace(slots, starts, glued, owner, sizes, points)
-    found: list[list[list[int]]] = [[] for _ in range(len(wanted))]
+    result: list[list[list[int]]] = [[] for _ in range(len(wanted))]
     flat = points.ravel().tolist()
     ends = (2 * sizes[: rings + 1]).tolist()
     for ring, slot in enumerate(owner[:rings].tolist()):
-        found[slot].append(flat[ends[ring] : ends[ring + 1]])
-    return found
+        result[slot].append(flat[ends[ring] : ends[ring + 1]])
+    return result
 
 
 @kernel

@@ -82,8 +82,8 @@ def imaging(record: FrameRecord) -> dict[str, JSON]:
     """
     if record.imaging is None:
         return {}
-    found: dict[str, JSON] = encode(replace(record.imaging, clean=UNSET, raw=UNSET))
-    return found
+    result: dict[str, JSON] = encode(replace(record.imaging, clean=UNSET, raw=UNSET))
+    return result
 
 
 def beside(frame: LoadedFrame | Frame, kind: str) -> NDArray[Any]:

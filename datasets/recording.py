@@ -114,7 +114,7 @@ def _log_all(
     report: Recording,
 ) -> None:
     stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    told: set[tuple[str, str]] = set()
+    logged: set[tuple[str, str]] = set()
     for number, ref in enumerate(source.frames, start=1):
         try:
             frame = source.load(ref)
@@ -126,8 +126,8 @@ def _log_all(
             report.first_fault = report.first_fault or str(error)
             continue
         entity = f"/{ref.batch_name}/{ref.camera}"
-        if (ref.batch_name, ref.camera) not in told:
-            told.add((ref.batch_name, ref.camera))
+        if (ref.batch_name, ref.camera) not in logged:
+            logged.add((ref.batch_name, ref.camera))
             for level, table in names.items():
                 context = _context(table)
                 stream.log(f"{entity}/label/{level}", rerun.AnnotationContext(context), static=True)

@@ -66,12 +66,12 @@ class Remap:
                         f"remapping: level {level!r} has no label {name!r}"
                         f"{nearest(name, old[level].values())}"
                     )
-            taken: dict[int, str] = {}
+            owners: dict[int, str] = {}
             for number, name in self._numbers(level, old[level]).values():
-                if number and taken.setdefault(number, name) != name:
+                if number and owners.setdefault(number, name) != name:
                     raise OutputError(
                         f"remapping: level {level!r} would have id {number} for both "
-                        f"{taken[number]!r} and {name!r}"
+                        f"{owners[number]!r} and {name!r}"
                     )
 
     def apply(self, frame: LoadedFrame) -> None:

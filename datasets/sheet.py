@@ -68,7 +68,7 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
         heading += f", {first.spp} samples per pixel"
     if left_out:
         heading += f"; not shown: {len(left_out)} frames of another stage"
-    picture = contact_sheet([_shown(frame) for frame in frames], source.labels(), heading)
+    picture = contact_sheet([_sheet_frame(frame) for frame in frames], source.labels(), heading)
     with atomic(output) as temporary:
         picture.save(temporary, format="PNG")
     return Sheet(output, frames[0].ref.stem.parent, tuple(left_out))
@@ -83,7 +83,7 @@ def _is_foreign(source: Source, ref: FrameRef) -> bool:
     return record is not None and record.stage_digest != digest
 
 
-def _shown(frame: LoadedFrame) -> SheetFrame:
+def _sheet_frame(frame: LoadedFrame) -> SheetFrame:
     passes = frame.passes
     clean = "clean" in pictures.kinds(frame.sidecar)
     return SheetFrame(

@@ -409,14 +409,14 @@ class Source:
     def _places(self) -> dict[tuple[int, str], int]:
         """Returns the number of the first frame of each batch and camera, for any selection."""
         lengths, names = self._lengths(), self._folders(self._every)
-        found: dict[tuple[int, str], int] = {}
+        places: dict[tuple[int, str], int] = {}
         total = 0
         for batch in self._every:
             length = lengths.get(batch.index)
             for camera in names:
-                found[batch.index, camera] = total
+                places[batch.index, camera] = total
                 total += length or 1 + max(self._numbers(batch, camera), default=-1)
-        return found
+        return places
 
     def _lengths(self) -> dict[int, int]:
         """Returns the samples of each batch, by the manifest."""
@@ -479,10 +479,10 @@ def kind_of(error: FrameError) -> str:
     return "foreign" if isinstance(error, ForeignFrameError) else "damaged"
 
 
-def _astray(sample: int, known: int, every: int, first: int) -> str:
+def _astray(sample: int, samples: int, every: int, first: int) -> str:
     """Why a stage has no frame at a sample, and what to do with one that is there."""
-    if sample >= known:
-        reason = f"the batch has samples 0 to {known - 1}"
+    if sample >= samples:
+        reason = f"the batch has samples 0 to {samples - 1}"
     else:
         reason = f"its camera is triggered at samples {first}, {first + every}, …"
     return f"not of this stage: {reason}, not at {sample}; delete it"
@@ -498,24 +498,24 @@ def record_of(ref: FrameRef) -> FrameRecord | None:
 
 def one_of_each(frames: Iterable[FrameRef]) -> dict[str, FrameRecord]:
     """A readable sidecar of each camera that has one."""
-    found: dict[str, FrameRecord] = {}
+    records: dict[str, FrameRecord] = {}
     for ref in frames:
-        values = None if ref.camera in found else record_of(ref)
+        values = None if ref.camera in records else record_of(ref)
         if values is not None:
-            found[ref.camera] = values
-    return found
+            records[ref.camera] = values
+    return records
 
 
-def _vouched(known: FileDigest | None, path: Path) -> Path:
+def _vouched(digest: FileDigest | None, path: Path) -> Path:
     """A file beside the frame, held against the sidecar's checksum where that has one.
 
     Raises:
         FrameError: It is another file, or missing.
     """
-    if known is not None:
+    if digest is not None:
         if not path.is_file():
             raise FrameError(f"{path}: missing, though its sidecar names it; render it again")
-        if sha256(path) != known.sha256:
+        if sha256(path) != digest.sha256:
             raise FrameError(
                 f"{path}: truncated, damaged or changed since it was written (its checksum is not "
                 "the sidecar's); render it again"

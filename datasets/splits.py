@@ -93,12 +93,12 @@ def assign(
     )
     shares = {name: float(value) for name, value in splits.items() if isinstance(value, float)}
     sizes = _sizes(len(batches), shares)
-    found: dict[int, str] = {}
+    result: dict[int, str] = {}
     start = 0
     for name, size in sizes.items():
-        found.update(dict.fromkeys(order[start : start + size], name))
+        result.update(dict.fromkeys(order[start : start + size], name))
         start += size
-    return {batch: found[batch] for batch in sorted(found)}
+    return {batch: result[batch] for batch in sorted(result)}
 
 
 def _sizes(count: int, shares: Mapping[str, float]) -> dict[str, int]:
@@ -118,16 +118,16 @@ def _sizes(count: int, shares: Mapping[str, float]) -> dict[str, int]:
 
 
 def _by_range(batches: Sequence[int], ranges: Mapping[str, range]) -> dict[int, str]:
-    found: dict[int, str] = {}
+    result: dict[int, str] = {}
     for batch in sorted(batches):
         names = [name for name, numbers in ranges.items() if batch in numbers]
         if len(names) > 1:
             raise OutputError(f"batch {batch} would be in {names[0]} and in {names[1]}")
         if names:
-            found[batch] = names[0]
+            result[batch] = names[0]
     for name, numbers in ranges.items():
-        if name not in found.values():
+        if name not in result.values():
             raise OutputError(
                 f"split {name}={numbers.start}:{numbers.stop} holds none of the batches there are"
             )
-    return found
+    return result

@@ -52,18 +52,18 @@ def measure(frame: LoadedFrame) -> dict[str, Any]:
         counts["depth"] = {"bins": depth.counts, "nothing": depth.infinite}
         if depth.low <= depth.high:
             bounds["depth_m"] = [depth.low, depth.high]
-    seen: dict[str, dict[str, str]] = {}
+    ids_of_batch: dict[str, dict[str, str]] = {}
     if frame.table:
         counts["instances"], ids = _instances(frame)
         shown = float((~frame.ignored).sum())
         bounds["instances"] = [shown, shown]
-        seen = {frame.ref.batch_name: ids}
+        ids_of_batch = {frame.ref.batch_name: ids}
     counts["view"] = _view(frame, bounds)
     sun = _sun(frame, bounds)
     if sun:
         counts["sun"] = sun
-    counts["made"] = _made(frame, bounds)
-    return {"counts": counts, "bounds": bounds, "seen": seen}
+    counts["made"] = _rendering(frame, bounds)
+    return {"counts": counts, "bounds": bounds, "seen": ids_of_batch}
 
 
 class Statistics:
@@ -118,7 +118,7 @@ class Statistics:
     def as_json(self) -> dict[str, Any]:
         """Returns the content of ``statistics.json``: histograms with edges, shares, angles."""
         counts = _sorted(self._counts)
-        found: dict[str, Any] = {
+        result: dict[str, Any] = {
             "version": VERSION,
             "frames": self.frames,
             "pixels": counts.get("pixels", 0),
@@ -127,18 +127,18 @@ class Statistics:
             },
         }
         if "depth" in counts:
-            found["depth"] = {
+            result["depth"] = {
                 **bins.LENGTH.table(counts["depth"]["bins"]),
                 "nothing": counts["depth"]["nothing"],
                 "range_m": self._bounds.get("depth_m"),
             }
         if "instances" in counts:
-            found["instances"] = _instances_json(counts["instances"], self._distinct())
-            found["instances"]["most_in_a_frame"] = int(self._bounds["instances"][1])
+            result["instances"] = _instances_json(counts["instances"], self._distinct())
+            result["instances"]["most_in_a_frame"] = int(self._bounds["instances"][1])
         if "view" in counts:
-            found["view"] = _view_json(counts["view"], self._bounds)
+            result["view"] = _view_json(counts["view"], self._bounds)
         if "sun" in counts:
-            found["sun"] = {
+            result["sun"] = {
                 "elevation_edges_deg": list(bins.ELEVATION.edges),
                 "azimuth_edges_deg": [float(k) for k in range(0, 361, 30)],
                 "frames": {
@@ -151,13 +151,13 @@ class Statistics:
                 "elevation_deg": self._bounds.get("sun_elevation_deg"),
                 "irradiance": self._bounds.get("sun_irradiance"),
             }
-        found["made"] = {
+        result["made"] = {
             key: [{**json.loads(text), "frames": count} for text, count in values.items()]
             for key, values in counts.get("made", {}).items()
         }
         if "noise" in self._bounds:
-            found["relative_rms_noise"] = self._bounds["noise"]
-        return found
+            result["relative_rms_noise"] = self._bounds["noise"]
+        return result
 
     def _distinct(self) -> dict[str, int]:
         distinct = dict(self._closed)
@@ -178,13 +178,13 @@ def _labels(picture: NDArray[Any], names: Mapping[int, str]) -> Counts:
     }
     if none:
         pixels[_UNLABELED] = none
-    found: Counts = {
+    counts: Counts = {
         "labels": {name: {"pixels": count, "frames": 1} for name, count in pixels.items()},
         "ids": {name: {str(number): 0} for number, name in names.items()},
     }
     if other:
-        found["unknown"] = other
-    return found
+        counts["unknown"] = other
+    return counts
 
 
 def _instances(frame: LoadedFrame) -> tuple[Counts, dict[str, str]]:
@@ -206,19 +206,19 @@ def _instances(frame: LoadedFrame) -> tuple[Counts, dict[str, str]]:
 
 
 def _histograms(table: Mapping[str, NDArray[Any]]) -> Counts:
-    found: Counts = {"area": bins.AREA.counts(table["pixels"].astype(np.float64))}
+    counts: Counts = {"area": bins.AREA.counts(table["pixels"].astype(np.float64))}
     if "truncated" in table:
-        found["at_border"] = int(table["truncated"].sum())
+        counts["at_border"] = int(table["truncated"].sum())
     if "size_x" in table:
         sides = [table[f"size_{axis}"] for axis in "xyz"]
-        found["size"] = bins.LENGTH.counts(np.max(np.stack(sides), axis=0))
+        counts["size"] = bins.LENGTH.counts(np.max(np.stack(sides), axis=0))
     if "depth_mean" in table:
-        found["distance"] = bins.LENGTH.counts(table["depth_mean"])
+        counts["distance"] = bins.LENGTH.counts(table["depth_mean"])
     if "amodal" in table:
-        found["occlusion"] = bins.share_counts(table["pixels"], table["amodal"])
+        counts["occlusion"] = bins.share_counts(table["pixels"], table["amodal"])
     if "amodal_full" in table:
-        found["truncation"] = bins.share_counts(table["amodal"], table["amodal_full"])
-    return found
+        counts["truncation"] = bins.share_counts(table["amodal"], table["amodal_full"])
+    return counts
 
 
 def _view(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
@@ -281,7 +281,7 @@ def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     return {"directions": {str(row): {str(int(azimuth // 30.0)): 1}}}
 
 
-def _made(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
+def _rendering(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     """Counts the backend and the camera of the frame."""
     record = frame.sidecar
     how = {
@@ -373,16 +373,16 @@ def _tables(entry: Counts) -> dict[str, Any]:
 
 def _view_json(counts: Counts, bounds: Mapping[str, list[float]]) -> dict[str, Any]:
     angles = {"pitch": bins.ELEVATION, "roll": bins.ROLL, "heading": bins.BEARING}
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         name: of.table(counts[name]) for name, of in angles.items() if name in counts
     }
     if "height" in counts:
-        found["height_above_surface"] = {
+        result["height_above_surface"] = {
             **bins.LENGTH.table(counts["height"]),
             "range_m": bounds["camera_height_m"],
         }
-    found["position_m"] = {axis: bounds[f"camera_{axis}_m"] for axis in "xyz"}
-    return found
+    result["position_m"] = {axis: bounds[f"camera_{axis}_m"] for axis in "xyz"}
+    return result
 
 
 def _sum_into(mine: Counts, other: Mapping[str, Any]) -> None:

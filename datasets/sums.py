@@ -100,10 +100,10 @@ def write_sums(data: Path, sums: Mapping[str, str]) -> None:
         temporary.write_text("".join(lines), encoding="utf-8")
 
 
-def tidy(data: Path, known: set[str]) -> None:
+def tidy(data: Path, listed: set[str]) -> None:
     """Delete what is no part of the dataset: of an earlier export that was cut short."""
     for path in tree(data):
-        if path.as_posix() not in known:
+        if path.as_posix() not in listed:
             (data / path).unlink()
     for folder in sorted(data.rglob("*"), reverse=True):
         if folder.is_dir() and not any(folder.iterdir()):

@@ -227,7 +227,7 @@ class FrameDataset:
     def _make_target(self, frame: LoadedFrame, number: int) -> dict[str, NDArray[Any]]:
         table = frame.table
         ids = table["id"].astype(np.int64)
-        found: dict[str, NDArray[Any]] = {
+        target: dict[str, NDArray[Any]] = {
             "ids": ids,
             "area": table["pixels"].astype(np.float32),
             "iscrowd": frame.ignored.astype(np.int64),
@@ -235,13 +235,13 @@ class FrameDataset:
         }
         if "boxes" in self._target:
             corners = [table["x_min"], table["y_min"], table["x_max"] + 1, table["y_max"] + 1]
-            found["boxes"] = np.stack(corners, axis=-1).astype(np.float32)
+            target["boxes"] = np.stack(corners, axis=-1).astype(np.float32)
         if "labels" in self._target:
-            found["labels"] = instance_label(frame, self._level)
+            target["labels"] = instance_label(frame, self._level)
         if "masks" in self._target:
             shown = frame.passes["instance"].astype(np.int64)
-            found["masks"] = (shown[None] == ids[:, None, None]).astype(np.uint8)
-        return found
+            target["masks"] = (shown[None] == ids[:, None, None]).astype(np.uint8)
+        return target
 
 
 def collate(samples: Sequence[Sample]) -> Sample:
@@ -303,7 +303,7 @@ def _as_remap(remap: Remap | Mapping[str, Any] | Path | str | None) -> Remap:
 def _choose_passes(wanted: Sequence[str] | None, there: Sequence[str]) -> tuple[str, ...]:
     if wanted is None:
         return tuple(there)
-    found: list[str] = []
+    names: list[str] = []
     for name in wanted:
         levels = [p for p in there if p.startswith("label.")] if name == "label" else []
         if name not in there and not levels:
@@ -311,8 +311,8 @@ def _choose_passes(wanted: Sequence[str] | None, there: Sequence[str]) -> tuple[
                 f"passes: the frames have no {name!r}{nearest(name, there)} (they have "
                 f"{', '.join(there)})"
             )
-        found += levels or [name]
-    return tuple(dict.fromkeys(found))
+        names += levels or [name]
+    return tuple(dict.fromkeys(names))
 
 
 def _import_torch() -> Any:

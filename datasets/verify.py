@@ -152,15 +152,15 @@ def opened(folder: Path) -> list[Flaw]:
     # Imported here: pycocotools is needed for this alone.
     from scenec.datasets.evaluate.coco_files import ANNOTATIONS, flaws_of
 
-    found: list[Flaw] = []
+    flaws: list[Flaw] = []
     for file in sorted((folder / ANNOTATIONS).glob("instances_*.json")):
         name = file.relative_to(folder).as_posix()
         try:
             with native_reading(file):
-                found.extend(Flaw(name, f"pycocotools: {text}") for text in flaws_of(file))
+                flaws.extend(Flaw(name, f"pycocotools: {text}") for text in flaws_of(file))
         except FrameError as error:
-            found.append(Flaw(name, f"pycocotools would not read it: {error}"))
-    return found
+            flaws.append(Flaw(name, f"pycocotools would not read it: {error}"))
+    return flaws
 
 
 def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
@@ -189,7 +189,7 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
             found.frames += 1
             if one[name].annotation != two[name].annotation:
                 found.differing.append(name)
-            found.held += _apart(name, one[name], two[name])
+            found.held += _differences(name, one[name], two[name])
             _compare_pictures(one[name], two[name], found)
     if all(map(is_dataset, (first, second))):
         summaries = [_summary(folder) for folder in (first, second)]
@@ -200,7 +200,7 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
     return found
 
 
-def _apart(name: str, one: Seen, two: Seen) -> Iterator[str]:
+def _differences(name: str, one: Seen, two: Seen) -> Iterator[str]:
     """Yields in what two sides differ of a frame."""
     if one.instances != two.instances:
         yield f"{name}: {one.instances:,} against {two.instances:,} instances"
@@ -292,7 +292,7 @@ def _backend(folder: Path) -> str | None:
     return str(_summary(folder).get("backend")) if is_dataset(folder) else None
 
 
-def _frames(folder: Path, backend: str | None, found: Comparison, say: Say) -> dict[str, Seen]:
+def _frames(folder: Path, backend: str | None, comparison: Comparison, say: Say) -> dict[str, Seen]:
     """Frames by name, in order."""
     if is_dataset(folder):
         files = {digest: folder / name for name, digest in _sums(folder, []).items()}
@@ -321,7 +321,7 @@ def _frames(folder: Path, backend: str | None, found: Comparison, say: Say) -> d
         try:
             frame = source.load(ref)
         except FrameError as error:
-            found.unreadable.append(f"{ref.name}: {error}")
+            comparison.unreadable.append(f"{ref.name}: {error}")
             continue
         png = frame.png
         at_hand = png is not None and png.is_file()
@@ -335,20 +335,20 @@ def _frames(folder: Path, backend: str | None, found: Comparison, say: Say) -> d
     return frames
 
 
-def _compare_pictures(one: Seen, two: Seen, found: Comparison) -> None:
+def _compare_pictures(one: Seen, two: Seen, comparison: Comparison) -> None:
     if not one.picture and not two.picture:
         return
     if one.picture == two.picture:
-        found.pictures_same += 1
+        comparison.pictures_same += 1
         return
-    found.pictures_differing += 1
+    comparison.pictures_differing += 1
     a, b = _pixels(one.file), _pixels(two.file)
     if a is None or b is None or a.shape != b.shape:
         return
-    found.mean_difference.append(float(np.abs(a - b).mean()))
+    comparison.mean_difference.append(float(np.abs(a - b).mean()))
     floor = _EPSILON * float(a.mean()) ** 2
     denominator = a * a + floor
-    found.relative_mse.append(
+    comparison.relative_mse.append(
         float(np.mean((b - a) ** 2 / np.where(denominator > 0.0, denominator, 1.0)))
     )
 

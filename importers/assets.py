@@ -34,12 +34,12 @@ class Assets:
         self.stand_ins = stand_ins
         self._missing: list[Fault] = []
 
-    def find(self, item: Item, stand_in: str, *, folder: bool = False) -> Path | None:
+    def find(self, item: Item, replacement: str, *, folder: bool = False) -> Path | None:
         """The file, or folder, that a string names; None where it is missing.
 
         Args:
             item: The string; what becomes of it where a stand-in takes its place is said.
-            stand_in: What that is.
+            replacement: What that is.
             folder: Whether a folder is looked for.
         """
         name = item.text().replace("\\", "/")
@@ -50,12 +50,12 @@ class Assets:
                 if fits(root / end):
                     return root / end
         if self.stand_ins:
-            item.approximated("", f"not found: in its place {stand_in}")
+            item.approximated("", f"not found: in its place {replacement}")
         elif name:
-            self._miss(item, name, "folder" if folder else "file", stand_in)
+            self._miss(item, name, "folder" if folder else "file", replacement)
         return None
 
-    def _miss(self, item: Item, name: str, what: str, stand_in: str) -> None:
+    def _miss(self, item: Item, name: str, what: str, replacement: str) -> None:
         where = ", ".join(str(root) for root in self._folders[:2])
         place = item.source.document.values[item.path]
         there = [
@@ -66,7 +66,7 @@ class Assets:
         hint = f"; did you mean {shown(guess)}?" if guess else ""
         message = (
             f"no {what} {shown(name)} in {where} or above{hint}; --assets DIR says where to look, "
-            f"--stand-ins puts {stand_in} in its place"
+            f"--stand-ins puts {replacement} in its place"
         )
         self._missing.append(
             Fault(place.file, place.line, place.column, pointer(item.path), message)

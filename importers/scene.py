@@ -24,11 +24,11 @@ def identifier(text: str) -> str:
     return f"_{name}" if name[0].isdigit() else name
 
 
-def unused(text: str, taken: Any) -> str:
+def unused(text: str, used: Any) -> str:
     """An identifier that is not among those taken."""
     name = free = identifier(text)
     number = 2
-    while free in taken:
+    while free in used:
         free, number = f"{name}_{number}", number + 1
     return free
 

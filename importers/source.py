@@ -110,10 +110,10 @@ class Source:
                 self.note(path, DROPPED, "", self._unknown(key, known), child)
 
     @staticmethod
-    def _unknown(key: str | int, known: set[str]) -> str:
-        if not isinstance(key, str) or key in known:
+    def _unknown(key: str | int, valid: set[str]) -> str:
+        if not isinstance(key, str) or key in valid:
             return "says nothing beside what else is given"
-        guess = closest(key, sorted(known))
+        guess = closest(key, sorted(valid))
         return "no key that is read" + (f"; did you mean {shown(guess)}?" if guess else "")
 
     def report_to(self, report: Report) -> None:

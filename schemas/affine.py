@@ -59,12 +59,12 @@ def orthonormal(linear: NDArray[np.float64], tolerance: float) -> NDArray[np.boo
     """Tells which matrices [..., 3, 3] turn, or turn and mirror, and do no more."""
     with np.errstate(over="ignore", invalid="ignore"):
         products = (linear[..., :, :, None] * linear[..., :, None, :]).sum(axis=-3)
-        found: NDArray[np.bool_] = np.abs(products - np.eye(3)).max(axis=(-2, -1)) <= tolerance
-    return found
+        result: NDArray[np.bool_] = np.abs(products - np.eye(3)).max(axis=(-2, -1)) <= tolerance
+    return result
 
 
 def mirrored(linear: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tells which matrices [..., 3, 3] make right hands left ones."""
     x, y, z = np.moveaxis(linear, -1, 0)
-    found: NDArray[np.bool_] = (np.cross(x, y) * z).sum(axis=-1) < 0.0
-    return found
+    result: NDArray[np.bool_] = (np.cross(x, y) * z).sum(axis=-1) < 0.0
+    return result

@@ -26,9 +26,9 @@ def table(seed: int) -> NDArray[np.float64]:
     """
     j, i = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
     hashed = pcg3d(i, j, np.full_like(i, seed))
-    found: NDArray[np.float64] = (hashed >> np.uint32(22)).astype(np.float64) / STEPS
-    found.setflags(write=False)
-    return found
+    result: NDArray[np.float64] = (hashed >> np.uint32(22)).astype(np.float64) / STEPS
+    result.setflags(write=False)
+    return result
 
 
 def pcg3d(x: NDArray, y: NDArray, z: NDArray) -> NDArray[np.uint32]:

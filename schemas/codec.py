@@ -193,16 +193,16 @@ def _tuple(args: tuple[Any, ...]) -> Callable[[Any], Any]:
             raise _expected(NAMES[list], value)
         if not any_length and len(value) != len(readers):
             raise _MismatchError(f"expected {len(readers)} values, not {len(value)}")
-        found: list[Any] = []
+        values: list[Any] = []
         try:
             for inner, one in zip(
                 readers * len(value) if any_length else readers, value, strict=True
             ):
-                found.append(inner(one))
+                values.append(inner(one))
         except _MismatchError as fault:
-            fault.place.append(str(len(found)))
+            fault.place.append(str(len(values)))
             raise
-        return tuple(found)
+        return tuple(values)
 
     return read
 

@@ -26,14 +26,14 @@ from scenec.schemas.passes import PassFormat, built_in
 
 
 def write_exr(
-    path: Path, passes: Mapping[str, NDArray], others: Mapping[str, PassFormat] | None = None
+    path: Path, passes: Mapping[str, NDArray], formats: Mapping[str, PassFormat] | None = None
 ) -> None:
     """Write passes, in their order, by atomic rename.
 
     Args:
         path: Ends in ``.exr``.
         passes: Pass name -> [h, w] or [h, w, channels]; ids unsigned, the rest floating.
-        others: Formats of the passes that are not ours, by name.
+        formats: Formats of the passes that are not ours, by name.
 
     Raises:
         OutputError: The file cannot be written.
@@ -43,7 +43,7 @@ def write_exr(
 
     parts = []
     for name, array in passes.items():
-        of = built_in(name) or (others or {}).get(name)
+        of = built_in(name) or (formats or {}).get(name)
         if of is None:
             raise FrameError(f"{path}: unknown pass {name!r}")
         channels = of.channel_names

@@ -107,13 +107,13 @@ def digest_of_folder(folder: Path, suffixes: Collection[str] = ()) -> str:
     return digest.hexdigest()
 
 
-def writers_besides(found: os.stat_result) -> str | None:
+def writers_besides(status: os.stat_result) -> str | None:
     """Says who else than this process's user can write to a file or folder; None: nobody can."""
     if sys.platform == "win32":
         return None  # There the mode says nothing of others.
-    if found.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         return "it belongs to another user"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return "others can write to it (chmod go-w takes that away)"
     return None
 
@@ -154,7 +154,7 @@ def atomic(path: Path) -> Iterator[Path]:
             a rename would take it away.
     """
     _require_plain(path)
-    temporary = _beside(path)
+    temporary = _sibling(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -173,7 +173,7 @@ def _require_plain(path: Path) -> None:
         raise OutputError(f"{path}: cannot be written: it is no plain file (- is standard output)")
 
 
-def _beside(path: Path) -> Path:
+def _sibling(path: Path) -> Path:
     # The ending stays: libraries choose their format by it.
     chance = secrets.token_hex(4)
     return path.with_name(f"{TEMPORARY}{_machine()}-{process_id()}-{chance}-{path.name}")
@@ -237,7 +237,7 @@ def temporary_folder(where: Path) -> Iterator[Path]:
         OutputError: It, or something in it, cannot be written; the message has the name that this
             would have had directly in ``where``.
     """
-    folder = _beside(where / "new")
+    folder = _sibling(where / "new")
     try:
         folder.mkdir(parents=True)
         yield folder

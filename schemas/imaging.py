@@ -249,17 +249,17 @@ def shown_per_value(f_number: float, time_s: float, iso: float, white: float) ->
 
 
 def time_and_iso(
-    shown: float,
+    displayed: float,
     f_number: float,
     white: float,
     times: tuple[float, float],
     isos: tuple[float, float],
 ) -> tuple[float, float]:
-    """The exposure that shows a value of 1 as ``shown``, or comes nearest: time first, then speed.
+    """The exposure that shows a value of 1 as ``displayed``, or nearest: time first, then speed.
 
     The lowest speed is kept while the time is within its limits.
     """
-    product = shown / shown_per_value(f_number, 1.0, 1.0, white)
+    product = displayed / shown_per_value(f_number, 1.0, 1.0, white)
     time_s = product / isos[0]
     if times[0] <= time_s <= times[1]:
         return time_s, isos[0]

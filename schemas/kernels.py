@@ -69,7 +69,7 @@ class Kernel:
                 options = {"pipeline_class": _compilers()[0], **_OPTIONS}
                 self._entry = _numba().njit(**options)(self.py_func)
                 if hasattr(self._entry, "_cache"):
-                    self._entry._cache = _Kept(self)
+                    self._entry._cache = _FileCache(self)
             return self._entry
 
     @functools.cached_property
@@ -296,7 +296,7 @@ def _compilers() -> tuple[type, type]:
             return self
 
         def set_env(self, env_name: str, env: object) -> None:
-            """Leaves it to callers, which own the process (``_Kept.save_overload``)."""
+            """Leaves it to callers, which own the process (``_FileCache.save_overload``)."""
 
     class Entry(Linked):
         """Holds a kernel that Python calls."""
@@ -410,7 +410,7 @@ def user_folder() -> Path:
     return Path(home, "scenec", "kernels")
 
 
-def _own_folder() -> Path | None:
+def _private_folder() -> Path | None:
     """``user_folder``; None, which is said once, where others could put code there."""
     folder = user_folder()
     if (why := refused_folder(folder)) is None:
@@ -463,14 +463,14 @@ def _content(function: FunctionType, options: object = None) -> str:
 
 def _globals_of(code: CodeType) -> set[str]:
     """Names that bytecode looks up in its module."""
-    found: set[str] = set()
+    globals_read: set[str] = set()
     more = 0
     for operation, argument in zip(code.co_code[::2], code.co_code[1::2], strict=True):
         argument |= more
         more = argument << 8 if operation == opmap["EXTENDED_ARG"] else 0
         if operation == opmap["LOAD_GLOBAL"]:
-            found.add(code.co_names[argument >> 1])
-    return found
+            globals_read.add(code.co_names[argument >> 1])
+    return globals_read
 
 
 def _of_value(value: Any) -> str | None:
@@ -515,7 +515,7 @@ def _uninterrupted() -> Iterator[None]:
             before(*came[0])
 
 
-class _Kept:
+class _FileCache:
     """Compiled kernels in files: what numba's dispatchers take for their cache."""
 
     cache_path = None
@@ -530,7 +530,7 @@ class _Kept:
         from numba.core.runtime import rtsys
 
         name = self._name(signature, context.codegen())
-        for folder in filter(None, (SHIPPED, _own_folder())):
+        for folder in filter(None, (SHIPPED, _private_folder())):
             try:
                 data = (folder / name).read_bytes()
             except OSError:
@@ -562,7 +562,7 @@ class _Kept:
         code = name, kind, (code, binding.parse_assembly("").as_bitcode())
         needed = tuple(each for each in referenced if each.consts or each is result.environment)
         data = dumps((code, *others, needed))
-        folder = _own_folder()
+        folder = _private_folder()
         if folder is None:
             return
         try:

@@ -228,9 +228,9 @@ def _undistort_one(c, reach, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _undistort(c, reach, x, y, a, b, known):  # type: ignore[no-untyped-def]
+def _undistort(c, reach, x, y, a, b, valid):  # type: ignore[no-untyped-def]
     for n in range(x.shape[0]):
-        a[n], b[n], known[n] = _undistort_one(c, reach, x[n], y[n])
+        a[n], b[n], valid[n] = _undistort_one(c, reach, x[n], y[n])
 
 
 @kernel

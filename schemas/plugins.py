@@ -248,11 +248,13 @@ def load_kind(group: str, name: str) -> type[Any]:
     return made  # type: ignore[return-value]
 
 
-def _declares(made: Any) -> bool:
+def _declares(candidate: Any) -> bool:
     """Whether all fields of a class are declared, but for those that it derives."""
-    if not dataclasses.is_dataclass(made):
+    if not dataclasses.is_dataclass(candidate):
         return False
-    own = [field for field in dataclasses.fields(made) if field.name in made.__annotations__]
+    own = [
+        field for field in dataclasses.fields(candidate) if field.name in candidate.__annotations__
+    ]
     return all({KEY, GIVEN} & field.metadata.keys() or field.name == "key" for field in own)
 
 
@@ -269,10 +271,10 @@ def give_name(group: str, kind: type[Any], name: str) -> None:
 @cache
 def _offered(group: str, _path: tuple[str, ...]) -> Mapping[str, tuple[EntryPoint, ...]]:
     """All entry points of a group, by name."""
-    found: dict[str, tuple[EntryPoint, ...]] = {}
+    points: dict[str, tuple[EntryPoint, ...]] = {}
     for point in _all(_path).select(group=group):
-        found[point.name] = (*found.get(point.name, ()), point)
-    return found
+        points[point.name] = (*points.get(point.name, ()), point)
+    return points
 
 
 @cache

@@ -93,10 +93,10 @@ def slots(
     ids: NDArray[np.unsignedinteger], wanted: NDArray[np.unsignedinteger]
 ) -> NDArray[np.int32]:
     """Index into ``wanted`` (ascending, [n]) of each pixel's id [h, w], -1 where it has none."""
-    found: NDArray[np.int32] = _slots(
+    result: NDArray[np.int32] = _slots(
         np.ascontiguousarray(ids, np.uint32), np.ascontiguousarray(wanted, np.uint32)
     )
-    return found
+    return result
 
 
 def boxes(

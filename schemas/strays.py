@@ -56,14 +56,14 @@ def stray_scans(folder: Path, firing: Firing) -> Iterator[Stray]:
     yield from _astray((folder / SCANS).glob("*/*.json"), firing, "lidar")
 
 
-def told(found: Sequence[Stray]) -> str:
+def told(strays: Sequence[Stray]) -> str:
     """A line about some, at least one.
 
     Args:
-        found: As above, of one folder or several.
+        strays: As above, of one folder or several.
     """
-    path, why = found[0]
-    more = f" (and {len(found) - 1} more in {_batch(path)})" if len(found) > 1 else ""
+    path, why = strays[0]
+    more = f" (and {len(strays) - 1} more in {_batch(path)})" if len(strays) > 1 else ""
     return (
         f"{path}: not of this stage: {why}{more}; nothing replaces it: delete it (scenec check "
         "names all)"

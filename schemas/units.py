@@ -54,8 +54,8 @@ class Keeper:
             self._name = self._kept = None
             self._kept = make()
             self._name = name
-        kept: T = self._kept
-        return kept
+        held: T = self._kept
+        return held
 
 
 class Unit(Protocol):

@@ -58,35 +58,35 @@ class Body:
 
 
 def bodies_of(
-    plan: ScatterPlan | PlacedPlan, laid: Scatter | Placed, *, measure: bool
+    plan: ScatterPlan | PlacedPlan, placed: Scatter | Placed, *, measure: bool
 ) -> list[Body]:
     """The objects of a class, at the first sample.
 
     Args:
         plan: What was drawn of the class.
-        laid: Where its objects stand.
+        placed: Where its objects stand.
         measure: Whether the gap between hulls and meshes is measured.
     """
     shapes: dict[int, Shape] = {}
     found = []
-    for n in range(laid.count):
-        which = int(laid.prototype[n])
+    for n in range(placed.count):
+        which = int(placed.prototype[n])
         if which not in shapes:
-            shapes[which] = shape_of(laid.prototypes[which], measure)
-        number = int(laid.ids[n])
-        if isinstance(laid, Placed):
-            matrix = laid.to_world[n, 0]
+            shapes[which] = shape_of(placed.prototypes[which], measure)
+        number = int(placed.ids[n])
+        if isinstance(placed, Placed):
+            matrix = placed.to_world[n, 0]
             columns = matrix[:, :3]
             scale = float(np.sqrt((columns * columns).sum() / 3.0))
             quaternion, position = np.roll(quaternion_of(columns / scale), 1), matrix[:, 3]
             model = which
         else:
-            x, y, z, w = laid.orientations[n].astype(np.float64)
+            x, y, z, w = placed.orientations[n].astype(np.float64)
             quaternion = np.array([w, x, y, z])
             quaternion = quaternion / np.sqrt((quaternion * quaternion).sum())
-            position = laid.positions[n].astype(np.float64)
-            scale = float(laid.scales[n].max())
+            position = placed.positions[n].astype(np.float64)
+            scale = float(placed.scales[n].max())
             # Prototypes that no instance shows are left out of a class: the plan counts all.
             model = -1 if isinstance(plan, PlacedPlan) else int(plan.prototype[number - 1])
-        found.append(Body(laid.name, number, model, shapes[which], position, quaternion, scale))
+        found.append(Body(placed.name, number, model, shapes[which], position, quaternion, scale))
     return found

@@ -222,8 +222,10 @@ def _files(out: Path, chosen: Sequence[str]) -> dict[str, Path]:
     return files
 
 
-def _dropped(plan: Plan, laid: Sequence[Scatter | Placed], chosen: Sequence[str]) -> list[Body]:
-    pairs = [(own, one) for own, one in zip(plan.objects, laid, strict=True) if own.name in chosen]
+def _dropped(plan: Plan, placed: Sequence[Scatter | Placed], chosen: Sequence[str]) -> list[Body]:
+    pairs = [
+        (own, one) for own, one in zip(plan.objects, placed, strict=True) if own.name in chosen
+    ]
     for _, one in pairs:
         if isinstance(one, Placed) and one.to_world.shape[1] > 1:
             raise SceneError(

@@ -122,21 +122,21 @@ def why(out: Path | str, question: str, batch: int | None = None) -> Why:
         StageError: No such batch, or a stage that cannot be read.
     """
     data = read_batches(Path(out), None if batch is None else [batch])[0]
-    asked = _Asked(data, read_contents(data.stage), read_left_out(data.folder))
+    asked = _BatchIndex(data, read_contents(data.stage), read_left_out(data.folder))
     if question.startswith("/"):
         return _of_prim(asked, question.rstrip("/"))
     if question.isascii() and question.isdigit():
         return _of_id(asked, int(question))
     name, slash, number = question.rpartition("/")
     if not slash:
-        return _of_class(asked, _known(asked, question))
-    _known(asked, name)
+        return _of_class(asked, _require_class(asked, question))
+    _require_class(asked, name)
     if not (number.isascii() and number.isdigit()):
         raise OutputError(f"{question}: {number!r} is no number; ask for {name}/1, for example")
     return _of_instance(asked, name, int(number))
 
 
-class _Asked:
+class _BatchIndex:
     """A batch, and what is known of its classes."""
 
     def __init__(self, data: BatchData, contents: StageContents, record: Record | None) -> None:
@@ -183,75 +183,75 @@ class _Asked:
         return at if at < len(ids) and int(ids[at]) == local_id else None
 
 
-def _known(asked: _Asked, name: str) -> str:
-    if name not in asked.names:
-        hint = nearest(name, asked.names) if asked.names else "; there are no objects"
-        raise OutputError(f"{asked.data.folder}: no class {name!r}{hint}")
+def _require_class(index: _BatchIndex, name: str) -> str:
+    if name not in index.names:
+        hint = nearest(name, index.names) if index.names else "; there are no objects"
+        raise OutputError(f"{index.data.folder}: no class {name!r}{hint}")
     return name
 
 
-def _of_class(asked: _Asked, name: str) -> Why:
-    there = asked.contents.classes.get(name)
+def _of_class(index: _BatchIndex, name: str) -> Why:
+    there = index.contents.classes.get(name)
     kept = 0 if there is None else there.count
-    record = asked.record.classes.get(name) if asked.record is not None else None
+    record = index.record.classes.get(name) if index.record is not None else None
     counts = {} if record is None else {str(r): n for r, n in record.counts().items()}
-    drawn = asked.drawn(name)
+    drawn = index.drawn(name)
     text = f"{kept:,} of {drawn:,}" + ("" if record is not None else f"; {_NOTHING_MISSING}")
-    return Why(name, asked.data.name, kept > 0, "class", text, counts=counts)
+    return Why(name, index.data.name, kept > 0, "class", text, counts=counts)
 
 
-def _of_id(asked: _Asked, number: int) -> Why:
-    if not asked.has_ids:
+def _of_id(index: _BatchIndex, number: int) -> Why:
+    if not index.has_ids:
         raise OutputError(
-            f"{asked.data.folder}: its frames have no instance ids, since no sensor asks for "
-            f"instances; ask by class and number{_example(asked)}"
+            f"{index.data.folder}: its frames have no instance ids, since no sensor asks for "
+            f"instances; ask by class and number{_example(index)}"
         )
-    ranges = [(name, asked.base(name), asked.drawn(name)) for name in asked.names]
+    ranges = [(name, index.base(name), index.drawn(name)) for name in index.names]
     for name, base, drawn in ranges:
         if base < number <= base + drawn:
-            return _of_instance(asked, name, number - base)
+            return _of_instance(index, name, number - base)
     last = max(base + drawn for _, base, drawn in ranges)
     said = ", ".join(
         f"{name} {base + 1} to {base + drawn}" for name, base, drawn in ranges if drawn
     )
     hint = "0 is no instance" if number == 0 else f"ids go from 1 to {last}"
-    raise OutputError(f"{asked.data.folder}: no instance {number}: {hint} ({said})")
+    raise OutputError(f"{index.data.folder}: no instance {number}: {hint} ({said})")
 
 
-def _example(asked: _Asked) -> str:
-    return f", {asked.names[0]}/1 for example" if asked.names else ""
+def _example(index: _BatchIndex) -> str:
+    return f", {index.names[0]}/1 for example" if index.names else ""
 
 
-def _of_instance(asked: _Asked, name: str, local_id: int) -> Why:
-    drawn = asked.drawn(name)
+def _of_instance(index: _BatchIndex, name: str, local_id: int) -> Why:
+    drawn = index.drawn(name)
     if not 1 <= local_id <= drawn:
         known = f"the numbers 1 to {drawn:,}" if drawn else "no object"
-        raise OutputError(f"{asked.data.folder}: {name} has {known}, not {local_id}")
-    record = asked.record.classes.get(name) if asked.record is not None else None
+        raise OutputError(f"{index.data.folder}: {name} has {known}, not {local_id}")
+    record = index.record.classes.get(name) if index.record is not None else None
     reason = Reason.ALL if record is None else record.of(local_id)
-    at = asked.place(name, local_id)
+    at = index.place(name, local_id)
     if record is None and at is None:
         reason = Reason.NOT_PLACED
     if reason.kept != (at is not None):
-        raise OutputError(f"{asked.data.folder}: its record and its stage differ; compile again")
+        raise OutputError(f"{index.data.folder}: its record and its stage differ; compile again")
     words = _NOTHING_MISSING if record is None and reason.kept else reason.text
-    there = asked.contents.classes.get(name)
-    shown = asked.has_ids if there is None else there.base is not None
+    there = index.contents.classes.get(name)
+    shown = index.has_ids if there is None else there.base is not None
     what = f"{name}/{local_id}"
-    frame_id = asked.base(name) + local_id if shown else None
+    frame_id = index.base(name) + local_id if shown else None
     if at is None or there is None:
-        return Why(what, asked.data.name, False, str(reason), words, frame_id)
+        return Why(what, index.data.name, False, str(reason), words, frame_id)
     x, y, z = there.positions[at].tolist()
-    sight = nearest_camera(asked.data.stage, (x, y, z))
+    sight = nearest_camera(index.data.stage, (x, y, z))
     return Why(
         what,
-        asked.data.name,
+        index.data.name,
         True,
         str(reason),
         words,
         frame_id,
         (x, y, z),
-        _level(asked.data.report["objects"][name], there, at, sight),
+        _level(index.data.report["objects"][name], there, at, sight),
         sight,
     )
 
@@ -276,47 +276,47 @@ def _level_text(level: Level) -> str:
     return f"{text}: {level.error_m:.2g} m off the finest{pixels}"
 
 
-def _of_prim(asked: _Asked, path: str) -> Why:
+def _of_prim(index: _BatchIndex, path: str) -> Why:
     if path.startswith(_OBJECTS):
         name, _, rest = path.removeprefix(_OBJECTS).partition("/")
-        _known(asked, name)
+        _require_class(index, name)
         if not rest:
-            return _of_class(asked, name)
+            return _of_class(index, name)
         number = rest.split("/")[0].removeprefix(_SINGLE)
         if rest.startswith(_SINGLE) and number.isascii() and number.isdigit():
-            return _of_instance(asked, name, int(number))
-        if name not in asked.contents.classes:
+            return _of_instance(index, name, int(number))
+        if name not in index.contents.classes:
             # What stood below it is gone with it.
-            return _of_class(asked, name)
+            return _of_class(index, name)
     if path.startswith(_TERRAIN):
         tile = path.removeprefix(_TERRAIN).split("/")[0]
-        triangles = asked.contents.tiles.get(tile)
-        gone = {} if asked.record is None else asked.record.tiles
+        triangles = index.contents.tiles.get(tile)
+        gone = {} if index.record is None else index.record.tiles
         if triangles is not None:
-            return Why(path, asked.data.name, True, "tile", "it is a tile of the terrain",
+            return Why(path, index.data.name, True, "tile", "it is a tile of the terrain",
                        triangles=triangles)  # fmt: skip
         if tile in gone:
-            return Why(path, asked.data.name, False, str(gone[tile]), gone[tile].text)
-        known = [*asked.contents.tiles, *gone]
+            return Why(path, index.data.name, False, str(gone[tile]), gone[tile].text)
+        known = [*index.contents.tiles, *gone]
         raise OutputError(
-            f"{asked.data.folder}: the terrain has no tile {tile!r}{nearest(tile, known)}"
+            f"{index.data.folder}: the terrain has no tile {tile!r}{nearest(tile, known)}"
         )
-    return _of_other(asked, path)
+    return _of_other(index, path)
 
 
-def _of_other(asked: _Asked, path: str) -> Why:
+def _of_other(index: _BatchIndex, path: str) -> Why:
     """A prim that is neither of the terrain nor an object: a material, a light, a camera."""
     from pxr import Sdf
 
     from scenec.backends.stage.sources import open_stage
 
-    with open_stage(asked.data.stage) as stage:
+    with open_stage(index.data.stage) as stage:
         there = Sdf.Path.IsValidPathString(path) and stage.GetPrimAtPath(path)
         known = [str(prim.GetPath()) for prim in stage.TraverseAll()]
     if there:
-        return Why(path, asked.data.name, True, "prim", "it is one of its prims")
+        return Why(path, index.data.name, True, "prim", "it is one of its prims")
     last = path.rsplit("/", 1)[-1]
-    for entry in asked.data.report.get("left_out", []):
+    for entry in index.data.report.get("left_out", []):
         if last in entry["what"].partition(":")[0].split("/"):
-            return Why(path, asked.data.name, False, "left out", f"{entry['what']}: {entry['why']}")
-    raise OutputError(f"{asked.data.folder}: no prim {path}{nearest(path, known)}")
+            return Why(path, index.data.name, False, "left out", f"{entry['what']}: {entry['why']}")
+    raise OutputError(f"{index.data.folder}: no prim {path}{nearest(path, known)}")

@@ -57,8 +57,8 @@ class View:
         """Returns a function's result for this view, computed once for all passes."""
         if make not in self._made:
             self._made[make] = make(self)
-        made: T = self._made[make]
-        return made
+        value: T = self._made[make]
+        return value
 
     def of_faces(
         self, values: Callable[[Mesh], NDArray[np.uint32]], missing: int

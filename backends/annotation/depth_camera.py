@@ -73,11 +73,11 @@ class _Modulation(NamedTuple):
 
 
 @kernel
-def _stereo(first, last, depth, seen, pair, noise, out):  # type: ignore[no-untyped-def]
+def _stereo(first, last, depth, visible, pair, noise, out):  # type: ignore[no-untyped-def]
     """Measured depth of each pixel, float64 [n], of the exact one and of what both halves see."""
     for k in range(first, last):
         out[k] = 0.0
-        if not (depth[k] < math.inf and seen[k]):
+        if not (depth[k] < math.inf and visible[k]):
             continue
         w = philox(noise.key, np.uint64(k), noise.sample, _MEASURED, _ZERO)
         d = pair.focal_baseline / depth[k] + pair.noise * quantile(unit(w[0]))
@@ -121,7 +121,7 @@ def measure_stereo(
     model: StereoDepth,
     camera: Camera,
     depth: NDArray[np.float64],
-    seen: NDArray[np.bool_],
+    visible: NDArray[np.bool_],
     key: int,
     sample: int,
 ) -> NDArray[np.float64]:
@@ -131,7 +131,7 @@ def measure_stereo(
         model: The camera's pair.
         camera: Its left half (or that at the smaller x).
         depth: Exact planar depth, +inf without a hit.
-        seen: Whether the other half sees the point, bool, of the same shape.
+        visible: Whether the other half sees the point, bool, of the same shape.
         key, sample: Of the random numbers.
 
     Returns:
@@ -141,7 +141,7 @@ def measure_stereo(
     focal_baseline = float(camera.intrinsics[0, 0]) * model.baseline_m
     pair = _Pair(focal_baseline, model.noise_px, model.step_px, *model.range_m)
     noise = _Noise(np.uint64(key), np.uint64(sample))
-    over_threads(_stereo, len(out), depth.ravel(), seen.ravel(), pair, noise, out)
+    over_threads(_stereo, len(out), depth.ravel(), visible.ravel(), pair, noise, out)
     return out.reshape(depth.shape)
 
 

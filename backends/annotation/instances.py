@@ -78,7 +78,7 @@ class Instances:
         loose = (self._part < 0) & (self._rows != self._lead[slots])
         self._loose = np.flatnonzero(loose)
         self._local: tuple[int, NDArray[np.float64]] | None = None
-        every, first = np.arange(len(starts)), self._shown_first()
+        every, first = np.arange(len(starts)), self._first_samples()
         poses = self.poses(every, first)
         self._scale, self._box = poses.scale, boxes_around(poses.linear, self._local_boxes(0))
         #: Instances whose scale or box is another at some sample, bool [n].
@@ -186,8 +186,10 @@ class Instances:
         whole = np.concatenate([pixels, border[:, None]], axis=1)
         depths[:, 1] /= np.maximum(pixels[:, 0], 1)
         # What is known already of a picture that is no pinhole's.
-        known: dict[str, Any] = {} if rays is None else {"rays": rays}
-        found = self._outliner.outline(geometry, camera, row, which, pixels[:, 1:], masks, **known)
+        options: dict[str, Any] = {} if rays is None else {"rays": rays}
+        found = self._outliner.outline(
+            geometry, camera, row, which, pixels[:, 1:], masks, **options
+        )
         amodal = (found.areas, found.full, found.bounded.astype(np.int64))
         table = {
             "id": self.ids[which],
@@ -230,7 +232,7 @@ class Instances:
             found[f"label.{level}"] = text[inverse] if len(ids) else np.zeros(0, np.str_)
         return found
 
-    def _shown_first(self) -> NDArray[np.int64]:
+    def _first_samples(self) -> NDArray[np.int64]:
         """The first sample at which each instance is there."""
         first = np.zeros(len(self.ids), np.int64)
         motion = self._scene.rows.motion

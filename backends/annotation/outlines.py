@@ -88,7 +88,7 @@ class Outliner:
         camera: Camera,
         row: NDArray[np.int32],
         which: NDArray[np.int64],
-        shown: NDArray[np.int64],
+        extents: NDArray[np.int64],
         masks: bool = False,
         ray_cost: int = RAY_COST,
         rays: Rays | None = None,
@@ -103,7 +103,7 @@ class Outliner:
             camera: The camera.
             row: Row that each pixel shows, -1 for none, int32 [h * w].
             which: Instances, ascending, int64 [n].
-            shown: First column, first row, last column and last row that shows each, int64 [n, 4].
+            extents: First column, first row, last column and last row of each, int64 [n, 4].
             masks: Whether to make masks, too.
             ray_cost: What a ray costs in triangles (``exact.silhouette``); changes time alone.
             rays: The picture's; made where they are missing and needed.
@@ -120,7 +120,7 @@ class Outliner:
         else:
             view, boxes = Pinhole.of(camera), self._boxes[entries]
             over_threads(frame_rows, len(rows), geometry, members, boxes, view, whole)
-        windows = _union(parts, firsts[:-1], shown)
+        windows = _union(parts, firsts[:-1], extents)
         pixels = (windows[:, 1] - windows[:, 0]) * (windows[:, 3] - windows[:, 2])
         bounded = np.logical_and.reduceat(whole, firsts[:-1]) if len(which) else whole
         areas = np.zeros((len(which), 2), np.int64)
@@ -161,7 +161,7 @@ class Outliner:
 
 
 def _union(
-    parts: NDArray[np.int64], firsts: NDArray[np.int64], shown: NDArray[np.int64]
+    parts: NDArray[np.int64], firsts: NDArray[np.int64], extents: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Windows around the parts of each instance, [n, 4]; they hold the pixels that show it, too."""
     if not len(firsts):
@@ -172,8 +172,8 @@ def _union(
         least = np.where(empty, np.iinfo(np.int64).max, parts[:, low])
         most = np.where(empty, np.iinfo(np.int64).min, parts[:, low + 1])
         at = low // 2
-        windows[:, low] = np.minimum(np.minimum.reduceat(least, firsts), shown[:, at])
-        windows[:, low + 1] = np.maximum(np.maximum.reduceat(most, firsts), shown[:, at + 2] + 1)
+        windows[:, low] = np.minimum(np.minimum.reduceat(least, firsts), extents[:, at])
+        windows[:, low + 1] = np.maximum(np.maximum.reduceat(most, firsts), extents[:, at + 2] + 1)
     return windows
 
 

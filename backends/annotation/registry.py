@@ -39,16 +39,16 @@ def select(scene: RenderScene, names: Sequence[str]) -> dict[str, Pass]:
         BackendError: There is no such pass, or it cannot be loaded.
     """
     labels = [f"{LABEL}.{level}" for level in scene.levels]
-    found: dict[str, Pass] = {}
+    selected: dict[str, Pass] = {}
     waiting = [name for name in reversed(names) if name != "rgb"]
     while waiting:
         name = waiting.pop()
         if name == LABEL:
             waiting += reversed(labels)
-        elif name not in found:
-            found[name] = _find_level(name, labels) if "." in name else find_pass(name)
-            waiting += reversed(found[name].needs)
-    return dict(sorted(found.items(), key=lambda item: item[1].whole))
+        elif name not in selected:
+            selected[name] = _find_level(name, labels) if "." in name else find_pass(name)
+            waiting += reversed(selected[name].needs)
+    return dict(sorted(selected.items(), key=lambda item: item[1].whole))
 
 
 def _find_level(name: str, labels: Sequence[str]) -> Pass:
@@ -72,8 +72,8 @@ def find_pass(name: str) -> Pass:
         raise BackendError(f"several passes have the name {shown(name)}: {listed}; uninstall one")
     if name in BUILT_IN:
         module = f"scenec.backends.annotation.{_MODULES.get(name, 'passes')}"
-        found: Pass = getattr(importlib.import_module(module), name.upper())
-        return found
+        result: Pass = getattr(importlib.import_module(module), name.upper())
+        return result
     if not points:
         raise BackendError(f"no pass {shown(name)}{nearest(name, pass_names())}")
     made, who = load_offered(GROUP, name, f"pass {shown(name)}", BackendError)
@@ -83,17 +83,19 @@ def find_pass(name: str) -> Pass:
     return replace(made, compute=_guarded(made, who))
 
 
-def _fault(made: Any, name: str) -> str | None:
+def _fault(candidate: Any, name: str) -> str | None:
     """Returns the first fault of another package's pass, in words; None if it has none."""
-    if not isinstance(made, Pass):
-        return f"expected a {Pass.__module__}.{Pass.__name__}, not {type(made).__name__}"
-    if made.name != name or not name.isidentifier():
-        return f"its name is {shown(made.name)}: expected that of its entry point, an identifier"
-    if not made.channels or list(made.channels) != sorted(set(made.channels)):
-        return f"its channels are {list(made.channels)}: expected names in alphabetical order"
-    if made.dtype not in ("float32", "uint32"):
-        return f"its dtype is {shown(str(made.dtype))}: expected float32 or uint32"
-    if "rgb" in made.needs:
+    if not isinstance(candidate, Pass):
+        return f"expected a {Pass.__module__}.{Pass.__name__}, not {type(candidate).__name__}"
+    if candidate.name != name or not name.isidentifier():
+        return (
+            f"its name is {shown(candidate.name)}: expected that of its entry point, an identifier"
+        )
+    if not candidate.channels or list(candidate.channels) != sorted(set(candidate.channels)):
+        return f"its channels are {list(candidate.channels)}: expected names in alphabetical order"
+    if candidate.dtype not in ("float32", "uint32"):
+        return f"its dtype is {shown(str(candidate.dtype))}: expected float32 or uint32"
+    if "rgb" in candidate.needs:
         return "it needs rgb, which no pass is made of"
     return None
 

@@ -229,7 +229,7 @@ class _Run:
         ]
         self.frames += len(places)
         self._witness(batch, scene, places)
-        if len(self.backends) < 2 or "rgb" not in self._asked(places):
+        if len(self.backends) < 2 or "rgb" not in self._common(places):
             return
         stems = [self._ready(batch, name, scene, places, aside / name) for name in self.backends]
         floors = self._floor(batch, places, aside / "floor") if self.options.floor else None
@@ -280,7 +280,7 @@ class _Run:
         """Passes of a camera that backends are compared in."""
         return tuple(self.options.passes or camera.outputs)
 
-    def _asked(self, places: Sequence[Place]) -> tuple[str, ...]:
+    def _common(self, places: Sequence[Place]) -> tuple[str, ...]:
         """The same of all."""
         return tuple(dict.fromkeys(n for _, _, camera in places for n in self._wanted(camera)))
 
@@ -299,7 +299,7 @@ class _Run:
         usual = all(self._wanted(camera) == camera.outputs for _, _, camera in places)
         for samples, folder in ((missing, batch.folder), (unusable, aside)):
             if samples:
-                passes = None if usual else self._asked(places)
+                passes = None if usual else self._common(places)
                 self._render(batch, backend, passes, samples, folder)
         return [
             frame_stem(aside if sample in unusable else batch.folder, backend, camera.name, sample)

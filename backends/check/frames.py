@@ -28,17 +28,17 @@ type Found = Mapping[str, Collection[str]]
 
 def sensors_found(batches: Iterable[Batch]) -> dict[str, set[str]]:
     """Lists sensors that have frames or scans in any of some batches; see ``Found``."""
-    found: dict[str, set[str]] = {}
+    sensors: dict[str, set[str]] = {}
     for batch in batches:
         for pattern in (f"{FRAMES}/*/*/*.json", f"{SCANS}/*/*.json"):
             for path in batch.folder.glob(pattern):
                 kind = path.parents[1].relative_to(batch.folder).as_posix()
-                found.setdefault(kind, set()).add(path.parent.name)
-    return found
+                sensors.setdefault(kind, set()).add(path.parent.name)
+    return sensors
 
 
 def check_frames(
-    folder: Path, digest: str | None, firing: Firing | None = None, found: Found | None = None
+    folder: Path, digest: str | None, firing: Firing | None = None, sensors: Found | None = None
 ) -> Iterator[Finding]:
     """Findings on all frames of a batch.
 
@@ -46,10 +46,10 @@ def check_frames(
         folder: The batch's folder.
         digest: Digest of its stage; None where that cannot be read.
         firing: When its cameras are triggered; None likewise.
-        found: What any batch of the output has; None: this one alone counts.
+        sensors: What any batch of the output has; None: this one alone counts.
     """
     frames = folder / FRAMES
-    check = _Check("frames", folder, digest, found or {})
+    check = _Check("frames", folder, digest, sensors or {})
     astray = {} if firing is None else dict(strays(folder, firing))
     yield from check_batch_table(frames, digest, check.name(frames))
     yield from check.cut_short(frames.glob("*/*/*.exr"))
@@ -81,11 +81,11 @@ def check_frames(
 
 
 def check_scans(
-    folder: Path, digest: str | None, firing: Firing | None = None, found: Found | None = None
+    folder: Path, digest: str | None, firing: Firing | None = None, sensors: Found | None = None
 ) -> Iterator[Finding]:
     """Findings on all lidar scans of a batch; arguments as of ``check_frames``."""
     scans = folder / SCANS
-    check = _Check("scans", folder, digest, found or {})
+    check = _Check("scans", folder, digest, sensors or {})
     astray = {} if firing is None else dict(stray_scans(folder, firing))
     yield from check.cut_short(_numbered(scans, "npz"))
     if scans.is_dir() or SCANS in check.found:

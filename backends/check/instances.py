@@ -82,7 +82,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
         return
     path = frame_table_path(frame.path.with_suffix(""))
     try:
-        _require_whole(path, entry)
+        _require_intact(path, entry)
         table = read_frame_table(path)
     except FrameError as error:
         yield str(error)
@@ -110,7 +110,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
         yield f"{path.name}: poses in the camera's frame are not those in the world"
 
 
-def _require_whole(path: Path, entry: FileDigest) -> None:
+def _require_intact(path: Path, entry: FileDigest) -> None:
     if path.is_file() and sha256(path) != entry.sha256:
         raise FrameError(f"{path.name} is truncated, damaged or changed since it was written")
 
@@ -122,7 +122,7 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
         return
     path = amodal_path(frame.path.with_suffix(""))
     try:
-        _require_whole(path, entry)
+        _require_intact(path, entry)
         amodal = read_amodal(path)
     except FrameError as error:
         yield str(error)
@@ -171,7 +171,7 @@ def against(truth: Seen, frame: Frame) -> Iterator[Found]:
         table = read_frame_table(frame.path)
         pixels = int(truth.table["amodal_full"].sum())
         wrong = sum(
-            _apart(truth.table["id"], truth.table[name], table["id"], table[name])
+            _difference(truth.table["id"], truth.table[name], table["id"], table[name])
             for name in ("amodal", "amodal_full")
         )
         yield AREAS, pixels, wrong
@@ -180,17 +180,17 @@ def against(truth: Seen, frame: Frame) -> Iterator[Found]:
         yield AMODAL, int(truth.amodal.areas().sum()), _differing_masks(truth.amodal, own)
 
 
-def _apart(
+def _difference(
     ids: NDArray[np.integer],
     values: NDArray[np.integer],
     other_ids: NDArray[np.integer],
-    others: NDArray[np.integer],
+    other_values: NDArray[np.integer],
 ) -> int:
     """Sum of how far the values of two tables are from each other; one without a line has 0."""
     every = np.union1d(ids, other_ids)
     both = np.zeros((2, len(every)), np.int64)
     both[0, np.searchsorted(every, ids)] = values
-    both[1, np.searchsorted(every, other_ids)] = others
+    both[1, np.searchsorted(every, other_ids)] = other_values
     return int(np.abs(both[0] - both[1]).sum())
 
 

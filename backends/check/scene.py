@@ -60,7 +60,7 @@ def _enclosed(scene: RenderScene) -> dict[str, list[int]]:
     """Finds samples of cameras and lidars that hit only the backs of surfaces, by their prims."""
     # Along the axes and between three of them.
     ways = [way for way in product((-1.0, 0.0, 1.0), repeat=3) if sum(map(abs, way)) in (1, 3)]
-    found: dict[str, list[int]] = {}
+    samples_of: dict[str, list[int]] = {}
     caster = ExactCaster(scene)
     for sample, cameras in enumerate(scene.cameras):
         places = [(one.path, one.camera_to_world[:3, 3]) for one in cameras if one.fires(sample)]
@@ -79,8 +79,8 @@ def _enclosed(scene: RenderScene) -> dict[str, list[int]]:
             back[k] = (_outward(scene, posed, row[k], face[k]) * rays.directions[k]).sum() > 0.0
         backs = back.reshape(hit.shape)
         for k in np.flatnonzero((backs == hit).all(axis=1) & (hit.sum(axis=1) >= _FEWEST)):
-            found.setdefault(places[k][0], []).append(sample)
-    return found
+            samples_of.setdefault(places[k][0], []).append(sample)
+    return samples_of
 
 
 def _outward(scene: RenderScene, rows: Rows, row: int, face: int) -> NDArray[np.float64]:

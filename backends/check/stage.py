@@ -79,7 +79,7 @@ def _findings(stage: Usd.Stage, path: Path) -> list[Finding]:
             if prim.IsA(kind):
                 findings.extend(
                     Finding(name, "error", str(prim.GetPath()), message)
-                    for message in _told(rule(prim, table))
+                    for message in _messages(rule(prim, table))
                 )
     findings.extend(_sky_labels(stage, table))
     findings.extend(_instance_ids(stage))
@@ -87,7 +87,7 @@ def _findings(stage: Usd.Stage, path: Path) -> list[Finding]:
     return findings
 
 
-def _told(messages: Iterator[str]) -> Iterator[str]:
+def _messages(messages: Iterator[str]) -> Iterator[str]:
     """A rule's messages; a value that is none it can judge is one, too."""
     try:
         yield from messages
@@ -327,7 +327,7 @@ _RULES: tuple[tuple[str, Any, Rule], ...] = (
 def _sky_labels(stage: Usd.Stage, table: LabelTable) -> Iterator[Finding]:
     """Label maps of the Sky prim are pictures of one channel, with ids that the table knows."""
     prim = stage.GetPrimAtPath(names.SKY_PRIM)
-    found: dict[tuple[str, Path], None] = {}
+    pictures: dict[tuple[str, Path], None] = {}
     for level in table.levels if prim else ():
         attribute = prim.GetAttribute(names.ATTR_SKY_LABEL_MAP.format(level=level))
         if not attribute:
@@ -336,8 +336,8 @@ def _sky_labels(stage: Usd.Stage, table: LabelTable) -> Iterator[Finding]:
             asset = attribute.Get(time)
             # One that is not there is another check's.
             if isinstance(asset, Sdf.AssetPath) and asset.resolvedPath:
-                found[level, Path(asset.resolvedPath)] = None
-    for level, file in found:
+                pictures[level, Path(asset.resolvedPath)] = None
+    for level, file in pictures:
         try:
             ids = set(np.unique(load_label_map(file)).tolist())
         except StageError as error:

@@ -67,30 +67,32 @@ class Witness:
     unseen: int = 0
     dependent: int = 0
 
-    def add(self, caster: ExactCaster, rays: Rays, seen: Visibility) -> None:
+    def add(self, caster: ExactCaster, rays: Rays, visibility: Visibility) -> None:
         """Count a picture.
 
         Args:
             caster: Posed as at the sample.
             rays: Of the whole picture.
-            seen: What the renderer met along them.
+            visibility: What the renderer met along them.
 
         Raises:
             BackendError: Arrays that do not fit the rays.
         """
         n = len(rays.origins)
-        if seen.row.shape != (n,) or seen.face.shape != (n,):
+        if visibility.row.shape != (n,) or visibility.face.shape != (n,):
             raise BackendError(
-                f"the witness has {seen.row.shape} rows and {seen.face.shape} faces; expected "
-                f"({n},) of each, one per ray"
+                f"the witness has {visibility.row.shape} rows and {visibility.face.shape} faces; "
+                f"expected ({n},) of each, one per ray"
             )
-        self.dependent += not seen.independent
+        self.dependent += not visibility.independent
         hits = caster.hits(rays)
-        apart = (seen.row != hits.row) | ((seen.face != hits.face) & (hits.row != NO_ROW))
+        apart = (visibility.row != hits.row) | (
+            (visibility.face != hits.face) & (hits.row != NO_ROW)
+        )
         if rays.known is not None:
             apart &= rays.known
         index = np.flatnonzero(apart)
-        radius, hair = _explain(caster, rays, hits, seen, index)
+        radius, hair = _explain(caster, rays, hits, visibility, index)
         self.pixels += n if rays.known is None else int(np.count_nonzero(rays.known))
         self.differing += len(index)
         self.beyond += int(np.count_nonzero(radius > hair))
@@ -129,10 +131,10 @@ def ask(
 
 
 def _explain(
-    caster: ExactCaster, rays: Rays, hits: Hits, seen: Visibility, index: NDArray[np.int64]
+    caster: ExactCaster, rays: Rays, hits: Hits, visibility: Visibility, index: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least radii that explain some pixels' answers, and the hair there; float64 [k], pixels."""
-    row, face = seen.row[index].astype(np.int32), seen.face[index].astype(np.int32)
+    row, face = visibility.row[index].astype(np.int32), visibility.face[index].astype(np.int32)
     origins, directions = rays.origins[index], rays.directions[index]
     t, reach = np.empty(len(index)), np.empty(len(index))
     over_threads(
@@ -211,23 +213,23 @@ def _steps(rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @kernel
-def _nearest(first, last, g, rays, seen, found):  # type: ignore[no-untyped-def]
+def _nearest(first, last, g, rays, reported, nearest):  # type: ignore[no-untyped-def]
     """Computes the distance of a ray from the face that a renderer reports for it.
 
     Args:
         first, last: Range of the rays.
         g: ``bvh.Geometry``.
         rays: (origins float64 [k, 3], directions float64 [k, 3]).
-        seen: (row int32 [k], face int32 [k]).
-        found: (t, distance), float64 [k]; inf for a face that is not there.
+        reported: (row int32 [k], face int32 [k]).
+        nearest: (t, distance), float64 [k]; inf for a face that is not there.
     """
     for k in range(first, last):
-        row, face = seen[0][k], seen[1][k]
-        found[0][k] = np.inf
-        found[1][k] = np.inf
+        row, face = reported[0][k], reported[1][k]
+        nearest[0][k] = np.inf
+        nearest[1][k] = np.inf
         if 0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]:
             frame = ray_frame(rays[0][k], rays[1][k])
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-            found[0][k], found[1][k] = distance_from_face(
+            nearest[0][k], nearest[1][k] = distance_from_face(
                 g.points, g.faces[g.row_face[row] + face], matrix, frame
             )

@@ -98,7 +98,7 @@ class Cycles(Backend):
         place(loaded.scene, loaded.camera, camera, lens, loaded.frame)
         render.for_visibility(loaded.scene, PASSES)
         row, face = (
-            _whole(picture[: camera.height, : camera.width])
+            _integers(picture[: camera.height, : camera.width])
             for picture in render.draw(self._bpy, loaded.scene, PASSES)
         )
         # Rows count from 1: 0 is where no ray hits.
@@ -169,7 +169,7 @@ class Cycles(Backend):
         return self._loaded
 
 
-def _whole(picture: NDArray[np.float32]) -> NDArray[np.int32]:
+def _integers(picture: NDArray[np.float32]) -> NDArray[np.int32]:
     """Whole numbers from two halves of 16 bits, [h, w, 4] -> int32 [h * w]."""
     low, high = (picture[..., i].astype(np.int64) for i in range(2))
     return (low + (high << 16)).ravel().astype(np.int32)

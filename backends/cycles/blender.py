@@ -36,7 +36,7 @@ def load_bpy() -> Any:
         try:
             bpy = importlib.import_module("bpy")
         except ImportError as error:
-            other, absent = _tbb_of_others(), missing(OF_BLENDER)
+            other, absent = _foreign_tbb(), missing(OF_BLENDER)
             if absent and not other:
                 raise BackendError(f"Blender cannot be imported: {mend(absent)}") from error
             what = (
@@ -60,7 +60,7 @@ def load_bpy() -> Any:
     return bpy
 
 
-def _tbb_of_others() -> str | None:
+def _foreign_tbb() -> str | None:
     """The file of a TBB in this process that is not Blender's; None where that is not known."""
     try:
         lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()

@@ -39,9 +39,9 @@ class Built:
         self._render_scene = scene = None if scene is None else posable(scene)
         self._glows = scene is not None and any(surface.emits for surface in scene.surfaces)
         self._posed = 0
-        self._made = _Made(bpy)
+        self._made = _BuiltData(bpy)
         weakref.finalize(self, self._made.remove).atexit = False
-        self._light = _Made(bpy)
+        self._light = _BuiltData(bpy)
         weakref.finalize(self, self._light.remove).atexit = False
         self._lit_sample: int | None = None
         self.shares: Shares | None = None
@@ -114,7 +114,7 @@ class Built:
         self._lit_sample = sample
 
 
-class _Made:
+class _BuiltData:
     """Notes what a ``with`` block makes in Blender, to remove it later.
 
     By kind and name: Blender's own objects turn invalid when what they stand for goes.

@@ -69,7 +69,7 @@ def make_world(bpy: Any, sky: Sky | None, from_suns: float) -> Any:
     elif sky.constant:
         graph.feed(background.inputs["Color"], sky.picture[0, 0])
     else:
-        graph.feed(background.inputs["Color"], _seen(bpy, graph, sky))
+        graph.feed(background.inputs["Color"], _radiance_along(bpy, graph, sky))
         guide = sky_guide(sky, LEAST_DRAWN * from_suns)
         if guide is not None:
             light = _guided(bpy, graph, light, guide)
@@ -80,7 +80,7 @@ def make_world(bpy: Any, sky: Sky | None, from_suns: float) -> Any:
     return made
 
 
-def _seen(bpy: Any, graph: Graph, sky: Sky) -> Any:
+def _radiance_along(bpy: Any, graph: Graph, sky: Sky) -> Any:
     """A sky's radiance from the direction that is looked at."""
     node = graph.node("ShaderNodeTexEnvironment")
     node.image, node.interpolation = picture_image(bpy, env_rows(sky.picture)), "Linear"
@@ -96,7 +96,7 @@ def _guided(bpy: Any, graph: Graph, light: Any, guide: Sky) -> Any:
     Rays that meet the sky, and those sent to it, are one deep at least; the table is made at 0.
     """
     shown = graph.node("ShaderNodeBackground")
-    graph.feed(shown.inputs["Color"], _seen(bpy, graph, guide))
+    graph.feed(shown.inputs["Color"], _radiance_along(bpy, graph, guide))
     depth = graph.number(graph.node("ShaderNodeLightPath").outputs["Ray Depth"])
     either = graph.node("ShaderNodeMixShader")
     graph.feed(either.inputs[0], NODES.select(0.5 - depth, 1.0, 0.0))

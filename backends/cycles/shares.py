@@ -48,7 +48,7 @@ class Shares:
         self,
         lights: list[tuple[Any, Sun | Lamp]],
         sky: Sky | None,
-        around: float,
+        ambient: float,
         albedo: float,
     ) -> None:
         """Take over the light of a sample, as it has just been made.
@@ -56,7 +56,7 @@ class Shares:
         Args:
             lights: Objects, and what they stand for.
             sky: What is behind them.
-            around: Irradiance from sky and glow, W/m^2; infinity where it is not known.
+            ambient: Irradiance from sky and glow, W/m^2; infinity where it is not known.
             albedo: The largest of a surface.
         """
         self._lights = lights
@@ -67,7 +67,7 @@ class Shares:
             for _, light in lights
         ]
         # A surface sends no more than half of what it reflects to others that the camera sees.
-        held = [*own, around + 0.5 * albedo * sum(own)]
+        held = [*own, ambient + 0.5 * albedo * sum(own)]
         most = max(held)
         known = 0.0 < most < np.inf
         self._parts = [part / most for part in held] if known else [1.0] * len(held)

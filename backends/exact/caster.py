@@ -18,15 +18,15 @@ from scenec.schemas.threads import over_threads
 
 
 @kernel
-def _test_all(first, last, g, beams, index, found):  # type: ignore[no-untyped-def]
+def _test_all(first, last, g, beams, index, hits):  # type: ignore[no-untyped-def]
     for k in range(first, last):
-        row, face = found.row[k], found.face[k]
-        found.t[k] = np.inf
+        row, face = hits.row[k], hits.face[k]
+        hits.t[k] = np.inf
         if 0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]:
             frame = ray_frame(beams.origins[index[k]], beams.directions[index[k]])
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
             corners = g.faces[g.row_face[row] + face]
-            found.t[k] = hit_parameter(g.points, corners, matrix, frame)
+            hits.t[k] = hit_parameter(g.points, corners, matrix, frame)
 
 
 @dataclass(frozen=True)

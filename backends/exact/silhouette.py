@@ -125,7 +125,7 @@ def set_direction(view, column, row, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _seen_at(view, x, y, z):  # type: ignore[no-untyped-def]
+def _projected(view, x, y, z):  # type: ignore[no-untyped-def]
     """A point relative to the eye in pixels and depth, and how far off 1 unit of error takes it."""
     k, inverse = view.k, view.inverse
     depth = inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2] * z
@@ -177,7 +177,7 @@ def _all_inside(g, row, view):  # type: ignore[no-untyped-def]
         for corner in range(3):
             p = g.points[g.faces[f, corner]]
             x, y, z = _relative(m, eye, np.float64(p[0]), np.float64(p[1]), np.float64(p[2]))
-            u, v, depth, _ = _seen_at(view, x, y, z)
+            u, v, depth, _ = _projected(view, x, y, z)
             if not (
                 depth > 0.0
                 and -MARGIN * width <= u <= (MARGIN + 1) * width
@@ -188,7 +188,7 @@ def _all_inside(g, row, view):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-untyped-def]
+def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[no-untyped-def]
     """Windows of pixels that hold the silhouettes of rows.
 
     Args:
@@ -197,7 +197,7 @@ def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-
         members: ``Members``; ``parts`` receives the windows, 0 until then.
         boxes: Box around each row's mesh in its own frame, float64 [r, 2, 3].
         view: ``Pinhole``.
-        whole: Receives whether the row lies within the continued picture (``_all_inside``), or has
+        complete: Receives whether the row lies in the continued picture (``_all_inside``), or has
             no surface, bool [r].
     """
     rows, windows, at = members.rows, members.parts, view.eye
@@ -207,7 +207,7 @@ def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-
     eye = abs(at[0]) + abs(at[1]) + abs(at[2])
     for n in range(first, last):
         row = rows[n]
-        whole[n] = True
+        complete[n] = True
         if g.row_spheres[row, 3] < 0.0:
             continue
         m = g.to_world[row]
@@ -225,7 +225,7 @@ def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-
             p1 = boxes[n, corner >> 1 & 1, 1]
             p2 = boxes[n, corner >> 2, 2]
             x, y, z = _relative(m, at, p0, p1, p2)
-            u, v, depth, off = _seen_at(view, x, y, z)
+            u, v, depth, off = _projected(view, x, y, z)
             least_u, most_u = min(least_u, u), max(most_u, u)
             least_v, most_v = min(least_v, v), max(most_v, v)
             nearest, farthest = min(nearest, depth), max(farthest, depth)
@@ -233,7 +233,7 @@ def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-
         tolerance = _SURE * size * norm
         slack *= tolerance
         if farthest < -tolerance:
-            whole[n] = False
+            complete[n] = False
             continue
         if nearest > tolerance:
             windows[n, 0] = _first(least_u - slack - 0.5, left, right)
@@ -250,18 +250,18 @@ def frame_rows(first, last, g, members, boxes, view, whole):  # type: ignore[no-
             windows[n, 0], windows[n, 1] = left, right
             windows[n, 2], windows[n, 3] = top, bottom
             inside = False
-        whole[n] = inside or _all_inside(g, row, view)
+        complete[n] = inside or _all_inside(g, row, view)
 
 
 @kernel
-def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, masks):  # type: ignore[no-untyped-def]
+def mark_shown(first, last, row, slot_of_row, mask_of_slot, width, masks):  # type: ignore[no-untyped-def]
     """Mark the pixels that show an instance.
 
     Args:
         first, last: Which lines of the picture.
         row: Row that each pixel shows, int32 [h * w].
         slot_of_row: Instance of each row, -1 for none, int32.
-        seen_of_slot: Index of an instance into ``masks``, -1 where it has none, int64.
+        mask_of_slot: Index of an instance into ``masks``, -1 where it has none, int64.
         width: Of the picture.
         masks: ``Masks``, in place.
     """
@@ -270,7 +270,7 @@ def mark_shown(first, last, row, slot_of_row, seen_of_slot, width, masks):  # ty
             r = row[y * width + x]
             if r < 0 or slot_of_row[r] < 0:
                 continue
-            seen = seen_of_slot[slot_of_row[r]]
+            seen = mask_of_slot[slot_of_row[r]]
             if seen >= 0 and masks.starts[seen] >= 0:
                 window = masks.windows[seen]
                 across = window[1] - window[0]
@@ -353,7 +353,7 @@ def _area(at, i, j, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_beside(at, corners, x, y, margin):  # type: ignore[no-untyped-def]
+def _is_outside(at, corners, x, y, margin):  # type: ignore[no-untyped-def]
     """Whether a place is off a triangle's picture by more than ``margin``, the error of areas."""
     a, b, c = corners
     whole = _area(at, a, b, at[c, 0], at[c, 1])
@@ -378,7 +378,7 @@ def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore
         for i in range(3):
             reach = abs(m[i, 0] * p0) + abs(m[i, 1] * p1) + abs(m[i, 2] * p2) + abs(m[i, 3])
             size = max(size, reach + eye)
-        at[n, 0], at[n, 1], at[n, 2], at[n, 3] = _seen_at(view, x, y, z)
+        at[n, 0], at[n, 1], at[n, 2], at[n, 3] = _projected(view, x, y, z)
     tolerance = _SURE * size * _norm(view.inverse)
     for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
         corners = g.faces[f, 0] - base[0], g.faces[f, 1] - base[0], g.faces[f, 2] - base[0]
@@ -402,7 +402,7 @@ def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore
         for y in range(y0, y1):
             line = (y - window[2]) * (window[1] - window[0]) - window[0]
             for x in range(x0, x1):
-                if mask[line + x] == 1 or _is_beside(at, corners, x + 0.5, y + 0.5, margin):
+                if mask[line + x] == 1 or _is_outside(at, corners, x + 0.5, y + 0.5, margin):
                     continue
                 if _is_hit(g, row, f, view, x, y, scratch.direction):
                     mask[line + x] = 1

@@ -276,31 +276,31 @@ def trace(g, origin, direction, hit, stack):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _trace_some(g, beams, index, found, start, stop, stack):  # type: ignore[no-untyped-def]
+def _trace_some(g, beams, index, hits, start, stop, stack):  # type: ignore[no-untyped-def]
     for k in range(start, stop):
         ray = index[k]
-        found.t[k], found.row[k], found.face[k] = trace(
+        hits.t[k], hits.row[k], hits.face[k] = trace(
             g, beams.origins[ray], beams.directions[ray],
-            (found.t[k], found.row[k], found.face[k]), stack,
+            (hits.t[k], hits.row[k], hits.face[k]), stack,
         )  # fmt: skip
 
 
 @kernel
-def _trace_all_part(first, last, g, beams, index, found):  # type: ignore[no-untyped-def]
+def _trace_all_part(first, last, g, beams, index, hits):  # type: ignore[no-untyped-def]
     count = index.shape[0]
     for chunk in range(first, last):
         start = chunk * _CHUNK
         stack = Stack(np.empty(2 * STACK_SIZE, np.int32), np.empty(2 * STACK_SIZE, np.float64))
-        _trace_some(g, beams, index, found, start, min(start + _CHUNK, count), stack)
+        _trace_some(g, beams, index, hits, start, min(start + _CHUNK, count), stack)
 
 
-def trace_all(g: Geometry, beams: Beams, index: NDArray[np.int64], found: Found) -> None:
+def trace_all(g: Geometry, beams: Beams, index: NDArray[np.int64], hits: Found) -> None:
     """Improve the hits of the rays named by ``index``, in place, all threads.
 
     Args:
         g: Of the scene.
         beams: The table of rays, [n].
         index: Which of them, int64 [k].
-        found: The hits known so far, [k].
+        hits: The hits known so far, [k].
     """
-    over_threads(_trace_all_part, -(-len(index) // _CHUNK), g, beams, index, found)
+    over_threads(_trace_all_part, -(-len(index) // _CHUNK), g, beams, index, hits)

@@ -74,7 +74,7 @@ def develop(
     red, green, blue = look.balance.tolist()
     padded = _balanced(raw[:, :, 0], mosaic, black, (red, green, blue))
     colors, corrections = _tables(mosaic, method)
-    over_threads(_from_mosaic, len(out), padded, colors, corrections, _Shown.of(look), out)
+    over_threads(_from_mosaic, len(out), padded, colors, corrections, _Display.of(look), out)
     return out
 
 
@@ -82,11 +82,11 @@ def develop_light(light: NDArray[np.float32], look: Look) -> NDArray[np.uint8]:
     """The same of numbers above black, whole or not, of all colors: float32 [h, w, 3]."""
     out = np.empty(light.shape, np.uint8)
     balance = look.balance.astype(np.float32)
-    over_threads(_from_colors, len(light), light, balance, _Shown.of(look), out)
+    over_threads(_from_colors, len(light), light, balance, _Display.of(look), out)
     return out
 
 
-class _Shown(NamedTuple):
+class _Display(NamedTuple):
     """``Look``, once colors are balanced.
 
     Attributes:
@@ -101,7 +101,7 @@ class _Shown(NamedTuple):
     starts: NDArray[np.uint8]
 
     @classmethod
-    def of(cls, look: Look) -> _Shown:
+    def of(cls, look: Look) -> _Display:
         matrix = (look.to_rec709 / look.white).astype(np.float32)
         return cls(np.float32(look.most), matrix, *codes(look.white))
 
@@ -210,9 +210,9 @@ def _row_colors(m, y, i, colors, k, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _show(row, shown, out):  # type: ignore[no-untyped-def]
+def _show(row, display, out):  # type: ignore[no-untyped-def]
     """Codes, uint8 [w, 3], of a line of colors, float32 [w, 3], which are lost."""
-    most, matrix, edges, starts = shown.most, shown.matrix, shown.edges, shown.starts
+    most, matrix, edges, starts = display.most, display.matrix, display.edges, display.starts
     for x in range(row.shape[0]):
         r, g, b = min(row[x, 0], most), min(row[x, 1], most), min(row[x, 2], most)
         for c in range(3):
@@ -226,19 +226,19 @@ def _show(row, shown, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _from_mosaic(first, last, padded, colors, corrections, shown, out):  # type: ignore[no-untyped-def]
+def _from_mosaic(first, last, padded, colors, corrections, display, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.empty((out.shape[1], 3), np.float32)
         for i in range(2):
             _row_colors(padded, line, i, colors, corrections, row)
-        _show(row, shown, out[line])
+        _show(row, display, out[line])
 
 
 @kernel
-def _from_colors(first, last, light, balance, shown, out):  # type: ignore[no-untyped-def]
+def _from_colors(first, last, light, balance, display, out):  # type: ignore[no-untyped-def]
     for line in range(first, last):
         row = np.empty((light.shape[1], 3), np.float32)
         for x in range(light.shape[1]):
             for c in range(3):
                 row[x, c] = balance[c] * light[line, x, c]
-        _show(row, shown, out[line])
+        _show(row, display, out[line])

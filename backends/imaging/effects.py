@@ -52,8 +52,8 @@ def apply(picture: NDArray[np.uint8], effects: Sequence[str], sample: int) -> ND
             )
         who = f"the effect {shown(name)} of {wanted}"
         try:
-            made: Effect = load_kind(GROUP, name)(**keys)
-            changed = made.apply(picture.copy(), np.random.default_rng([key, sample]))
+            effect: Effect = load_kind(GROUP, name)(**keys)
+            changed = effect.apply(picture.copy(), np.random.default_rng([key, sample]))
         except ScenecError:
             raise
         except Exception as error:

@@ -45,8 +45,8 @@ def vignetting(camera: Camera, power: int, polynomial: tuple[float, ...]) -> Pic
 
 
 @lru_cache(maxsize=4)
-def _vignetting(seen: Projection, power: int, polynomial: tuple[float, ...]) -> Picture:
-    camera = replace(seen.camera, camera_to_world=np.eye(4), shutter=None)
+def _vignetting(projection: Projection, power: int, polynomial: tuple[float, ...]) -> Picture:
+    camera = replace(projection.camera, camera_to_world=np.eye(4), shutter=None)
     size = (camera.height, camera.width)
     k = camera.intrinsics
     y = np.arange(camera.height)[:, None] + (0.5 - k[1, 2])
@@ -94,7 +94,7 @@ def bloom(rgb: Picture, share: float, sigma_px: float) -> Picture:
             spread = _double(spread, *levels[n].shape[:2])
         for part, size, scale in zip(BLOOM_SHARES, BLOOM_SIZES, scales, strict=True):
             if scale == n:
-                spread += _blur(levels[n], _taps(_own_variance(sigma_px * size, n), part))
+                spread += _blur(levels[n], _taps(_remaining_variance(sigma_px * size, n), part))
     before, after = _row_sums(rgb).sum(axis=0), _sum(spread, rgb.shape if last else spread.shape)
     factor = share * np.divide(before, after, out=np.ones(3), where=after > 0.0)
     out = np.empty_like(rgb)
@@ -130,7 +130,7 @@ def _halvings(sigma: float) -> int:
     return max(0, math.frexp(sigma)[1] - 2) if sigma > 0.0 else 0
 
 
-def _own_variance(sigma: float, n: int) -> float:
+def _remaining_variance(sigma: float, n: int) -> float:
     """Variance, in pixels of level n, that a Gaussian still lacks.
 
     Averages over 2**n have (4**n - 1)/12; each doubling interpolates at quarters, which has 3/16
@@ -266,7 +266,7 @@ def _add(row, weight, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mix(first, last, rgb, kept, factor, spread, out):  # type: ignore[no-untyped-def]
+def _mix(first, last, rgb, unscattered, factor, spread, out):  # type: ignore[no-untyped-def]
     """Some lines; ``spread`` is as large as the picture, or half as large."""
     for y in range(first, last):
         row = out[y]
@@ -276,7 +276,7 @@ def _mix(first, last, rgb, kept, factor, spread, out):  # type: ignore[no-untype
             _double_line(spread, y, row)
         for x in range(row.shape[0]):
             for c in range(3):
-                row[x, c] = kept * rgb[y, x, c] + factor[c] * row[x, c]
+                row[x, c] = unscattered * rgb[y, x, c] + factor[c] * row[x, c]
 
 
 @kernel

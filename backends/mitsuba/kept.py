@@ -312,18 +312,18 @@ class _Hits(NamedTuple):
 
     @staticmethod
     def of(
-        kept: KeptScene,
+        scene: KeptScene,
         rays: Rays,
         lanes: NDArray[np.int64],
         row: NDArray[np.int32],
         face: NDArray[np.int32],
     ) -> _Hits:
-        tables = kept._tables
+        tables = scene._tables
         places, lifts = np.empty((2, len(lanes), 3))
         columns = aligned_columns(np.empty((21 + tables.values.shape[1], len(lanes)), np.float32))
         over_threads(
-            _interact, len(lanes), kept._caster.geometry, tables,
-            Beams(rays.origins, rays.directions), (lanes, row, face), kept._center,
+            _interact, len(lanes), scene._caster.geometry, tables,
+            Beams(rays.origins, rays.directions), (lanes, row, face), scene._center,
             (places, lifts, columns),
         )  # fmt: skip
         return _Hits(row, places, lifts, columns)

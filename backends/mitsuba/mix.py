@@ -74,12 +74,12 @@ def channels_of(mi: Any, mix: Mix, si: Any, active: Any) -> list[Any]:
     if mix.lanes is not None:
         lanes, which = mix.lanes
         return [lanes.at(mi, channel, si.prim_index, active) for channel in which]
-    found: list[Any] = []
+    channels: list[Any] = []
     count = 1 + max((c for c in (*mix.weights, mix.own, mix.row) if isinstance(c, int)), default=-1)
     for index, name in enumerate(mix.attributes):
         if count - _PACK * index == 1:
-            found.append(si.shape.eval_attribute_1(name, si, active))
+            channels.append(si.shape.eval_attribute_1(name, si, active))
         else:
             value = si.shape.eval_attribute_3(name, si, active)
-            found.extend([value.x, value.y, value.z])
-    return found
+            channels.extend([value.x, value.y, value.z])
+    return channels

@@ -227,13 +227,13 @@ class Stack(mi.BSDF):
 
     # The lobes.
 
-    def _terms(self, wi: Any, wo: Any, found: list[Found]) -> tuple[Any, Any]:
+    def _terms(self, wi: Any, wo: Any, points: list[Found]) -> tuple[Any, Any]:
         """BRDF times cosine, and the density with which ``wo`` is drawn."""
         total, density = mi.Vector3f(0.0), mi.Float(0.0)
         both = wi + wo
         length = dr.norm(both)
         half = both / length
-        for layer, at in zip(self.layers, found, strict=True):
+        for layer, at in zip(self.layers, points, strict=True):
             cos_i, cos_o = (w.z if at.normal is None else dr.dot(w, at.normal) for w in (wi, wo))
             seen = cos_i if layer.deviation is None else wi.z
             own = at.lobes
@@ -262,10 +262,10 @@ class Stack(mi.BSDF):
         above = wo.z > 0.0
         return dr.select(above, mi.Color3f(total), 0.0), dr.select(above, density, 0.0)
 
-    def _beyond(self, wo: Any, found: list[Found]) -> tuple[Any, Any]:
+    def _beyond(self, wo: Any, points: list[Found]) -> tuple[Any, Any]:
         """``_terms`` of what passes to the far side."""
         total, density = mi.Vector3f(0.0), mi.Float(0.0)
-        for layer, at in zip(self.layers, found, strict=True):
+        for layer, at in zip(self.layers, points, strict=True):
             if layer.transmits:
                 cosine = -(wo.z if at.normal is None else dr.dot(wo, at.normal))
                 chance = at.share * at.lobes.through * dr.maximum(cosine, 0.0) * dr.inv_pi
@@ -274,14 +274,14 @@ class Stack(mi.BSDF):
         below = wo.z < 0.0
         return dr.select(below, mi.Color3f(total), 0.0), dr.select(below, density, 0.0)
 
-    def _draw(self, wi: Any, found: list[Found], which: Any, sample2: Any) -> Any:
+    def _draw(self, wi: Any, points: list[Found], which: Any, sample2: Any) -> Any:
         """A direction: of a layer, by its share, and of one of its lobes."""
         frame_normal = mi.Vector3f(0.0, 0.0, 1.0)
         normal, alpha = frame_normal, mi.Float(1.0)
         glossy = mi.Bool(False)
         beyond = mi.Bool(False)
         start = mi.Float(0.0)
-        for layer, at in zip(self.layers, found, strict=True):
+        for layer, at in zip(self.layers, points, strict=True):
             here = which >= start
             normal = dr.select(here, frame_normal if at.normal is None else at.normal, normal)
             dull = at.share * at.lobes.dull
@@ -305,7 +305,7 @@ class Stack(mi.BSDF):
             distribution = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
             facet = distribution.sample(seen, sample2)[0]
             local = dr.select(glossy, mi.reflect(seen, facet), local)
-        if all(at.normal is None for at in found):
+        if all(at.normal is None for at in points):
             return local
         return frame.to_world(local)
 

@@ -56,8 +56,8 @@ def colors_at(
     """
 
     def at(values: NDArray[np.float32]) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = (values[corners] * shares).sum(axis=1)
-        return found
+        result: NDArray[np.float64] = (values[corners] * shares).sum(axis=1)
+        return result
 
     point = Point(position.T, normal.T, normal.T)
     variation = 0.0 if mesh.variation is None else at(mesh.variation)

@@ -196,7 +196,7 @@ def _sources(
         sky = sky_modes(picture, np.arctan2(columns[:, 1], columns[:, 0]))
     albedo = np.broadcast_to(haze.albedo, 3)
     gray = bool((depth == depth[0]).all() and (albedo == albedo[0]).all())
-    found: list[Source] = []
+    sources: list[Source] = []
     for colors in (slice(0, 3),) if gray else (slice(c, c + 1) for c in range(3)):
         of = Layer(
             float(depth[colors][0]), float(albedo[colors][0]), haze.asymmetry,
@@ -204,17 +204,17 @@ def _sources(
             sky[..., colors], reflected[colors],
         )  # fmt: skip
         made = solve(of, sines, azimuth)
-        found += [
+        sources += [
             made._replace(strength=made.strength[..., c], arrives=made.arrives[c])
             for c in range(len(made.arrives))
         ]
-    return found
+    return sources
 
 
 def _ratio(
-    part: NDArray[np.float64], whole: NDArray[np.float64], otherwise: float
+    part: NDArray[np.float64], total: NDArray[np.float64], otherwise: float
 ) -> NDArray[np.float64]:
-    return np.asarray(np.divide(part, whole, out=np.full(3, otherwise), where=whole > 0.0))
+    return np.asarray(np.divide(part, total, out=np.full(3, otherwise), where=total > 0.0))
 
 
 def phase(cosine: NDArray[np.float64], asymmetry: float) -> NDArray[np.float64]:

@@ -139,19 +139,19 @@ class Meter:
         return expose(Seen(surfaces, sky), count)
 
 
-def expose(seen: Seen, samples: int) -> Exposure:
+def expose(metered: Seen, samples: int) -> Exposure:
     """The exposure for what was seen.
 
     Args:
-        seen: At least one ray's luminance.
+        metered: At least one ray's luminance.
         samples: How many it comes from.
     """
-    of = "surfaces" if len(seen.surfaces) else "sky"
-    mean, high = level(seen.surfaces if len(seen.surfaces) else seen.sky)
+    of = "surfaces" if len(metered.surfaces) else "sky"
+    mean, high = level(metered.surfaces if len(metered.surfaces) else metered.sky)
     if mean <= 0.0:
         return Exposure(0.0, 0.0, 0.0, 0.0, "nothing", samples)
     ev = min(np.log2(GRAY / mean), np.log2(WHITE / high))
-    everything = np.concatenate([seen.surfaces, seen.sky])
+    everything = np.concatenate([metered.surfaces, metered.sky])
     glare = float(np.percentile(everything, GLARE_PERCENTILE, method="lower"))
     if glare > 0.0:
         over = ev - np.log2(WHITE / glare)

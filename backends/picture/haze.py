@@ -128,7 +128,7 @@ class Hazy:
         self._scene = scene
         self._last: tuple[int, Air | None] = (-1, None)
         caster.pose(0)
-        self.height_m = _seen_height(scene, caster)
+        self.height_m = _visible_height(scene, caster)
 
     def air(self, sample: int) -> Air | None:
         """The haze of a sample; None without any. Kept until another one's is."""
@@ -182,7 +182,7 @@ class Hazy:
         return np.asarray(sky.picture * between[0] + between[1], np.float32)
 
 
-def _seen_height(scene: RenderScene, caster: ExactCaster) -> float:
+def _visible_height(scene: RenderScene, caster: ExactCaster) -> float:
     """Median height of what cameras see; of the scene's middle where they see nothing."""
     heights = []
     count = min(_SAMPLES, scene.samples)

@@ -30,8 +30,8 @@ def sky_differs(background: NDArray[np.floating]) -> NDArray[np.bool_]:
         background: ``contract.Radiance.background``, [2, h, w, 3].
     """
     first, second = background
-    apart: NDArray[np.bool_] = np.abs(first - second) > 1e-5 * (first + second)
-    return np.asarray(apart.any(axis=-1))
+    differs: NDArray[np.bool_] = np.abs(first - second) > 1e-5 * (first + second)
+    return np.asarray(differs.any(axis=-1))
 
 
 UNKNOWN = ErrorEstimate(None, None, None)

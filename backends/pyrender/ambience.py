@@ -188,7 +188,7 @@ def _albedo(
 
 
 @kernel
-def _horizons(first, last, heights, step, steps, directions, horizon, seen):  # type: ignore[no-untyped-def]
+def _horizons(first, last, heights, step, steps, directions, horizon, cells):  # type: ignore[no-untyped-def]
     n = heights.shape[0]
     for row in range(first, last):
         for column in range(n):
@@ -214,7 +214,7 @@ def _horizons(first, last, heights, step, steps, directions, horizon, seen):  # 
                         best = rise / (steps[s] * length)
                         found = int(y + 0.5) * n + int(x + 0.5)
                 horizon[row, column, a] = best
-                seen[row, column, a] = found
+                cells[row, column, a] = found
 
 
 @dataclass(frozen=True)
@@ -349,7 +349,7 @@ def _sunlit(ground: Ground, to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def _gather(first, last, horizon, seen, bright, out):  # type: ignore[no-untyped-def]
+def _gather(first, last, horizon, cells, bright, out):  # type: ignore[no-untyped-def]
     n, azimuths = horizon.shape[0], horizon.shape[2]
     for row in range(first, last):
         for column in range(n):
@@ -363,7 +363,7 @@ def _gather(first, last, horizon, seen, bright, out):  # type: ignore[no-untyped
                 # sin^2 of the horizon: the share of the cosine below it.
                 t2 = horizon[row, column, a] ** 2
                 weight = t2 / (1.0 + t2)
-                cell = seen[row, column, a]
+                cell = cells[row, column, a]
                 for k in range(3):
                     out[row, column, k] += weight * bright[cell // n, cell % n, k]
                 total += weight

@@ -114,7 +114,7 @@ def prepare(scene: RenderScene) -> Geometry:
             part = faces[first : first + step]
             center, radius = _sphere(mesh.points, part)
             group_ball.append((*center.tolist(), radius))
-            sphere = _around(np.array([group_ball[-1]]), to_world, stretch)
+            sphere = _group_balls(np.array([group_ball[-1]]), to_world, stretch)
             group.append(np.full(len(rows), len(group_mesh), np.int32))
             row.append(rows)
             spheres.append(sphere)
@@ -164,10 +164,10 @@ def pose(scene: RenderScene, geometry: Geometry, sample: int) -> None:
     stretch = _stretch(to_world)
     balls = items.group_ball[items.group[items.moving]]
     items.stretch[items.moving] = stretch
-    items.spheres[items.moving] = _around(balls, to_world, stretch)
+    items.spheres[items.moving] = _group_balls(balls, to_world, stretch)
 
 
-def _around(
+def _group_balls(
     balls: NDArray[np.float64], to_world: NDArray[np.float64], stretch: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Balls [1 or n, 4] of groups in the world, float64 [n, 4]."""

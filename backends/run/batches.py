@@ -171,12 +171,12 @@ class BatchRun(ABC):
             self._said.add(what)
             self.warn(line)
 
-    def warn_of_strays(self, found: Iterable[Stray]) -> None:
+    def warn_of_strays(self, strays: Iterable[Stray]) -> None:
         """Warns of files of an earlier stage that this one does not replace.
 
         Once a run: other batches have them for the same reason.
         """
-        if ("", "strays") not in self._said and (listed := list(found)):
+        if ("", "strays") not in self._said and (listed := list(strays)):
             self.warn_of(("", "strays"), told(listed))
 
     def _fail(self, line: str) -> None:
@@ -208,14 +208,14 @@ class BatchRun(ABC):
             files = self.files(batch, holds, opened)
         except StageError as error:
             self._unread.append((f"{batch.name}: {error}", error))
-            self._tell_unread()
+            self._warn_of_unread()
             return []
         done = {file.what for file in files if file.is_done()}
         ready = [file for file in files if file.what not in done]
         require_replaceable(ready)
         before = self.begin(batch, opened, files)
         work = self._works[holds] = OpenBatch(batch, files, len(files))
-        self._tell_unread()
+        self._warn_of_unread()
         for file in files:
             if file.what in done:
                 self._count(work, file, "there already")
@@ -223,7 +223,7 @@ class BatchRun(ABC):
         self._finish(work)
         return [*before, *ready]
 
-    def _tell_unread(self) -> None:
+    def _warn_of_unread(self) -> None:
         if any(work.files for work in self._works.values()):
             for line, _ in self._unread:
                 self._fail(line)
@@ -252,19 +252,19 @@ class BatchRun(ABC):
         elif isinstance(outcome.error, CameraRefusedError):
             self._refuse(work, file, outcome.error)
         else:
-            made: Made = outcome.result()
-            if made.busy is not None:
+            result: Made = outcome.result()
+            if result.busy is not None:
                 self._schedule.add_claimed(file)
                 return
-            if made.now:
+            if result.now:
                 report.made += 1
-                work.made[file.what] = made
+                work.made[file.what] = result
             else:
                 report.skipped += 1
-            report.add_seconds(made.seconds)
-            if made.peak_memory_gb is not None:
-                report.peak_memory_gb = max(made.peak_memory_gb, report.peak_memory_gb or 0.0)
-            self._count(work, file, made.text)
+            report.add_seconds(result.seconds)
+            if result.peak_memory_gb is not None:
+                report.peak_memory_gb = max(result.peak_memory_gb, report.peak_memory_gb or 0.0)
+            self._count(work, file, result.text)
         self._finish(work)
 
     def _refuse(self, work: OpenBatch, file: MakeFile, error: CameraRefusedError) -> None:

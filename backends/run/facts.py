@@ -160,10 +160,10 @@ def sun_record(lighting: Lighting) -> SunRecord | None:
 
 
 def picture_record(
-    rgb: NDArray, shown: NDArray[np.uint8], surfaces: NDArray[np.bool_], lighting: Lighting
+    rgb: NDArray, pixels: NDArray[np.uint8], surfaces: NDArray[np.bool_], lighting: Lighting
 ) -> PictureRecord:
     """Says how bright a picture shows surfaces; if black or burnt out, with the light there is."""
-    found = picture.tally(shown, rgb, surfaces)
+    found = picture.tally(pixels, rgb, surfaces)
     return found if picture.fault([found]) is None else replace(found, light=light_record(lighting))
 
 

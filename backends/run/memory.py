@@ -33,7 +33,7 @@ def default_limit() -> int:
     return int(SHARE * limit())
 
 
-def at_once(asked: int) -> int:
+def at_once(wanted: int) -> int:
     """Returns how many worker processes fit this machine, at most as many as requested.
 
     Says once where they are fewer. What each may hold (``Limits.memory_bytes``) is another matter.
@@ -41,14 +41,14 @@ def at_once(asked: int) -> int:
     cores = os.process_cpu_count() or 1
     by_cores, by_memory = max(ON_FEW_CORES, PER_CORE * cores), max(1, default_limit() // LEAST)
     most = min(by_cores, by_memory)
-    if asked <= most:
-        return asked
+    if wanted <= most:
+        return wanted
     why = f"it has {cores} core{'' if cores == 1 else 's'}"
     if by_memory < by_cores:
         room = f"{default_limit() / GB:.2g} GB"
         why = f"each needs {LEAST / GB:g} GB of the {room} that they may hold together"
     works = "1 process works" if most == 1 else f"{most} processes work"
-    tell(f"{works} on this machine, of {asked} asked for: {why}")
+    tell(f"{works} on this machine, of {wanted} asked for: {why}")
     return most
 
 

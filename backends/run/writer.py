@@ -29,7 +29,7 @@ def write_frame(
     key: FrameKey,
     scene: RenderScene,
     camera: Camera,
-    taken: Taken | None = None,
+    sensor: Taken | None = None,
 ) -> FrameRecord:
     """Writes EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
@@ -39,7 +39,7 @@ def write_frame(
         key: What the frame was made with.
         scene: The stage it shows.
         camera: The camera it was seen by.
-        taken: What the camera's sensor made of ``rgb``, where it has imaging.
+        sensor: What the camera's sensor made of ``rgb``, where it has imaging.
 
     Returns:
         The sidecar's record.
@@ -53,8 +53,8 @@ def write_frame(
     others = {name: find_pass(name) for name in origins(passes)}
     write_exr(exr, passes, others)
     shown = None
-    if taken is not None:
-        shown = taken.picture
+    if sensor is not None:
+        shown = sensor.picture
     elif "rgb" in passes:
         shown = picture.develop(passes["rgb"], camera.exposure_ev)
     if camera.effects and shown is not None:
@@ -64,9 +64,9 @@ def write_frame(
         shown = apply(shown, camera.effects, record.sample)
     _put(stem.with_suffix(".png"), shown, picture.write_png)
     clean = _put(
-        beside_path(stem, "clean"), None if taken is None else taken.clean, picture.write_png
+        beside_path(stem, "clean"), None if sensor is None else sensor.clean, picture.write_png
     )
-    raw = _put(beside_path(stem, "raw"), None if taken is None else taken.raw, picture.write_png)
+    raw = _put(beside_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png)
     seen = result.seen
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
     brightness = None
@@ -75,8 +75,8 @@ def write_frame(
         brightness = picture_record(passes["rgb"], shown, result.surfaces, lighting)
     record = replace(
         record,
-        exposure_ev=camera.exposure_ev if taken is None else taken.exposure_ev,
-        tone_curve=picture.DESCRIPTION if taken is None else TONE_CURVE,
+        exposure_ev=camera.exposure_ev if sensor is None else sensor.exposure_ev,
+        tone_curve=picture.DESCRIPTION if sensor is None else TONE_CURVE,
         passes=tuple(passes),
         conventions=CONVENTIONS | {name: one.convention for name, one in others.items()},
         backend=key.backend,
@@ -90,7 +90,7 @@ def write_frame(
         picture=brightness,
         instance_table=_put(frame_table_path(stem), listed, write_frame_table),
         amodal=_put(amodal_path(stem), amodal, write_amodal),
-        imaging=None if taken is None else replace(taken.record, clean=clean, raw=raw),
+        imaging=None if sensor is None else replace(sensor.record, clean=clean, raw=raw),
         effects=tuple(json.loads(one) for one in camera.effects) or None,
     )
     write_json(stem.with_suffix(".json"), encode(record))

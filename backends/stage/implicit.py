@@ -74,15 +74,15 @@ def dimensions(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str | float, ...]:
         StageError: A length is negative or not finite, or an axis is none.
     """
     kind = kind_of(prim)
-    found: list[str | float] = [kind]
+    result: list[str | float] = [kind]
     if kind not in ("Cube", "Sphere"):
-        found.append(values.word(prim.GetAttribute("axis"), "Z", time, _TURNS))
+        result.append(values.word(prim.GetAttribute("axis"), "Z", time, _TURNS))
     for name in LENGTHS[kind]:
         value = values.number(prim.GetAttribute(name), 0.0, time)
         if not 0.0 <= value <= _LARGEST:
             raise StageError(f"{prim.GetPath()}: {name} is {value}, expected a length from 0 on")
-        found.append(value)
-    return tuple(found)
+        result.append(value)
+    return tuple(result)
 
 
 def kind_of(prim: Usd.Prim) -> str:

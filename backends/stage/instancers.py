@@ -203,7 +203,7 @@ class Expander:
                     )
 
     def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
-        shown = self._shown(prim)
+        shown = self._is_rendered(prim)
         if place.shown is not None:
             shown = shown & place.shown
         if not shown.any():
@@ -227,7 +227,7 @@ class Expander:
         if prim.IsA(UsdGeom.Mesh) or kind_of(prim):
             found = self._meshes.add(prim, place.labels)
             part = 0 if place.instance_id is None else self._part(place.relative)
-            matrix = self._where_shown(place.matrix[..., None, :, :], place.shown)
+            matrix = self._hide_at_samples(place.matrix[..., None, :, :], place.shown)
             parts.append(
                 Expanded.of(
                     np.array(found, np.int32),
@@ -245,7 +245,7 @@ class Expander:
         if not self._open:
             self.origins.append((str(prim.GetPath()), len(rows.mesh)))
 
-    def _shown(self, prim: Usd.Prim) -> NDArray[np.bool_]:
+    def _is_rendered(self, prim: Usd.Prim) -> NDArray[np.bool_]:
         """Whether a prim (and what is below it) is rendered: visible, purpose default or render.
 
         Bool [samples], or [1] where that never changes.
@@ -259,20 +259,20 @@ class Expander:
             return np.zeros(1, bool)
         return values.visible(prim, self._times)
 
-    def _where_shown(
-        self, poses: NDArray[np.float64], shown: NDArray[np.bool_] | None
+    def _hide_at_samples(
+        self, poses: NDArray[np.float64], visible: NDArray[np.bool_] | None
     ) -> NDArray[np.float64]:
         """Matrices [..., r, 3, 4], scaled to a point at samples where they are hidden.
 
         Args:
             poses: With the samples in front, or without.
-            shown: bool [samples] or [samples, r]; None: always.
+            visible: bool [samples] or [samples, r]; None: always.
         """
-        if shown is None:
+        if visible is None:
             return poses
         poses = np.array(np.broadcast_to(poses, (len(self._times), *poses.shape[-3:])))
-        shown = np.broadcast_to(shown.reshape(len(shown), -1), poses.shape[:2])
-        poses[~shown, :, :3] = 0.0
+        visible = np.broadcast_to(visible.reshape(len(visible), -1), poses.shape[:2])
+        poses[~visible, :, :3] = 0.0
         return poses
 
     def _moved(self, prim: Usd.Prim, place: _Place) -> _Place:
@@ -343,9 +343,9 @@ class Expander:
         world = _placed(place.matrix[..., None, :, :], local)
         if not mask[:, shown].all():
             hidden = mask if place.shown is None else mask & place.shown[:, None]
-            world = self._where_shown(world, hidden)
+            world = self._hide_at_samples(world, hidden)
         else:
-            world = self._where_shown(world, place.shown)
+            world = self._hide_at_samples(world, place.shown)
         contents = self._contents(prim, prototype[shown], labels)
         sizes = np.array([len(content.mesh) for content in contents], np.int64)
         # Rows in the order of the instances, whatever prototype they have.
@@ -353,7 +353,7 @@ class Expander:
         last = np.cumsum(sizes[prototype[chosen]])
         total = int(last[-1]) if len(last) else 0
         first = last - sizes[prototype[chosen]]
-        made: list[tuple[NDArray[np.int64], Expanded]] = []
+        parts: list[tuple[NDArray[np.int64], Expanded]] = []
         for index, content in enumerate(contents):
             if not len(content.mesh):
                 continue
@@ -366,7 +366,7 @@ class Expander:
                 part = np.tile(content.part, len(mine))
             else:
                 part = self._parts_of(place.relative, local[..., who, :, :], content.poses)
-            made.append(
+            parts.append(
                 (
                     at,
                     Expanded.of(
@@ -378,7 +378,7 @@ class Expander:
                     ),
                 )
             )
-        return _interleaved(total, made)
+        return _interleaved(total, parts)
 
     def _contents(
         self, prim: Usd.Prim, used: NDArray[np.int32], labels: dict[str, int]
@@ -466,17 +466,17 @@ def _placed(world: NDArray[np.float64], content: NDArray[np.float64]) -> NDArray
     return each.reshape(*each.shape[:-4], -1, 3, 4)
 
 
-def _interleaved(total: int, made: list[tuple[NDArray[np.int64], Expanded]]) -> Expanded:
+def _interleaved(total: int, parts: list[tuple[NDArray[np.int64], Expanded]]) -> Expanded:
     """Rows from several parts, each at its places: all of ``range(total)``."""
-    if len(made) == 1:
-        return made[0][1]
+    if len(parts) == 1:
+        return parts[0][1]
     mesh = np.empty(total, np.int32)
     matrix = np.empty((total, 3, 4))
     ids = np.empty(total, np.int64)
     variation = np.empty(total, np.float32)
     part = np.empty(total, np.int32)
     moving, paths = [np.zeros(0, np.int64)], []
-    for at, rows in made:
+    for at, rows in parts:
         mesh[at], matrix[at], ids[at] = rows.mesh, rows.matrix, rows.instance_id
         variation[at], part[at] = rows.variation, rows.part
         if rows.path is not None:

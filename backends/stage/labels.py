@@ -65,14 +65,14 @@ def read_table(stage: Usd.Stage) -> LabelTable:
 
 
 def _from_semantics(stage: Usd.Stage) -> dict[str, dict[str, int]]:
-    found: dict[str, set[str]] = {}
+    labels_of: dict[str, set[str]] = {}
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
         for level in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
             labels = values.words(UsdSemantics.LabelsAPI(prim, level).GetLabelsAttr(), _FIRST)
-            found.setdefault(str(level), set()).update(labels)
+            labels_of.setdefault(str(level), set()).update(labels)
     return {
         level: {name: number for number, name in enumerate(sorted(labels), start=1)}
-        for level, labels in sorted(found.items())
+        for level, labels in sorted(labels_of.items())
     }
 
 

@@ -76,7 +76,7 @@ def light_over_time(
     Raises:
         StageError: A value is not what it can be, or not finite.
     """
-    found: list[Sun | Dome | Lamp | None] = [None] * len(times)
+    lights: list[Sun | Dome | Lamp | None] = [None] * len(times)
     shown = np.ones(len(times), bool)
     above = prim
     while above and not above.IsPseudoRoot():
@@ -84,7 +84,7 @@ def light_over_time(
             shown &= values.visible(above, times)
         above = above.GetParent()
     if not shown.any():
-        return found
+        return lights
     samples = np.flatnonzero(shown).tolist()
     matrices = values.matrices(prim, [times[i] for i in samples], of_world=True)
     # The picture of a dome needs axes at right angles; other lights have but one.
@@ -109,8 +109,10 @@ def light_over_time(
     dark = flat(matrices) & (prim.GetTypeName() != "SphereLight")
     for k in np.flatnonzero(~dark).tolist():
         made = read(times[samples[k]])(matrices[k], poses[k])
-        found[samples[k]] = replace(made, gobo=gobos[samples[k]]) if isinstance(made, Sun) else made
-    return found
+        lights[samples[k]] = (
+            replace(made, gobo=gobos[samples[k]]) if isinstance(made, Sun) else made
+        )
+    return lights
 
 
 def _gobos(

@@ -182,25 +182,25 @@ class MeshTable:
 
 
 def _part(
-    whole: Mesh,
+    mesh: Mesh,
     authored: NDArray[np.int32],
     chosen: NDArray[np.bool_],
     surface: int,
     uv: NDArray[np.float32] | None,
 ) -> Mesh:
-    faces = whole.faces[chosen]
+    faces = mesh.faces[chosen]
     # A renderer that writes instances out would write all parts' vertices with each part.
-    own = np.zeros(len(whole.points), bool)
+    own = np.zeros(len(mesh.points), bool)
     own[faces] = True
     return replace(
-        whole,
-        points=whole.points[own],
+        mesh,
+        points=mesh.points[own],
         faces=(np.cumsum(own, dtype=np.int32) - 1)[faces],
-        normals=None if whole.normals is None else whole.normals[own],
-        variation=None if whole.variation is None else whole.variation[own],
-        weights=whole.weights[:, own],
+        normals=None if mesh.normals is None else mesh.normals[own],
+        variation=None if mesh.variation is None else mesh.variation[own],
+        weights=mesh.weights[:, own],
         authored_face=authored[chosen],
-        labels={level: ids[chosen] for level, ids in whole.labels.items()},
+        labels={level: ids[chosen] for level, ids in mesh.labels.items()},
         layers=(surface,),
         uv=None if uv is None else uv[chosen],
     )

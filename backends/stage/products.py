@@ -99,11 +99,11 @@ def settings_of_products(stage: Usd.Stage) -> dict[Sdf.Path, Usd.Prim]:
     every = [p for p in stage.Traverse() if p.IsA(UsdRender.Settings)]
     first = UsdRender.Settings.GetStageRenderSettings(stage).GetPrim()
     every.sort(key=lambda prim: prim != first)
-    found: dict[Sdf.Path, Usd.Prim] = {}
+    products: dict[Sdf.Path, Usd.Prim] = {}
     for prim in every:
         for target in values.targets(prim, "products"):
-            found.setdefault(target, prim)
-    return found
+            products.setdefault(target, prim)
+    return products
 
 
 def _is_orthographic(prim: Usd.Prim) -> bool:

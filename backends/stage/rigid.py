@@ -100,8 +100,8 @@ def flat(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tells which matrices [..., 3, 4] have no inverse: axes in a plane, or of no length."""
     with np.errstate(all="ignore"):
         axes = matrices[..., :3] / _lengths(matrices)[..., None, :]
-        found: NDArray[np.bool_] = ~(np.abs(np.linalg.det(axes)) > _FLAT)
-    return found
+        result: NDArray[np.bool_] = ~(np.abs(np.linalg.det(axes)) > _FLAT)
+    return result
 
 
 def mirrored(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -112,8 +112,8 @@ def mirrored(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
 def stretched(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tells which matrices [..., 3, 4] scale one axis more than another."""
     lengths = _lengths(matrices)
-    found: NDArray[np.bool_] = lengths.max(axis=-1) > (1.0 + _TOLERANCE) * lengths.min(axis=-1)
-    return found
+    result: NDArray[np.bool_] = lengths.max(axis=-1) > (1.0 + _TOLERANCE) * lengths.min(axis=-1)
+    return result
 
 
 def sheared(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -122,8 +122,8 @@ def sheared(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
         axes = matrices[..., :3] / _lengths(matrices)[..., None, :]
     x, y, z = np.moveaxis(axes, -1, 0)
     cosines = np.stack([(x * y).sum(axis=-1), (y * z).sum(axis=-1), (z * x).sum(axis=-1)])
-    found: NDArray[np.bool_] = np.abs(cosines).max(axis=0) > _TOLERANCE
-    return found
+    result: NDArray[np.bool_] = np.abs(cosines).max(axis=0) > _TOLERANCE
+    return result
 
 
 def _lengths(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from scenec.schemas.threads import over_threads
 
 
 def label_of_sky(
-    label_map: SkyLabelMap, directions: NDArray[np.float64], missed: NDArray[np.int64]
+    label_map: SkyLabelMap, directions: NDArray[np.float64], misses: NDArray[np.int64]
 ) -> NDArray[np.uint32]:
     """Label ids that rays which meet nothing see.
 
@@ -26,7 +26,7 @@ def label_of_sky(
     Args:
         label_map: The panorama.
         directions: World, any length, float64 [n, 3].
-        missed: Which of them are asked for, int64 [k].
+        misses: Which of them are asked for, int64 [k].
 
     Returns:
         uint32 [k].
@@ -34,15 +34,15 @@ def label_of_sky(
     Raises:
         StageError: The picture cannot be read.
     """
-    out = np.empty(len(missed), np.uint32)
+    out = np.empty(len(misses), np.uint32)
     ids = load_label_map(label_map.file)
     over_threads(
         _lookup,
-        len(missed),
+        len(misses),
         ids,
         np.ascontiguousarray(label_map.to_world.T),
         directions,
-        missed,
+        misses,
         out,
     )
     return out
@@ -65,10 +65,10 @@ def load_label_map(path: Path) -> NDArray[np.uint32]:
 
 
 @kernel
-def _lookup(first, last, ids, to_map, directions, missed, out):  # type: ignore[no-untyped-def]
+def _lookup(first, last, ids, to_map, directions, misses, out):  # type: ignore[no-untyped-def]
     height, width = ids.shape
     for i in range(first, last):
-        d = directions[missed[i]]
+        d = directions[misses[i]]
         x = (to_map[0, 0] * d[0] + to_map[0, 1] * d[1]) + to_map[0, 2] * d[2]
         y = (to_map[1, 0] * d[0] + to_map[1, 1] * d[1]) + to_map[1, 2] * d[2]
         z = (to_map[2, 0] * d[0] + to_map[2, 1] * d[1]) + to_map[2, 2] * d[2]

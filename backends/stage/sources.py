@@ -91,7 +91,7 @@ class Sources:
         if not self._path.is_file():
             raise StageError(f"{self._path}: no such file")
         self._hold_against_manifest()
-        self._require_whole()
+        self._require_complete()
         if damage := crate_fault(self._path):
             raise StageError(f"{self._path}: not a USD stage: {damage}")
         # Warnings about composition come again, as errors that can be told apart.
@@ -105,10 +105,10 @@ class Sources:
             self._compose(stage)
             self._open_clips(stage)
             trap.Clear()
-        self._require_whole()
+        self._require_complete()
         return stage
 
-    def _require_whole(self) -> None:
+    def _require_complete(self) -> None:
         """Ends the reading of a stage that lacks something, unless that is allowed."""
         lines = list(self._lines)
         if not lines or self._allowed:
@@ -161,7 +161,7 @@ class Sources:
             self._digests[file] = _hash(file)
             if self._listed:
                 self.miss(f"{self._named(file)}: is read, and is not in the {MANIFEST}")
-        self._require_whole()
+        self._require_complete()
         pairs = [(self._named(file), digest) for file, digest in self._digests.items()]
         return digest_of_files([*pairs, *((_MISSING, line) for line in self._lines)])
 
@@ -186,7 +186,7 @@ class Sources:
 
     def _compose(self, stage: Usd.Stage) -> None:
         """Notes each file and prim that composition looked for in vain, however many look."""
-        found: dict[str, list[str]] = {}
+        prims_of: dict[str, list[str]] = {}
         for error in stage.GetCompositionErrors():
             prim, text = str(error.rootSite.path), " ".join(str(error).split())
             if match := _SUBLAYER.search(text):
@@ -201,8 +201,8 @@ class Sources:
                 line = f"its {arc} to {self._named(file)} finds no prim {path} there"
             else:
                 line = text
-            found.setdefault(line, []).append(prim)
-        for line, prims in found.items():
+            prims_of.setdefault(line, []).append(prim)
+        for line, prims in prims_of.items():
             more = f" (and so of {len(prims) - 1} more)" if len(prims) > 1 else ""
             self.miss(f"{prims[0]}: {line}{more}")
 

@@ -70,7 +70,7 @@ def sample_times(stage: Usd.Stage, codes: list[Usd.TimeCode]) -> NDArray[np.floa
 
 def _authored_codes(stage: Usd.Stage) -> list[float]:
     """Lists the codes of time samples and spline knots of followed attributes, ascending."""
-    found: set[float] = set()
+    codes: set[float] = set()
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if not prim.IsA(UsdGeom.Imageable):
             continue
@@ -82,7 +82,7 @@ def _authored_codes(stage: Usd.Stage) -> list[float]:
             attributes += [prim.GetAttribute(name) for name in followed]
         for attribute in attributes:
             if attribute and attribute.ValueMightBeTimeVarying():
-                found.update(attribute.GetTimeSamples())
+                codes.update(attribute.GetTimeSamples())
                 if attribute.HasSpline():
-                    found.update(attribute.GetSpline().GetKnots().keys())
-    return sorted(found)
+                    codes.update(attribute.GetSpline().GetKnots().keys())
+    return sorted(codes)

@@ -330,13 +330,13 @@ class Unread:
             if not followed and relationship.HasAuthoredTargets():
                 self.add(f"{name} of {kind} is not followed", prim)
 
-    def _attributes(self, prim: Usd.Prim, kind: str, others: Collection[str] = ()) -> None:
+    def _attributes(self, prim: Usd.Prim, kind: str, followed: Collection[str] = ()) -> None:
         """Notes each attribute of a prim's schemas that is not as it is without being authored.
 
         Args:
             prim: The prim.
             kind: Type that it is of, or derives from.
-            others: Attributes that are followed of this prim.
+            followed: Attributes that are followed of this prim.
         """
         definition = prim.GetPrimDefinition()
         # Applied schemas have lines of their own, but those of lights.
@@ -347,7 +347,7 @@ class Unread:
                 continue
             if attribute.HasAuthoredConnections():
                 self.add(f"{name} of {prim.GetTypeName()} from a node is not read", prim)
-            if name in others or is_followed(kind, name):
+            if name in followed or is_followed(kind, name):
                 continue
             value = values.value_of(attribute, _FIRST)
             neutral = value is None or value == definition.GetAttributeFallbackValue(name)

@@ -286,12 +286,12 @@ def kept[T](
     """Returns a reader at times that reads only once where none of its attributes varies."""
     if any(attribute and attribute.ValueMightBeTimeVarying() for attribute in attributes):
         return read
-    found: list[T] = []
+    cached: list[T] = []
 
     def first(time: Usd.TimeCode) -> T:
-        if not found:
-            found.append(read(time))
-        return found[0]
+        if not cached:
+            cached.append(read(time))
+        return cached[0]
 
     return first
 

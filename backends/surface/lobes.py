@@ -90,31 +90,31 @@ def numbers_of(fn: Algebra, surface: Surface) -> Numbers:
 
 
 def lobes_of(
-    fn: Algebra, own: Numbers, pictured: Mapping[str, Any], variations: Sequence[Number]
+    fn: Algebra, numbers: Numbers, pictured: Mapping[str, Any], variations: Sequence[Number]
 ) -> Lobes:
     """Returns a surface's lobes at a point.
 
     Args:
         fn: The algebra.
-        own: Its numbers.
+        numbers: Its numbers.
         pictured: Values of its maps, by kind.
         variations: Of the vertices and of the row, those that there are.
     """
     varied, swung = (
         math.prod([amount * variation + 1.0 for variation in variations], start=1.0)
-        for amount in (own.variation, own.swing)
+        for amount in (numbers.variation, numbers.swing)
     )
-    color = own.color * varied
+    color = numbers.color * varied
     if "base_color" in pictured:
         # Above 1 it is clipped, but after the map.
         color = fn.maximum(color, 0.0) * pictured["base_color"]
-    rough = fn.clip(pictured.get("roughness", own.roughness) * swung, SMOOTHEST, 1.0)
-    metallic = pictured.get("metallic", own.metallic)
+    rough = fn.clip(pictured.get("roughness", numbers.roughness) * swung, SMOOTHEST, 1.0)
+    metallic = pictured.get("metallic", numbers.metallic)
     rest = 1.0 - metallic
-    white = rest * own.specular
+    white = rest * numbers.specular
     dull, through = rest - white, None
-    if own.transmission is not None:
-        through = dull * own.transmission
+    if numbers.transmission is not None:
+        through = dull * numbers.transmission
         dull = dull - through
     return Lobes(fn.clip(color, 0.0, 1.0), rough * rough, dull, white, metallic, through)
 
@@ -146,13 +146,13 @@ def albedo(alpha: Number, cosine: Number) -> Number:
     return _polynomial([_polynomial(row, alpha) for row in ALBEDO], grazing)
 
 
-def gloss_color(found: Lobes, cosine: Number) -> Vector:
+def gloss_color(lobes: Lobes, cosine: Number) -> Vector:
     """Returns the factor on a single-scattering white lobe; ``cosine`` is the viewer's."""
-    color = found.color
-    lost = 1.0 / albedo(found.alpha, cosine) - 1.0
-    mean = _polynomial(MEAN_ALBEDO, found.alpha)
+    color = lobes.color
+    lost = 1.0 / albedo(lobes.alpha, cosine) - 1.0
+    mean = _polynomial(MEAN_ALBEDO, lobes.alpha)
     again = color * mean / (1.0 - color * (1.0 - mean))
-    return color * found.tinted * (1.0 + again * lost) + found.white * (1.0 + lost)
+    return color * lobes.tinted * (1.0 + again * lost) + lobes.white * (1.0 + lost)
 
 
 def _polynomial(coefficients: Sequence[Number], x: Number) -> Number:

@@ -102,10 +102,10 @@ def sample(picture: NDArray[np.floating], u: NDArray, v: NDArray) -> NDArray[np.
     i, j = column.astype(np.int64), row.astype(np.int64)
 
     def texel(below: int, right: int) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = picture[(j + below) % height, (i + right) % width].astype(
+        value: NDArray[np.float64] = picture[(j + below) % height, (i + right) % width].astype(
             np.float64
         )
-        return found
+        return value
 
     top = (1.0 - across) * texel(0, 0) + across * texel(0, 1)
     bottom = (1.0 - across) * texel(1, 0) + across * texel(1, 1)

@@ -35,18 +35,22 @@ def slopes(depth: Number) -> tuple[Number, Number]:
 
 def all_slopes(fn: Algebra, depths: Sequence[float]) -> list[tuple[Number, Number] | None]:
     """``slopes`` of merges up to the last one that has a depth; None for those that have none."""
-    found: list[tuple[Number, Number] | None] = []
+    result: list[tuple[Number, Number] | None] = []
     for depth in depths[: max(needed(depths) - 1, 0)]:
         steep, half = slopes(max(depth, LEAST_DEPTH))
-        found.append((fn.number(steep), fn.number(half)) if depth > 0.0 else None)
-    return found
+        result.append((fn.number(steep), fn.number(half)) if depth > 0.0 else None)
+    return result
 
 
 def heeded(
-    fn: Algebra, weight: Number, own: tuple[Number, Number], below: Number, above: Number
+    fn: Algebra,
+    weight: Number,
+    slopes_of_merge: tuple[Number, Number],
+    below: Number,
+    above: Number,
 ) -> Number:
-    """W' of one merge: ``own`` are its slopes."""
-    steep, half = own
+    """W' of one merge: ``slopes_of_merge`` are its slopes."""
+    steep, half = slopes_of_merge
     return fn.clip(weight * steep + (above - below - 1.0) * half, 0.0, 1.0)
 
 
@@ -78,12 +82,12 @@ def heeded_weights(
 
 def shares(weights: Sequence[Number]) -> list[Number]:
     """Share of each layer, base first, one more than there are merges."""
-    found: list[Number] = []
+    result: list[Number] = []
     rest: Number = 1.0
     for weight in reversed(weights):
-        found.append(weight * rest)
+        result.append(weight * rest)
         rest = (1.0 - weight) * rest
-    return [rest, *reversed(found)]
+    return [rest, *reversed(result)]
 
 
 def needed(depths: Sequence[float]) -> int:

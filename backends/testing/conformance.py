@@ -53,7 +53,7 @@ SEED = 3
 LEAST = 50
 
 
-def _tells(backend: Backend) -> bool:
+def _witnesses(backend: Backend) -> bool:
     """Tells whether a backend ever bears witness."""
     return type(backend).witness is not Backend.witness
 
@@ -124,7 +124,7 @@ class Conformance:
         self.allow(check, case, made, sample)
         return made, sample
 
-    def allow(self, check: str, case: str, made: RenderScene, sample: int = 0) -> Tolerance:
+    def allow(self, check: str, case: str, scene: RenderScene, sample: int = 0) -> Tolerance:
         """Returns a check's tolerance; skips the check if the renderer lacks that, and says so.
 
         It says so in its losses, or refuses to draw.
@@ -132,42 +132,44 @@ class Conformance:
         entry = allowed(self.tolerances, check, case)
         if isinstance(entry, Tolerance):
             return entry
-        lines = self._renderer.losses(made)
+        lines = self._renderer.losses(scene)
         assert all(line and "\n" not in line for line in lines), lines
         if not lines:
             with pytest.raises(BackendError) as raised:
-                self.draw(made, sample)
+                self.draw(scene, sample)
             assert "\n" not in str(raised.value), str(raised.value)
         pytest.skip(entry.reason)
 
-    def ready(self, made: RenderScene) -> Any:
+    def ready(self, scene: RenderScene) -> Any:
         """The renderer, with a scene loaded."""
-        if self._loaded is not made:
+        if self._loaded is not scene:
             type(self)._loaded = None
-            self._renderer.load(made)
-            type(self)._loaded = made
+            self._renderer.load(scene)
+            type(self)._loaded = scene
         return self._renderer
 
     def draw(
-        self, made: RenderScene, sample: int = 0, spp: float = SAMPLES, seed: int = SEED
+        self, scene: RenderScene, sample: int = 0, spp: float = SAMPLES, seed: int = SEED
     ) -> Radiance:
         """A picture of ``effort`` times as many samples."""
         count = max(2, round(spp * self.effort))
-        radiance: Radiance = self.ready(made).radiance(made.cameras[sample][0], sample, count, seed)
+        radiance: Radiance = self.ready(scene).radiance(
+            scene.cameras[sample][0], sample, count, seed
+        )
         return radiance
 
     def hold(
         self,
         check: str,
         case: str,
-        made: RenderScene,
+        scene: RenderScene,
         sample: int,
         expected: NDArray[np.float64] | reference.Expected,
         spp: float = SAMPLES,
     ) -> None:
         """Draw a sample and judge it."""
-        tolerance = self.allow(check, case, made, sample)
-        radiance = self.draw(made, sample, spp)
+        tolerance = self.allow(check, case, scene, sample)
+        radiance = self.draw(scene, sample, spp)
         what = self.title(check, case)
         if isinstance(expected, reference.Expected):
             judge(what, radiance, expected.radiance, tolerance, expected.sound, LEAST)
@@ -200,20 +202,22 @@ class Conformance:
         off = np.abs(shares - right).max()
         assert off <= most, f"{self.title(what)}: off by {off:.4f}; allowed are {most:.4f}"
 
-    def witness(self, made: RenderScene, sample: int = 0) -> Visibility | None:
+    def witness(self, scene: RenderScene, sample: int = 0) -> Visibility | None:
         """First hits of a camera's rays; None if it cannot tell. Skips if it never does."""
-        if not _tells(self._renderer):
+        if not _witnesses(self._renderer):
             pytest.skip("it bears no witness")
-        camera = made.cameras[sample][0]
-        seen: Visibility | None = self.ready(made).witness(camera_rays(camera), sample, camera)
-        return seen
+        camera = scene.cameras[sample][0]
+        visibility: Visibility | None = self.ready(scene).witness(
+            camera_rays(camera), sample, camera
+        )
+        return visibility
 
-    def see(self, check: str, case: str, made: RenderScene, sample: int = 0) -> None:
+    def see(self, check: str, case: str, scene: RenderScene, sample: int = 0) -> None:
         """Hold first hits against the exact ones."""
-        what, tolerance = self.title(check, case), self.allow(check, case, made, sample)
-        seen = self.witness(made, sample)
+        what, tolerance = self.title(check, case), self.allow(check, case, scene, sample)
+        seen = self.witness(scene, sample)
         assert seen is not None, f"{what}: it bears no witness"
-        rays, caster, witness = camera_rays(made.cameras[sample][0]), ExactCaster(made), Witness()
+        rays, caster, witness = camera_rays(scene.cameras[sample][0]), ExactCaster(scene), Witness()
         caster.pose(sample)
         witness.add(caster, rays, seen)
         assert witness.beyond == 0, (
@@ -261,7 +265,7 @@ class Conformance:
         with pytest.raises(BackendError) as raised:
             fresh.radiance(lights.ABOVE, 0, 2, SEED)
         assert "\n" not in str(raised.value), str(raised.value)
-        if _tells(fresh):
+        if _witnesses(fresh):
             with pytest.raises(BackendError) as raised:
                 fresh.witness(camera_rays(lights.ABOVE), 0, lights.ABOVE)
             assert "\n" not in str(raised.value), str(raised.value)

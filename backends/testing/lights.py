@@ -152,9 +152,9 @@ def squares_under_sky(folder: Path) -> RenderScene:
     return at_samples(made, [lighting_of([sky])] * len(rows), cameras)
 
 
-def under_sky(made: RenderScene, case: str) -> NDArray[np.float64]:
+def under_sky(scene: RenderScene, case: str) -> NDArray[np.float64]:
     """Albedo / pi of the integral of radiance times cosine, by the midpoint rule, [3]."""
-    sky = combine(made.lighting[0].domes)
+    sky = combine(scene.lighting[0].domes)
     assert sky is not None
     theta = (np.arange(360) + 0.5) * (np.pi / 360)
     phi = (np.arange(720) + 0.5) * (2 * np.pi / 720)
@@ -373,9 +373,9 @@ def panel_scene(turn: float) -> RenderScene:
     )
 
 
-def panel_radiance(made: RenderScene) -> tuple[NDArray[np.float64], list[NDArray[np.bool_]]]:
+def panel_radiance(scene: RenderScene) -> tuple[NDArray[np.float64], list[NDArray[np.bool_]]]:
     """Returns ``panel_scene``'s radiance, [24, 24, 3], and its pixels of panel and ground."""
-    camera = made.cameras[0][0]
+    camera = scene.cameras[0][0]
     k, pose = camera.intrinsics, camera.camera_to_world
     v, u = np.meshgrid(np.arange(24) + 0.5, np.arange(24) + 0.5, indexing="ij")
     d = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], -1)

@@ -362,8 +362,8 @@ def planetary() -> dict[str, Look]:
     varied = mesh(points, faces, variation=np.full(len(points), 1e-4))
     looks = {}
 
-    def add(name: str, one: Mesh, surfaces: list[Surface], seen: str) -> None:
-        elevation, azimuth, eye = _VIEWS[seen]
+    def add(name: str, one: Mesh, surfaces: list[Surface], view: str) -> None:
+        elevation, azimuth, eye = _VIEWS[view]
         light = sun(elevation, azimuth)
         if isinstance(eye, float):
             # So many degrees beside the sun.
@@ -371,7 +371,7 @@ def planetary() -> dict[str, Look]:
             aside = np.cross(light.to_light, [0.0, 0.0, 1.0])
             aside /= np.linalg.norm(aside)
             eye = tuple(8.0 * (math.cos(turn) * light.to_light + math.sin(turn) * aside))
-        looks[f"{name}, {seen}"] = Look(one, surfaces, eye, light, fov_deg=0.1, size=(8, 8))
+        looks[f"{name}, {view}"] = Look(one, surfaces, eye, light, fov_deg=0.1, size=(8, 8))
 
     for name, law in LAWS.items():
         for seen in _VIEWS:
@@ -426,9 +426,9 @@ def _under_sky(surfaces: list[Surface], eye: tuple[float, float, float]) -> Rend
     return with_lights(boards(found), [dome(SKY)])
 
 
-def cosine(made: RenderScene) -> float:
+def cosine(scene: RenderScene) -> float:
     """Between the normal of these planes and the way to their viewers."""
-    return float(-made.cameras[0][0].camera_to_world[2, 2])
+    return float(-scene.cameras[0][0].camera_to_world[2, 2])
 
 
 def hill() -> tuple[Mesh, NDArray[np.float32]]:
@@ -465,10 +465,10 @@ def ball(smooth: bool, uv: str | None = None) -> Mesh:
 
 def smooth_coordinates(points: NDArray) -> NDArray[np.float64]:
     """Texture coordinates of a ball's points, [..., 2]."""
-    found: NDArray[np.float64] = (
+    result: NDArray[np.float64] = (
         points[..., :2] * 0.21 + points[..., 2:] * np.array([0.1, 0.07]) + 0.3
     )
-    return found
+    return result
 
 
 def write_pictures(folder: Path) -> None:
@@ -527,7 +527,7 @@ def _side_sun() -> Sun:
     return sun(40.0, -20.0, diameter_deg=0.1)
 
 
-def _ball(made: Mesh, described: Maps, posed: str) -> Look:
+def _ball(mesh: Mesh, described: Maps, posed: str) -> Look:
     linear = np.eye(3)
     if posed != "plain":
         turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
@@ -535,7 +535,7 @@ def _ball(made: Mesh, described: Maps, posed: str) -> Look:
         scales = {"stretched": [1.1, 0.8, 0.95], "mirrored": [0.9, 0.9, -0.9]}[posed]
         linear = turn @ np.diag(scales)
     return Look(
-        made, [_dull(described)], (5.0, -6.0, 4.0), _side_sun(), linear,
+        mesh, [_dull(described)], (5.0, -6.0, 4.0), _side_sun(), linear,
         fov_deg=32.0, size=(48, 36),
     )  # fmt: skip
 

@@ -138,8 +138,8 @@ def coverage(scene: RenderScene, sample: int = 0, side: int = 4) -> Floats:
     caster = ExactCaster(scene)
     caster.pose(sample)
     row, _, _ = caster.cast(pixel_rays(camera, side))
-    found: Floats = (row != NO_ROW).reshape(camera.height, side, camera.width, side).mean((1, 3))
-    return found
+    result: Floats = (row != NO_ROW).reshape(camera.height, side, camera.width, side).mean((1, 3))
+    return result
 
 
 def pixel_rays(camera: Camera, side: int) -> Rays:
@@ -199,8 +199,8 @@ def metal_albedo(surface: Surface, mu: float) -> Floats:
 
 def unit(vectors: NDArray) -> Floats:
     """Scales vectors to length 1 along the last axis."""
-    made: Floats = vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
-    return made
+    result: Floats = vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+    return result
 
 
 def _dot(a: NDArray, b: NDArray) -> Floats:
@@ -251,8 +251,8 @@ def _facet(mesh: Mesh, points: Points) -> NDArray[np.int64]:
     if mesh.normals is not None:
         return np.zeros(len(points.face), np.int64)
     steps = np.rint(points.geometric * 1e5).astype(np.int64)
-    found: NDArray[np.int64] = steps @ np.array([1, 1 << 20, 1 << 40])
-    return found
+    result: NDArray[np.int64] = steps @ np.array([1, 1 << 20, 1 << 40])
+    return result
 
 
 def _even(place: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -177,13 +177,13 @@ def with_lights(scene: RenderScene, lights: Sequence[Sun | Dome]) -> RenderScene
 
 
 def at_samples(
-    made: RenderScene, lighting: Sequence[Lighting], cameras: Camera | Sequence[Camera]
+    scene: RenderScene, lighting: Sequence[Lighting], cameras: Camera | Sequence[Camera]
 ) -> RenderScene:
     """A scene with another light, and maybe another camera, at each sample."""
     count = len(lighting)
     views = [cameras] * count if isinstance(cameras, Camera) else cameras
     return dataclasses.replace(
-        made,
+        scene,
         samples=count,
         lighting=tuple(lighting),
         cameras=tuple((view,) for view in views),

@@ -126,7 +126,7 @@ def pixel_bins(frame: LoadedFrame, attributes: Attributes) -> dict[str, NDArray[
     Sizes and shares are those of the instance that a pixel shows; pixels without one have none.
     """
     shape = (frame.height, frame.width)
-    found: dict[str, NDArray[np.int64]] = {}
+    result: dict[str, NDArray[np.int64]] = {}
     for name, one in attributes.items():
         if one is attributes[SUN.name]:
             values = np.full(shape, sun_elevation(frame.sidecar))
@@ -144,8 +144,8 @@ def pixel_bins(frame: LoadedFrame, attributes: Attributes) -> dict[str, NDArray[
             slot = np.minimum(np.searchsorted(ids, instance), len(ids) - 1) if len(ids) else 0
             known = (ids[slot] == instance) if len(ids) else np.zeros(shape, np.bool_)
             values = by_id[np.where(known, slot, len(ids))]
-        found[name] = one.numbers(values)
-    return found
+        result[name] = one.numbers(values)
+    return result
 
 
 def filled(one: Attribute, rows: Sequence[tuple[Cell, ...] | None]) -> list[tuple[Cell, ...]]:

@@ -118,7 +118,7 @@ def read_detections(path: Path, truth: Coco) -> list[dict[str, Any]]:
     images = {one["id"]: one for one in truth["images"]}
     names = {one["id"]: one["name"] for one in truth["categories"]}
     known = ", ".join(f"{number} {name}" for number, name in names.items())
-    found: list[dict[str, Any]] = []
+    detections: list[dict[str, Any]] = []
     for number, one in enumerate(values):
         where = f"{path}: /{number}"
         if not isinstance(one, dict):
@@ -143,12 +143,12 @@ def read_detections(path: Path, truth: Coco) -> list[dict[str, Any]]:
             )
             entry["bbox"] = one["bbox"]
         entry["box_area"] = float(entry["bbox"][2] * entry["bbox"][3])
-        found.append(entry)
-    return found
+        detections.append(entry)
+    return detections
 
 
-def _among(value: Any, known: Mapping[int, Any]) -> bool:
-    return type(value) is int and value in known
+def _among(value: Any, valid: Mapping[int, Any]) -> bool:
+    return type(value) is int and value in valid
 
 
 def _is_box(value: Any) -> bool:

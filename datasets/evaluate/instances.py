@@ -91,20 +91,20 @@ def summary(judge: Any) -> dict[str, float | None]:
 
     ``summarize`` of COCOeval gives the same, but for other most detections than 100.
     """
-    found: dict[str, float | None] = {
+    measures: dict[str, float | None] = {
         "ap": _mean(judge.eval["precision"][:, :, :, 0, -1]),
         "ap50": _mean(judge.eval["precision"][0, :, :, 0, -1]),
         "ap75": _mean(judge.eval["precision"][5, :, :, 0, -1]),
     }
     for number, name in enumerate(_AREAS):
         if name:
-            found[f"ap{name}"] = _mean(judge.eval["precision"][:, :, :, number, -1])
+            measures[f"ap{name}"] = _mean(judge.eval["precision"][:, :, :, number, -1])
     for number, most in enumerate(judge.params.maxDets):
-        found[f"ar_{most}"] = _mean(judge.eval["recall"][:, :, 0, number])
+        measures[f"ar_{most}"] = _mean(judge.eval["recall"][:, :, 0, number])
     for number, name in enumerate(_AREAS):
         if name:
-            found[f"ar{name}"] = _mean(judge.eval["recall"][:, :, number, -1])
-    return found
+            measures[f"ar{name}"] = _mean(judge.eval["recall"][:, :, number, -1])
+    return measures
 
 
 def _mean(values: NDArray[Any]) -> float | None:

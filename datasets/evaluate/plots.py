@@ -28,7 +28,7 @@ _SHOWN = {
 _OTHER = ("confusion", "frame", "pose")
 
 
-def draw(folder: Path, found: Evaluation) -> list[Path]:
+def draw(folder: Path, evaluation: Evaluation) -> list[Path]:
     """A plot of the whole, where the task has one, and bars of its parts.
 
     Raises:
@@ -37,13 +37,13 @@ def draw(folder: Path, found: Evaluation) -> list[Path]:
     made = []
     whole = {
         "instances": _precision, "labels": _confusion, "track": _tracks
-    }.get(found.task)  # fmt: skip
+    }.get(evaluation.task)  # fmt: skip
     if whole is not None:
-        made.append(_save(folder / WHOLE, whole(found)))
-    shown = _SHOWN[found.task]
+        made.append(_save(folder / WHOLE, whole(evaluation)))
+    shown = _SHOWN[evaluation.task]
     parts = [
         table
-        for table in found.tables
+        for table in evaluation.tables
         if table.name not in _OTHER and table.rows and any(name in table.columns for name in shown)
     ]
     if parts:
@@ -51,12 +51,12 @@ def draw(folder: Path, found: Evaluation) -> list[Path]:
     return made
 
 
-def _precision(found: Evaluation) -> Figure:
+def _precision(evaluation: Evaluation) -> Figure:
     figure = Figure(figsize=(6, 4.8), layout="constrained")
     axes = figure.subplots()
-    recall = np.linspace(0.0, 1.0, len(found.arrays["precision"]))
+    recall = np.linspace(0.0, 1.0, len(evaluation.arrays["precision"]))
     names = ("IoU 0.5", "IoU 0.75", "IoU 0.5 to 0.95")
-    for name, line, color in zip(names, found.arrays["precision"].T, COLORS, strict=False):
+    for name, line, color in zip(names, evaluation.arrays["precision"].T, COLORS, strict=False):
         axes.plot(recall, line, color=color, label=name)
     axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", ylabel="precision, mean over classes")
     axes.legend()
@@ -64,9 +64,9 @@ def _precision(found: Evaluation) -> Figure:
     return figure
 
 
-def _confusion(found: Evaluation) -> Figure:
-    (table,) = (table for table in found.tables if table.name == "confusion")
-    counts = found.arrays["confusion"].astype(np.float64)
+def _confusion(evaluation: Evaluation) -> Figure:
+    (table,) = (table for table in evaluation.tables if table.name == "confusion")
+    counts = evaluation.arrays["confusion"].astype(np.float64)
     shown = np.flatnonzero(counts.sum(axis=1) + counts.sum(axis=0)[:-1])
     columns = [*shown.tolist(), *([counts.shape[1] - 1] if counts[:, -1].any() else [])]
     picked = counts[np.ix_(shown, columns)]
@@ -87,11 +87,13 @@ def _confusion(found: Evaluation) -> Figure:
     return figure
 
 
-def _tracks(found: Evaluation) -> Figure:
+def _tracks(evaluation: Evaluation) -> Figure:
     figure = Figure(figsize=(10, 4.8), layout="constrained")
     above, over_time = figure.subplots(1, 2, width_ratios=(1.2, 1))
-    tracks_from_above(above, found.arrays["true"], [("estimated", found.arrays["estimated"])])
-    over_time.plot(found.arrays["error"], color=COLORS[1])
+    tracks_from_above(
+        above, evaluation.arrays["true"], [("estimated", evaluation.arrays["estimated"])]
+    )
+    over_time.plot(evaluation.arrays["error"], color=COLORS[1])
     over_time.set(xlabel="pose", ylabel="distance from the true position, m", ylim=(0, None))
     _grid(over_time)
     return figure

@@ -13,8 +13,8 @@ JSON, CSV = "evaluation.json", "evaluation.csv"
 NO_PLOTS = "no plots without matplotlib; mend it with: pip install 'scenec[plots]'"
 
 
-def write(folder: Path, found: Evaluation) -> None:
-    """Write JSON, CSV and, where matplotlib is installed, plots; they are noted in ``found``.
+def write(folder: Path, evaluation: Evaluation) -> None:
+    """Write JSON, CSV and, where matplotlib is installed, plots; they are noted in ``evaluation``.
 
     Raises:
         OutputError: A file cannot be written.
@@ -22,12 +22,12 @@ def write(folder: Path, found: Evaluation) -> None:
     try:
         from scenec.datasets.evaluate import plots
     except ImportError:
-        found.notes.append(NO_PLOTS)
+        evaluation.notes.append(NO_PLOTS)
     else:
-        found.files += plots.draw(folder, found)
+        evaluation.files += plots.draw(folder, evaluation)
     with atomic(folder / CSV) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
         writer = csv.writer(f, lineterminator="\n")
         writer.writerow(("table", "row", "measure", "value"))
-        writer.writerows(map(guarded_line, found.lines()))
-    write_json(folder / JSON, found.as_json())
-    found.files += [folder / CSV, folder / JSON]
+        writer.writerows(map(guarded_line, evaluation.lines()))
+    write_json(folder / JSON, evaluation.as_json())
+    evaluation.files += [folder / CSV, folder / JSON]

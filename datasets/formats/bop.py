@@ -136,14 +136,14 @@ class Bop(Format):
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write the annotation of each scene, and what the objects are."""
         classes: set[str] = set()
-        others: set[str] = set()
+        skipped: set[str] = set()
         for one in done:
             classes.update((one.record or {}).get("classes", ()))
-            others.update((one.record or {}).get("others", ()))
-        if self.option("objects") != "*" and others and not classes:
+            skipped.update((one.record or {}).get("others", ()))
+        if self.option("objects") != "*" and skipped and not classes:
             raise OutputError(
                 f"format bop, option objects: no frame shows anything of {self.option('objects')}"
-                f"{nearest(self.option('objects'), sorted(others))}"
+                f"{nearest(self.option('objects'), sorted(skipped))}"
             )
         ids = {name: number for number, name in enumerate(sorted(classes), 1)}
         written = [trajectory.SEQUENCES, "objects.json", "models/models_info.json"]
@@ -316,7 +316,7 @@ def _info(
     frame: LoadedFrame,
     line: int,
     visible: NDArray[np.bool_],
-    whole: NDArray[np.bool_] | None,
+    full_mask: NDArray[np.bool_] | None,
     steps: NDArray[np.uint16],
 ) -> dict[str, Any]:
     """An entry of ``scene_gt_info``: what can be said."""
@@ -324,9 +324,9 @@ def _info(
     if "amodal_full" in frame.table:
         info["px_count_all"] = int(frame.table["amodal_full"][line])
         info["visib_fract"] = info["px_count_visib"] / max(info["px_count_all"], 1)
-    if whole is not None:
-        info["bbox_obj"] = _box(whole)
-        info["px_count_valid"] = int((whole & (steps > 0)).sum())
+    if full_mask is not None:
+        info["bbox_obj"] = _box(full_mask)
+        info["px_count_valid"] = int((full_mask & (steps > 0)).sum())
     if "truncated" in frame.table:
         info["truncated"] = bool(frame.table["truncated"][line])
     return info

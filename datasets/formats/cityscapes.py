@@ -304,7 +304,7 @@ class Cityscapes(Format):
         """
         k, pose = frame.intrinsics, frame.camera_to_world
         forward, left, up = pose[:3, 2], -pose[:3, 0], -pose[:3, 1]
-        found: dict[str, Any] = {
+        camera: dict[str, Any] = {
             "intrinsic": {
                 "fx": float(k[0, 0]),
                 "fy": float(k[1, 1]),
@@ -337,5 +337,5 @@ class Cityscapes(Format):
             },
         }
         if depth:
-            found["depth"] = depth
-        return found
+            camera["depth"] = depth
+        return camera

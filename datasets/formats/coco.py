@@ -121,19 +121,19 @@ class Coco(Format):
         split = self.info.splits[0]
         return _USAGE.format(split=split, level=self.info.level or "instance")
 
-    def _annotations(self, frame: LoadedFrame, seen: Seen) -> tuple[list[str], int]:
+    def _annotations(self, frame: LoadedFrame, categories: Seen) -> tuple[list[str], int]:
         """Annotations without ``{"id":N,``, as JSON; how many instances have no category."""
         level = self.info.level
         every, lines = instance_annotations(frame, level, self.option("segmentation") == "polygon")
         # Encoding all at once is three times as fast; no text in JSON has a bare quote in it.
         found = [text.rstrip(",") for text in dumps(every)[1:-1].split(_BEGIN)[1:]]
         shown = [one["category_id"] for one in every]
-        seen.things.update(shown)
+        categories.things.update(shown)
         for other in other_levels(frame, level):
             texts = frame.table.get(f"label.{other}")
             if texts is not None:
                 for number, name in set(zip(shown, texts[lines].tolist(), strict=True)):
-                    seen.name(other, number, name)
+                    categories.name(other, number, name)
         return found, len(frame.table["id"]) - len(np.unique(lines))
 
 

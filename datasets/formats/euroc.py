@@ -259,11 +259,11 @@ class _Sequence:
     def _truth_line(
         self,
         file: TextIO,
-        here: tuple[int, NDArray[np.float64]],
+        stamped: tuple[int, NDArray[np.float64]],
         before: tuple[int, NDArray[np.float64]],
         after: tuple[int, NDArray[np.float64]],
     ) -> None:
-        nanos, pose = here
+        nanos, pose = stamped
         seconds = (after[0] - before[0]) / _NANO
         velocity = np.zeros(3)
         if seconds > 0.0 and self.form.option("velocity") == "differences":

@@ -309,25 +309,25 @@ class _File:
 
     def _arrays(self, frame: LoadedFrame) -> dict[str, NDArray[Any]]:
         """The passes as they are stored."""
-        found: dict[str, NDArray[Any]] = {}
+        arrays: dict[str, NDArray[Any]] = {}
         rgb = self._form.option("rgb")
         for name, array in frame.passes.items():
             if name == "rgb":
                 if rgb != "srgb8":
-                    found[name] = np.ascontiguousarray(array, np.float32)
+                    arrays[name] = np.ascontiguousarray(array, np.float32)
                 if rgb != "linear":
-                    found[RGB8] = np.ascontiguousarray(pictures.picture(frame))
+                    arrays[RGB8] = np.ascontiguousarray(pictures.picture(frame))
             elif name.startswith("label."):
                 names = self._form.info.labels.get(name.removeprefix("label."), {})
-                found[name] = narrowed(frame, name, label_type(names))
+                arrays[name] = narrowed(frame, name, label_type(names))
             else:
                 kind = np.uint32 if array.dtype.kind == "u" else np.float32
-                found[name] = np.ascontiguousarray(array, kind)
+                arrays[name] = np.ascontiguousarray(array, kind)
         if pictures.taken(frame.sidecar) and rgb == "linear":
-            found[PICTURE] = np.ascontiguousarray(pictures.picture(frame))
+            arrays[PICTURE] = np.ascontiguousarray(pictures.picture(frame))
         for beside in pictures.kinds(frame.sidecar):
-            found[beside] = np.ascontiguousarray(pictures.beside(frame, beside))
-        return found
+            arrays[beside] = np.ascontiguousarray(pictures.beside(frame, beside))
+        return arrays
 
     def _begin(self, frame: LoadedFrame, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Make all datasets, for frames like the first."""

@@ -121,7 +121,7 @@ class Panoptic(Format):
         return _USAGE.format(split=self.info.splits[0], level=self.info.level)
 
     def _segments(
-        self, frame: LoadedFrame, seen: Seen
+        self, frame: LoadedFrame, categories: Seen
     ) -> tuple[NDArray[np.uint32], list[str], int]:
         """Segment numbers [h, w], the segments as JSON, how many instances have no category.
 
@@ -147,10 +147,10 @@ class Panoptic(Format):
         every = np.concatenate([number[:-1][~ignored], of_label]).astype(np.uint32)
         areas, boxes = rle.boxes(picture, every)
         crowds = set(kinds[ignored].tolist())
-        seen.things.update(kinds.tolist())
-        seen.stuff.update(known[areas[len(whole) :] > 0].tolist())
+        categories.things.update(kinds.tolist())
+        categories.stuff.update(known[areas[len(whole) :] > 0].tolist())
         for other in other_levels(frame, level):
-            self._name(frame, other, seen)
+            self._name(frame, other, categories)
         kind_of = [*kinds[~ignored].tolist(), *known.tolist()]
         found = []
         for at in np.flatnonzero(areas).tolist():
@@ -170,7 +170,7 @@ class Panoptic(Format):
             found.append(f'{crowd}\t{kind_of[at]}\t{dumps(segment)[:-1]},"iscrowd":')
         return picture, found, len(frame.table["id"]) - len(np.unique(lines))
 
-    def _name(self, frame: LoadedFrame, other: str, seen: Seen) -> None:
+    def _name(self, frame: LoadedFrame, other: str, categories: Seen) -> None:
         """Records the names that each label's pixels have on another level."""
         there = frame.passes.get(f"label.{other}")
         if there is None:
@@ -178,7 +178,7 @@ class Panoptic(Format):
         names = frame.labels[other]
         for own, number in label_pairs(frame.passes[f"label.{self.info.level}"], there):
             if own:
-                seen.name(other, own, names.get(number, ""))
+                categories.name(other, own, names.get(number, ""))
 
 
 def _as_rgb(picture: NDArray[np.uint32]) -> NDArray[np.uint8]:

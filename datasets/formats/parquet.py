@@ -278,8 +278,8 @@ class Parquet(Format):
         )
 
         def together(*names: str) -> list[list[float]]:
-            found: list[list[float]] = np.stack([table[name] for name in names], axis=-1).tolist()
-            return found
+            rows: list[list[float]] = np.stack([table[name] for name in names], axis=-1).tolist()
+            return rows
 
         return {
             "id": table["id"].tolist(),

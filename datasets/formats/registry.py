@@ -46,8 +46,8 @@ def find_format(name: str) -> type[Format]:
     """
     if name in _OURS:
         module, _, attribute = _OURS[name].partition(":")
-        found: type[Format] = getattr(importlib.import_module(module), attribute)
-        return found
+        format_class: type[Format] = getattr(importlib.import_module(module), attribute)
+        return format_class
     from scenec.datasets.formats import contract
 
     if not entry_points_of(GROUP, name):

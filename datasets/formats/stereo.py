@@ -28,17 +28,17 @@ def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
         """Counts how many of the two name the other."""
         return sum(partners[a] == b for a, b in (pair, pair[::-1]))
 
-    found: dict[str, tuple[str, ...]] = {}
+    pairs: dict[str, tuple[str, ...]] = {}
     every = list(itertools.combinations(cameras, 2))
     for a, b in sorted(every, key=links, reverse=True):
         elsewhere = not links((a, b)) and any(partners[name] in cameras for name in (a, b))
-        if a in found or b in found or elsewhere:
+        if a in pairs or b in pairs or elsewhere:
             continue
         apart = baseline(cameras[a], cameras[b])
         if apart:
-            found[a] = found[b] = (a, b) if apart > 0.0 else (b, a)
+            pairs[a] = pairs[b] = (a, b) if apart > 0.0 else (b, a)
     # In the order of their first cameras, each once.
-    return list(dict.fromkeys(found.get(name, (name,)) for name in cameras))
+    return list(dict.fromkeys(pairs.get(name, (name,)) for name in cameras))
 
 
 def partner_of(frames: Sequence[FrameRef]) -> str | None:

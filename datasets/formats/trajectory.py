@@ -161,13 +161,13 @@ def rigs(frames: Sequence[FrameRef]) -> list[tuple[str, str, dict[str, list[Fram
     cameras: dict[tuple[str, str], list[FrameRef]] = {}
     for ref in frames:
         cameras.setdefault((ref.batch_name, ref.camera), []).append(ref)
-    found: dict[tuple[str, str], dict[str, list[FrameRef]]] = {}
+    result: dict[tuple[str, str], dict[str, list[FrameRef]]] = {}
     for (batch, camera), refs in cameras.items():
         known = (record.camera_prim for record in map(record_of, refs) if record is not None)
         parts = (next(known, None) or "").strip("/").split("/")
         on_rig = len(parts) >= 3 and parts[-3] == "Rigs"
-        found.setdefault((batch, parts[-2] if on_rig else camera), {})[camera] = refs
-    return [(batch, rig, members) for (batch, rig), members in found.items()]
+        result.setdefault((batch, parts[-2] if on_rig else camera), {})[camera] = refs
+    return [(batch, rig, members) for (batch, rig), members in result.items()]
 
 
 def copy_picture(frame: LoadedFrame, path: Path, gray: bool = False) -> None:

@@ -200,13 +200,13 @@ class WebDataset(Format):
             return picture_png(frame)
         return encoded(pictures.picture(frame), "JPEG", quality=_QUALITY, subsampling=0)
 
-    def _array(self, found: dict[str, bytes], name: str, array: NDArray[Any]) -> None:
+    def _array(self, members: dict[str, bytes], name: str, array: NDArray[Any]) -> None:
         store = io.BytesIO()
         if self.option("arrays") == "npz":
             np.savez_compressed(store, array)
         else:
             np.save(store, np.ascontiguousarray(array))
-        found[f"{name}.{self.option('arrays')}"] = store.getvalue()
+        members[f"{name}.{self.option('arrays')}"] = store.getvalue()
 
     def _metadata(self, frame: LoadedFrame) -> dict[str, Any]:
         table = {name: column.tolist() for name, column in frame.table.items()}

@@ -375,11 +375,11 @@ def split(
         with new vertices, [m, 3].
     """
     key = part.faces.ravel().astype(np.int64)
-    beside: list[NDArray[Any]]
-    beside = [np.repeat(part.labels[level], 3) for level in levels if level in part.labels]
+    per_corner: list[NDArray[Any]]
+    per_corner = [np.repeat(part.labels[level], 3) for level in levels if level in part.labels]
     if part.uv is not None:
-        beside.append(np.ascontiguousarray(part.uv.reshape(-1, 2)).view(np.int64).ravel())
-    for values in beside:
+        per_corner.append(np.ascontiguousarray(part.uv.reshape(-1, 2)).view(np.int64).ravel())
+    for values in per_corner:
         if (values == values[0]).all():
             continue
         _, number = np.unique(values, return_inverse=True)

@@ -231,7 +231,7 @@ def _as_labels(prim: Usd.Prim) -> None:
 
 def _take_pictures(layer: Sdf.Layer, folder: Path) -> None:
     """Copies all files that the layer names beside it, and names the copies."""
-    taken: dict[str, str] = {}
+    names: dict[str, str] = {}
 
     def of(name: str) -> str:
         file = Path(layer.ComputeAbsolutePath(name))
@@ -239,14 +239,14 @@ def _take_pictures(layer: Sdf.Layer, folder: Path) -> None:
             return name
         if file.parent == folder / _TEXTURES:
             return f"./{_TEXTURES}/{file.name}"
-        if str(file) not in taken:
+        if str(file) not in names:
             number = 0
             target = folder / _TEXTURES / file.name
             while target.exists():
                 number += 1
                 target = folder / _TEXTURES / f"{file.stem}_{number}{file.suffix}"
             shutil.copyfile(file, target)
-            taken[str(file)] = f"./{_TEXTURES}/{target.name}"
-        return taken[str(file)]
+            names[str(file)] = f"./{_TEXTURES}/{target.name}"
+        return names[str(file)]
 
     UsdUtils.ModifyAssetPaths(layer, of)

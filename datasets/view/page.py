@@ -238,7 +238,7 @@ class _Book:
         self.report.bytes = file.tell()
         self._check()
 
-    def _add(self, file: BinaryIO, number: int, made: Record | Fault) -> None:
+    def _add(self, file: BinaryIO, number: int, stored: Record | Fault) -> None:
         ref = self._tasks[number].ref
         row: dict[str, Any] = {
             "at": [
@@ -248,23 +248,23 @@ class _Book:
                 ref.sample,
             ]
         }
-        if isinstance(made, Fault):
+        if isinstance(stored, Fault):
             name = f"{ref.backend}: {ref.name}"
             if self._faults == "stop":
-                raise FrameError(made.message)
-            self._warn(f"{name}: {made.message}")
-            self.report.faults.append((name, made.kind, made.message))
+                raise FrameError(stored.message)
+            self._warn(f"{name}: {stored.message}")
+            self.report.faults.append((name, stored.kind, stored.message))
             # Pages tell no paths of the machine they were made on.
-            message = made.message.replace(f"{self._out}/", "")
-            self._rows.append({**row, "fault": [made.kind, message]})
+            message = stored.message.replace(f"{self._out}/", "")
+            self._rows.append({**row, "fault": [stored.kind, message]})
             return
-        self._element(file, f"f{number}", made.text)
-        self._rows.append(row | made.index)
+        self._element(file, f"f{number}", stored.text)
+        self._rows.append(row | stored.index)
         a, b, c, _ = row["at"]
-        self._tallies.setdefault((a, b, c), Tally()).add(made.tally)
+        self._tallies.setdefault((a, b, c), Tally()).add(stored.tally)
         self.report.frames += 1
-        self.report.reduced += not made.stored
-        self.report.depth_error = max(self.report.depth_error, made.depth_error)
+        self.report.reduced += not stored.stored
+        self.report.depth_error = max(self.report.depth_error, stored.depth_error)
 
     def _write_maps(
         self, file: BinaryIO, pool: Pool, ground: Callable[[Batch], Ground | None] | None

@@ -161,11 +161,11 @@ def plain_json(value: object) -> bytes:
     return text.replace("<", "\\u003c").replace("&", "\\u0026").encode()
 
 
-def _table(table: dict[str, NDArray[Any]], shown: NDArray[np.uint32]) -> dict[str, Any]:
+def _table(table: dict[str, NDArray[Any]], visible: NDArray[np.uint32]) -> dict[str, Any]:
     """The lines of a frame's table that the stored picture shows, as columns."""
     if not table:
         return {}
-    keep = np.flatnonzero(np.isin(table["id"], shown))
+    keep = np.flatnonzero(np.isin(table["id"], visible))
     classes, of_class = np.unique(table["class"][keep], return_inverse=True)
     return {
         "id": table["id"][keep].tolist(),

@@ -105,7 +105,7 @@ def _entries(item: Item) -> list[tuple[str, NDArray[np.float64]]]:
 
 
 def _by_objects(
-    seen: Sequence[Sequence[tuple[str, NDArray[np.float64]]]],
+    views: Sequence[Sequence[tuple[str, NDArray[np.float64]]]],
     frames: Sequence[tuple[str, Item]],
     imported: Imported,
 ) -> list[NDArray[np.float64]]:
@@ -113,8 +113,8 @@ def _by_objects(
     first = np.eye(4)
     first[:3, :3] = _LEVEL
     poses = [first]
-    for entries, (name, item) in zip(seen[1:], frames[1:], strict=True):
-        pair = next(((a, b) for kind, a in seen[0] for other, b in entries if kind == other), None)
+    for entries, (name, item) in zip(views[1:], frames[1:], strict=True):
+        pair = next(((a, b) for kind, a in views[0] for other, b in entries if kind == other), None)
         if pair is None:
             item.fault(
                 f"picture {name} has no cam_R_w2c, and none of the objects of the first one: "

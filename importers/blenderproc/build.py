@@ -113,13 +113,13 @@ def _find_models(
     Raises:
         CfgError: Some are missing, and nothing may stand in for them.
     """
-    found: dict[str, Path | None] = {}
+    models: dict[str, Path | None] = {}
     faults = []
     for kind, model in scene.kinds.items():
         names = [f"{name}{suffix}" for name in model.names for suffix in _SUFFIXES]
         files = [folder / name for folder in places for name in names]
-        found[kind] = next((file for file in files if file.is_file()), None)
-        if found[kind] is None and not stand_ins:
+        models[kind] = next((file for file in files if file.is_file()), None)
+        if models[kind] is None and not stand_ins:
             message = (
                 f"no model {shown(names[0])} (or another ending) in "
                 f"{', '.join(str(p) for p in places[:3]) or 'any folder'}; --assets DIR says where "
@@ -128,7 +128,7 @@ def _find_models(
             faults.append(Fault(str(source), 0, 0, f"/{kind}", message))
     if faults:
         raise CfgError(faults)
-    return found
+    return models
 
 
 def _class(

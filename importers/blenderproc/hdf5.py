@@ -119,12 +119,12 @@ def _add_frame(
         note = "no objects: write them with BlenderProc's object state writer"
         report.add(DROPPED, f"{file.name}/object_states", None, "", note)
         return
-    taken: set[str] = set()
+    used: set[str] = set()
     for state in _states(file, "object_states", values["object_states"]):
         name = str(state.get("name") or "object")[:_LONGEST_NAME]
-        if name in taken:
+        if name in used:
             raise ScenecError(f"{file}/object_states: two objects are called {shown(name)}")
-        taken.add(name)
+        used.add(name)
         at = f"{file.name}/object_states/{name}"
         found = next((o for o in scene.objects if o.kind == name), None)
         if found is None:
@@ -203,10 +203,10 @@ def _set_category(thing: Object, state: dict[str, Any], at: str, report: Report)
         report.add(TRANSLATED, f"{at}/{key}", value, "labels/category")
 
 
-def _leave(report: Report, at: str, values: dict[str, Any], known: Sequence[str]) -> None:
+def _leave(report: Report, at: str, values: dict[str, Any], handled: Sequence[str]) -> None:
     """Says what of a state has no place in a cfg."""
     for key in values:
-        if key not in known:
+        if key not in handled:
             report.add(DROPPED, f"{at}/{key}", values[key], "", "nothing here has it")
 
 

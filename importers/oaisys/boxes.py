@@ -53,7 +53,7 @@ def _histogram(values: np.ndarray, ends: tuple[float, float] | None = None) -> N
     if high - low < 1e-6:
         return tidy(low)
     counts, edges = np.histogram(values, bins=_BINS, range=ends)
-    found: dict[str, Any] = {"type": "histogram"}
-    found["edges"] = [float(f"{edge:.6g}") for edge in edges]
-    found["weights"] = [float(f"{count / len(values):.4g}") for count in counts]
-    return found
+    histogram: dict[str, Any] = {"type": "histogram"}
+    histogram["edges"] = [float(f"{edge:.6g}") for edge in edges]
+    histogram["weights"] = [float(f"{count / len(values):.4g}") for count in counts]
+    return histogram

@@ -62,12 +62,12 @@ class Labels:
 
 def _named(names: dict[int, list[str]]) -> dict[int, str]:
     """A name for each id: what the things that have it are called, as far as they agree."""
-    found: dict[int, str] = {}
+    names_of: dict[int, str] = {}
     for number, of in sorted(names.items()):
         shared = _beginning(of).rstrip("_0123456789") if len(set(of)) > 1 else of[0]
         name = identifier(shared) if len(shared) >= 3 else f"id_{number}"
-        found[number] = name if name not in found.values() else f"{name}_{number}"
-    return found
+        names_of[number] = name if name not in names_of.values() else f"{name}_{number}"
+    return names_of
 
 
 def _beginning(names: Sequence[str]) -> str:

@@ -35,7 +35,7 @@ _SWITCHES = {
 }  # fmt: skip
 _READABLE = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 #: Surfaces that stand in for pictures, by words in names; and their mean colors.
-_STAND_INS: tuple[tuple[tuple[str, ...], str, tuple[float, float, float]], ...] = (
+_REPLACEMENTS: tuple[tuple[tuple[str, ...], str, tuple[float, float, float]], ...] = (
     (("mud", "clay", "crack"), "mud_cracks", (0.24, 0.17, 0.11)),
     (("gravel", "pebble", "stones"), "gravel", (0.22, 0.2, 0.18)),
     (("sand", "beach", "dune"), "sand", (0.42, 0.31, 0.19)),
@@ -50,7 +50,7 @@ def stand_in_material(name: str) -> dict[str, Any]:
     """A procedural material for what a name suggests."""
     surface, color = next(
         (surface, color)
-        for words, surface, color in _STAND_INS
+        for words, surface, color in _REPLACEMENTS
         if any(word in name.lower() for word in words)
     )
     maps = {"procedural": {"type": surface, "resolution": 512}}

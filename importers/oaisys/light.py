@@ -80,24 +80,24 @@ def _per(ctx: Context, params: Item) -> str:
 
 
 def _sky(ctx: Context, params: Item, per: str) -> None:
-    made: dict[str, Any] = {"sun": {}, "sky": {"type": "atmosphere", "planet": "earth"}}
-    ctx.cfg["light"] = made
-    ctx.cfg["light"] = made
+    light: dict[str, Any] = {"sun": {}, "sky": {"type": "atmosphere", "planet": "earth"}}
+    ctx.cfg["light"] = light
+    ctx.cfg["light"] = light
     for key, owner, ours, low, high, usual in _SKY_KEYS:
         item = params.get(key).translated(f"light/{owner}/{ours}")
-        made[owner][ours] = uniform(*item.span(low, high, usual), per=per)
+        light[owner][ours] = uniform(*item.span(low, high, usual), per=per)
     intensity = params.get("SunIntensity")
     ends = intensity.span(1e-6, 1e6, (1.0, 1.0))
     is_usual = ends == (1.0, 1.0)
     if not is_usual:
-        made["sun"]["irradiance"] = scaled(ends, _SOLAR, per=per)
+        light["sun"]["irradiance"] = scaled(ends, _SOLAR, per=per)
     intensity.approximated(f"{_SUN}/irradiance", "" if is_usual else "the sky follows the sun")
     params.drop(DEAD, "SunStrength")
     passes = params.object("passParams")
     passes.object("RGBDPass").drop(DEAD, "rgbIDVec")
     passes.object("InstancePass").drop(DEAD, "instanceIDVec")
     vector = passes.object("SemanticPass").get("semanticIDVec")
-    made["sky"]["labels"] = label_vector(ctx, vector, "sky", f"{_SKY}/labels") if vector else {}
+    light["sky"]["labels"] = label_vector(ctx, vector, "sky", f"{_SKY}/labels") if vector else {}
 
 
 def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str) -> None:

@@ -99,14 +99,14 @@ class Class:
             self.cfg["instances"] = active.translated(f"{self.to}/instances").flag()
 
 
-def _model(params: Item, found: Class) -> tuple[Sequence[Shell], Path | None]:
+def _model(params: Item, scattered: Class) -> tuple[Sequence[Shell], Path | None]:
     item, turn = params.need("meshFilePath"), params.get("preRotationDeg")
-    file = found.ctx.assets.find(item, "procedural rocks")
-    shells = found.model(item, params.get("meshInstanceName"), file)
+    file = scattered.ctx.assets.find(item, "procedural rocks")
+    shells = scattered.model(item, params.get("meshInstanceName"), file)
     if file is None:
         turn.dropped("rocks have no axis to turn")
     elif turn:
-        _pre_rotation(turn, found.cfg["models"][0], f"{found.to}/models/0/up")
+        _pre_rotation(turn, scattered.cfg["models"][0], f"{scattered.to}/models/0/up")
     return shells, file
 
 
@@ -148,8 +148,8 @@ def _count(params: Item, to: str) -> Any:
     return {"type": "choice", "values": values, "weights": weights}
 
 
-def _density(params: Item, found: Class) -> None:
-    mapped, to = params.get("useDensityMap"), f"{found.to}/density"
+def _density(params: Item, scattered: Class) -> None:
+    mapped, to = params.get("useDensityMap"), f"{scattered.to}/density"
     density = params.object("densityMapSettings").get("densityMap")
     if not mapped.flag():
         mapped.translated(to, "uniform")
@@ -167,9 +167,9 @@ def _density(params: Item, found: Class) -> None:
     start = density.get("colorStopPosition_0")
     start.approximated(f"{to}/sharpness", "how narrow the bands are")
     low = min(start.number(0.0, 1.0, 0.6), 0.95)
-    found.cfg["density"] = {
+    scattered.cfg["density"] = {
         "type": "worley",
-        "scale_m": tidy(size.number(1e-3, 1e3, 0.2) * 0.5 * min(found.ctx.extent_m)),
+        "scale_m": tidy(size.number(1e-3, 1e3, 0.2) * 0.5 * min(scattered.ctx.extent_m)),
         "distance": "f2-f1",
         "sharpness": tidy(1.0 / (1.0 - low)),
     }
@@ -179,13 +179,13 @@ def _density(params: Item, found: Class) -> None:
     )  # fmt: skip
 
 
-def _size(params: Item, found: Class) -> None:
+def _size(params: Item, scattered: Class) -> None:
     item, strength = params.get("defaultSize"), params.get("strengthRandomScale")
     size, share = item.number(1e-6, 1e5, 1.0), strength.number(0.0, 1.0, 0.0)
-    to = f"{found.to}/{found.size_key}"
+    to = f"{scattered.to}/{scattered.size_key}"
     low = size * max(1.0 - share, _SMALLEST)
-    found.cfg[found.size_key] = uniform(low, size, per="instance") if share else tidy(size)
-    is_model = found.size_key == "scale"
+    scattered.cfg[scattered.size_key] = uniform(low, size, per="instance") if share else tidy(size)
+    is_model = scattered.size_key == "scale"
     item.approximated(
         to, "" if is_model else "as meters, since the file with the mesh is not there"
     )
@@ -193,11 +193,11 @@ def _size(params: Item, found: Class) -> None:
     strength.approximated(to, f"from {_SMALLEST:g} of the size, not from 0" if is_cut else "")
 
 
-def _turn(params: Item, found: Class) -> None:
-    enabled, to = params.get("randomRotationEnabled"), f"{found.to}/orientation"
+def _turn(params: Item, scattered: Class) -> None:
+    enabled, to = params.get("randomRotationEnabled"), f"{scattered.to}/orientation"
     option = "rotationOption"
     if not enabled.flag():
-        found.cfg["orientation"] = "upright"
+        scattered.cfg["orientation"] = "upright"
         enabled.approximated(to, "upright, but turned about the vertical")
         keys = (f"{option}{end}" for end in ("Mode", "Factor", "Phase", "PhaseRandom"))
         params.drop("randomRotationEnabled is off", *keys)
@@ -206,42 +206,45 @@ def _turn(params: Item, found: Class) -> None:
     mode, factor = params.get(f"{option}Mode"), params.get(f"{option}Factor")
     kind, lean = mode.one_of(*_MODES), factor.number(0.0, 1.0, 0.0)
     if kind in ("NONE", "VEL") or lean > 0.99:
-        found.cfg["orientation"], lean = "random", 0.0
+        scattered.cfg["orientation"], lean = "random", 0.0
     else:
-        found.cfg["orientation"] = "normal" if kind in ("NOR", "NOR_TAN", "OB_X") else "upright"
-    mode.translated(to, found.cfg["orientation"])
+        scattered.cfg["orientation"] = "normal" if kind in ("NOR", "NOR_TAN", "OB_X") else "upright"
+    mode.translated(to, scattered.cfg["orientation"])
     if lean:
-        found.cfg["lean_deg"] = uniform(0.0, 90.0 * lean, per="instance")
+        scattered.cfg["lean_deg"] = uniform(0.0, 90.0 * lean, per="instance")
         note = "leaning evenly up to that share of 90 degrees"
-        factor.approximated(f"{found.to}/lean_deg", note)
+        factor.approximated(f"{scattered.to}/lean_deg", note)
     else:
         factor.translated(to)
     for key in ("Phase", "PhaseRandom"):
         params.get(option + key).approximated(to, "turned about that axis by chance, all around")
 
 
-def _labels(params: Item, found: Class, shells: Sequence[Shell], file: Path | None) -> None:
-    ctx, to = found.ctx, f"{found.to}/labels"
+def _labels(params: Item, scattered: Class, shells: Sequence[Shell], file: Path | None) -> None:
+    ctx, to = scattered.ctx, f"{scattered.to}/labels"
     vector = semantic_labels(params.object("passParams"))
     entries = vector.children()
     if not entries:
         return
     if not isinstance(entries[0].value, list):
-        found.cfg["labels"] = label_vector(ctx, vector, found.name, to)
+        scattered.cfg["labels"] = label_vector(ctx, vector, scattered.name, to)
         return
-    found.cfg["labels"] = label_vector(ctx, entries[0], found.name, to)
+    scattered.cfg["labels"] = label_vector(ctx, entries[0], scattered.name, to)
     slots = _materials(shells, file) if file else []
     parts = {
         # More slots than vectors: they are gone through again.
         slot: {
             "labels": label_vector(
-                ctx, entries[i % len(entries)], f"{found.name}_{slot}", f"{found.to}/parts/{slot}"
+                ctx,
+                entries[i % len(entries)],
+                f"{scattered.name}_{slot}",
+                f"{scattered.to}/parts/{slot}",
             )
         }
         for i, slot in enumerate(slots[1:], 1)
     }
     if len(entries) > 1 and parts:
-        found.cfg["parts"] = parts
+        scattered.cfg["parts"] = parts
     for entry in entries[max(len(slots), 1) :]:
         entry.dropped("the mesh has no such material slot" if file else "rocks have one material")
 

@@ -254,12 +254,12 @@ def _centered(ctx: Context, general: Item) -> dict[str, Any]:
     }
 
 
-def _sensor(ctx: Context, entry: Item, found: dict[str, Any]) -> None:
+def _sensor(ctx: Context, entry: Item, sensors: dict[str, Any]) -> None:
     entry.get("type").translated(f"rigs/{_RIG}/sensors").one_of("SensorCameraRGBD")
     params = entry.need("sensorParams")
     called = params.get("outputBaseName")
     name = identifier(called.text() if called else "camera")
-    while name in found:
+    while name in sensors:
         name += "_2"
     to = f"rigs/{_RIG}/sensors/{name}"
     called.translated(to)
@@ -273,10 +273,10 @@ def _sensor(ctx: Context, entry: Item, found: dict[str, Any]) -> None:
         matrix.fault(f"{matrix.value}: expected focal lengths above 0 in its places 0 and 4")
         k[0] = k[4] = 1.0
     # Today's OAISYS counts pixels from the middle of the first one, that of 2021 from its corner.
-    found[name] = {"resolution": [width, height], **intrinsics(k, 0.5 if ctx.current else 0.0)}
-    _mount(params, found[name], to)
-    _focus(params, found[name], k[0] / width, to)
-    _passes(ctx, params, found[name], to)
+    sensors[name] = {"resolution": [width, height], **intrinsics(k, 0.5 if ctx.current else 0.0)}
+    _mount(params, sensors[name], to)
+    _focus(params, sensors[name], k[0] / width, to)
+    _passes(ctx, params, sensors[name], to)
 
 
 def _mount(params: Item, sensor: dict[str, Any], to: str) -> None:

@@ -25,16 +25,16 @@ _STOPS = (0.5, 1000.0)
 type Seen = Sequence[Camera]
 
 
-def moves(seen: Seen) -> bool:
+def moves(views: Seen) -> bool:
     """Tells whether the pose of a camera changes."""
-    first = seen[0].camera_to_world
-    return any(not np.array_equal(first, camera.camera_to_world) for camera in seen)
+    first = views[0].camera_to_world
+    return any(not np.array_equal(first, camera.camera_to_world) for camera in views)
 
 
-def add_cameras(scene: Scene, found: Sequence[Seen]) -> None:
+def add_cameras(scene: Scene, views: Sequence[Seen]) -> None:
     """Adds a rig for each camera that ``render`` draws, or an orbit if there is none."""
     rigs, report = scene.imported.cfg["rigs"], scene.imported.report
-    for seen in found:
+    for seen in views:
         name = unused(name_of(seen[0].path), rigs)
         to = f"rigs/{name}/sensors/camera"
         rigs[name] = {
@@ -44,7 +44,7 @@ def add_cameras(scene: Scene, found: Sequence[Seen]) -> None:
             "sensors": {"camera": {}},
         }
         rigs[name]["sensors"]["camera"].update(_sensor(scene, seen, to))
-    drawn = {seen[0].path for seen in found}
+    drawn = {seen[0].path for seen in views}
     for prim in scene.stage.Traverse(Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdGeom.Camera) and str(prim.GetPath()) not in drawn:
             why = "render draws others: those of its products, none that is orthographic"
@@ -54,9 +54,9 @@ def add_cameras(scene: Scene, found: Sequence[Seen]) -> None:
         report.added("rigs/orbit", "the stage has no camera: an orbit")
 
 
-def _pose(scene: Scene, seen: Seen, name: str) -> dict[str, Any]:
-    report, at, moving = scene.imported.report, seen[0].path, moves(seen)
-    poses = [camera.camera_to_world.copy() for camera in seen]
+def _pose(scene: Scene, views: Seen, name: str) -> dict[str, Any]:
+    report, at, moving = scene.imported.report, views[0].path, moves(views)
+    poses = [camera.camera_to_world.copy() for camera in views]
     for pose in poses:
         pose[:3, 3] += scene.shift
     if not moving and "cameras" not in scene.keep:
@@ -72,8 +72,8 @@ def _pose(scene: Scene, seen: Seen, name: str) -> dict[str, Any]:
     return {"type": "track", "file": made, "sampling": {}}
 
 
-def _sensor(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
-    report, camera = scene.imported.report, seen[0]
+def _sensor(scene: Scene, views: Seen, to: str) -> dict[str, Any]:
+    report, camera = scene.imported.report, views[0]
     at, size = camera.path, [camera.width, camera.height]
     if at in _named(scene.stage):
         report.add(TRANSLATED, at, size, f"{to}/resolution")
@@ -83,7 +83,7 @@ def _sensor(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
         "resolution": size,
         **intrinsics(camera.intrinsics.ravel().tolist(), corner=0.0),
     }
-    constant = all(np.array_equal(c.intrinsics, camera.intrinsics) for c in seen)
+    constant = all(np.array_equal(c.intrinsics, camera.intrinsics) for c in views)
     note = "" if constant else "as it is at the first sample"
     fate = TRANSLATED if constant else APPROXIMATED
     report.add(fate, f"{at}.focalLength", None, f"{to}/intrinsics", note)
@@ -93,14 +93,14 @@ def _sensor(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
         report.add(TRANSLATED, at, camera.lens.model, f"{to}/lens")
     if camera.exposure_per is None:
         sensor["exposure"] = {"type": "fixed", "ev": tidy(camera.exposure_ev)}
-        constant = all(c.exposure_ev == camera.exposure_ev for c in seen)
+        constant = all(c.exposure_ev == camera.exposure_ev for c in views)
         note = "" if constant else "as it is at the first sample"
         fate = TRANSLATED if constant else APPROXIMATED
         report.add(fate, f"{at}.exposure", camera.exposure_ev, f"{to}/exposure", note)
     elif camera.exposure_per == "sample":
         sensor["exposure"] = {"type": "auto", "per": "sample"}
     if camera.focus is not None:
-        sensor |= _focus(scene, seen, to)
+        sensor |= _focus(scene, views, to)
     for name, there in (
         ("shutter", camera.shutter), ("imaging", camera.imaging), ("effects", camera.effects),
         ("depth camera", camera.depth_camera), ("partner", camera.partner),
@@ -110,9 +110,9 @@ def _sensor(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
     return sensor
 
 
-def _focus(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
+def _focus(scene: Scene, views: Seen, to: str) -> dict[str, Any]:
     """Returns distance and aperture of a camera; the stage fixes the radius, not the f-number."""
-    focus, at = seen[0].focus, seen[0].path
+    focus, at = views[0].focus, views[0].path
     assert focus is not None, "a camera without depth of field"
     prim = UsdGeom.Camera(scene.stage.GetPrimAtPath(at))
     stop = values.number(prim.GetFStopAttr(), 1.0, Usd.TimeCode.EarliestTime())
@@ -123,7 +123,7 @@ def _focus(scene: Scene, seen: Seen, to: str) -> dict[str, Any]:
         why = f"sharp at {focus.distance_m:g} m, within its focal length of {focal_m:g} m"
         report.add(DROPPED, f"{at}.fStop", stop, "", why)
         return {}
-    constant = all(camera.focus == focus for camera in seen)
+    constant = all(camera.focus == focus for camera in views)
     note = "" if constant else "as it is at the first sample"
     fate = TRANSLATED if constant else APPROXIMATED
     report.add(fate, f"{at}.fStop", stop, f"{to}/focus", note)

@@ -43,7 +43,7 @@ def add_light(scene: Scene, sources: Sources) -> None:
     """Adds suns, the domes as one sky, and lamps; daylight where the stage has no light."""
     prims = light_prims(scene.stage)
     times = time_codes(scene.stage)
-    found: list[_Shining[Any]] = []
+    lights: list[_Shining[Any]] = []
     for prim in prims:
         column = light_over_time(prim, scene.frame, times, sources)
         shining = [i for i, one in enumerate(column) if one is not None and _strength(one) > 0.0]
@@ -55,14 +55,14 @@ def add_light(scene: Scene, sources: Sources) -> None:
         assert first is not None, "a light without strength"
         same = len(shining) == len(column) and all(_same(first, one) for one in column)
         notes = () if same else ("as it is at the first sample that it shines at",)
-        found.append(_Shining(str(prim.GetPath()), first, notes))
+        lights.append(_Shining(str(prim.GetPath()), first, notes))
     light: dict[str, Any] = {"sun": None, "sky": {"type": "none"}}
     scene.imported.cfg["light"] = light
-    suns = [one for one in found if isinstance(one.light, Sun)]
-    domes = [one for one in found if isinstance(one.light, Dome)]
+    suns = [one for one in lights if isinstance(one.light, Sun)]
+    domes = [one for one in lights if isinstance(one.light, Dome)]
     for one in suns:
         _add_sun(scene, light, one)
-    for one in found:
+    for one in lights:
         if isinstance(one.light, Lamp):
             _add_lamp(scene, light, one)
     if domes:
@@ -229,8 +229,8 @@ def _looked_up(picture: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray
     under = np.minimum(row + 1, height - 1)
 
     def texel(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.float64]:
-        found: NDArray[np.float64] = picture[i, j % width].astype(np.float64)
-        return found
+        value: NDArray[np.float64] = picture[i, j % width].astype(np.float64)
+        return value
 
     top = (1.0 - right) * texel(row, column) + right * texel(row, column + 1)
     bottom = (1.0 - right) * texel(under, column) + right * texel(under, column + 1)

@@ -112,23 +112,23 @@ class ModelFile:
             found.append(Piece(name, index, faces, tuple(kind), surface, area))
         return found
 
-    def _write(self, made: UsdGeom.Mesh, piece: Piece) -> None:
+    def _write(self, prim: UsdGeom.Mesh, piece: Piece) -> None:
         mesh = self._meshes[piece.mesh]
         faces = mesh.faces[piece.faces]
-        made.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(mesh.points))
-        made.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
-        made.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces).ravel()))
-        made.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(mesh.points))
+        prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+        prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces).ravel()))
+        prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
         normals = mesh.normals
         if normals is None:
             # Without any, a model is smooth where its edges are not sharp.
             normals = _crossed(mesh.points.astype(np.float64), faces).astype(np.float32)
-        made.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+        prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
         tokens = UsdGeom.Tokens
-        made.SetNormalsInterpolation(tokens.uniform if mesh.normals is None else tokens.vertex)
+        prim.SetNormalsInterpolation(tokens.uniform if mesh.normals is None else tokens.vertex)
         if mesh.uv is not None:
             uv = np.ascontiguousarray(mesh.uv[piece.faces].reshape(-1, 2))
-            primvar = UsdGeom.PrimvarsAPI(made).CreatePrimvar(
+            primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
             )
             primvar.Set(Vt.Vec2fArray.FromNumpy(uv))

@@ -82,8 +82,8 @@ def _moving_together(read: RenderScene, rows: Sequence[int]) -> list[list[int]]:
         poses = similar(at[..., :3])
         for theirs, first, group in groups:
             places = _inverted(theirs, at)
-            shown = _shown(at)
-            same = (shown == _shown(first)).all() and shown.any()
+            shown = _is_visible(at)
+            same = (shown == _is_visible(first)).all() and shown.any()
             if same and _equal(places[shown], places[int(np.argmax(shown))]):
                 group.append(row)
                 break
@@ -100,7 +100,7 @@ def _thing(scene: Scene, number: int, rows: Sequence[int], notes: tuple[str, ...
     at = np.stack(
         [_matrices(read, motion, r) if moves else read.rows.to_world[r][None] for r in rows]
     )
-    shown = _shown(at[0])
+    shown = _is_visible(at[0])
     if not shown.any():
         return None
     first = int(np.argmax(shown))
@@ -163,9 +163,9 @@ def _place(read: RenderScene, row: int) -> Matrices | None:
     return place if sizes[2] > 1e-9 * sizes[0] else None
 
 
-def _shown(at: Matrices) -> NDArray[np.bool_]:
-    shown: NDArray[np.bool_] = at[..., :3].any(axis=(-2, -1))
-    return shown
+def _is_visible(at: Matrices) -> NDArray[np.bool_]:
+    result: NDArray[np.bool_] = at[..., :3].any(axis=(-2, -1))
+    return result
 
 
 def _equal(many: Matrices, one: Matrices) -> bool:

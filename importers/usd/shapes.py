@@ -46,9 +46,9 @@ def add_shapes(scene: Scene, ground: str) -> None:
     chosen = _ground(scene, boxes, rows_of, ground)
     layer: dict[str, Any] = {"material": "ground"}
     cfg["terrain"]["ground"] = [layer]
-    beside: list[Placed] = []
+    extras: list[Placed] = []
     if chosen:
-        labels, beside = _mesh_ground(scene, materials, chosen, rows_of[chosen], boxes[chosen])
+        labels, extras = _mesh_ground(scene, materials, chosen, rows_of[chosen], boxes[chosen])
     else:
         labels = {}
         _plane(scene, list(boxes.values()))
@@ -56,21 +56,21 @@ def add_shapes(scene: Scene, ground: str) -> None:
     if labels := labels or scene.labels.of_class("ground"):
         layer["labels"] = labels
     taken = set(rows_of.get(chosen, ()))
-    if beside:
+    if extras:
         made = Thing(1, np.eye(4)[None], (), ())
-        _write(scene, materials, chosen, False, [(made, 0)], [beside])
+        _write(scene, materials, chosen, False, [(made, 0)], [extras])
     for members in _classes(scene, rows_of, boxes, chosen, taken):
         _add(scene, materials, members)
 
 
 def _origins(scene: Scene) -> dict[str, list[int]]:
     """Groups rows by the prim that they come from."""
-    found: dict[str, list[int]] = {}
+    rows_of: dict[str, list[int]] = {}
     first = 0
     for path, count in scene.read.origins:
-        found.setdefault(path, []).extend(range(first, first + count))
+        rows_of.setdefault(path, []).extend(range(first, first + count))
         first += count
-    return {path: rows for path, rows in found.items() if rows}
+    return {path: rows for path, rows in rows_of.items() if rows}
 
 
 def _box(scene: Scene, rows: Sequence[int]) -> _Box:
@@ -173,17 +173,17 @@ def _classes(
     rows_of: dict[str, list[int]],
     boxes: dict[str, _Box],
     ground: str,
-    taken: set[int],
+    used: set[int],
 ) -> list[Class]:
     """Groups rows into classes, in the order of the stage: those of instances by their ids."""
     read = scene.read
     ids = read.rows.instance_id.astype(np.int64)
     paths, bases = list(read.instance_paths), np.array([*read.instance_paths.values()], np.int64)
     groups = _groups([path for path, r in rows_of.items() if not ids[r].any()], boxes, ground)
-    found: dict[tuple[str, bool], Class] = {}
+    classes: dict[tuple[str, bool], Class] = {}
     for path, rows in rows_of.items():
         for row in rows:
-            if row in taken:
+            if row in used:
                 continue
             number = int(ids[row])
             if number:
@@ -193,9 +193,9 @@ def _classes(
                 owner, local = groups.get(path, path), 1
             else:
                 owner, local = path, row + 1
-            made = found.setdefault((owner, number > 0), Class(owner, number > 0))
+            made = classes.setdefault((owner, number > 0), Class(owner, number > 0))
             made.rows.setdefault(local, []).append(row)
-    return list(found.values())
+    return list(classes.values())
 
 
 def _groups(paths: Sequence[str], boxes: dict[str, _Box], ground: str) -> dict[str, str]:
@@ -274,14 +274,14 @@ def _write(
     own = [set(enumerate(piece.labels)) for piece in pieces]
     common = set.intersection(*own)
     labels = [dict(common).get(level, 0) for level in range(len(first.labels))]
-    made: dict[str, Any] = {
+    entry: dict[str, Any] = {
         "type": "placed",
         "models": [
             {"file": _file(scene), "part": scene.models.add(f"{name}_model", m)} for m in models
         ],
         "material": materials.name(first.surface),
     }
-    known[name] = made
+    known[name] = entry
     parts: dict[str, dict[str, Any]] = {}
     for piece in pieces:
         rule: dict[str, Any] = {}
@@ -293,16 +293,16 @@ def _write(
         if rule:
             parts[piece.name] = rule
     if parts:
-        made["parts"] = parts
+        entry["parts"] = parts
     if found := scene.labels.choice(labels) or scene.labels.of_class(name):
-        made["labels"] = found
+        entry["labels"] = found
     if not instances and scene.labels.authored:
-        made["instances"] = False
+        entry["instances"] = False
     notes = sorted({note for thing, _ in objects for note in thing.notes})
     exact = all("hidden by" in note for note in notes) and not evened
     if evened:
         notes.append(f"more than {_MOST_MODELS} shapes: uneven scales are evened out")
-    made |= _poses(scene, name, objects, notes) | {"heights": "world"}
+    entry |= _poses(scene, name, objects, notes) | {"heights": "world"}
     count = len(objects) if len(objects) > 1 else None
     fate = TRANSLATED if exact else APPROXIMATED
     scene.imported.report.add(fate, path, count, f"objects/{name}", "; ".join(notes))

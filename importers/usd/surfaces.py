@@ -77,7 +77,7 @@ class Materials:
         """Returns a surface's entries in a cfg but for its pictures, and what differs."""
         notes = []
         colors = [tidy(min(max(value, 0.0), 1.0)) for value in surface.base_color]
-        made: dict[str, Any] = {"base_color": colors}
+        numbers: dict[str, Any] = {"base_color": colors}
         if colors != [tidy(value) for value in surface.base_color]:
             notes.append("its color is clipped to [0, 1]")
         for key in _SHARES:
@@ -86,25 +86,25 @@ class Materials:
             if share != value:
                 notes.append(f"its {key} {value:g} is clipped to [0, 1]")
             if share or key in ("roughness", "specular"):
-                made[key] = tidy(share)
+                numbers[key] = tidy(share)
         if surface.emits:
-            made["emission"] = [tidy(value) for value in surface.emission]
+            numbers["emission"] = [tidy(value) for value in surface.emission]
         if surface.reflectance is not None:
             notes.append(f"Lambert's law in place of {surface.reflectance.model}")
         if surface.varies:
             notes.append("its variation is left out")
-        return made, notes
+        return numbers, notes
 
-    def _maps(self, name: str, described: Maps, made: dict[str, Any]) -> dict[str, Any]:
+    def _maps(self, name: str, described: Maps, numbers: dict[str, Any]) -> dict[str, Any]:
         """Makes the pictures of a material, on the mesh's texture coordinates.
 
-        A factor of a picture becomes a factor of ``made``; what a cfg cannot say becomes a picture.
+        A factor of a picture becomes a factor of ``numbers``; what a cfg cannot say, a picture.
         """
-        found: dict[str, Any] = {"projection": described.projection}
+        entry: dict[str, Any] = {"projection": described.projection}
         if described.projection != "uv":
-            found["size_m"] = described.size_m
+            entry["size_m"] = described.size_m
         if described.flip_green:
-            found["normal_convention"] = "directx"
+            entry["normal_convention"] = "directx"
         readings = dict(described.readings)
         for kind in maps.MAP_CHANNELS:
             file, reading = getattr(described, kind), readings.get(kind, _PLAIN)
@@ -113,18 +113,20 @@ class Materials:
             of_color = kind in maps.COLORS and reading == Reading(scale=reading.scale)
             most = 1.0 if kind == "base_color" else np.inf
             if of_color and all(0.0 <= factor <= most for factor in reading.scale):
-                made[kind] = [tidy(a * b) for a, b in zip(made[kind], reading.scale, strict=True)]
+                numbers[kind] = [
+                    tidy(a * b) for a, b in zip(numbers[kind], reading.scale, strict=True)
+                ]
                 reading = _PLAIN
             if reading == _PLAIN:
-                found[kind] = self._imported.refer(file)
+                entry[kind] = self._imported.refer(file)
             else:
                 write = _writer(file, kind, reading)
-                found[kind] = self._imported.make(f"{name}_{kind}.exr", write)
-        return found
+                entry[kind] = self._imported.make(f"{name}_{kind}.exr", write)
+        return entry
 
-    def _means(self, described: Maps, made: dict[str, Any]) -> dict[str, Any]:
+    def _means(self, described: Maps, numbers: dict[str, Any]) -> dict[str, Any]:
         """Returns numbers in place of pictures."""
-        found: dict[str, Any] = {}
+        means: dict[str, Any] = {}
         readings = dict(described.readings)
         for kind in ("base_color", "roughness", "metallic", "emission"):
             file: Path | None = getattr(described, kind)
@@ -132,10 +134,10 @@ class Materials:
                 continue
             mean = _values(file, kind, readings.get(kind, _PLAIN)).mean(axis=(0, 1)).tolist()
             if kind in maps.COLORS:
-                found[kind] = [tidy(a * b) for a, b in zip(made[kind], mean, strict=True)]
+                means[kind] = [tidy(a * b) for a, b in zip(numbers[kind], mean, strict=True)]
             else:
-                found[kind] = tidy(min(max(mean[0], 0.0), 1.0))
-        return found
+                means[kind] = tidy(min(max(mean[0], 0.0), 1.0))
+        return means
 
 
 def _writer(file: Path, kind: str, reading: Reading) -> Callable[[Path], object]:

@@ -91,7 +91,7 @@ def see(climbed: Sequence[Climbed]) -> Seen:
     return seen
 
 
-def rows(batch: str, climbed: Sequence[Climbed], seen: Seen) -> list[Row]:
+def rows(batch: str, climbed: Sequence[Climbed], references: Seen) -> list[Row]:
     """Every picture against its own backend's reference and those of all others with noise."""
     found = []
     for one in climbed:
@@ -106,7 +106,7 @@ def rows(batch: str, climbed: Sequence[Climbed], seen: Seen) -> list[Row]:
         for rung, denoised, repeat, shown in pictures:
             frame = shown.read()
             found += [
-                _row(batch, one, other.backend, rung, denoised, repeat, shown, frame, seen)
+                _row(batch, one, other.backend, rung, denoised, repeat, shown, frame, references)
                 for other in climbed
                 if other.stochastic
             ]
@@ -120,18 +120,20 @@ def _row(
     rung: Rung,
     denoised: bool,
     repeat: int,
-    shown: Shown,
+    frame_of: Shown,
     frame: Frame,
-    seen: Seen,
+    references: Seen,
 ) -> Row:
-    key = (against, shown.place)
-    found: Errors = errors(frame.passes["rgb"][seen.masks[shown.place]], seen.references[key])
-    map_ = flip(seen.frames[key], frame)
+    key = (against, frame_of.place)
+    result: Errors = errors(
+        frame.passes["rgb"][references.masks[frame_of.place]], references.references[key]
+    )
+    map_ = flip(references.frames[key], frame)
     record = frame.sidecar
     seconds = record.seconds or {}
     return Row(
         batch,
-        shown.place,
+        frame_of.place,
         one.backend,
         denoised,
         against,
@@ -139,18 +141,18 @@ def _row(
         repeat,
         record.samples_per_pixel or 0,
         float(seconds["radiance"]) + float(seconds.get("haze", 0.0)),
-        found.relative_ms,
-        found.relative_mse,
-        found.relative_mse_trimmed,
-        found.bias,
+        result.relative_ms,
+        result.relative_mse,
+        result.relative_mse_trimmed,
+        result.bias,
         None if map_ is None else float(map_.mean()),
-        seen.references[key].level_error / max(seen.references[key].level, 1e-30),
+        references.references[key].level_error / max(references.references[key].level, 1e-30),
         record.error.relative_rms,
         record.error.relative_rms_bound_95,
     )
 
 
-def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
+def floors(climbed: Sequence[Climbed], references: Seen) -> list[dict[str, Any]]:
     """Compares backends' references, pair by pair: differences that more samples leave.
 
     The noise of both is subtracted. Means over frames: ``relative_ms`` and ``relative_ms_error``
@@ -163,8 +165,8 @@ def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
             truth, judged = (one, other) if one.stochastic or not other.stochastic else (other, one)
             squares, scatter, weighed, biases, flips, own = [], [], [], [], [], []
             for shown in truth.references[0]:
-                r = seen.references[truth.backend, shown.place]
-                x = seen.references[judged.backend, shown.place]
+                r = references.references[truth.backend, shown.place]
+                x = references.references[judged.backend, shown.place]
                 both = Reference(r.mean, r.variance + x.variance)
                 of = errors(x.mean, both)
                 squares.append(of.relative_ms)
@@ -173,8 +175,8 @@ def floors(climbed: Sequence[Climbed], seen: Seen) -> list[dict[str, Any]]:
                 biases.append(of.bias)
                 own.append(float((r.variance + x.variance).mean()) / max(r.level, 1e-30) ** 2)
                 map_ = flip(
-                    seen.frames[truth.backend, shown.place],
-                    seen.frames[judged.backend, shown.place],
+                    references.frames[truth.backend, shown.place],
+                    references.frames[judged.backend, shown.place],
                 )
                 flips += [] if map_ is None else [float(map_.mean())]
             found.append(

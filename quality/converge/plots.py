@@ -22,24 +22,24 @@ _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 OWN, FLOOR = "convergence.png", "floor.png"
 
 
-def draw(folder: Path, found: ConvergeReport) -> list[Path]:
+def draw(folder: Path, report: ConvergeReport) -> list[Path]:
     """Both plots, as far as there is something in them.
 
     Raises:
         OutputError: One cannot be written.
     """
-    colors = {name: _COLORS[i % len(_COLORS)] for i, name in enumerate(found.backends)}
+    colors = {name: _COLORS[i % len(_COLORS)] for i, name in enumerate(report.backends)}
     made = []
-    own = [series for series in found.series if series.own]
+    own = [series for series in report.series if series.own]
     if own:
-        made.append(_save(folder / OWN, _own(own, colors)))
-    others = [series for series in found.series if not series.own]
+        made.append(_save(folder / OWN, _draw_series(own, colors)))
+    others = [series for series in report.series if not series.own]
     if others:
-        made.append(_save(folder / FLOOR, _floor(others, found, colors)))
+        made.append(_save(folder / FLOOR, _floor(others, report, colors)))
     return made
 
 
-def _own(series: Sequence[Series], colors: dict[str, str]) -> Figure:
+def _draw_series(series: Sequence[Series], colors: dict[str, str]) -> Figure:
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     figure.suptitle("Each backend's convergence to itself (mean and 95 % band of repeated seeds)")
     left, right = figure.subplots(1, 2, sharey=True)
@@ -58,7 +58,7 @@ def _own(series: Sequence[Series], colors: dict[str, str]) -> Figure:
     return figure
 
 
-def _floor(series: Sequence[Series], found: ConvergeReport, colors: dict[str, str]) -> Figure:
+def _floor(series: Sequence[Series], report: ConvergeReport, colors: dict[str, str]) -> Figure:
     truths = list(dict.fromkeys(one.against for one in series))
     figure = Figure(figsize=(5.5 * len(truths), 4.8), layout="constrained")
     figure.suptitle("The floor between backends: error against another's reference")
@@ -67,7 +67,7 @@ def _floor(series: Sequence[Series], found: ConvergeReport, colors: dict[str, st
         for one in series:
             if one.against == truth:
                 _curve(axes, one, "seconds", colors[one.backend], None)
-        for floor in found.floors:
+        for floor in report.floors:
             pair = {floor["backend"], floor["against"]}
             if truth in pair and floor["relative_rms"] is not None:
                 other = (pair - {truth}).pop()

@@ -23,32 +23,32 @@ NO_PLOTS = "no plots without matplotlib; mend it with: pip install 'scenec[plots
 NO_FLIP = "FLIP is not installed; mend it with: pip install 'scenec[flip]'"
 
 
-def write(folder: Path, found: ConvergeReport) -> None:
+def write(folder: Path, report: ConvergeReport) -> None:
     """Write tables and plots, and note what had to be left out.
 
     Raises:
         OutputError: A file cannot be written.
     """
-    found.notes += [line for series in found.series for line in findings(series)]
-    found.notes += against_plain(found.series)
-    found.notes += unseen_floors(found.floors)
-    if any(row.flip is None for row in found.rows):
-        found.notes.append(NO_FLIP)
+    report.notes += [line for series in report.series for line in findings(series)]
+    report.notes += against_plain(report.series)
+    report.notes += unseen_floors(report.floors)
+    if any(row.flip is None for row in report.rows):
+        report.notes.append(NO_FLIP)
     table = folder / CSV
     with atomic(table) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         names = [field.name for field in fields(Row)]
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(names)
-        writer.writerows(guarded_line(asdict(row).values()) for row in found.rows)
-    found.files.append(table)
+        writer.writerows(guarded_line(asdict(row).values()) for row in report.rows)
+    report.files.append(table)
     try:
         from scenec.quality.converge import plots
     except ImportError:
-        found.notes.append(NO_PLOTS)
+        report.notes.append(NO_PLOTS)
     else:
-        found.files += plots.draw(folder, found)
-    write_json(folder / JSON, found.as_json())
-    found.files.append(folder / JSON)
+        report.files += plots.draw(folder, report)
+    write_json(folder / JSON, report.as_json())
+    report.files.append(folder / JSON)
 
 
 def findings(series: Series) -> list[str]:
@@ -99,7 +99,7 @@ def unseen_floors(floors: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], seen: Seen) -> list[Path]:
+def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], references: Seen) -> list[Path]:
     """Pictures of differences, of the first frame.
 
     Each ladder's ends against its reference, and the references against each other;
@@ -111,7 +111,7 @@ def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], seen: Seen) -
     made = []
     for number, one in enumerate(climbed):
         place = one.references[0][0].place
-        reference = seen.frames[one.backend, place]
+        reference = references.frames[one.backend, place]
         ends = [one.rungs[0], one.rungs[-1]] if one.rungs else []
         for rung, denoised, repeats in ends:
             kind = "_denoised" if denoised else ""
@@ -119,7 +119,7 @@ def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], seen: Seen) -
             made.append(_differences(path, reference, repeats[0][0].read()))
         for other in climbed[number + 1 :]:
             path = folder / f"{batch}_{one.backend}_{other.backend}.png"
-            made.append(_differences(path, reference, seen.frames[other.backend, place]))
+            made.append(_differences(path, reference, references.frames[other.backend, place]))
     return made
 
 

@@ -93,13 +93,13 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
 
 
 def _add(
-    found: ConvergeReport,
+    report: ConvergeReport,
     one: Climbed,
-    seen: measure.Seen,
+    references: measure.Seen,
     ladder: Ladder,
 ) -> None:
-    noises = [seen.references[one.backend, shown.place] for shown in one.references[0]]
-    entry = found.backends.setdefault(
+    noises = [references.references[one.backend, shown.place] for shown in one.references[0]]
+    entry = report.backends.setdefault(
         one.backend,
         {
             "version": one.version,

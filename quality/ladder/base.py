@@ -75,7 +75,7 @@ class Base:
         return eyes_of(self.rigs)
 
     @cached_property
-    def _seen(self) -> State:
+    def _visible(self) -> State:
         return self._to(see_ground, self.plan)
 
     def _to(self, step: Callable[..., Any], plan: Plan) -> State:
@@ -85,19 +85,19 @@ class Base:
     @property
     def views(self) -> Views:
         """The views of the ground, which may hide behind hills."""
-        views: Views = self._seen["views"]
+        views: Views = self._visible["views"]
         return views
 
     @property
     def picture_views(self) -> tuple[Views, Views] | None:
         """The views of ground and of objects that say how fine pictures are; None: nothing does."""
-        views: tuple[Views, Views] | None = self._seen["color_views"]
+        views: tuple[Views, Views] | None = self._visible["color_views"]
         return views
 
     @property
     def near(self) -> NDArray[np.float64] | None:
         """Pixels of a meter at each sample of the grid; None without cameras."""
-        near: NDArray[np.float64] | None = self._seen["near"]
+        near: NDArray[np.float64] | None = self._visible["near"]
         return near
 
     @cached_property

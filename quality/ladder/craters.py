@@ -48,7 +48,7 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
         grid = window.grid(factor)
         clock = Clock()
         (field, shown, left_out), (size, triangles) = clock.mean(
-            partial(_made, base, found, grid, lift)
+            partial(_rung_of, base, found, grid, lift)
         )
         error = np.abs(field.height_at(x, y) - truth)
         details: dict[str, float | int | bool] = {"craters": shown, "craters_below_grid": left_out}
@@ -88,19 +88,19 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
     ]
 
 
-def _made(
-    base: Base, found: list[Craters], grid: Grid, lift: float
+def _rung_of(
+    base: Base, craters: list[Craters], grid: Grid, lift: float
 ) -> tuple[tuple[Surface, int, int], tuple[int, int]]:
     """The craters on a grid, and bytes and triangles of what the stage has of them."""
-    heights = _heights(found, grid)
+    heights = _heights(craters, grid)
     return heights, emitted(base, HeightField(grid, heights[0].field.height + lift))
 
 
-def _heights(found: list[Craters], grid: Grid) -> tuple[Surface, int, int]:
+def _heights(craters: list[Craters], grid: Grid) -> tuple[Surface, int, int]:
     """The craters on level ground; how many are shown, and how many are too narrow."""
     height = np.zeros(grid.shape)
     shown = left_out = 0
-    for one in found:
+    for one in craters:
         height, report = one.apply(grid, height)
         shown += int(report["craters"])
         left_out += int(report["craters_below_grid"])

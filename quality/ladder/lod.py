@@ -140,15 +140,13 @@ def _distances(chains: Sequence[Chain]) -> _Measured:
     return _Measured(worst, rms)
 
 
-def _rung(
-    base: Base, classes: Sequence[_Class], factor: float, largest: float, others: int
-) -> Rung:
+def _rung(base: Base, classes: Sequence[_Class], factor: float, largest: float, fixed: int) -> Rung:
     asked = [replace(one.levels, tolerance_px=factor * one.levels.tolerance_px) for one in classes]
     clock = Clock()
     most = base.plan.object_triangles
 
     def choose() -> tuple[float | None, list[tuple[Scatter, dict[str, Any]]]]:
-        budget = None if most is None else budget_factor(asked, most, others)
+        budget = None if most is None else budget_factor(asked, most, fixed)
         return budget, [choose_levels(levels, budget) for levels in asked]
 
     budget, chosen = clock.mean(choose)

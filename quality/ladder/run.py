@@ -80,7 +80,7 @@ def climb_base(
     base: Base, only: Sequence[str], rungs: int, say: Callable[[str], None] | None = None
 ) -> LadderReport:
     """The ladders of a scene that no output holds; arguments as of ``climb``."""
-    found: list[Ladder] = []
+    ladders: list[Ladder] = []
     absent: dict[str, str] = {}
     for name in only:
         if say is not None:
@@ -89,9 +89,9 @@ def climb_base(
         if isinstance(result, str):
             absent[name] = result
         else:
-            found.extend(result)
+            ladders.extend(result)
     plan = base.plan
-    return LadderReport(plan.name, base.seed, plan.batch, tuple(found), absent)
+    return LadderReport(plan.name, base.seed, plan.batch, tuple(ladders), absent)
 
 
 def _chosen(only: Sequence[str] | None) -> list[str]:

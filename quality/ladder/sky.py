@@ -42,7 +42,7 @@ _LEAST, _MOST = 8, 4096
 #: Blocks of directions whose sums say how far a sum errs.
 _BLOCKS = 8
 
-type _Made = Callable[[int], SkyAndSun]
+type _SkyOfRows = Callable[[int], SkyAndSun]
 
 
 def sky(base: Base, rungs: int) -> list[Ladder] | str:
@@ -109,7 +109,7 @@ def _clear(plan: ClearSky, sun: SunLight | None, rungs: int) -> Ladder:
     truth = clear_along(plan, sun, to, many)
     level = irradiance(clear_along(plan, sun, many, many), many)
 
-    def made(rows: int) -> SkyAndSun:
+    def build(rows: int) -> SkyAndSun:
         return replace(plan, resolution=rows).build(sun, 1)
 
     return Ladder(
@@ -120,7 +120,7 @@ def _clear(plan: ClearSky, sun: SunLight | None, rungs: int) -> Ladder:
         "even in solid angle above the horizon; errors of luminance over its mean",
         claim="none: report.json states no error of a clear sky",
         claim_of="rms",
-        rungs=tuple(_of_rows(_sizes(plan.resolution, rungs), made, to, truth, level)),
+        rungs=tuple(_of_rows(_sizes(plan.resolution, rungs), build, to, truth, level)),
         notes=("of the first sample's picture",),
     )
 
@@ -154,18 +154,18 @@ def _rows(plan: AtmosphereSky, sun: SunLight, rungs: int) -> Ladder:
 
 def _of_rows(
     sizes: list[tuple[int, bool]],
-    made: _Made,
+    build: _SkyOfRows,
     to: NDArray[np.float64],
     truth: NDArray[np.float64],
     level: tuple[float, float],
 ) -> list[Rung]:
     # A night without light is shown without error.
     mean = float(luminance(truth).mean()) or 1.0
-    _picture(made, sizes[0][0])
+    _picture(build, sizes[0][0])
     found = []
     for rows, used in sizes:
         clock = Clock()
-        (light, facts), size = clock.mean(partial(_picture, made, rows))
+        (light, facts), size = clock.mean(partial(_picture, build, rows))
         picture = light.pictures[light.texture[0]]
         assert not isinstance(picture, Path)
         away = np.abs(luminance(bilinear(picture, to) - truth)) / mean
@@ -198,11 +198,11 @@ def _of_rows(
     return found
 
 
-def off(found: float, truth: float) -> float:
+def off(value: float, truth: float) -> float:
     """Relative error of an irradiance; 1 where there is light and should be none."""
     if truth > 0.0:
-        return abs(found / truth - 1.0)
-    return 1.0 if found > 0.0 else 0.0
+        return abs(value / truth - 1.0)
+    return 1.0 if value > 0.0 else 0.0
 
 
 def irradiance(light: NDArray[np.float64], to: NDArray[np.float64]) -> tuple[float, float]:
@@ -224,9 +224,9 @@ def irradiance(light: NDArray[np.float64], to: NDArray[np.float64]) -> tuple[flo
     return level, error / level if level > 0.0 else 0.0
 
 
-def _picture(made: _Made, rows: int) -> tuple[tuple[SkyLight, dict[str, Any]], int]:
+def _picture(build: _SkyOfRows, rows: int) -> tuple[tuple[SkyLight, dict[str, Any]], int]:
     """A sky of so many rows, its facts, and its bytes in the stage."""
-    light, sun, facts = made(rows)
+    light, sun, facts = build(rows)
     assert light is not None
     return (light, facts), _bytes(light, sun)
 

@@ -58,8 +58,8 @@ def bilinear(picture: NDArray, to: NDArray[np.float64]) -> NDArray[np.float64]:
     texels = picture.astype(np.float64)
     upper = texels[j, i] + s * (texels[j, right] - texels[j, i])
     lower = texels[below, i] + s * (texels[below, right] - texels[below, i])
-    found: NDArray[np.float64] = upper + t * (lower - upper)
-    return found
+    result: NDArray[np.float64] = upper + t * (lower - upper)
+    return result
 
 
 def atmosphere_along(

@@ -70,13 +70,13 @@ def slope(cost: Sequence[float], error: Sequence[float]) -> Slope | None:
     return found if math.isfinite(exponent) else None
 
 
-def slope_text(over: str, found: Slope | None) -> str:
+def slope_text(over: str, fitted: Slope | None) -> str:
     """A slope in words."""
-    if found is None:
+    if fitted is None:
         return f"does not go with {over}: they hardly differ, or there is no error"
-    text = f"~ {over}^{-found.exponent:.2f} "
-    text += f"(from {-found.low:.2f} to {-found.high:.2f} between rungs, "
-    text += f"errors {found.error_from:.2g} to {found.error_to:.2g}): "
-    if found.halving is None:
+    text = f"~ {over}^{-fitted.exponent:.2f} "
+    text += f"(from {-fitted.low:.2f} to {-fitted.high:.2f} between rungs, "
+    text += f"errors {fitted.error_from:.2g} to {fitted.error_to:.2g}): "
+    if fitted.halving is None:
         return text + f"{over} do not buy it"
-    return text + f"half the error costs {found.halving:.3g} times the {over}"
+    return text + f"half the error costs {fitted.halving:.3g} times the {over}"

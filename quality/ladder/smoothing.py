@@ -205,11 +205,11 @@ def _rung(
     """One run of an operator, held against heights at its samples but for a border."""
     clock = Clock()
 
-    def made() -> tuple[_Field, tuple[int, int]]:
+    def applied_at() -> tuple[_Field, tuple[int, int]]:
         applied = apply(grid, height)
         return applied, emitted(base, HeightField(grid, applied[0]))
 
-    (out, report), (size, triangles) = clock.mean(made)
+    (out, report), (size, triangles) = clock.mean(applied_at)
     x, y = grid.points()
     inside = (np.abs(x) <= 0.5 * grid.size_m[0] - border) & (
         np.abs(y) <= 0.5 * grid.size_m[1] - border

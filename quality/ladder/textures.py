@@ -121,11 +121,13 @@ def _tiles(base: Base) -> tuple[Tile, ...]:
     return base.tiles
 
 
-def _pictures(materials: dict[str, MaterialPlan], seen: dict[str, Footprint]) -> list[_Picture]:
+def _pictures(
+    materials: dict[str, MaterialPlan], footprints: dict[str, Footprint]
+) -> list[_Picture]:
     """Pictures of colors that a camera sees and that the compiler may make smaller."""
     found = []
     for name, drawn in materials.items():
-        if seen[name].seen <= 0.0 or (drawn.sources and drawn.sources.as_is):
+        if footprints[name].seen <= 0.0 or (drawn.sources and drawn.sources.as_is):
             continue
         made, _ = baked(with_pictures(drawn)[0], drawn.sources)
         source = made.maps.files.get("base_color") if made.maps is not None else None
@@ -133,7 +135,7 @@ def _pictures(materials: dict[str, MaterialPlan], seen: dict[str, Footprint]) ->
             continue
         planes = colors(source)
         high, wide = stored(source).shape[:2]
-        pixels = seen[name].seen
+        pixels = footprints[name].seen
         mean = float(luminance(planes.astype(np.float64)).mean())
         found.append(
             _Picture(
@@ -141,7 +143,7 @@ def _pictures(materials: dict[str, MaterialPlan], seen: dict[str, Footprint]) ->
                 made,
                 source,
                 pixels,
-                halvings(high, wide, seen[name].counted),
+                halvings(high, wide, footprints[name].counted),
                 _through(planes, pixels) / mean,
                 mean,
             )

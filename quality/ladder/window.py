@@ -81,5 +81,5 @@ def in_pixels(
 ) -> NDArray[np.float64]:
     """Errors of height at points of the terrain, in pixels of the view that shows them largest."""
     z = base.surface.field.height_at(x, y)
-    shown: NDArray[np.float64] = error * base.pixels(np.stack([x, y, z], axis=1))
-    return shown
+    result: NDArray[np.float64] = error * base.pixels(np.stack([x, y, z], axis=1))
+    return result

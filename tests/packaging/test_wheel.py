@@ -44,8 +44,8 @@ KERNEL = """
 from scenec.schemas import kernels
 from scenec.compiler.arithmetic.elementary import exp
 loaded = []
-load = kernels._Kept.load_overload
-kernels._Kept.load_overload = lambda *given: loaded.append(load(*given)) or loaded[-1]
+load = kernels._FileCache.load_overload
+kernels._FileCache.load_overload = lambda *given: loaded.append(load(*given)) or loaded[-1]
 print(float(exp(0.3)).hex(), all(loaded))
 """
 

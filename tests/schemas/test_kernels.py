@@ -31,8 +31,8 @@ from scenec.schemas import kernels
 kernels.SHIPPED = Path("/dev/null/nowhere")
 from scenec.compiler.arithmetic.elementary import exp
 loaded = []
-load = kernels._Kept.load_overload
-kernels._Kept.load_overload = lambda *given: loaded.append(load(*given)) or loaded[-1]
+load = kernels._FileCache.load_overload
+kernels._FileCache.load_overload = lambda *given: loaded.append(load(*given)) or loaded[-1]
 assert "numba" not in sys.modules
 print(float(exp(1.0)).hex(), [each is not None for each in loaded])
 """
