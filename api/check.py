@@ -19,7 +19,7 @@ from scenec.backends.check.compare import (
 )
 from scenec.backends.check.files import check_files
 from scenec.backends.check.finding import Finding
-from scenec.backends.check.frames import check_frames, check_scans, sensors_found
+from scenec.backends.check.frames import check_frames, check_scans, sensors_with_frames
 from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.registry import require_name
@@ -179,7 +179,7 @@ def find(out: Path, allow_missing: bool = False) -> list[Finding]:
     if out.is_dir():
         findings.extend(check_files(out, read_manifest(out)))
     batches = find_batches(out)
-    found = sensors_found(batches) if out.is_dir() else None
+    found = sensors_with_frames(batches) if out.is_dir() else None
     for batch in batches:
         findings.extend(check_stage(batch.stage))
         digest = firing = scanning = None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.api.options import ExportOptions
-from scenec.backends.model.collect import whole_model
+from scenec.backends.model.collect import full_model
 from scenec.backends.stage.read import read_stage
 from scenec.datasets.models import TEXELS
 from scenec.datasets.models.gltf import Written, write_gltf
@@ -115,7 +115,7 @@ def _texels(settings: Sequence[str]) -> int:
 
 
 def _write(name: str, batch: Batch, file: Path, texels: int) -> Written:
-    model = whole_model(read_stage(batch.stage), batch.name, texels=texels)
+    model = full_model(read_stage(batch.stage), batch.name, texels=texels)
     if name == "gltf":
         return write_gltf(model, file)
     return write_usdz(model, batch.stage, file)

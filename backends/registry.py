@@ -17,7 +17,7 @@ from typing import Any
 from scenec.backends.contract import Backend, completed
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
-from scenec.schemas.plugins import entry_points_of, load, names_of, offered, origin, told
+from scenec.schemas.plugins import entry_points_of, error_line, load, names_of, offered, origin
 
 GROUP = "scenec.backends"
 
@@ -150,5 +150,5 @@ def _target(name: str) -> tuple[Callable[[], Any], str]:
 
 
 def _not_imported(name: str, error: Exception, mend: str) -> BackendError:
-    why = str(error) if name in BUILT_IN else told(error)
+    why = str(error) if name in BUILT_IN else error_line(error)
     return BackendError(f"backend {name} cannot be imported ({why}). Mend it with: {mend}")

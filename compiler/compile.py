@@ -19,7 +19,7 @@ from scenec.compiler.output import Output, locked
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
-from scenec.schemas.strays import cut_short, stray_scans, strays, told
+from scenec.schemas.strays import cut_short, stray_line, stray_scans, strays
 from scenec.schemas.units import Executor, Keeper, LocalExecutor, Outcome, Unit, run_all
 
 Tell = Callable[[str, tuple[int, int] | None], None]
@@ -262,7 +262,7 @@ def _strays(folder: Path, compiled: Compiled) -> list[str]:
     """A line about frames and scans that are none of this stage's, if there are any."""
     found = list(strays(folder, compiled.cameras))
     found += stray_scans(folder, compiled.lidars)
-    return [told(found)] if found else []
+    return [stray_line(found)] if found else []
 
 
 def _chosen(spec: Spec, batches: range | None) -> range:

@@ -53,7 +53,7 @@ from scenec.schemas.manifest import (
 from scenec.schemas.materialx import LAYER_SUFFIX
 from scenec.schemas.scans import SCANS
 from scenec.schemas.strays import count_rendered, rendered_files
-from scenec.schemas.update import finish_own_update, replace_files
+from scenec.schemas.update import finish_locked_update, replace_files
 from scenec.schemas.versions import version_of
 
 #: Whose version can change the bytes of the output.
@@ -79,7 +79,7 @@ def locked(out: Path) -> Iterator[None]:
             except OSError as error:
                 raise OutputError(f"{out}: cannot be written: {error.strerror}") from error
             stack.enter_context(Lock(out / LOCK))
-            finish_own_update(out)
+            finish_locked_update(out)
             sweep([out])
             yield
     finally:

@@ -222,7 +222,7 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
             "folder with -o"
         )
     written = read_export(path)
-    if written["key"] == plan.whole_key() and not _mended(plan, written["faults"]):
+    if written["key"] == plan.full_key() and not _mended(plan, written["faults"]):
         # A run that was killed after its last step left it.
         shutil.rmtree(_partial(plan), ignore_errors=True)
         report = ExportReport(folder, plan.format_name, there=True)
@@ -377,7 +377,7 @@ def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[
     choice = plan.choice
     return {
         "export": EXPORT_VERSION,
-        "key": plan.whole_key(),
+        "key": plan.full_key(),
         **plan.key(),
         "source": plan.origin(),
         "backend": plan.source.backend,

@@ -12,7 +12,7 @@ from typing import Any
 from scenec.datasets.filters import Filters, make_filters
 from scenec.datasets.formats.contract import Format, Info, Task
 from scenec.datasets.formats.registry import find_format, origin_of
-from scenec.datasets.pictures import kinds, taken
+from scenec.datasets.pictures import is_from_sensor, kinds
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source, one_of_each
 from scenec.datasets.splits import assign
@@ -160,7 +160,7 @@ class Plan:
         }
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
-    def whole_key(self) -> str:
+    def full_key(self) -> str:
         """sha256 over all that decides the dataset's files."""
         values = {**self.key(), "origin": self.origin(), "cfg": self.cfg()}
         state = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
@@ -250,7 +250,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         filters=tuple(map(str, choice.filters.conditions)),
         beside=tuple(kind for kind in BESIDE if kind in beside),
         anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),
-        imaging=any(map(taken, cameras)),
+        imaging=any(map(is_from_sensor, cameras)),
     )
     if folder is None:
         base = out if out.is_dir() else out.parent

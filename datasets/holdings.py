@@ -16,7 +16,7 @@ from scenec.schemas.spelling import shown
 _NUMBERS = ("id", "image_id", "category_id")
 
 
-def settings_apart(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[str]:
+def setting_differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[str]:
     """Yields a line for each setting by which two datasets hold other things.
 
     Args:
@@ -48,7 +48,7 @@ def _neutral(name: str) -> set[str]:
     return {key for key, option in options.items() if option.neutral}
 
 
-def coco_apart(first: Path, second: Path, masks: bool) -> Iterator[str]:
+def coco_differences(first: Path, second: Path, masks: bool) -> Iterator[str]:
     """Yields a line for each image whose annotations differ between two COCO datasets.
 
     Args:

@@ -21,7 +21,7 @@ from scenec.datasets.source import LoadedFrame
 from scenec.schemas.codec import JSON, UNSET, encode
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
-from scenec.schemas.frames import Frame, beside_path
+from scenec.schemas.frames import Frame, extra_picture_path
 from scenec.schemas.picture import develop
 from scenec.schemas.records import FileDigest, FrameRecord
 
@@ -44,7 +44,7 @@ def picture(frame: LoadedFrame | Frame) -> NDArray[np.uint8]:
     """
     stem, sidecar = _stem(frame), frame.sidecar
     path = stem.with_suffix(".png")
-    if sidecar.png and (path.is_file() or taken(sidecar)):
+    if sidecar.png and (path.is_file() or is_from_sensor(sidecar)):
         pixels: NDArray[np.uint8] = _read(path, sidecar, "RGB")
         return pixels
     if "rgb" not in frame.passes:
@@ -57,7 +57,7 @@ def has_picture(frame: LoadedFrame | Frame) -> bool:
     return frame.sidecar.png or "rgb" in frame.passes
 
 
-def taken(record: FrameRecord) -> bool:
+def is_from_sensor(record: FrameRecord) -> bool:
     """Whether the picture is a sensor's (``imaging``), and so more than radiance developed."""
     return record.imaging is not None
 
@@ -92,16 +92,16 @@ def beside(frame: LoadedFrame | Frame, kind: str) -> NDArray[Any]:
     Raises:
         FrameError: It has none, or the file is not the one that its sidecar names.
     """
-    return _read(beside_file(frame, kind), frame.sidecar, "I;16" if kind == "raw" else "RGB")
+    return _read(extra_picture_file(frame, kind), frame.sidecar, "I;16" if kind == "raw" else "RGB")
 
 
-def beside_file(frame: LoadedFrame | Frame, kind: str) -> Path:
+def extra_picture_file(frame: LoadedFrame | Frame, kind: str) -> Path:
     """The file of a picture beside the picture, held against the sidecar's checksum.
 
     Raises:
         FrameError: It has none, or the file is not the one that its sidecar names.
     """
-    path = beside_path(_stem(frame), kind)
+    path = extra_picture_path(_stem(frame), kind)
     digest = _digests(frame.sidecar).get(kind)
     if digest is None:
         raise FrameError(f"{path}: its sensor was not asked for it (imaging, {kind!r})")
@@ -129,7 +129,7 @@ def vouch(frame: LoadedFrame, held: Collection[str]) -> None:
     """
     for kind in kinds(frame.sidecar):
         if kind in held:
-            beside_file(frame, kind)
+            extra_picture_file(frame, kind)
     if frame.png is not None:
         with _opened(frame.png, frame.sidecar) as image:
             image.verify()

@@ -166,7 +166,7 @@ def _log(rerun: ModuleType, stream: Any, entity: str, frame: LoadedFrame) -> Non
         if kind == "raw":
             stream.log(f"{entity}/{kind}", rerun.Image(pictures.beside(frame, kind), "L"))
         else:
-            content = file_bytes(pictures.beside_file(frame, kind))
+            content = file_bytes(pictures.extra_picture_file(frame, kind))
             stream.log(f"{entity}/{kind}", _png(rerun, content))
     if "depth" in passes:
         depth = np.where(np.isfinite(passes["depth"]), passes["depth"], 0.0).astype(np.float32)

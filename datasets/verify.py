@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.export import CARD, INDEX, STATISTICS
 from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, read_export
-from scenec.datasets.holdings import coco_apart, settings_apart
+from scenec.datasets.holdings import coco_differences, setting_differences
 from scenec.datasets.source import Source
 from scenec.datasets.sums import SUMS, read_sums
 from scenec.schemas.csv_cells import unguarded
@@ -54,7 +54,7 @@ class Flaw:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ComparedFrame:
     """A frame, as far as it is compared.
 
     Attributes:
@@ -193,14 +193,14 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
             _compare_pictures(one[name], two[name], found)
     if all(map(is_dataset, (first, second))):
         summaries = [_summary(folder) for folder in (first, second)]
-        found.held += settings_apart(*summaries)
+        found.held += setting_differences(*summaries)
         if [one["format"] for one in summaries] == ["coco", "coco"]:
             kinds = {one["options"].get("segmentation", "rle") for one in summaries}
-            found.held += coco_apart(first, second, len(kinds) == 1)
+            found.held += coco_differences(first, second, len(kinds) == 1)
     return found
 
 
-def _differences(name: str, one: Seen, two: Seen) -> Iterator[str]:
+def _differences(name: str, one: ComparedFrame, two: ComparedFrame) -> Iterator[str]:
     """Yields in what two sides differ of a frame."""
     if one.instances != two.instances:
         yield f"{name}: {one.instances:,} against {two.instances:,} instances"
@@ -292,12 +292,14 @@ def _backend(folder: Path) -> str | None:
     return str(_summary(folder).get("backend")) if is_dataset(folder) else None
 
 
-def _frames(folder: Path, backend: str | None, comparison: Comparison, say: Say) -> dict[str, Seen]:
+def _frames(
+    folder: Path, backend: str | None, comparison: Comparison, say: Say
+) -> dict[str, ComparedFrame]:
     """Frames by name, in order."""
     if is_dataset(folder):
         files = {digest: folder / name for name, digest in _sums(folder, []).items()}
         return {
-            line["frame"]: Seen(
+            line["frame"]: ComparedFrame(
                 line["annotation_sha256"],
                 line["picture_sha256"],
                 files.get(line["picture_sha256"]),
@@ -316,7 +318,7 @@ def _frames(folder: Path, backend: str | None, comparison: Comparison, say: Say)
     if backend in source.backends and backend != source.backend:
         source = Source(folder, backend)
     say(f"{folder}: {len(source)} frames of {source.backend}")
-    frames: dict[str, Seen] = {}
+    frames: dict[str, ComparedFrame] = {}
     for ref in source.frames:
         try:
             frame = source.load(ref)
@@ -325,7 +327,7 @@ def _frames(folder: Path, backend: str | None, comparison: Comparison, say: Say)
             continue
         png = frame.png
         at_hand = png is not None and png.is_file()
-        frames[ref.name] = Seen(
+        frames[ref.name] = ComparedFrame(
             frame.annotation_digest(),
             frame.picture_digest if at_hand else "",
             png if at_hand else None,
@@ -335,7 +337,7 @@ def _frames(folder: Path, backend: str | None, comparison: Comparison, say: Say)
     return frames
 
 
-def _compare_pictures(one: Seen, two: Seen, comparison: Comparison) -> None:
+def _compare_pictures(one: ComparedFrame, two: ComparedFrame, comparison: Comparison) -> None:
     if not one.picture and not two.picture:
         return
     if one.picture == two.picture:

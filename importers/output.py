@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from scenec.compiler.cfg.load import load
-from scenec.importers.made import Writer
 from scenec.importers.report import Report
+from scenec.importers.writers import Writer
 from scenec.schemas.errors import CfgError, Fault, OutputError
 from scenec.schemas.files import as_json, atomic, check_output, temporary_folder
 

@@ -106,11 +106,11 @@ def decode[T](value: Any, kind: type[T], error: type[ScenecError], where: str) -
         ScenecError: It is none, as the given class: ``<where>: <pointer>: <what is wrong>``.
     """
     try:
-        made: T = _reader(cast(Hashable, kind))(value)
+        decoded: T = _reader(cast(Hashable, kind))(value)
     except _MismatchError as fault:
         place = "".join(f"/{escaped(part)}" for part in reversed(fault.place))
         raise error(f"{where}: {place or '/'}: {fault.text}") from None
-    return made
+    return decoded
 
 
 def encode(value: Any) -> Any:
@@ -255,10 +255,10 @@ def _record(kind: Any) -> Callable[[Any], Any]:
 
 
 def _expected(expected: str, value: Any) -> _MismatchError:
-    return _MismatchError(f"expected {expected}, not {told(value)}")
+    return _MismatchError(f"expected {expected}, not {value_text(value)}")
 
 
-def told(value: Any) -> str:
+def value_text(value: Any) -> str:
     """Returns a JSON value for messages."""
     return NAMES[type(value)] if isinstance(value, dict | list) else shown(value)
 

@@ -121,7 +121,7 @@ def writers_besides(status: os.stat_result) -> str | None:
 def refused_folder(folder: Path) -> str | None:
     """Says why nothing that can hold code is to be read from a folder, or written to it.
 
-    None: it is this user's alone, or not there yet (``make_own_folder``). A folder of this user
+    None: it is this user's alone, or not there yet (``make_private_folder``). A folder of this user
     that a group can write to, as the usual umask of some systems makes it, becomes its user's own.
     """
     try:
@@ -134,7 +134,7 @@ def refused_folder(folder: Path) -> str | None:
         return None
 
 
-def make_own_folder(folder: Path) -> None:
+def make_private_folder(folder: Path) -> None:
     """Makes a folder, and those above it that lack, that no other user can read or write.
 
     Raises:

@@ -235,7 +235,7 @@ def base_iso(imaging: Imaging) -> float:
     return electrons_per_lux_second(imaging) * SATURATION_LUX_S / imaging.full_well_e
 
 
-def shown_per_value(f_number: float, time_s: float, iso: float, white: float) -> float:
+def displayed_per_value(f_number: float, time_s: float, iso: float, white: float) -> float:
     """Returns the displayed value of a value of 1: 2**exposure_ev.
 
     Args:
@@ -259,7 +259,7 @@ def time_and_iso(
 
     The lowest speed is kept while the time is within its limits.
     """
-    product = displayed / shown_per_value(f_number, 1.0, 1.0, white)
+    product = displayed / displayed_per_value(f_number, 1.0, 1.0, white)
     time_s = product / isos[0]
     if times[0] <= time_s <= times[1]:
         return time_s, isos[0]

@@ -35,7 +35,7 @@ from threading import RLock, current_thread, get_ident, main_thread
 from types import BuiltinFunctionType, CodeType, FrameType, FunctionType, ModuleType
 from typing import Any, ClassVar
 
-from scenec.schemas.files import make_own_folder, refused_folder
+from scenec.schemas.files import make_private_folder, refused_folder
 
 #: Compiled kernels that came with the package.
 SHIPPED = Path(__file__).resolve().parent / "compiled"
@@ -566,7 +566,7 @@ class _FileCache:
         if folder is None:
             return
         try:
-            make_own_folder(folder)
+            make_private_folder(folder)
             name = self._name(signature, result.codegen)
             path = folder / f".{name}-{os.getpid()}-{get_ident()}"
             path.write_bytes(hashlib.sha256(data).digest() + data)

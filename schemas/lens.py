@@ -449,7 +449,7 @@ def to_pixels(k: Array, plane: Array) -> Array:
     return np.stack([k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]], axis=1)
 
 
-def shown_at(lens: Lens | None, k: Array, points: Array) -> Array:
+def pixels_at(lens: Lens | None, k: Array, points: Array) -> Array:
     """Pixels of points in a camera's frame, float64 [n, 2], by K [3, 3]; NaN where none."""
     plane, shown = project(lens, points)
     plane[~shown] = np.nan

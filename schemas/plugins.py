@@ -86,7 +86,7 @@ def named(group: str, name: str) -> str:
 
 
 def load(point: EntryPoint) -> Any:
-    """Loads an entry point's object; its exceptions are another package's, see ``told``."""
+    """Loads an entry point's object; its exceptions are another package's, see ``error_line``."""
     # First: what is stated is what runs.
     _code_of(point)
     who = point.dist.name if point.dist else point.module
@@ -126,10 +126,10 @@ def load_offered(group: str, name: str, title: str, kind: type[ScenecError]) -> 
     try:
         return load(point), who
     except Exception as error:
-        raise kind(f"{who}: cannot be imported: {told(error)}") from error
+        raise kind(f"{who}: cannot be imported: {error_line(error)}") from error
 
 
-def told(error: BaseException) -> str:
+def error_line(error: BaseException) -> str:
     """Describes an error of another package's code, and where in it it was raised, in a line."""
     text, found = _text(error), _raised_in(error)
     said = f"{type(error).__name__}{text and f': {text}'}"
@@ -159,7 +159,7 @@ def blaming(what: str = "", kind: type[ScenecError] = PluginError) -> Iterator[N
         if found is None:
             raise
         before = f"{what}: " if what else ""
-        raise kind(f"{before}plug-in {_loaded[found[0]]}: {told(error)}") from error
+        raise kind(f"{before}plug-in {_loaded[found[0]]}: {error_line(error)}") from error
 
 
 def _text(error: BaseException) -> str:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scenec.schemas.codec import NAMES, escaped, is_number, told
+from scenec.schemas.codec import NAMES, escaped, is_number, value_text
 from scenec.schemas.codec import natural as natural
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import read_json
@@ -78,7 +78,7 @@ def _fault(value: Any, shape: Any, at: str) -> str | None:
         inner = ((f"{at}/{i}", value[i], one) for i, one in enumerate(shapes))
     else:
         expected = _expected(value, shape)
-        return expected and f"{at or '/'}: expected {expected}, not {told(value)}"
+        return expected and f"{at or '/'}: expected {expected}, not {value_text(value)}"
     return next((fault for place, v, s in inner if (fault := _fault(v, s, place))), None)
 
 

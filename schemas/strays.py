@@ -56,7 +56,7 @@ def stray_scans(folder: Path, firing: Firing) -> Iterator[Stray]:
     yield from _astray((folder / SCANS).glob("*/*.json"), firing, "lidar")
 
 
-def told(strays: Sequence[Stray]) -> str:
+def stray_line(strays: Sequence[Stray]) -> str:
     """A line about some, at least one.
 
     Args:

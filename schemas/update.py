@@ -79,7 +79,7 @@ def finish_update(root: Path) -> None:
     """
     if (root / UPDATE).is_dir():
         with Lock(root / LOCK):
-            finish_own_update(root)
+            finish_locked_update(root)
     sweep([root])
 
 
@@ -102,7 +102,7 @@ def reading(out: Path) -> Iterator[None]:
         yield
 
 
-def finish_own_update(root: Path) -> None:
+def finish_locked_update(root: Path) -> None:
     """The same for who holds the folder's lock."""
     if not (root / UPDATE).is_dir():
         return

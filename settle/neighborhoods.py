@@ -18,7 +18,7 @@ MOST_RATIO = 100.0
 _WIDER = 2.0
 
 
-def fall_apart(
+def fall_in_groups(
     bodies: Sequence[Body],
     obstacles: Sequence[Body],
     surface: Surface,

@@ -24,7 +24,7 @@ from scenec.schemas.files import check_output
 from scenec.schemas.spelling import nearest, shown
 from scenec.schemas.versions import version_of
 from scenec.settle.bodies import Body, bodies_of
-from scenec.settle.neighborhoods import fall_apart
+from scenec.settle.neighborhoods import fall_in_groups
 from scenec.settle.table import write_poses
 from scenec.settle.world import Fallen, Options, clearance_m, physics
 
@@ -140,7 +140,7 @@ def settle(
     ]
     built = time.perf_counter()
     say(f"dropping {len(bodies)} objects")
-    fallen = fall_apart(bodies, obstacles, surface, options, say)
+    fallen = fall_in_groups(bodies, obstacles, surface, options, say)
     settled = [body for group in fallen for body in group.bodies]
     report = _report(files, settled, fallen, surface, built - started, time.perf_counter() - built)
     made_by = (

@@ -83,7 +83,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class Kept:
+class Retained:
     """Holds how much of a batch is in its stage: (in it, of how much)."""
 
     instances: tuple[int, int]
@@ -143,7 +143,9 @@ def left_out_of(report: Mapping[str, Any], rates: Rates | None = None) -> list[L
     return sorted(found, key=lambda one: (-(one.seconds or 0.0), -one.weight, -one.instances))
 
 
-def kept_of(report: Mapping[str, Any], contents: StageContents, left: Sequence[LeftOut]) -> Kept:
+def retained_of(
+    report: Mapping[str, Any], contents: StageContents, left: Sequence[LeftOut]
+) -> Retained:
     """Measures how much of a batch is in its stage.
 
     Args:
@@ -152,7 +154,7 @@ def kept_of(report: Mapping[str, Any], contents: StageContents, left: Sequence[L
         left: What is not in it.
     """
     instances, triangles, written = contents.instances, contents.triangles, int(report["bytes"])
-    return Kept(
+    return Retained(
         (instances, instances + sum(one.instances for one in left)),
         (triangles, triangles + sum(one.triangles for one in left)),
         (written, written + sum(one.bytes for one in left)),

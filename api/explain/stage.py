@@ -62,12 +62,12 @@ class StageContents:
     Attributes:
         tiles: Triangles of each tile of the terrain, by prim name.
         classes: By name, in the stage's order.
-        asks_ids: Whether a camera asks for instances.
+        needs_ids: Whether a camera asks for instances.
     """
 
     tiles: dict[str, int]
     classes: dict[str, ClassContents]
-    asks_ids: bool
+    needs_ids: bool
 
     @property
     def instances(self) -> int:

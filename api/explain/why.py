@@ -165,7 +165,7 @@ class _BatchIndex:
     def has_ids(self) -> bool:
         """Whether frames have instance ids, though every class may be pruned whole."""
         based = any(one.base is not None for one in self.contents.classes.values())
-        return based or self.contents.asks_ids
+        return based or self.contents.needs_ids
 
     def place(self, name: str, local_id: int) -> int | None:
         """Index of an instance in its class; None where it is not in the stage."""

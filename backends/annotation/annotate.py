@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import Pass, Picture, View
-from scenec.backends.annotation.instances import Instances, Seen
+from scenec.backends.annotation.instances import FrameInstances, Instances
 from scenec.backends.annotation.registry import select
 from scenec.backends.camera.rays import camera_rays, ray_down
 from scenec.backends.camera.tiles import bands
@@ -38,7 +38,7 @@ class Annotation:
     """
 
     arrays: dict[str, NDArray[Any]]
-    seen: Seen | None
+    seen: FrameInstances | None
     height_m: float | None
     sky: tuple[int, int] | None = None
     hits: Hits | None = None

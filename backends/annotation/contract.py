@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.instances import Instances, Seen
+from scenec.backends.annotation.instances import FrameInstances, Instances
 from scenec.backends.camera.shutter import is_rolling
 from scenec.backends.contract import Rays
 from scenec.backends.exact.caster import ExactCaster, Hits
@@ -111,7 +111,7 @@ class Picture(View):
         self._made[make][pixels] = values
 
     @cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> FrameInstances:
         """Returns the picture's table of instances, and amodal masks if they were requested."""
         camera, hits = self.camera, self.hits
         # A pinhole's rays need not be made: their parameter is depth.

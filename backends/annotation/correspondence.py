@@ -29,7 +29,7 @@ from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.correspondence import HIDDEN, NOTHING, OUTSIDE, VISIBLE
 from scenec.schemas.errors import CameraRefusedError
-from scenec.schemas.lens import shown_at
+from scenec.schemas.lens import pixels_at
 
 #: Share of the distance within which a hit is the surface that was asked for.
 _SAME = 1e-6
@@ -87,7 +87,7 @@ def match(
     target = np.where(hit[:, None], moved, origins + rays.directions)
     if not is_rolling(other):
         seen = _to_camera(other, target)
-        pixel = shown_at(other.lens, other.intrinsics, seen)
+        pixel = pixels_at(other.lens, other.intrinsics, seen)
     # Pixels beyond a lens's circle show nothing that could be elsewhere.
     if rays.known is not None:
         gone |= ~rays.known

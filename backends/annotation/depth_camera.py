@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scenec.backends.annotation.contract import Picture, built_in
 from scenec.backends.annotation.correspondence import match_picture
 from scenec.backends.annotation.passes import depth, distance, normal
-from scenec.backends.camera.shutter import beside
+from scenec.backends.camera.shutter import shifted
 from scenec.backends.imaging.chance import philox, quantile, unit
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.correspondence import VISIBLE
@@ -201,7 +201,7 @@ def measure(picture: Picture) -> NDArray[np.float64]:
         )
     model, key = camera.depth_camera.model, camera.depth_camera.key
     if isinstance(model, StereoDepth):
-        seen = match_picture(picture, beside(camera, model.baseline_m), sample).code == VISIBLE
+        seen = match_picture(picture, shifted(camera, model.baseline_m), sample).code == VISIBLE
         return measure_stereo(model, camera, picture.once(depth), seen, key, sample)
     rays, shape = picture.rays, (camera.height, camera.width)
     length = np.sqrt((rays.directions * rays.directions).sum(axis=1))

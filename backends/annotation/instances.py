@@ -17,7 +17,7 @@ from scenec.backends.annotation.poses import Poses, decomposed
 from scenec.backends.contract import Rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
-from scenec.schemas.affine import boxes_around, composed, inverses_or_identity
+from scenec.schemas.affine import composed, inverses_or_identity, transformed_boxes
 from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
@@ -36,7 +36,7 @@ _SAME_SIZE = 2e-6
 
 
 @dataclass(frozen=True)
-class Seen:
+class FrameInstances:
     """Holds a frame's table of instances and its amodal masks.
 
     Attributes:
@@ -80,12 +80,14 @@ class Instances:
         self._local: tuple[int, NDArray[np.float64]] | None = None
         every, first = np.arange(len(starts)), self._first_samples()
         poses = self.poses(every, first)
-        self._scale, self._box = poses.scale, boxes_around(poses.linear, self._local_boxes(0))
+        self._scale, self._box = poses.scale, transformed_boxes(poses.linear, self._local_boxes(0))
         #: Instances whose scale or box is another at some sample, bool [n].
         self._resized = self._find_resized()
         for sample in np.unique(first[self._resized]).tolist():
             which = np.flatnonzero(self._resized & (first == sample))
-            self._box[which] = boxes_around(poses.linear[which], self._local_boxes(sample)[which])
+            self._box[which] = transformed_boxes(
+                poses.linear[which], self._local_boxes(sample)[which]
+            )
         self._labels = self._find_labels()
         bases = np.array(list(scene.instance_paths.values()) or [0], np.int64)
         self._classes = tuple(scene.instance_paths) or ("",)
@@ -160,7 +162,7 @@ class Instances:
         geometry: Geometry,
         masks: bool = False,
         rays: Rays | None = None,
-    ) -> Seen:
+    ) -> FrameInstances:
         """Measures the instances that a frame shows.
 
         Args:
@@ -202,9 +204,9 @@ class Instances:
             **self._places(which, camera, sample),
         }
         if found.counts is None or found.starts is None:
-            return Seen(table)
+            return FrameInstances(table)
         size = (camera.height, camera.width)
-        return Seen(table, Amodal(size, self.ids[which], found.counts, found.starts))
+        return FrameInstances(table, Amodal(size, self.ids[which], found.counts, found.starts))
 
     def _places(
         self, which: NDArray[np.int64], camera: Camera, sample: int
@@ -279,7 +281,7 @@ class Instances:
             shown = (poses.linear != 0.0).any(axis=(1, 2))
             at = at[shown]
             scale[at] = poses.scale[shown]
-            box[at] = boxes_around(poses.linear[shown], self._local_boxes(sample)[which[at]])
+            box[at] = transformed_boxes(poses.linear[shown], self._local_boxes(sample)[which[at]])
         return scale, box
 
     def _local_boxes(self, sample: int) -> NDArray[np.float64]:

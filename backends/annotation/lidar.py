@@ -119,7 +119,7 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     made = {f"label.{level}": label(view, level) for level in scene.levels}
     made["instance"] = instance(view)
     cosine = np.abs((normal(view) * directions).sum(axis=1))
-    told = _told(elevations, azimuths) * np.where(there, answer, np.nan)[:, None]
+    told = _beam_directions(elevations, azimuths) * np.where(there, answer, np.nan)[:, None]
     ids = {name: np.where(there, values, 0) for name, values in made.items()}
     out: dict[str, NDArray] = {
         "points": told.astype(np.float32).reshape(*shape, 3),
@@ -132,7 +132,7 @@ def scan(scene: RenderScene, caster: ExactCaster, lidar: Lidar, sample: int) -> 
     return out | {"elevation_deg": lidar.elevations_deg, "azimuth_deg": lidar.azimuths_deg}
 
 
-def _told(up: NDArray[np.float64], left: NDArray[np.float64]) -> NDArray[np.float64]:
+def _beam_directions(up: NDArray[np.float64], left: NDArray[np.float64]) -> NDArray[np.float64]:
     """Directions that the lidar tells, in its frame, [b * a, 3], of [b, 1 or a] and [1 or b, a]."""
     flat = np.cos(up)
     told = [flat * np.cos(left), flat * np.sin(left), np.sin(up) + 0.0 * left]

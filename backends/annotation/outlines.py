@@ -25,7 +25,7 @@ from scenec.backends.exact.silhouette import (
     Members,
     Pinhole,
     frame_rows,
-    mark_shown,
+    mark_visible,
     outline_all,
     runs,
 )
@@ -134,7 +134,7 @@ class Outliner:
             marks = np.zeros(int(pixels[first:end].sum()), np.uint8)
             masks_now = Masks(windows, starts, marks, areas)
             slots = self._slot_of_row, seen
-            over_threads(mark_shown, camera.height, row, *slots, camera.width, masks_now)
+            over_threads(mark_visible, camera.height, row, *slots, camera.width, masks_now)
             # The largest first: no thread is left with one at the end.
             order = first + np.argsort(-pixels[first:end], kind="stable")
             work = min(LANES, len(order)), geometry, members, order, masks_now, view

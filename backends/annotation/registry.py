@@ -17,7 +17,7 @@ from scenec.schemas.correspondence import BEFORE, NEXT, PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import BackendError, ScenecError
 from scenec.schemas.passes import BUILT_IN, GROUP, LABEL, pass_names
-from scenec.schemas.plugins import entry_points_of, load_offered, place, told
+from scenec.schemas.plugins import entry_points_of, error_line, load_offered, place
 from scenec.schemas.spelling import nearest, shown
 
 #: Modules of ours but ``passes``, where the others are; a pass is its name in capitals.
@@ -109,7 +109,7 @@ def _guarded(one: Pass, who: str) -> Callable[[View], NDArray[Any]]:
         except ScenecError:
             raise
         except Exception as error:
-            raise BackendError(f"{who}: {told(error)}") from error
+            raise BackendError(f"{who}: {error_line(error)}") from error
         count = len(one.channels)
         shape = (len(view.hits.row), count)[: 1 + (count > 1)]
         types = ("uint32",) if one.dtype == "uint32" else ("float32", "float64")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Camera, OpenShutter
 from scenec.schemas.kernels import kernel
-from scenec.schemas.lens import shown_at
+from scenec.schemas.lens import pixels_at
 from scenec.schemas.shutter import between, turn_vectors
 from scenec.schemas.threads import over_threads
 
@@ -83,7 +83,7 @@ def row_poses(camera: Camera, rows: range | None = None) -> NDArray[np.float64]:
     return poses_at(camera.shutter, camera.shutter.shutter.middles(v, camera.height))
 
 
-def beside(camera: Camera, step: float) -> Camera:
+def shifted(camera: Camera, step: float) -> Camera:
     """The same camera, standing so many meters to its own right at all times."""
 
     def shifted(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -139,7 +139,7 @@ def places_of(camera: Camera, points: NDArray[np.float64], far: NDArray[np.bool_
     lost = np.isnan(v)
     every = np.arange(len(points))
     local, eye = search.seen(every, np.where(lost, 0.5 * camera.height, v))
-    pixel = shown_at(camera.lens, camera.intrinsics, local)
+    pixel = pixels_at(camera.lens, camera.intrinsics, local)
     pixel[lost] = np.nan
     return Places(pixel, local, eye)
 
@@ -235,7 +235,7 @@ class _Search:
             rounding = self._rounding[which] / away
             rounding = np.where(rounding < 1.0, rounding, 0.0)
         return np.asarray(
-            shown_at(self._camera.lens, self._camera.intrinsics, local)[:, 1] - v
+            pixels_at(self._camera.lens, self._camera.intrinsics, local)[:, 1] - v
         ), rounding
 
 

@@ -9,7 +9,12 @@ from typing import Literal
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
-from scenec.backends.picture.brightness import FrameBrightness, brief, told, told_of_sky
+from scenec.backends.picture.brightness import (
+    FrameBrightness,
+    brief,
+    brightness_warning,
+    sky_warning,
+)
 from scenec.schemas.codec import Unset
 from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
@@ -26,7 +31,7 @@ _LISTED = 5
 type Found = Mapping[str, Collection[str]]
 
 
-def sensors_found(batches: Iterable[Batch]) -> dict[str, set[str]]:
+def sensors_with_frames(batches: Iterable[Batch]) -> dict[str, set[str]]:
     """Lists sensors that have frames or scans in any of some batches; see ``Found``."""
     sensors: dict[str, set[str]] = {}
     for batch in batches:
@@ -75,7 +80,10 @@ def check_frames(
         for message in (*frame_faults(frame.passes, frame.sidecar), *table_faults(frame)):
             yield check.finding(path, message)
     for camera, briefs in pictures.items():
-        for name, line in (("brightness", told(briefs)), ("sky", told_of_sky(briefs))):
+        for name, line in (
+            ("brightness", brightness_warning(briefs)),
+            ("sky", sky_warning(briefs)),
+        ):
             if line is not None:
                 yield Finding(name, "warning", check.name(camera), line)
 

@@ -28,7 +28,7 @@ from scenec.schemas.passes import AMODAL
 from scenec.schemas.records import FileDigest
 
 if TYPE_CHECKING:
-    from scenec.backends.annotation.instances import Seen
+    from scenec.backends.annotation.instances import FrameInstances
 
 #: Channel of the areas in tables of instances.
 AREAS = "amodal areas"
@@ -161,7 +161,7 @@ def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]
             yield f"its table of instances has other values of {name} than its pass depth"
 
 
-def against(truth: Seen, frame: Frame) -> Iterator[Found]:
+def against(truth: FrameInstances, frame: Frame) -> Iterator[Found]:
     """Compare a frame's amodal areas and masks with the exact ones, as far as it has them.
 
     Raises:

@@ -232,8 +232,8 @@ class Graph:
 
     def value(self, key: Sequence[Any], make: Callable[[], Any], vector: bool) -> Value:
         """The socket that ``make`` makes, made once for each key."""
-        found: Value = self.once(tuple(map(_key, key)), lambda: Value(self, make(), vector))
-        return found
+        node: Value = self.once(tuple(map(_key, key)), lambda: Value(self, make(), vector))
+        return node
 
 
 class Nodes(Algebra):

@@ -20,7 +20,7 @@ from scenec.backends.cycles.geometry import (
 )
 from scenec.backends.cycles.graph import NODES, Graph, is_black
 from scenec.backends.cycles.pictures import Pictures
-from scenec.backends.cycles.planetary import KnownLight, Laws, by_law
+from scenec.backends.cycles.planetary import Laws, ShaderLight, by_law
 from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
 from scenec.backends.surface import lobes, merges
 from scenec.backends.surface.maps import load_map
@@ -84,7 +84,7 @@ class Layer:
 
 
 def make_materials(
-    bpy: Any, scene: RenderScene, frame: Frame, light: KnownLight | None = None
+    bpy: Any, scene: RenderScene, frame: Frame, light: ShaderLight | None = None
 ) -> dict[LookKey, Any]:
     """Blender's material for each ``look_key`` of the meshes that rows show.
 

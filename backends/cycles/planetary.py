@@ -45,7 +45,7 @@ def by_law(surface: Surface) -> bool:
     return surface.reflectance is not None or facets.deviation(surface) > 0.0
 
 
-class KnownLight:
+class ShaderLight:
     """The light that shaders know: a node group that all of them refer to.
 
     Args:
@@ -116,7 +116,7 @@ class Laws:
         picture: Makes an image of an array, as ``materials.picture_image``.
     """
 
-    def __init__(self, graph: Graph, light: KnownLight, picture: Callable[..., Any]) -> None:
+    def __init__(self, graph: Graph, light: ShaderLight, picture: Callable[..., Any]) -> None:
         self._graph, self._light, self._picture = graph, light, picture
 
     def colors(self, surface: Surface, color: Any, normal: Value, facing: Value) -> tuple[Any, Any]:

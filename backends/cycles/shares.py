@@ -16,7 +16,7 @@ import numpy as np
 
 from scenec.backends.cycles.geometry import Frame
 from scenec.backends.cycles.graph import NODES, Graph
-from scenec.backends.cycles.planetary import KnownLight
+from scenec.backends.cycles.planetary import ShaderLight
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, aureole
 from scenec.backends.stage.scene import Lamp, Sun
 
@@ -34,7 +34,7 @@ class Shares:
 
     def __init__(self, bpy: Any, scene: Any, frame: Frame) -> None:
         self._bpy, self._scene, self._frame = bpy, scene, frame
-        self.light = KnownLight(bpy)
+        self.light = ShaderLight(bpy)
         self._lights: list[tuple[Any, Sun | Lamp]] = []
         self._parts: list[float] = []
         self._aureole = 0.0

@@ -11,7 +11,7 @@ from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact.bvh import Geometry, build_geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
-from scenec.backends.exact.trace import Beams, Found, trace_all
+from scenec.backends.exact.trace import Beams, BestHits, trace_all
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -95,7 +95,7 @@ class ExactCaster:
         """
         which = np.arange(len(rays.origins)) if index is None else index
         count = len(which)
-        found = Found(
+        found = BestHits(
             np.full(count, NO_ROW, np.int32), np.zeros(count, np.int32), np.full(count, np.inf)
         )
         beams = Beams(rays.origins, rays.directions)
@@ -131,7 +131,7 @@ class ExactCaster:
         Returns:
             t, float64 [k]; +inf where the triangle is missed.
         """
-        found = Found(row, face, np.empty(len(index)))
+        found = BestHits(row, face, np.empty(len(index)))
         beams = Beams(rays.origins, rays.directions)
         over_threads(_test_all, len(index), self.geometry, beams, index, found)
         return found.t

@@ -254,7 +254,7 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
 
 
 @kernel
-def mark_shown(first, last, row, slot_of_row, mask_of_slot, width, masks):  # type: ignore[no-untyped-def]
+def mark_visible(first, last, row, slot_of_row, mask_of_slot, width, masks):  # type: ignore[no-untyped-def]
     """Mark the pixels that show an instance.
 
     Args:

@@ -32,7 +32,7 @@ class Beams(NamedTuple):
     directions: NDArray[np.float64]
 
 
-class Found(NamedTuple):
+class BestHits(NamedTuple):
     """The best hits so far of some rays.
 
     Attributes:
@@ -294,7 +294,7 @@ def _trace_all_part(first, last, g, beams, index, hits):  # type: ignore[no-unty
         _trace_some(g, beams, index, hits, start, min(start + _CHUNK, count), stack)
 
 
-def trace_all(g: Geometry, beams: Beams, index: NDArray[np.int64], hits: Found) -> None:
+def trace_all(g: Geometry, beams: Beams, index: NDArray[np.int64], hits: BestHits) -> None:
     """Improve the hits of the rays named by ``index``, in place, all threads.
 
     Args:

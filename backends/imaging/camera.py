@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scenec.backends.imaging import develop, optics, sensor
 from scenec.backends.imaging.chance import log
 from scenec.backends.imaging.jpeg import compressed
-from scenec.backends.imaging.taken import Taken
+from scenec.backends.imaging.result import SensorResult
 from scenec.backends.stage.scene import Camera
 from scenec.schemas import imaging as formulas
 from scenec.schemas.affine import inverses
@@ -29,7 +29,7 @@ from scenec.schemas.records import ImagingRecord
 from scenec.schemas.threads import over_threads
 
 
-def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int) -> Taken:
+def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int) -> SensorResult:
     """Take a picture.
 
     Args:
@@ -64,8 +64,8 @@ def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int
     clean = None
     if imaging.clean:
         clean = develop.develop_light(_without_noise(light, shade, how), look)
-    shown = formulas.shown_per_value(imaging.f_number, time_s, iso, 2.0**imaging.headroom)
-    return Taken(
+    shown = formulas.displayed_per_value(imaging.f_number, time_s, iso, 2.0**imaging.headroom)
+    return SensorResult(
         picture,
         clean,
         numbers[:, :, 0] if imaging.raw and mosaic != "none" else None,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.errors import BackendError, ScenecError
-from scenec.schemas.plugins import load_kind, origin, told
+from scenec.schemas.plugins import error_line, load_kind, origin
 from scenec.schemas.spelling import shown
 
 GROUP = "scenec.effects"
@@ -57,7 +57,7 @@ def apply(picture: NDArray[np.uint8], effects: Sequence[str], sample: int) -> ND
         except ScenecError:
             raise
         except Exception as error:
-            raise BackendError(f"{who}: {told(error)}") from error
+            raise BackendError(f"{who}: {error_line(error)}") from error
         if (
             not isinstance(changed, np.ndarray)
             or changed.dtype != np.uint8

@@ -22,7 +22,7 @@ from scenec.backends.contract import (
 from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.corners import split_corners
-from scenec.backends.mitsuba.kept import KeptScene
+from scenec.backends.mitsuba.instanced import InstancedScene
 from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
@@ -66,7 +66,7 @@ class Mitsuba(Backend):
         # It is of the variant, which is set by now.
         self._sampler = importlib.import_module("scenec.backends.mitsuba.sampler").Sobol
         self._scene: Any = None
-        self._kept: KeptScene | None = None
+        self._kept: InstancedScene | None = None
         self._meshes: list[Any] = []
         self._render_scene: RenderScene | None = None
         self._groups: tuple[geometry.Group, ...] = ()
@@ -105,7 +105,7 @@ class Mitsuba(Backend):
         self._kept, self._meshes, self._guided = None, [], None
         if self.load_cost.keeps(scene):
             self._emitters(scene)
-            self._kept = KeptScene(mi, scene, self._groups, self._center, self._bounces)
+            self._kept = InstancedScene(mi, scene, self._groups, self._center, self._bounces)
             return
         self._meshes = [self._mesh(scene, group, i) for i, group in enumerate(self._groups)]
         parts: dict[str, Any] = {"type": "scene"}

@@ -65,7 +65,7 @@ class FlatMesh:
         texcoords: x and y, float32 [n, 2], where a surface has maps from above; the mesh's texture
             coordinates, where one has maps by those; else None.
         height_blends: Of the merges, or empty.
-        lanes: Where to look for what varies at a hit, ``kept.Lanes``; None: at the vertices.
+        lanes: Where to look for what varies at a hit, ``instanced.Lanes``; None: at the vertices.
     """
 
     points: NDArray[np.float32]

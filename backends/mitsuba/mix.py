@@ -27,7 +27,7 @@ class Mix:
         weights: For each merge, its channel, or the weight itself where it is the same everywhere.
         own, row: Channel of the vertices' and of the rows' variation; None where it is 0.
         attributes: Names of the mesh attributes; channel c is component c % 3 of number c // 3.
-        lanes: In their place ``kept.Lanes``, and which of its channels each is.
+        lanes: In their place ``instanced.Lanes``, and which of its channels each is.
     """
 
     weights: tuple[int | float, ...]

@@ -49,7 +49,7 @@ class Pictures:
         self.kinds = tuple(k for k in kinds if getattr(maps, k) is not None)
         self._placement = pictures.place(ARRAYS, maps, self.kinds, center)
         # Colors of a second scale are looked up on their own.
-        self._packed = _pack(maps, self.kinds, apart=self._placement.far is not None)
+        self._packed = _pack(maps, self.kinds, separate=self._placement.far is not None)
         self._table = None if maps.cells is None else _corner_table(maps.cells.seed)
 
     def look_up(self, si: Any, active: Any) -> dict[str, Any]:
@@ -83,12 +83,12 @@ class Pictures:
         return found
 
 
-def _pack(maps: Maps, kinds: Sequence[str], apart: bool) -> list[_Packed]:
-    """Textures of all kinds, (u, v) as ``Maps`` has them; ``apart``: colors have their own."""
+def _pack(maps: Maps, kinds: Sequence[str], separate: bool) -> list[_Packed]:
+    """Textures of all kinds, (u, v) as ``Maps`` has them; ``separate``: colors have their own."""
     by_size: dict[tuple[object, ...], dict[str, NDArray[np.float32]]] = {}
     for kind in kinds:
         values = map_values(maps, kind)
-        own = apart and kind == "base_color"
+        own = separate and kind == "base_color"
         by_size.setdefault((*values.shape[:2], own), {})[kind] = values
     found = []
     for own_size in by_size.values():

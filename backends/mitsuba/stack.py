@@ -78,7 +78,7 @@ class Layer:
 
 
 @dataclass
-class Found:
+class LayerPoint:
     """Holds the properties of a layer at a point.
 
     Attributes:
@@ -158,7 +158,7 @@ class Stack(mi.BSDF):
 
     # What a surface is at a point.
 
-    def _look(self, si: Any, active: Any) -> list[Found]:
+    def _look(self, si: Any, active: Any) -> list[LayerPoint]:
         channels = mix.channels_of(mi, self.mix, si, active)
         weights = self._weights(channels)
         found = [
@@ -172,13 +172,15 @@ class Stack(mi.BSDF):
                 layer.share = share
         return found
 
-    def _layer(self, layer: Layer, share: Any, channels: list[Any], si: Any, active: Any) -> Found:
+    def _layer(
+        self, layer: Layer, share: Any, channels: list[Any], si: Any, active: Any
+    ) -> LayerPoint:
         pictured: dict[str, Any] = {}
         if layer.pictures is not None and layer.pictures.kinds:
             pictured = _where_needed(layer.pictures, share, si, active)
         variations = [channels[i] for i in (self.mix.own, self.mix.row) if i is not None]
         own = lobes.lobes_of(ARRAYS, layer.numbers, pictured, variations)
-        return Found(share, own, pictured.get("normal"), pictured.get("height", merges.FLAT))
+        return LayerPoint(share, own, pictured.get("normal"), pictured.get("height", merges.FLAT))
 
     def glow(self, shining: Any, si: Any, active: Any) -> Any:
         """Radiance that the layers give off; see ``Glow``."""
@@ -214,7 +216,7 @@ class Stack(mi.BSDF):
         to_world = si.sh_frame.to_world
         return dr.dot(si.n, to_world(si.wi)) * dr.dot(si.n, to_world(wo)) > 0.0
 
-    def _at(self, si: Any, active: Any) -> tuple[Any, Any, list[Found]]:
+    def _at(self, si: Any, active: Any) -> tuple[Any, Any, list[LayerPoint]]:
         wi, behind = self._turned(si)
         found = self._look(si, active)
         up = mi.Vector3f(0.0, 0.0, 1.0)
@@ -227,7 +229,7 @@ class Stack(mi.BSDF):
 
     # The lobes.
 
-    def _terms(self, wi: Any, wo: Any, points: list[Found]) -> tuple[Any, Any]:
+    def _terms(self, wi: Any, wo: Any, points: list[LayerPoint]) -> tuple[Any, Any]:
         """BRDF times cosine, and the density with which ``wo`` is drawn."""
         total, density = mi.Vector3f(0.0), mi.Float(0.0)
         both = wi + wo
@@ -262,7 +264,7 @@ class Stack(mi.BSDF):
         above = wo.z > 0.0
         return dr.select(above, mi.Color3f(total), 0.0), dr.select(above, density, 0.0)
 
-    def _beyond(self, wo: Any, points: list[Found]) -> tuple[Any, Any]:
+    def _beyond(self, wo: Any, points: list[LayerPoint]) -> tuple[Any, Any]:
         """``_terms`` of what passes to the far side."""
         total, density = mi.Vector3f(0.0), mi.Float(0.0)
         for layer, at in zip(self.layers, points, strict=True):
@@ -274,7 +276,7 @@ class Stack(mi.BSDF):
         below = wo.z < 0.0
         return dr.select(below, mi.Color3f(total), 0.0), dr.select(below, density, 0.0)
 
-    def _draw(self, wi: Any, points: list[Found], which: Any, sample2: Any) -> Any:
+    def _draw(self, wi: Any, points: list[LayerPoint], which: Any, sample2: Any) -> Any:
         """A direction: of a layer, by its share, and of one of its lobes."""
         frame_normal = mi.Vector3f(0.0, 0.0, 1.0)
         normal, alpha = frame_normal, mi.Float(1.0)

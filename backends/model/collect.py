@@ -83,7 +83,7 @@ def coarse_model(
     return _model(scene, name, origin, parts, looks, [*placements, *kept], losses)
 
 
-def whole_model(scene: RenderScene, name: str, *, texels: int) -> Model:
+def full_model(scene: RenderScene, name: str, *, texels: int) -> Model:
     """A model with all triangles and instances; mixed ground becomes pictures.
 
     Args:

@@ -27,7 +27,7 @@ from scenec.backends.camera.tiles import bands, coarse
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.nearest import Pyramids, nearest
 from scenec.backends.stage.scene import Camera, Focus
-from scenec.schemas.lens import EQUIRECTANGULAR, directions, shown_at, to_plane
+from scenec.schemas.lens import EQUIRECTANGULAR, directions, pixels_at, to_plane
 from scenec.schemas.shutter import Shutter
 
 #: How far copies may be apart where there are enough samples for more of them, pixels: without
@@ -310,7 +310,7 @@ def _steps(
     for i, pose in enumerate(poses):
         away = np.concatenate([placed - pose[:3, 3], endless])
         local = np.stack([(away * pose[:3, axis]).sum(axis=1) for axis in range(3)], axis=1)
-        pixels[i] = shown_at(camera.lens, camera.intrinsics, local)
+        pixels[i] = pixels_at(camera.lens, camera.intrinsics, local)
     moved = np.abs(pixels[1:] - pixels[:-1])
     if camera.lens is not None and camera.lens.model == EQUIRECTANGULAR:
         # What goes out of a panorama on one side comes back on the other.

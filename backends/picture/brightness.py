@@ -24,7 +24,7 @@ _HOW = {
 
 
 class FrameBrightness(NamedTuple):
-    """Holds what ``told`` needs of a frame's record, which may be long."""
+    """Holds what ``brightness_warning`` needs of a frame's record, which may be long."""
 
     sample: int
     exposure_ev: float
@@ -39,7 +39,7 @@ def brief(record: FrameRecord) -> FrameBrightness:
     return FrameBrightness(record.sample, record.exposure_ev, exposure, record.picture, record.sky)
 
 
-def told_of_sky(frames: Sequence[FrameBrightness]) -> str | None:
+def sky_warning(frames: Sequence[FrameBrightness]) -> str | None:
     """Warns in a line of sky visible below the horizon; None if there is next to none.
 
     Args:
@@ -57,7 +57,7 @@ def told_of_sky(frames: Sequence[FrameBrightness]) -> str | None:
     )
 
 
-def told(frames: Sequence[FrameBrightness]) -> str | None:
+def brightness_warning(frames: Sequence[FrameBrightness]) -> str | None:
     """A line about the pictures of one camera and backend in one batch; None if all is well.
 
     Args:

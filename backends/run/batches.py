@@ -11,17 +11,17 @@ from typing import Any
 
 from scenec.backends.run.supervise import FrameLostError
 from scenec.backends.run.units import (
-    Made,
     MakeFile,
     Opened,
     Opening,
     OpenStage,
+    UnitResult,
     require_replaceable,
 )
 from scenec.schemas.errors import CameraRefusedError, PluginError, StageError
 from scenec.schemas.files import sweep
 from scenec.schemas.manifest import Batch
-from scenec.schemas.strays import Stray, told
+from scenec.schemas.strays import Stray, stray_line
 from scenec.schemas.units import Executor, Outcome, Schedule, Unit
 
 #: ``progress(done, total, text)``, called after each file.
@@ -79,7 +79,7 @@ class OpenBatch:
     batch: Batch
     files: Sequence[MakeFile]
     left: int
-    made: dict[str, Made] = field(default_factory=dict)
+    made: dict[str, UnitResult] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
 
 
@@ -177,7 +177,7 @@ class BatchRun(ABC):
         Once a run: other batches have them for the same reason.
         """
         if ("", "strays") not in self._said and (listed := list(strays)):
-            self.warn_of(("", "strays"), told(listed))
+            self.warn_of(("", "strays"), stray_line(listed))
 
     def _fail(self, line: str) -> None:
         self.report.failed.append(line)
@@ -252,7 +252,7 @@ class BatchRun(ABC):
         elif isinstance(outcome.error, CameraRefusedError):
             self._refuse(work, file, outcome.error)
         else:
-            result: Made = outcome.result()
+            result: UnitResult = outcome.result()
             if result.busy is not None:
                 self._schedule.add_claimed(file)
                 return

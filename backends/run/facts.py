@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.instances import Seen
+from scenec.backends.annotation.instances import FrameInstances
 from scenec.backends.camera.shutter import row_poses
 from scenec.backends.picture.sky import combine, mean_radiance
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
@@ -56,7 +56,7 @@ class FrameResult:
 
     arrays: dict[str, NDArray]
     record: FrameRecord
-    seen: Seen | None = None
+    seen: FrameInstances | None = None
     surfaces: NDArray[np.bool_] | None = None
 
 

@@ -60,7 +60,7 @@ def frames_of(
     for sample, number, camera in _wanted(plan, opened):
         made = tuple(camera.passes if passes is None else passes)
         if not made and plan.passes is None and plan.backend in ANNOTATION_NAMES:
-            # For rgb alone: said by ``unasked``.
+            # For rgb alone: said by ``not_requested``.
             continue
         if not made:
             raise StageError(f"{batch.stage}: no passes asked for, and none in the stage")
@@ -129,7 +129,7 @@ def _wanted(plan: RenderPlan, opened: Opened) -> Iterator[tuple[int, int, Camera
 _PRUNED_BY = ("rgb", "label", "instance")
 
 
-def unasked(cameras: Sequence[CameraFacts]) -> Iterator[str]:
+def not_requested(cameras: Sequence[CameraFacts]) -> Iterator[str]:
     """A line for each camera that is to render what its stage was not compiled for."""
     for camera in cameras:
         if not camera.passes:

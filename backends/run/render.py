@@ -14,7 +14,7 @@ from scenec.backends.registry import AUTO
 from scenec.backends.run.auto import choose
 from scenec.backends.run.batches import BatchReport, BatchRun, OpenBatch, Progress, Say
 from scenec.backends.run.executors import make_executor
-from scenec.backends.run.frames import frames_of, may_lose, opening_of, unasked
+from scenec.backends.run.frames import frames_of, may_lose, not_requested, opening_of
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfSession, Opened, Opening, RenderFrame
 from scenec.schemas.errors import FrameError, StageError
@@ -176,7 +176,7 @@ class _Render(BatchRun):
             self.say(f"rendering with {opened.version} on {opened.device}{more}")
         if opened.warning:
             self.warn(opened.warning)
-        self.warn(*unasked(opened.cameras[0] if opened.cameras else []))
+        self.warn(*not_requested(opened.cameras[0] if opened.cameras else []))
         report.losses += [line for line in opened.losses if line not in report.losses]
         self.warn(*opened.losses)
         if self.counts_strays:
@@ -193,7 +193,7 @@ class _Render(BatchRun):
     def finish(self, work: OpenBatch) -> None:
         """Tells what is wrong with all pictures of a camera."""
         super().finish(work)
-        found: dict[str, list[brightness.FrameBrightness]] = {}
+        frames_of: dict[str, list[brightness.FrameBrightness]] = {}
         for frame in work.files:
             made = work.made.get(frame.what)
             # What was given up, or was deleted meanwhile, shows nothing.
@@ -202,12 +202,12 @@ class _Render(BatchRun):
                 if sight is None:
                     sidecar = read_sidecar(frame.stem.with_suffix(".json"))
                     sight = brightness.brief(sidecar)
-                found.setdefault(frame.sensor, []).append(sight)
-        for camera, sights in found.items():
-            line = brightness.told(sights)
+                frames_of.setdefault(frame.sensor, []).append(sight)
+        for camera, sights in frames_of.items():
+            line = brightness.brightness_warning(sights)
             if line is not None:
                 self.warn(f"{work.batch.name}/{camera}: {line}")
-            sky = brightness.told_of_sky(sights)
+            sky = brightness.sky_warning(sights)
             if sky is not None:
                 # Once a render: other batches mostly show as much of it.
                 self.warn_of((camera, "sky"), f"{work.batch.name}/{camera}: {sky}")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scenec.backends.annotation.annotate import Annotation
-from scenec.backends.annotation.instances import Seen
+from scenec.backends.annotation.instances import FrameInstances
 from scenec.backends.run.facts import annotation_versions
 from scenec.schemas.amodal import read_amodal
 from scenec.schemas.codec import UNSET
@@ -36,7 +36,7 @@ def find_annotation(stem: Path, digest: str, passes: Sequence[str]) -> Annotatio
             seen = None
             if "instance" in passes:
                 masks = read_amodal(path) if AMODAL in passes else None
-                seen = Seen(read_frame_table(path), masks)
+                seen = FrameInstances(read_frame_table(path), masks)
             return Annotation(frame.passes, seen, height, (sky.pixels, sky.below_horizon))
         except (FrameError, OSError, ValueError):
             # Damaged, or of another version: it is cast again.

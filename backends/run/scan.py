@@ -14,7 +14,7 @@ from scenec.backends.run.batches import BatchReport, BatchRun, Progress
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.facts import label_names, rows, time_of
 from scenec.backends.run.frames import require_samples
-from scenec.backends.run.units import Made, MakeFile, Opened, Opening
+from scenec.backends.run.units import MakeFile, Opened, Opening, UnitResult
 from scenec.backends.stage.scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
@@ -60,7 +60,7 @@ class ScanLidar(MakeFile):
         """Tells whether it is there, with its cloud if that is asked for."""
         return is_scanned(self.stem, self.key, self.ply)
 
-    def run(self, keeper: Keeper) -> Made:
+    def run(self, keeper: Keeper) -> UnitResult:
         """Casts its rays and writes it.
 
         Raises:
@@ -82,7 +82,7 @@ class ScanLidar(MakeFile):
             sidecar = _sidecar(scene, lidar, self.sample, self.key)
             write_scan(self.stem, arrays, sidecar, self.ply)
             seconds |= {"scan": scanned - start, "write": time.perf_counter() - scanned}
-        return Made(now=True, seconds=seconds, text=f"{sum(seconds.values()):.2f} s")
+        return UnitResult(now=True, seconds=seconds, text=f"{sum(seconds.values()):.2f} s")
 
 
 def scan_output(

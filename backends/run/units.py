@@ -175,7 +175,7 @@ class OpenStage:
 
 
 @dataclass(frozen=True)
-class Made:
+class UnitResult:
     """Reports the outcome of a frame or a scan.
 
     Attributes:
@@ -197,7 +197,7 @@ class Made:
 
 @dataclass(frozen=True)
 class MakeFile(ABC):
-    """Makes a frame or a scan, unless it is there or another process is making it: ``Made``.
+    """Makes a frame or a scan, unless it is there or another process is making it: ``UnitResult``.
 
     Attributes:
         holds: Its stage.
@@ -229,7 +229,7 @@ class MakeFile(ABC):
         return self.stem.with_name(f"{LOCK}-{self.stem.name}")
 
     @abstractmethod
-    def run(self, keeper: Keeper) -> Made:
+    def run(self, keeper: Keeper) -> UnitResult:
         """Makes it.
 
         Raises:
@@ -239,7 +239,7 @@ class MakeFile(ABC):
         """
 
     @contextmanager
-    def claimed(self, session: Session) -> Iterator[Made | None]:
+    def claimed(self, session: Session) -> Iterator[UnitResult | None]:
         """Keeps other processes from making it; yields what came of it if there is nothing to do.
 
         Raises:
@@ -257,12 +257,12 @@ class MakeFile(ABC):
         try:
             lock = Lock(self.claim, what=self.what)
         except BusyError as error:
-            yield Made(busy=str(error))
+            yield UnitResult(busy=str(error))
             return
         with lock:
             # It may have come while nobody looked.
             if self.is_done():
-                yield Made()
+                yield UnitResult()
             else:
                 require_replaceable([self])
                 yield None
@@ -296,7 +296,7 @@ class RenderFrame(MakeFile):
         """Describes what the frame that is there has of this stage, and this one would not have."""
         return None if self.replace else would_lose(self.stem, self.key)
 
-    def run(self, keeper: Keeper) -> Made:
+    def run(self, keeper: Keeper) -> UnitResult:
         """Renders and writes it.
 
         Raises:
@@ -311,7 +311,7 @@ class RenderFrame(MakeFile):
                 return found
             place = self.number, self.sample
             record = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
-        return Made(
+        return UnitResult(
             now=True,
             seconds=dict(record.seconds or {}),
             peak_memory_gb=record.peak_memory_gb,

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from scenec.backends.annotation.registry import find_pass
-from scenec.backends.imaging.taken import TONE_CURVE, Taken
+from scenec.backends.imaging.result import TONE_CURVE, SensorResult
 from scenec.backends.run.facts import FrameResult, picture_record
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import picture
@@ -17,7 +17,7 @@ from scenec.schemas.codec import encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
-from scenec.schemas.frames import CONVENTIONS, FrameKey, beside_path
+from scenec.schemas.frames import CONVENTIONS, FrameKey, extra_picture_path
 from scenec.schemas.instances import frame_table_path, write_frame_table
 from scenec.schemas.passes import origins
 from scenec.schemas.records import FileDigest, FrameRecord
@@ -29,7 +29,7 @@ def write_frame(
     key: FrameKey,
     scene: RenderScene,
     camera: Camera,
-    sensor: Taken | None = None,
+    sensor: SensorResult | None = None,
 ) -> FrameRecord:
     """Writes EXR, PNG (if there is ``rgb``), table, masks and sidecar, each by atomic rename.
 
@@ -64,9 +64,13 @@ def write_frame(
         shown = apply(shown, camera.effects, record.sample)
     _put(stem.with_suffix(".png"), shown, picture.write_png)
     clean = _put(
-        beside_path(stem, "clean"), None if sensor is None else sensor.clean, picture.write_png
+        extra_picture_path(stem, "clean"),
+        None if sensor is None else sensor.clean,
+        picture.write_png,
     )
-    raw = _put(beside_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png)
+    raw = _put(
+        extra_picture_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png
+    )
     seen = result.seen
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
     brightness = None

@@ -88,9 +88,10 @@ def _over_time(
     poses[..., :3, :3] *= names.HALF_TURN
     # What differs from sample to sample where nothing else does.
     exposures = [a for a in prim.GetAttributes() if a.GetName().startswith(_EXPOSURE)]
-    exposed = values.kept(exposures, lambda time: _exposure(prim, time))
-    at = values.kept(
-        values.own(prim, *_EXPOSURE, "scenec:shutter:"), lambda time: _camera(request, frame, time)
+    exposed = values.cached(exposures, lambda time: _exposure(prim, time))
+    at = values.cached(
+        values.local_attributes(prim, *_EXPOSURE, "scenec:shutter:"),
+        lambda time: _camera(request, frame, time),
     )
     found = []
     for time, pose in zip(times, poses, strict=True):

@@ -33,7 +33,7 @@ def read_lidars(
     prims = [p for p in stage.Traverse() if any(map(p.HasAttribute, _MARKS))]
     if not prims:
         return ()
-    found: list[list[Lidar]] = [[] for _ in times]
+    by_sample: list[list[Lidar]] = [[] for _ in times]
     for prim in prims:
         every, first = read_trigger(prim)
         scans = range(first, len(times), every)
@@ -42,8 +42,8 @@ def read_lidars(
         poses = lidar_poses(prim, frame, [times[i] for i in scans])
         lidar = _lidar(prim, frame)
         for sample, pose in zip(scans, poses, strict=True):
-            found[sample].append(replace(lidar, to_world=pose))
-    return tuple(tuple(lidars) for lidars in found)
+            by_sample[sample].append(replace(lidar, to_world=pose))
+    return tuple(tuple(lidars) for lidars in by_sample)
 
 
 def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:

@@ -156,14 +156,14 @@ class MeshTable:
     def _by_material(
         self,
         mesh: UsdGeom.Mesh,
-        whole: Mesh,
+        source: Mesh,
         authored: NDArray[np.int32],
         coordinates: _Coordinates,
     ) -> list[Mesh]:
         """Splits a mesh whose subsets are bound to several materials."""
         subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
         count = int(authored.max(initial=-1)) + 1
-        surface = np.full(count, whole.layers[0], np.int32)
+        surface = np.full(count, source.layers[0], np.int32)
         for subset in subsets:
             if values.word(subset.GetElementTypeAttr(), "") != UsdGeom.Tokens.face:
                 continue
@@ -177,8 +177,8 @@ class MeshTable:
         known = list(self.surfaces)
         uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
         if len(used) <= 1:
-            return [replace(whole, layers=(s,), uv=uv[s]) for s in uv] or [whole]
-        return [_part(whole, authored, of_triangle == s, s, uv[s]) for s in uv]
+            return [replace(source, layers=(s,), uv=uv[s]) for s in uv] or [source]
+        return [_part(source, authored, of_triangle == s, s, uv[s]) for s in uv]
 
 
 def _part(

@@ -59,7 +59,7 @@ def sample_times(stage: Usd.Stage, codes: list[Usd.TimeCode]) -> NDArray[np.floa
     root = stage.GetDefaultPrim()
     attribute = root.GetAttribute(names.ATTR_TIME) if root else None
     if attribute and attribute.HasValue():
-        at = values.kept([attribute], lambda time: values.number(attribute, 0.0, time))
+        at = values.cached([attribute], lambda time: values.number(attribute, 0.0, time))
         return np.array([at(code) for code in codes])
     rate = stage.GetTimeCodesPerSecond() or 1.0
     if not 0.0 < rate < np.inf:

@@ -274,13 +274,13 @@ def asset(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Sdf.AssetPa
     return value if value is not None and value.path else None
 
 
-def own(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
+def local_attributes(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
     """Attributes of a prim that say neither where nor whether it is, nor begin with ``others``."""
     excluded = ("visibility", "xformOp", *others)
     return [a for a in prim.GetAttributes() if not a.GetName().startswith(excluded)]
 
 
-def kept[T](
+def cached[T](
     attributes: Iterable[Usd.Attribute], read: Callable[[Usd.TimeCode], T]
 ) -> Callable[[Usd.TimeCode], T]:
     """Returns a reader at times that reads only once where none of its attributes varies."""

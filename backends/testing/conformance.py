@@ -42,7 +42,7 @@ from scenec.backends.testing.tolerance import (
     Tolerance,
     allowed,
     judge,
-    require_known,
+    require_valid,
 )
 from scenec.schemas.errors import BackendError
 
@@ -80,7 +80,7 @@ class Conformance:
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
         checks = [name.removeprefix("test_") for name in dir(cls) if name.startswith("test_")]
-        require_known(cls.tolerances, checks)
+        require_valid(cls.tolerances, checks)
 
     @classmethod
     def setup_class(cls) -> None:
@@ -280,7 +280,7 @@ class Conformance:
     @pytest.mark.parametrize("case", geometry.INTRINSICS)
     def test_intrinsics(self, case: str) -> None:
         """Any focal lengths, principal point and skew are followed, by witness and radiance."""
-        made, sample = self.case("intrinsics", case, geometry.INTRINSICS, geometry.seen_variously)
+        made, sample = self.case("intrinsics", case, geometry.INTRINSICS, geometry.varied_views)
         coverage = self.draw(made, sample, 16).coverage.astype(np.float64)
         exact = reference.coverage(made, sample)
         # A pixel is covered by each sample or not; the reference knows sixteenths.
@@ -432,7 +432,7 @@ class Conformance:
     def test_half_shadow(self) -> None:
         """A spherical lamp's light behind an edge is the share of its disc that the edge leaves."""
         made = self.scene("half_shadow", lights.edge_scene)
-        self.hold("half_shadow", "", made, 0, lights.beside_edge(), 8 * SAMPLES)
+        self.hold("half_shadow", "", made, 0, lights.edge_shadow(), 8 * SAMPLES)
 
     def test_cameras_do_not_see_lamps(self) -> None:
         """Nor do they cover anything."""

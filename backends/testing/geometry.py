@@ -56,7 +56,7 @@ def hills() -> RenderScene:
     return scene([mesh(points, faces)], cameras=[look_at((0, -6, 1.2), (0, 4, 0), 160, 120, 75)])
 
 
-def around_camera() -> RenderScene:
+def through_camera_plane() -> RenderScene:
     """Ground, wall and slivers through the camera's plane, some of them all but at its eye."""
     soup = np.random.default_rng(6).normal(size=(240, 3)) * [3.0, 3.0, 1.0]
     slivers = np.arange(240).reshape(-1, 3)
@@ -115,7 +115,7 @@ SEEN: dict[str, Callable[[], RenderScene]] = {
     "as large as a planet": lambda: field(scale=1e5),
     "many instances": lambda: field(instances=700),
     "one mesh of many faces": hills,
-    "through the camera's plane": around_camera,
+    "through the camera's plane": through_camera_plane,
     "ids beyond 16 bits": large_ids,
     "into the sky": into_sky,
     "empty": empty,
@@ -137,7 +137,7 @@ INTRINSICS: dict[str, tuple[int, int, list[list[float]]]] = {
 }
 
 
-def seen_variously() -> RenderScene:
+def varied_views() -> RenderScene:
     """The field, at each sample by another camera of ``INTRINSICS``."""
     made = field()
     cameras = [

@@ -231,7 +231,7 @@ def edge_scene() -> RenderScene:
     return at_samples(made, [only_lamps(lamp(radius_m=0.2))], view)
 
 
-def beside_edge() -> NDArray[np.float64]:
+def edge_shadow() -> NDArray[np.float64]:
     """The lamp's light on the plane times the share of its disc that the edge leaves, [8, 32, 3].
 
     From a point x beside the edge's foot the edge covers the disc up to -x: of a unit disc cut at

@@ -59,7 +59,7 @@ def allowed(table: Table, check: str, case: str = "") -> Tolerance | Lacks:
     return table.get(f"{check}[{case}]") or table.get(check) or DEFAULT
 
 
-def require_known(table: Table, checks: Iterable[str]) -> None:
+def require_valid(table: Table, checks: Iterable[str]) -> None:
     """Refuse entries of no check, and those without a reason.
 
     Raises:

@@ -20,7 +20,7 @@ from pathlib import Path
 from scenec.compiler.cache.entry import DamagedError, Packed, read_entry, write_entry
 from scenec.compiler.cache.structure import NotPlainError
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.files import atomic, inside, make_own_folder, refused_folder
+from scenec.schemas.files import atomic, inside, make_private_folder, refused_folder
 
 #: Environment variables: the folder (empty: none), and the most that it may hold.
 FOLDER_VARIABLE, MOST_VARIABLE = "SCENEC_CACHE", "SCENEC_CACHE_MAX"
@@ -109,7 +109,7 @@ class Store:
             return
         try:
             path = self.path(key)
-            make_own_folder(path.parent)
+            make_private_folder(path.parent)
             with atomic(path) as temporary:
                 self._written += write_entry(temporary, key, value)
         except (OSError, OutputError) as error:

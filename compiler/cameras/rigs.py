@@ -145,5 +145,5 @@ def _metered(imaging: Imaging, ev: float) -> Imaging:
 
 def _shown_ev(imaging: Imaging) -> float:
     white = two_to(imaging.headroom)
-    shown = formulas.shown_per_value(imaging.f_number, imaging.time_s, imaging.iso, white)
+    shown = formulas.displayed_per_value(imaging.f_number, imaging.time_s, imaging.iso, white)
     return float(elementary.log(shown) / elementary.log(2.0))

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scenec.datasets.filters import QUANTITIES, quantity
 from scenec.datasets.formats.coco_parts import (
     OPTIONS,
-    Seen,
+    CategoryUse,
     Units,
     dumps,
     fragment,
@@ -86,7 +86,7 @@ class Coco(Format):
         frame = next(iter(frames))
         path = _picture(task.split, frame)
         there = place_picture(frame, folder / path, self.option("images"))
-        seen = Seen()
+        seen = CategoryUse()
         lines, without = self._annotations(frame, seen)
         image = image_entry(frame, frame.ref.index + 1, f"{frame.ref.key}.png")
         write_fragment(scratch, task.number, [dumps(image), *lines])
@@ -121,7 +121,7 @@ class Coco(Format):
         split = self.info.splits[0]
         return _USAGE.format(split=split, level=self.info.level or "instance")
 
-    def _annotations(self, frame: LoadedFrame, categories: Seen) -> tuple[list[str], int]:
+    def _annotations(self, frame: LoadedFrame, categories: CategoryUse) -> tuple[list[str], int]:
         """Annotations without ``{"id":N,``, as JSON; how many instances have no category."""
         level = self.info.level
         every, lines = instance_annotations(frame, level, self.option("segmentation") == "polygon")

@@ -156,7 +156,7 @@ def units_of(frame: LoadedFrame, level: str) -> Units:
 
 
 @dataclass
-class Seen:
+class CategoryUse:
     """Collects the categories that occur, and their names on other levels.
 
     Attributes:
@@ -232,9 +232,11 @@ class Seen:
         return {}
 
 
-def gathered(done: Iterable[Done], splits: Sequence[str]) -> tuple[Seen, dict[str, list[int]]]:
+def gathered(
+    done: Iterable[Done], splits: Sequence[str]
+) -> tuple[CategoryUse, dict[str, list[int]]]:
     """Joins all tasks' categories, and the numbers of tasks that wrote something, by split."""
-    seen = Seen()
+    seen = CategoryUse()
     numbers: dict[str, list[int]] = {split: [] for split in splits}
     for each in done:
         if each.record is not None:

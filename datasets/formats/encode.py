@@ -41,7 +41,7 @@ def _resolution(ref: FrameRef) -> tuple[int, int] | None:
     return None if record is None else record.resolution
 
 
-def whole_option(form: Format, name: str, lowest: int = 0) -> int:
+def integer_option(form: Format, name: str, lowest: int = 0) -> int:
     """An option that is a whole number.
 
     Raises:

@@ -36,10 +36,10 @@ from scenec.datasets import pictures
 from scenec.datasets.formats.contract import Format, Info, Option, Task, Written
 from scenec.datasets.formats.encode import (
     chunks,
+    integer_option,
     label_type,
     narrowed,
     resolutions,
-    whole_option,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame, record_of
 from scenec.schemas.codec import UNSET, encode
@@ -146,7 +146,7 @@ class Hdf5(Format):
     def __init__(self, info: Info) -> None:
         _import_h5py()
         super().__init__(info)
-        self._shard = whole_option(self, "shard")
+        self._shard = integer_option(self, "shard")
 
     def holds(self, name: str) -> bool:
         """Holds all but amodal masks."""
@@ -223,7 +223,7 @@ def _mixed(sized: Sequence[tuple[FrameRef, tuple[int, int]]]) -> set[tuple[int, 
         cameras = held.setdefault(size, {})
         record = None if ref.camera in cameras else record_of(ref)
         if record is not None:
-            of = pictures.taken(record), pictures.kinds(record)
+            of = pictures.is_from_sensor(record), pictures.kinds(record)
             cameras[ref.camera] = (*of, *record.passes)
     return {size for size, cameras in held.items() if len(set(cameras.values())) > 1}
 
@@ -323,7 +323,7 @@ class _File:
             else:
                 kind = np.uint32 if array.dtype.kind == "u" else np.float32
                 arrays[name] = np.ascontiguousarray(array, kind)
-        if pictures.taken(frame.sidecar) and rgb == "linear":
+        if pictures.is_from_sensor(frame.sidecar) and rgb == "linear":
             arrays[PICTURE] = np.ascontiguousarray(pictures.picture(frame))
         for beside in pictures.kinds(frame.sidecar):
             arrays[beside] = np.ascontiguousarray(pictures.beside(frame, beside))

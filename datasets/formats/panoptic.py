@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scenec.datasets.colors import label_colors
 from scenec.datasets.formats.coco_parts import (
     OPTIONS,
-    Seen,
+    CategoryUse,
     dumps,
     fragment,
     gathered,
@@ -78,7 +78,7 @@ class Panoptic(Format):
         pictures = {}
         if place_picture(frame, folder / path, self.option("images")):
             pictures[path] = frame.picture_digest
-        seen = Seen()
+        seen = CategoryUse()
         picture, lines, without = self._segments(frame, seen)
         path = f"annotations/panoptic_{task.split}/{name}"
         write_png(folder / path, _as_rgb(picture))
@@ -121,7 +121,7 @@ class Panoptic(Format):
         return _USAGE.format(split=self.info.splits[0], level=self.info.level)
 
     def _segments(
-        self, frame: LoadedFrame, categories: Seen
+        self, frame: LoadedFrame, categories: CategoryUse
     ) -> tuple[NDArray[np.uint32], list[str], int]:
         """Segment numbers [h, w], the segments as JSON, how many instances have no category.
 
@@ -170,7 +170,7 @@ class Panoptic(Format):
             found.append(f'{crowd}\t{kind_of[at]}\t{dumps(segment)[:-1]},"iscrowd":')
         return picture, found, len(frame.table["id"]) - len(np.unique(lines))
 
-    def _name(self, frame: LoadedFrame, other: str, categories: Seen) -> None:
+    def _name(self, frame: LoadedFrame, other: str, categories: CategoryUse) -> None:
         """Records the names that each label's pixels have on another level."""
         there = frame.passes.get(f"label.{other}")
         if there is None:

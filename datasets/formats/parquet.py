@@ -30,12 +30,12 @@ from scenec.datasets.formats.encode import (
     encoded,
     file_bytes,
     instance_label,
+    integer_option,
     label_type,
     narrowed,
     number_option,
     picture_png,
     split_ids,
-    whole_option,
 )
 from scenec.datasets.formats.poses import require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame
@@ -79,7 +79,7 @@ class Parquet(Format):
     def __init__(self, info: Info) -> None:
         _import_pyarrow()
         super().__init__(info)
-        self._shard = whole_option(self, "shard", 1)
+        self._shard = integer_option(self, "shard", 1)
         self._scale = number_option(self, "depth_scale")
         for level, names in info.labels.items():
             highest = max(names, default=0)
@@ -135,14 +135,14 @@ class Parquet(Format):
 
     def features(self) -> dict[str, _Feature]:
         """Columns as `datasets` describes them."""
-        found: dict[str, _Feature] = {}
+        described: dict[str, _Feature] = {}
         for name in self.info.passes:
             if name == "rgb":
-                found["image"] = _IMAGE
+                described["image"] = _IMAGE
             elif name in ("depth", "instance") or name.startswith("label."):
-                found[name] = _IMAGE
-        found |= {f"image_{kind}": _IMAGE for kind in self.info.beside}
-        found |= {
+                described[name] = _IMAGE
+        described |= {f"image_{kind}": _IMAGE for kind in self.info.beside}
+        described |= {
             "frame": _value("string"),
             "batch": _value("int32"),
             "camera": _value("string"),
@@ -154,11 +154,11 @@ class Parquet(Format):
             "camera_to_world": _list(_list(_value("float64"), 4), 4),
         }
         if self.info.imaging:
-            found["imaging"] = _value("string")
+            described["imaging"] = _value("string")
         if "instance" in self.info.passes:
             names = list(self.info.labels.get(self.info.level, {}).values())
             category = {"names": names, "_type": "ClassLabel"} if names else _value("int64")
-            found["objects"] = {
+            described["objects"] = {
                 "id": _list(_value("int64")),
                 "category": _list(category),
                 "class": _list(_value("string")),
@@ -171,7 +171,7 @@ class Parquet(Format):
                 "quaternion": _list(_list(_value("float64"), 4)),
                 "size": _list(_list(_value("float64"), 3)),
             }
-        return found
+        return described
 
     def schema(self) -> Any:
         """The table's schema, `pyarrow.Schema`, with `datasets`' and our metadata."""
@@ -222,7 +222,7 @@ class Parquet(Format):
                 labels = narrowed(frame, name, label_type(names))
                 row[name] = _file(encoded(labels), f"{frame.ref.key}.{name}.png")
         for kind in pictures.kinds(frame.sidecar):
-            content = file_bytes(pictures.beside_file(frame, kind))
+            content = file_bytes(pictures.extra_picture_file(frame, kind))
             row[f"image_{kind}"] = _file(content, f"{frame.ref.key}.{kind}.png")
         imaging = pictures.imaging(frame.sidecar)
         if imaging:

@@ -460,15 +460,15 @@ def _ros_names(names: Sequence[str], what: str) -> dict[str, str]:
     Raises:
         OutputError: Two become one.
     """
-    found: dict[str, str] = {}
+    ros_names: dict[str, str] = {}
     for name in names:
         text = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9_]", "_", name)).strip("_") or what[0]
         text = f"{what[0]}{text}" if text[0].isdigit() else text
-        for other, taken in found.items():
+        for other, taken in ros_names.items():
             if taken == text:
                 raise OutputError(
                     f"format rosbag2: {what} {name!r} and {other!r} would both be {text!r} as a "
                     "ROS topic; export them apart with --cameras"
                 )
-        found[name] = text
-    return found
+        ros_names[name] = text
+    return ros_names

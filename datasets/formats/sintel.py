@@ -93,7 +93,7 @@ class Sintel(Format):
         write_bytes(path("final"), picture_png(frame))
         clean = picture_png(frame)
         if "clean" in pictures.kinds(frame.sidecar):
-            clean = file_bytes(pictures.beside_file(frame, "clean"))
+            clean = file_bytes(pictures.extra_picture_file(frame, "clean"))
         write_bytes(path("clean"), clean)
         flow = frame.passes["flow"]
         unknown = ~np.isfinite(flow).all(axis=2)

@@ -31,16 +31,16 @@ from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, W
 from scenec.datasets.formats.encode import (
     encoded,
     file_bytes,
+    integer_option,
     label_type,
     narrowed,
     picture_png,
     resolutions,
-    whole_option,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, write_json
-from scenec.schemas.frames import BESIDE, beside_path
+from scenec.schemas.frames import BESIDE, extra_picture_path
 from scenec.schemas.passes import built_in
 
 INDEX = "shards.json"
@@ -67,8 +67,8 @@ class WebDataset(Format):
 
     def __init__(self, info: Info) -> None:
         super().__init__(info)
-        self._frames = whole_option(self, "shard", 1)
-        self._bytes = whole_option(self, "shard_mb") * 1_000_000
+        self._frames = integer_option(self, "shard", 1)
+        self._bytes = integer_option(self, "shard_mb") * 1_000_000
         folded: dict[str, str] = {}
         for level in info.labels:
             other = folded.setdefault(level.lower(), level)
@@ -108,25 +108,25 @@ class WebDataset(Format):
 
     def members(self, frame: LoadedFrame) -> dict[str, bytes]:
         """A frame's files by the ending of their names."""
-        found: dict[str, bytes] = {}
+        contents: dict[str, bytes] = {}
         for name, array in frame.passes.items():
             if name == "rgb":
-                found[f"rgb.{self.option('picture')}"] = self._picture(frame)
+                contents[f"rgb.{self.option('picture')}"] = self._picture(frame)
                 if self.option("radiance") == "yes":
-                    self._array(found, "radiance", array.astype(np.float32))
+                    self._array(contents, "radiance", array.astype(np.float32))
             elif name.startswith("label."):
                 names = self.info.labels.get(name.removeprefix("label."), {})
-                self._array(found, name, narrowed(frame, name, label_type(names)))
+                self._array(contents, name, narrowed(frame, name, label_type(names)))
             else:
                 kind = np.uint32 if array.dtype.kind == "u" else np.float32
-                self._array(found, name, array.astype(kind))
+                self._array(contents, name, array.astype(kind))
         for beside in pictures.kinds(frame.sidecar):
             if beside == "raw":
-                self._array(found, beside, pictures.beside(frame, beside))
+                self._array(contents, beside, pictures.beside(frame, beside))
             else:
-                found[f"{beside}.png"] = file_bytes(pictures.beside_file(frame, beside))
-        found["json"] = json.dumps(self._metadata(frame), ensure_ascii=False).encode()
-        return found
+                contents[f"{beside}.png"] = file_bytes(pictures.extra_picture_file(frame, beside))
+        contents["json"] = json.dumps(self._metadata(frame), ensure_ascii=False).encode()
+        return contents
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write which shards there are, with how many frames, and the labels."""
@@ -190,9 +190,9 @@ class WebDataset(Format):
         table = ref.stem.with_name(ref.stem.name + ".instances.csv")
         files = (
             *((ref.stem.with_suffix(".png"), 1), (table, 4), (ref.stem.with_suffix(".json"), 1)),
-            (beside_path(ref.stem, "clean"), 1),
+            (extra_picture_path(ref.stem, "clean"), 1),
         )
-        held += 2 * beside_path(ref.stem, "raw").is_file()
+        held += 2 * extra_picture_path(ref.stem, "raw").is_file()
         return width * height * held + sum(_bytes(path) * n for path, n in files)
 
     def _picture(self, frame: LoadedFrame) -> bytes:

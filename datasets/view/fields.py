@@ -36,7 +36,7 @@ def store_field(name: str, values: NDArray[np.floating]) -> Layer:
     return Layer(facts, zlib.compress(data, _EFFORT))
 
 
-def store_whole(name: str, values: NDArray[np.uint16]) -> Layer:
+def store_integers(name: str, values: NDArray[np.uint16]) -> Layer:
     """Whole numbers of 16 bits [h, w], exactly."""
     facts = {"name": name, "code": "whole", "top": int(values.max(initial=1))}
     return Layer(facts, zlib.compress(differences(values), _EFFORT))

@@ -73,7 +73,7 @@ class Layer:
         return base64.b64encode(self.data)
 
 
-def taken(size: int, stored: int) -> NDArray[np.int64]:
+def stored_columns(size: int, stored: int) -> NDArray[np.int64]:
     """Returns the column (or row) of a frame that each stored one shows: int64 [stored]."""
     return (2 * np.arange(stored, dtype=np.int64) + 1) * size // (2 * stored)
 
@@ -83,7 +83,7 @@ def thinned(array: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     height, width = array.shape[:2]
     if (width, height) == size:
         return array
-    return array[taken(height, size[1])][:, taken(width, size[0])]
+    return array[stored_columns(height, size[1])][:, stored_columns(width, size[0])]
 
 
 def store_picture(

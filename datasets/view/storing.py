@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scenec.datasets import pictures
 from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
 from scenec.datasets.source import LoadedFrame
-from scenec.datasets.view.fields import store_field, store_whole
+from scenec.datasets.view.fields import store_field, store_integers
 from scenec.datasets.view.layers import (
     Fineness,
     Layer,
@@ -69,7 +69,7 @@ def _pictures(frame: LoadedFrame, size: tuple[int, int], quality: int) -> list[L
     for kind in pictures.kinds(frame.sidecar):
         pixels = pictures.beside(frame, kind)
         if kind == "raw":
-            found.append(store_whole(kind, thinned(pixels, size)))
+            found.append(store_integers(kind, thinned(pixels, size)))
         else:
             found.append(store_picture(kind, pixels, size, quality))
     return found

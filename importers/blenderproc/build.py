@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import cached_model
 from scenec.importers.blenderproc.scene import Kind, Object, Scene
-from scenec.importers.made import mesh_writer, table_writer, track_writer
 from scenec.importers.numbers import tidy
 from scenec.importers.output import Imported
 from scenec.importers.poses import lost_of
@@ -25,6 +24,7 @@ from scenec.importers.scene import (
     unused,
     varied_sun,
 )
+from scenec.importers.writers import mesh_writer, table_writer, track_writer
 from scenec.schemas.errors import CfgError, Fault
 from scenec.schemas.spelling import shown
 

@@ -46,7 +46,7 @@ _REPLACEMENTS: tuple[tuple[tuple[str, ...], str, tuple[float, float, float]], ..
 )
 
 
-def stand_in_material(name: str) -> dict[str, Any]:
+def replacement_material(name: str) -> dict[str, Any]:
     """A procedural material for what a name suggests."""
     surface, color = next(
         (surface, color)
@@ -199,7 +199,7 @@ def _layer(ctx: Context, texture: _Texture, general: Item) -> dict[str, Any]:
     name = ctx.unused("materials", Path(called.replace("\\", "/")).stem)
     to = f"materials/{name}"
     folder = ctx.assets.find(path, "a procedural surface", folder=True) if path else None
-    material = stand_in_material(name) if folder is None else {"maps": {}}
+    material = replacement_material(name) if folder is None else {"maps": {}}
     ctx.cfg["materials"][name] = material
     if folder is None:
         for key in ("spec", *_SWITCHES.values()):
@@ -234,7 +234,7 @@ def _maps(
     if "emission" in maps:
         material["emission"] = [1, 1, 1]
     if "base_color" not in maps:
-        material["base_color"] = stand_in_material(folder.name)["base_color"]
+        material["base_color"] = replacement_material(folder.name)["base_color"]
     for kind, key in _SWITCHES.items():
         if kind != "gloss":
             switches[key].translated(f"{to}/maps/{kind}")
@@ -370,6 +370,6 @@ def first_labels(ctx: Context, vector: Item, name: str, to: str) -> dict[str, st
 
 def added_ground(ctx: Context, why: str) -> None:
     """Ground where a cfg has none."""
-    ctx.cfg["materials"]["soil"] = stand_in_material("soil")
+    ctx.cfg["materials"]["soil"] = replacement_material("soil")
     ctx.cfg["terrain"]["ground"] = [{"material": "soil"}]
     ctx.imported.report.added("terrain/ground", why)

@@ -107,7 +107,7 @@ def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str
     files: list[str] = []
     maps: list[dict[str, Any] | None] = []
     strengths: list[tuple[float, float]] = []
-    asked: list[Item] = []
+    strength_items: list[Item] = []
     first: list[int] | None = None
     for entry in params.need("HDRIList").children():
         item, strength = entry.need("filePath"), entry.get("strength")
@@ -121,7 +121,7 @@ def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str
         item.translated(f"{_SKY}/files/{len(files)}")
         files.append(ctx.imported.refer(file))
         strengths.append(ends)
-        asked.append(strength)
+        strength_items.append(strength)
         ids, of = _picture_labels(ctx, entry.get("labelIDVec"))
         first = ids if first is None else first
         for level in range(ctx.labels.levels):
@@ -135,7 +135,7 @@ def _panoramas(ctx: Context, params: Item, factor: tuple[float, float], per: str
         added_light(ctx, "no panorama is there")
         return
     same = len(set(strengths)) == 1
-    for strength in asked:
+    for strength in strength_items:
         if same:
             strength.translated(f"{_SKY}/strength")
         else:

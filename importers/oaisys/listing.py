@@ -6,7 +6,7 @@ from typing import Any
 
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys.context import Context
-from scenec.importers.oaisys.ground import added_ground, chance, first_labels, stand_in_material
+from scenec.importers.oaisys.ground import added_ground, chance, first_labels, replacement_material
 from scenec.importers.oaisys.light import added_light
 from scenec.importers.oaisys.meshes import Class
 from scenec.importers.oaisys.render import counts
@@ -84,7 +84,7 @@ def _terrains(ctx: Context, item: Item, merges: int) -> None:
         folder = ctx.assets.find(path, "a procedural surface", folder=True)
         repeats = size.number(1e-6, 1e6, 1.0)
         if folder is None:
-            material = stand_in_material(name)
+            material = replacement_material(name)
             size.dropped("the stand-in has the size of its kind")
         else:
             maps = {"folder": ctx.imported.refer(folder), "size_m": tidy(_SIZE_M / repeats)}

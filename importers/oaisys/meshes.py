@@ -13,7 +13,7 @@ from scenec.compiler.assets.shells import Shell
 from scenec.compiler.geometry.poses import from_euler
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys.context import Context, label_vector
-from scenec.importers.oaisys.ground import semantic_labels, stand_in_material
+from scenec.importers.oaisys.ground import replacement_material, semantic_labels
 from scenec.importers.oaisys.relief import blend_parts
 from scenec.importers.source import Item
 
@@ -70,7 +70,7 @@ class Class:
         """Gives it its model, or the rocks that stand in for it; the model's parts."""
         if file is None:
             material = self.ctx.unused("materials", f"{self.name}_stone")
-            self.ctx.cfg["materials"][material] = stand_in_material("rock")
+            self.ctx.cfg["materials"][material] = replacement_material("rock")
             self.cfg.update(type="rocks", material=material)
             part.dropped("its file is not there")
             return ()

@@ -14,11 +14,11 @@ import numpy as np
 
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.assets.shells import Shell
-from scenec.importers.made import mesh_writer
 from scenec.importers.numbers import mean, scaled, tidy, uniform
 from scenec.importers.oaisys.context import Context
 from scenec.importers.oaisys.presets import NOISES, PRESETS, USUAL, WITHOUT_COUNTERPART
 from scenec.importers.source import Item
+from scenec.importers.writers import mesh_writer
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import closest, nearest, shown
 
@@ -83,7 +83,7 @@ class _Landscape:
         """A flag, also one in quotes."""
         return self.word(key).lower() in ("true", "1")
 
-    def told(self, key: str, to: str, note: str = "") -> None:
+    def translated(self, key: str, to: str, note: str = "") -> None:
         """Reports on a word that the cfg gives."""
         item = self._given.get(key)
         several = isinstance(item.value, list) and any(isinstance(v, str) for v in item.value)
@@ -96,16 +96,16 @@ def _operators(values: _Landscape, scale: float) -> list[dict[str, Any]]:
     to = f"{_RELIEF}/1"
     kind = values.word("noise_type", *NOISES)
     variant, by_dimension, warps = NOISES[kind]
-    values.told("noise_type", f"{to}/variant", f"{variant} on Perlin noise")
+    values.translated("noise_type", f"{to}/variant", f"{variant} on Perlin noise")
     if kind in ("ant_turbulence", "turbulence_vector") and values.is_set("hard_noise"):
         variant = "billow"
-    values.told("hard_noise", f"{to}/variant")
+    values.translated("hard_noise", f"{to}/variant")
     if values.is_set("height_invert"):
         variant = {"ridged": "billow", "billow": "ridged"}.get(variant, variant)
-    values.told("height_invert", f"{to}/variant", "upside down as far as a variant is so")
+    values.translated("height_invert", f"{to}/variant", "upside down as far as a variant is so")
     basis = values.word("basis_type")
     is_cellular = basis.startswith("VORONOI") or basis == "CELLNOISE"
-    values.told("basis_type", to, "cells (Worley)" if is_cellular else "Perlin noise")
+    values.translated("basis_type", to, "cells (Worley)" if is_cellular else "Perlin noise")
     height = values.span("height", f"{to}/amplitude_m")
     largest = max(abs(height[0]), abs(height[1]))
     note = "the same in x and y: the geometric mean"
@@ -120,8 +120,8 @@ def _operators(values: _Landscape, scale: float) -> list[dict[str, Any]]:
         "lacunarity": lacunarity,
         "gain": gain,
     }
-    values.told("offset", f"{to}/offset")
-    values.told("distortion", f"{to}/distortion", "a quarter of a feature for each unit")
+    values.translated("offset", f"{to}/offset")
+    values.translated("distortion", f"{to}/distortion", "a quarter of a feature for each unit")
     if is_cellular:
         distance = "f2-f1" if basis in ("VORONOI_F2F1", "VORONOI_CRACKLE", "CELLNOISE") else "f1"
         relief: dict[str, Any] = {"type": "worley", **common, "distance": distance}
@@ -149,7 +149,9 @@ def _octaves(values: _Landscape, by_dimension: bool) -> tuple[Any, Any]:
 
 def _strata(values: _Landscape, scale: float) -> list[dict[str, Any]]:
     kind, layers = values.word("strata_type"), values.span("strata", f"{_RELIEF}/2/step_m", 1e-3)
-    values.told("strata_type", f"{_RELIEF}/2", "terraces, whichever type" if kind != "0" else "")
+    values.translated(
+        "strata_type", f"{_RELIEF}/2", "terraces, whichever type" if kind != "0" else ""
+    )
     if kind == "0":
         return []
     return [{"type": "terraces", "step_m": uniform(scale / layers[1], scale / layers[0])}]

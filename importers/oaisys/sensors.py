@@ -10,7 +10,6 @@ import numpy as np
 
 from scenec.compiler.assets.tracks import read_stamped
 from scenec.compiler.geometry.poses import from_quaternion
-from scenec.importers.made import track_writer
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys import boxes
 from scenec.importers.oaisys.context import Context
@@ -18,6 +17,7 @@ from scenec.importers.oaisys.render import PASSES, ordered
 from scenec.importers.poses import FLIP, rotation_of, turns_of
 from scenec.importers.scene import identifier, intrinsics
 from scenec.importers.source import Item
+from scenec.importers.writers import track_writer
 from scenec.schemas.errors import SceneError
 
 _RIG = "base"

@@ -10,11 +10,11 @@ from pxr import Usd, UsdGeom, UsdRender
 
 from scenec.backends.stage import values
 from scenec.backends.stage.scene import Camera
-from scenec.importers.made import track_writer
 from scenec.importers.numbers import tidy
 from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED
 from scenec.importers.scene import intrinsics, orbit, unused, varied_pose
 from scenec.importers.usd.scene import Scene, name_of
+from scenec.importers.writers import track_writer
 from scenec.schemas.lens import COEFFICIENTS
 
 #: f-numbers that a cfg can have.

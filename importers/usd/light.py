@@ -104,7 +104,7 @@ def _add_sun(scene: Scene, light: dict[str, Any], one: _Shining[Sun]) -> None:
     elevation = math.degrees(math.asin(min(max(float(sun.to_light[2]), -1.0), 1.0)))
     azimuth = math.degrees(math.atan2(float(sun.to_light[0]), float(sun.to_light[1]))) % 360.0
     diameter = min(math.degrees(sun.diameter_rad), 90.0)
-    made: dict[str, Any] = {
+    entry: dict[str, Any] = {
         "elevation_deg": tidy(round(elevation, 6)),
         "azimuth_deg": tidy(round(azimuth, 6)),
         "irradiance": tidy(float(luminance(sun.irradiance))),
@@ -117,7 +117,7 @@ def _add_sun(scene: Scene, light: dict[str, Any], one: _Shining[Sun]) -> None:
     first = light["sun"] is None
     to = "light/sun" if first else f"light/more/{unused(name_of(one.path), light.get('more', {}))}"
     if first and "light" not in scene.keep:
-        made |= varied_sun()
+        entry |= varied_sun()
         where = f"elevation {elevation:.1f}, azimuth {azimuth:.1f} there"
         notes.append(f"anywhere by day: {where}")
     elif elevation + 0.5 * diameter <= 0.0:
@@ -125,11 +125,11 @@ def _add_sun(scene: Scene, light: dict[str, Any], one: _Shining[Sun]) -> None:
         report.add(DROPPED, one.path, None, "", why)
         return
     if first:
-        light["sun"] = made
+        light["sun"] = entry
     else:
-        light.setdefault("more", {})[to.rpartition("/")[2]] = {"type": "sun", **made}
+        light.setdefault("more", {})[to.rpartition("/")[2]] = {"type": "sun", **entry}
     report.add(APPROXIMATED if notes else TRANSLATED, one.path, None, to, "; ".join(notes))
-    report.add(TRANSLATED, f"{one.path}.inputs:intensity", made["irradiance"], f"{to}/irradiance")
+    report.add(TRANSLATED, f"{one.path}.inputs:intensity", entry["irradiance"], f"{to}/irradiance")
 
 
 def _add_lamp(scene: Scene, light: dict[str, Any], one: _Shining[Lamp]) -> None:

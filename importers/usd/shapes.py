@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, UsdGeom
 
-from scenec.importers.made import table_writer
 from scenec.importers.numbers import tidy
 from scenec.importers.poses import turns_of
 from scenec.importers.report import APPROXIMATED, DROPPED, TRANSLATED
@@ -18,6 +17,7 @@ from scenec.importers.usd.models import Placed
 from scenec.importers.usd.objects import Class, Thing, key_of, things
 from scenec.importers.usd.scene import Scene, name_of
 from scenec.importers.usd.surfaces import Materials
+from scenec.importers.writers import table_writer
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.spelling import nearest, shown
 

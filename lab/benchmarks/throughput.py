@@ -31,7 +31,7 @@ import psutil
 
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.render import render
-from scenec.backends.run.units import Made, OfBackend
+from scenec.backends.run.units import OfBackend, UnitResult
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.gpu import most_gib, watched
 from scenec.lab.runner import DEMO, Cell, Study, apart, run
@@ -120,7 +120,7 @@ class _Noted:
         with closing(self._executor.work(take)) as ended:
             for unit, outcome in ended:
                 self.case.opened_s = self.case.opened_s or time.perf_counter()
-                if isinstance(outcome.value, Made):
+                if isinstance(outcome.value, UnitResult):
                     self.case.done_s.append(time.perf_counter())
                     self.case.cpu_s.append(_cpu_s())
                     self.case.phases.append(outcome.value.seconds)

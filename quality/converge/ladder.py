@@ -85,7 +85,7 @@ class Ladder:
 
 
 @dataclass(frozen=True)
-class Shown:
+class LadderFrame:
     """One frame of a ladder, read back when it is asked for."""
 
     stem: Path
@@ -117,8 +117,8 @@ class Climbed:
     version: str
     device: str
     stochastic: bool
-    references: tuple[list[Shown], ...]
-    rungs: list[tuple[Rung, bool, list[list[Shown]]]]
+    references: tuple[list[LadderFrame], ...]
+    rungs: list[tuple[Rung, bool, list[list[LadderFrame]]]]
     denoiser: str | None
     losses: tuple[str, ...]
     digest: str
@@ -187,8 +187,8 @@ class _Climb:
         )
         estimates = [shown.read().sidecar.error.relative_rms for shown in first]
         stochastic = any(value is not None for value in estimates)
-        references: tuple[list[Shown], ...] = (first,)
-        rungs: list[tuple[Rung, bool, list[list[Shown]]]] = []
+        references: tuple[list[LadderFrame], ...] = (first,)
+        rungs: list[tuple[Rung, bool, list[list[LadderFrame]]]] = []
         if stochastic:
             again = _REFERENCE_SEED + 1
             references += (self._render("reference/second", spp=ladder.reference, seed=again),)
@@ -223,7 +223,7 @@ class _Climb:
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
-    def _repeats(self, rung: Rung, denoise: bool) -> list[list[Shown]]:
+    def _repeats(self, rung: Rung, denoise: bool) -> list[list[LadderFrame]]:
         kind = "denoised" if denoise else "plain"
         return [
             self._render(
@@ -242,7 +242,7 @@ class _Climb:
         denoise: bool = False,
         seconds: float | None = None,
         all_: bool = False,
-    ) -> list[Shown]:
+    ) -> list[LadderFrame]:
         """All frames of one quality and noise; with annotation if ``all_``."""
         plan = replace(
             self._wanted, spp=spp, noise_seed=seed, denoise=denoise, seconds=seconds, replace=True
@@ -255,7 +255,7 @@ class _Climb:
         if todo and not self._warm:
             self._warm_up()
         self._ask(*(replace(frame, what=f"{plan.backend} {name} {frame.what}") for frame in todo))
-        return [Shown(frame.stem, frame.what) for frame in frames]
+        return [LadderFrame(frame.stem, frame.what) for frame in frames]
 
     def _ask(self, *units: Unit) -> Any:
         """Runs units; returns what the last one returns."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.check.radiance import flip
-from scenec.quality.converge.ladder import Climbed, Rung, Shown
+from scenec.quality.converge.ladder import Climbed, LadderFrame, Rung
 from scenec.quality.converge.metrics import Errors, Reference, errors, square_and_error
 from scenec.schemas.frames import Frame
 
@@ -57,7 +57,7 @@ class Row:
 
 
 @dataclass
-class Seen:
+class References:
     """A batch's references, read once: per place the pixels that count, and each backend's R."""
 
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
@@ -65,13 +65,13 @@ class Seen:
     frames: dict[tuple[str, str], Frame] = field(default_factory=dict)
 
 
-def see(climbed: Sequence[Climbed]) -> Seen:
+def see(climbed: Sequence[Climbed]) -> References:
     """Read all references of a batch.
 
     Pixels that count are those whose center a surface covers: the same for all backends, since
     annotation is.
     """
-    seen = Seen()
+    seen = References()
     for one in climbed:
         for number, shown in enumerate(one.references[0]):
             first = shown.read()
@@ -91,7 +91,7 @@ def see(climbed: Sequence[Climbed]) -> Seen:
     return seen
 
 
-def rows(batch: str, climbed: Sequence[Climbed], references: Seen) -> list[Row]:
+def rows(batch: str, climbed: Sequence[Climbed], references: References) -> list[Row]:
     """Every picture against its own backend's reference and those of all others with noise."""
     found = []
     for one in climbed:
@@ -120,9 +120,9 @@ def _row(
     rung: Rung,
     denoised: bool,
     repeat: int,
-    frame_of: Shown,
+    frame_of: LadderFrame,
     frame: Frame,
-    references: Seen,
+    references: References,
 ) -> Row:
     key = (against, frame_of.place)
     result: Errors = errors(
@@ -152,7 +152,7 @@ def _row(
     )
 
 
-def floors(climbed: Sequence[Climbed], references: Seen) -> list[dict[str, Any]]:
+def floors(climbed: Sequence[Climbed], references: References) -> list[dict[str, Any]]:
     """Compares backends' references, pair by pair: differences that more samples leave.
 
     The noise of both is subtracted. Means over frames: ``relative_ms`` and ``relative_ms_error``

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.backends.check.radiance import flip, write_differences
 from scenec.quality.converge.ladder import Climbed
-from scenec.quality.converge.measure import Row, Seen
+from scenec.quality.converge.measure import References, Row
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import Frame
@@ -99,7 +99,9 @@ def unseen_floors(floors: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], references: Seen) -> list[Path]:
+def pictures(
+    folder: Path, batch: str, climbed: Sequence[Climbed], references: References
+) -> list[Path]:
     """Pictures of differences, of the first frame.
 
     Each ladder's ends against its reference, and the references against each other;

@@ -95,7 +95,7 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
 def _add(
     report: ConvergeReport,
     one: Climbed,
-    references: measure.Seen,
+    references: measure.References,
     ladder: Ladder,
 ) -> None:
     noises = [references.references[one.backend, shown.place] for shown in one.references[0]]

@@ -17,9 +17,9 @@ from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, se
 from scenec.compiler.objects.plan import RockShapes, ScatterPlan
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
-from scenec.quality.ladder.apart import apart
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
+from scenec.quality.ladder.distance import mesh_distance
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.schemas.errors import SceneError
 
@@ -132,7 +132,7 @@ def _renumbered(one: Scatter, chains: Sequence[Chain]) -> tuple[Scatter, tuple[C
 
 def _distances(chains: Sequence[Chain]) -> _Measured:
     both = [
-        (0.0, 0.0) if level is chain[0] else apart(level, chain[0])
+        (0.0, 0.0) if level is chain[0] else mesh_distance(level, chain[0])
         for chain in chains
         for level in chain
     ]

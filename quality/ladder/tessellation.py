@@ -20,8 +20,8 @@ from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.points import rms, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
-from scenec.quality.ladder.seen import Truth, horizons
 from scenec.quality.ladder.tin import Heights, Index
+from scenec.quality.ladder.visible import Truth, horizons
 
 #: How far float32 vertices may lie within the terrain's border, parts of its size.
 _ROUNDING = 1e-6

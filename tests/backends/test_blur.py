@@ -20,7 +20,7 @@ from scenec.backends.registry import open_backend
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.backends.testing.scenes import mesh, scene, surface
-from scenec.schemas.lens import EQUIRECTANGULAR, Lens, shown_at
+from scenec.schemas.lens import EQUIRECTANGULAR, Lens, pixels_at
 from scenec.schemas.shutter import Shutter
 from scenec.testing.blur_scenes import ahead, of_plates, picture, plate, session, shaken
 from scenec.testing.examples import examples
@@ -112,7 +112,7 @@ def farthest(camera: Camera, of: RenderScene) -> float:
         way, before = np.zeros(len(points)), None
         for pose in poses:
             local = (points - pose[:3, 3]) @ pose[:3, :3]
-            at = shown_at(camera.lens, camera.intrinsics, local)
+            at = pixels_at(camera.lens, camera.intrinsics, local)
             inside = ((at >= 0.0) & (at <= size)).all(axis=1)
             if before is not None:
                 step = np.sqrt(((at - before[0]) ** 2).sum(axis=1))

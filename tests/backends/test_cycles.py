@@ -155,7 +155,7 @@ def test_what_is_not_exact_is_said():
 
 
 def test_a_skew_is_refused_by_name():
-    made = geometry.seen_variously()
+    made = geometry.varied_views()
     backend = loaded(made)
     view = made.cameras[list(geometry.INTRINSICS).index("skewed")][0]
     assert backend.witness(camera_rays(view), 0, None) is None

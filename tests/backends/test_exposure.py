@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.exposure import GRAY, Meter, expose, level
-from scenec.backends.picture.metering import Seen, look
+from scenec.backends.picture.metering import MeteredLuminance, look
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
@@ -32,7 +32,7 @@ from scenec.backends.testing.scenes import (
     write_latlong,
 )
 from scenec.schemas.errors import StageError
-from scenec.schemas.imaging import Imaging, shown_per_value
+from scenec.schemas.imaging import Imaging, displayed_per_value
 from scenec.schemas.lens import Lens
 from scenec.schemas.picture import LUMINANCE, develop, fault, tally
 from scenec.schemas.records import ExposureRecord
@@ -220,7 +220,7 @@ def test_the_sun_in_the_picture_does_not_decide() -> None:
 def test_surfaces_meet_a_sky_against_the_light_half_way(share: float, bright: float) -> None:
     """Surfaces of luminance 1 below a sky that is ``bright`` over a ``share`` of the picture."""
     sky = np.full(round(1000 * share), bright)
-    found = expose(Seen(np.ones(1000 - len(sky)), sky), 1)
+    found = expose(MeteredLuminance(np.ones(1000 - len(sky)), sky), 1)
     # Glare over a twentieth burns; of a larger part's stops above white half are taken, up to 3.
     over = np.log2(0.18 * bright) if share > 0.05 else 0.0
     expected = np.log2(GRAY) - min(max(0.5 * over, 0.0), 3.0)
@@ -280,14 +280,14 @@ def test_a_metered_sensor_shows_what_the_exposure_says() -> None:
     found, _ = Meter(made).exposed(camera, 0, lambda: ExactCaster(made))
     assert found.imaging is not None
     assert found.imaging.rule == "fixed"
-    shown = shown_per_value(4.0, found.imaging.time_s, found.imaging.iso, 2.0)
+    shown = displayed_per_value(4.0, found.imaging.time_s, found.imaging.iso, 2.0)
     assert np.log2(shown) == pytest.approx(found.exposure_ev, abs=1e-9)
     # It follows an exposure that is given, too.
     given = dataclasses.replace(camera, exposure_per=None, exposure_ev=-3.0)
     followed, facts = Meter(made).exposed(given, 0, lambda: ExactCaster(made))
     assert facts == ExposureRecord(rule="given")
     assert followed.imaging is not None
-    shown = shown_per_value(4.0, followed.imaging.time_s, followed.imaging.iso, 2.0)
+    shown = displayed_per_value(4.0, followed.imaging.time_s, followed.imaging.iso, 2.0)
     assert np.log2(shown) == pytest.approx(-3.0, abs=1e-9)
     # One with a time and a speed, or with a meter in each picture, keeps its own.
     for imaging in (Imaging(time_s=0.01, iso=100.0), Imaging(rule="auto")):

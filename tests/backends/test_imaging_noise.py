@@ -236,7 +236,7 @@ def test_electrons_follow_the_camera_equation() -> None:
 def test_sunny_sixteen_exposes_gray_as_iso_12232_says() -> None:
     # f/16, 1/100 s, ISO 100, 100 klx: 0.18 lx s on the sensor behind 18 % gray, of 0.78 at most.
     gray = 0.18 * (1e5 / formulas.LUMENS_PER_WATT) / np.pi
-    shown = formulas.shown_per_value(16.0, 0.01, 100.0, 1.0) * gray
+    shown = formulas.displayed_per_value(16.0, 0.01, 100.0, 1.0) * gray
     assert shown == pytest.approx(np.pi * 0.18 * 1e5 / np.pi / (4 * 256) * 0.01 / 0.78, rel=1e-9)
     assert shown == pytest.approx(0.225, abs=0.002)
     # What is shown of a value is what its electrons are of those that saturate.
@@ -256,7 +256,7 @@ def test_time_comes_before_speed_and_both_keep_their_limits() -> None:
         if isos[0] < iso < isos[1]:
             assert time_s == times[1]
         if times[0] < time_s < times[1] or isos[0] < iso < isos[1]:
-            assert formulas.shown_per_value(4.0, time_s, iso, 2.0) == pytest.approx(shown)
+            assert formulas.displayed_per_value(4.0, time_s, iso, 2.0) == pytest.approx(shown)
 
 
 def test_a_gain_is_the_speed_that_has_it() -> None:

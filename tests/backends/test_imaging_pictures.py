@@ -17,7 +17,7 @@ from scenec.backends.imaging import develop, optics, sensor
 from scenec.backends.imaging.camera import exposure, take
 from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.stage.scene import Camera
-from scenec.schemas.imaging import SUBSAMPLINGS, Imaging, shown_per_value
+from scenec.schemas.imaging import SUBSAMPLINGS, Imaging, displayed_per_value
 from scenec.schemas.picture import srgb_encode, tone_map
 from scenec.schemas.threads import at_most
 from scenec.testing.examples import examples
@@ -74,7 +74,7 @@ def picture(rgb: NDArray[np.float32], imaging: Imaging, sample: int = 0) -> NDAr
 def shown(rgb: NDArray[np.floating], imaging: Imaging) -> NDArray[np.float64]:
     """What the shared tone curve makes of it, stretched so that the brightest is white."""
     white = 2.0**imaging.headroom
-    ev = np.log2(shown_per_value(imaging.f_number, imaging.time_s, imaging.iso, white))
+    ev = np.log2(displayed_per_value(imaging.f_number, imaging.time_s, imaging.iso, white))
     brightest = tone_map(np.array(2.0**imaging.headroom))
     curve = np.minimum(tone_map(rgb.astype(np.float64), ev) / brightest, 1.0)
     return 255.0 * srgb_encode(curve)

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from scenec.backends.model.bake import box_uv
-from scenec.backends.model.collect import _look, coarse_model, whole_model
+from scenec.backends.model.collect import _look, coarse_model, full_model
 from scenec.backends.model.colors import colors_at, vertex_colors
 from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.read import read_stage
@@ -92,7 +92,7 @@ def instances(model: Model) -> dict[int, np.ndarray]:
 
 
 def test_a_whole_model_has_each_triangle_and_instance_of_the_stage(scene):
-    model = whole_model(scene, "b", texels=1 << 14)
+    model = full_model(scene, "b", texels=1 << 14)
     rows = scene.rows
     triangles = sum(len(scene.meshes[m].faces) for m in rows.mesh)
     assert triangles == sum(
@@ -129,7 +129,7 @@ def test_a_coarse_model_keeps_within_its_room_and_says_what_went(scene):
 
 
 def test_what_is_baked_are_the_colors_of_the_mixed_surface(scene):
-    model = whole_model(scene, "b", texels=1 << 16)
+    model = full_model(scene, "b", texels=1 << 16)
     row = int(np.flatnonzero(scene.rows.instance_id == 0)[0])
     mesh = scene.meshes[scene.rows.mesh[row]]
     part = next(p for p in model.parts if p.path == mesh.path)

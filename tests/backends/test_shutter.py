@@ -16,11 +16,11 @@ from scenec.backends.annotation.correspondence import match
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.camera.shutter import (
-    beside,
     is_rolling,
     places_of,
     poses_at,
     row_poses,
+    shifted,
 )
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.compose import background
@@ -333,7 +333,7 @@ def test_a_rectified_pair_that_rolls_alike_differs_along_rows_alone(
 ) -> None:
     """But for its second eye's arc between keys, whose chord it takes."""
     left = rolling("pinhole")
-    right = beside(left, 0.2)
+    right = shifted(left, 0.2)
     rays = camera_rays(left)
     exact = caster.hits(rays)
     found = match(world, caster, exact, rays, (left, 0), (right, 0))

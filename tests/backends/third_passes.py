@@ -23,12 +23,12 @@ PLACE = """
 import numpy as np
 from scenec.backends.annotation.contract import Pass, Picture
 from scenec.backends.annotation.passes import position
-from scenec.schemas.lens import shown_at
+from scenec.schemas.lens import pixels_at
 
 def place(picture: Picture) -> np.ndarray:
     pose = picture.camera.camera_to_world
     local = (picture.once(position) - pose[:3, 3]) @ pose[:3, :3]
-    return shown_at(picture.camera.lens, picture.camera.intrinsics, local)
+    return pixels_at(picture.camera.lens, picture.camera.intrinsics, local)
 
 PLACE = Pass(
     name="place", channels=("column", "row"), convention="pixels", compute=place, whole=True,

@@ -206,9 +206,9 @@ def test_a_cfg_that_asks_for_depth_only_makes_no_material_light_or_label(tmp_pat
         assert not UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
         assert "Labels" not in str(prim.GetAppliedSchemas())
     report = json.loads((out / "batch_0000/report.json").read_text())
-    unasked = "no sensor asks for "
+    not_requested = "no sensor asks for "
     whys = [entry["why"] for entry in report["left_out"] if entry["pass"] != "prune"]
-    assert {why.removeprefix(unasked) for why in whys} == {"rgb", "labels", "instances"}
+    assert {why.removeprefix(not_requested) for why in whys} == {"rgb", "labels", "instances"}
     assert check_stage(out / "batch_0000/stage.usda") == []
 
 

@@ -124,7 +124,7 @@ def test_any_motion_comes_back_within_its_stated_error(values):
 
 def test_raw_numbers_come_back_exactly():
     numbers = np.random.default_rng(0).integers(0, 2**16, (7, 9), np.uint16)
-    layer = fields.store_whole("raw", numbers)
+    layer = fields.store_integers("raw", numbers)
     assert (unpacked(layer.data, 1, numbers.shape)[0] == numbers).all()
     assert layer.facts["top"] == numbers.max()
 

@@ -25,7 +25,7 @@ from scenec.cli.main import main
 from scenec.datasets.view import layers as stored
 from scenec.datasets.view.fitting import steps
 from scenec.datasets.view.ground import Ground, ground_text
-from scenec.datasets.view.layers import Fineness, taken
+from scenec.datasets.view.layers import Fineness, stored_columns
 from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.frames import frame_stem, read_frame
@@ -188,7 +188,7 @@ def test_normals_are_off_by_less_than_stated():
 
 def test_a_reduced_picture_holds_pixels_of_the_frame_and_blends_none():
     for full, kept in ((640, 320), (641, 100), (7, 7), (5, 1)):
-        places = taken(full, kept)
+        places = stored_columns(full, kept)
         assert (np.diff(places) >= 1).all()
         assert places[0] >= 0
         assert places[-1] < full

@@ -21,7 +21,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.quality.ladder import APPROXIMATIONS, Ladder, LadderReport, climb, cost
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.run import climb_base
-from scenec.quality.ladder.seen import looked_at, spread
+from scenec.quality.ladder.visible import looked_at, spread
 from scenec.schemas.errors import OutputError, ScenecError, StageError
 from scenec.testing.small import small_cfg, write_cfg
 

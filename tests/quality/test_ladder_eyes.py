@@ -14,7 +14,7 @@ from scenec.compiler.views.frustum import rays_a_radian
 from scenec.compiler.views.resolution import views_of
 from scenec.quality.ladder import points
 from scenec.quality.ladder.eyes import Eye, eyes_of
-from scenec.quality.ladder.seen import horizons, looked_at, skylines
+from scenec.quality.ladder.visible import horizons, looked_at, skylines
 from scenec.schemas.lens import Lens
 
 #: Camera axes in the world, as columns: right, down, forward.

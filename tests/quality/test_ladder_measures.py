@@ -21,14 +21,14 @@ from scenec.compiler.scene.light import SunLight
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.quality.ladder import cost, points, sky
-from scenec.quality.ladder.apart import apart, nearest, spread_over
 from scenec.quality.ladder.cost import Clock
-from scenec.quality.ladder.seen import Truth, looked_at
+from scenec.quality.ladder.distance import mesh_distance, nearest, spread_over
 from scenec.quality.ladder.sky_truth import atmosphere_along, bilinear, clear_along
 from scenec.quality.ladder.slopes import slope
 from scenec.quality.ladder.smoothing import continuous
 from scenec.quality.ladder.tessellation import distances, holes
 from scenec.quality.ladder.tin import Heights, Index
+from scenec.quality.ladder.visible import Truth, looked_at
 
 
 @given(
@@ -132,10 +132,10 @@ def test_distances_are_those_of_another_library():
 
 
 def test_concentric_spheres_are_apart_by_their_radii_but_for_facets():
-    worst, rms = apart(sphere(3, 1.0), sphere(3, 0.5))
+    worst, rms = mesh_distance(sphere(3, 1.0), sphere(3, 0.5))
     assert worst == pytest.approx(0.5, abs=8e-3)
     assert rms == pytest.approx(0.5, abs=8e-3)
-    assert apart(sphere(2), sphere(2)) == pytest.approx((0.0, 0.0), abs=1e-7)
+    assert mesh_distance(sphere(2), sphere(2)) == pytest.approx((0.0, 0.0), abs=1e-7)
 
 
 def test_a_cosine_decays_as_the_continuous_equation_says():
@@ -248,7 +248,7 @@ def test_rms_distance_is_over_the_area_whatever_the_faces():
         )
         for one in (low, high)
     ]
-    worst, rms = apart(*meshes)
+    worst, rms = mesh_distance(*meshes)
     assert worst == pytest.approx(0.1, rel=1e-6)
     assert rms == pytest.approx(0.1 * math.sqrt(0.01 / 1.01), rel=0.02)
 

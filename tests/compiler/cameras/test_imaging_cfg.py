@@ -28,7 +28,7 @@ from scenec.compiler.kinds.draw import draw_object
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError
-from scenec.schemas.frames import beside_path, read_frame
+from scenec.schemas.frames import extra_picture_path, read_frame
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.picture import develop
 from scenec.testing import small
@@ -141,7 +141,7 @@ def test_metered_exposures_show_what_the_meter_says_within_their_limits(tmp_path
 def test_manual_and_automatic_exposures_have_no_meter(tmp_path: Path) -> None:
     manual = {"exposure": {"type": "manual", "time_s": 0.01, "iso": 400}, "f_number": 8}
     sensor = exposed(drawn(tmp_path, manual), [3.0, 4.0, 5.0])
-    shown = np.log2(formulas.shown_per_value(8.0, 0.01, 400.0, 2.0))
+    shown = np.log2(formulas.displayed_per_value(8.0, 0.01, 400.0, 2.0))
     assert sensor.exposure_ev == pytest.approx([shown] * 3, abs=1e-12)
     auto = drawn(tmp_path, {"exposure": {"type": "auto"}})
     sensor = exposed(auto, [3.0, 4.0, 5.0])
@@ -260,8 +260,8 @@ def test_pictures_are_the_sensors_rgb_is_the_scenes_and_nothing_else_moves(tmp_p
             assert array.tobytes() == after.passes[name].tobytes(), name
         stem = after.path.with_suffix("")
         shown = np.asarray(Image.open(stem.with_suffix(".png")))
-        clean = np.asarray(Image.open(beside_path(stem, "clean")))
-        raw = np.asarray(Image.open(beside_path(stem, "raw")))
+        clean = np.asarray(Image.open(extra_picture_path(stem, "clean")))
+        raw = np.asarray(Image.open(extra_picture_path(stem, "raw")))
         assert raw.shape == (32, 48)
         assert raw.dtype == np.uint16
         # The meter says the same, so the clean picture shows what one without a sensor does.
@@ -275,10 +275,10 @@ def test_pictures_are_the_sensors_rgb_is_the_scenes_and_nothing_else_moves(tmp_p
         assert before.sidecar.imaging is None
     # A picture that is gone is made again, the same; nothing else is.
     stem = reports[1].frames[0].with_suffix("")
-    files = {kind: beside_path(stem, kind).read_bytes() for kind in ("clean", "raw")}
+    files = {kind: extra_picture_path(stem, kind).read_bytes() for kind in ("clean", "raw")}
     picture = stem.with_suffix(".png").read_bytes()
-    beside_path(stem, "raw").unlink()
+    extra_picture_path(stem, "raw").unlink()
     again = render(folders[1].parent, "mitsuba", spp=4)
     assert again.rendered == 1
     assert stem.with_suffix(".png").read_bytes() == picture
-    assert {kind: beside_path(stem, kind).read_bytes() for kind in files} == files
+    assert {kind: extra_picture_path(stem, kind).read_bytes() for kind in files} == files

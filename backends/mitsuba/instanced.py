@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster
-from scenec.backends.exact.trace import Beams, Found, trace_all
+from scenec.backends.exact.trace import Beams, BestHits, trace_all
 from scenec.backends.mitsuba.aligned import aligned_columns
 from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
@@ -69,7 +69,7 @@ class _Tables(NamedTuple):
     row_values: NDArray[np.float32]
 
 
-class KeptScene:
+class InstancedScene:
     """A scene of instances, and the integrator over it.
 
     Args:
@@ -202,7 +202,7 @@ class KeptScene:
         origins = hit.start(shaded.to_light)
         none = np.full(len(lit), NO_ROW, np.int32)
         # What is found is nearer than the light.
-        between = Found(none, np.zeros_like(none), shaded.distance[lit] * (1.0 - _SHORT))
+        between = BestHits(none, np.zeros_like(none), shaded.distance[lit] * (1.0 - _SHORT))
         trace_all(self._caster.geometry, Beams(origins, shaded.to_light), lit, between)
         found = np.zeros_like(shaded.light)
         seen = lit[between.row == NO_ROW]
@@ -312,7 +312,7 @@ class _Hits(NamedTuple):
 
     @staticmethod
     def of(
-        scene: KeptScene,
+        scene: InstancedScene,
         rays: Rays,
         lanes: NDArray[np.int64],
         row: NDArray[np.int32],

@@ -18,7 +18,7 @@ TONE_CURVE = (
 
 
 @dataclass(frozen=True)
-class Taken:
+class SensorResult:
     """Holds a sensor's pictures of a frame.
 
     Attributes:

@@ -14,7 +14,7 @@ from scenec.schemas.threads import over_threads
 _POINTS = 6_000
 
 
-def apart(one: Prototype, other: Prototype) -> tuple[float, float]:
+def mesh_distance(one: Prototype, other: Prototype) -> tuple[float, float]:
     """Largest and root-mean-square distance of points of each mesh from the other mesh, meters.
 
     The symmetric distance of Hausdorff over points: vertices, and points spread over the area.
