@@ -114,21 +114,21 @@ def levels(entries: Mapping[str, Any]) -> str:
 _COCO_DETECTIONS = 100
 
 
-def instances(statistics: Mapping[str, Any]) -> str:
+def instances(part: Mapping[str, Any]) -> str:
     """Classes of instances, and histograms over all of them."""
     rows = [
         (code(name), entry["seen"], entry["distinct"], entry["frames"], entry["at_border"])
-        for name, entry in statistics["classes"].items()
+        for name, entry in part["classes"].items()
     ]
     if len(rows) > 1:
-        rows.append(("all", statistics["seen"], statistics["distinct"], "", ""))
+        rows.append(("all", part["seen"], part["distinct"], "", ""))
     header = ["class", "seen in frames", "distinct", "frames", "at the border"]
     text = table(header, rows, "lrrrr")
     text += (
         "\n*Seen* counts an instance once for each frame that shows it, *distinct* once for its "
         "batch.\n"
     )
-    most = statistics["most_in_a_frame"]
+    most = part["most_in_a_frame"]
     text += f"No frame shows more than {most:,}.\n"
     if most > _COCO_DETECTIONS:
         text += (
@@ -137,8 +137,8 @@ def instances(statistics: Mapping[str, Any]) -> str:
             f"line of its summary stays that of {_COCO_DETECTIONS}; "
             "`eval['precision'][..., -1]` has them all.\n"
         )
-    if statistics["ignored"]:
-        text += f"{statistics['ignored']:,} are marked as not to be judged, and not counted here.\n"
+    if part["ignored"]:
+        text += f"{part['ignored']:,} are marked as not to be judged, and not counted here.\n"
     titles = {
         "area": ("pixels that show it", "Area"),
         "size": ("longest side, meters", "Size"),
@@ -146,20 +146,16 @@ def instances(statistics: Mapping[str, Any]) -> str:
         "occlusion": ("part hidden by others", "Occlusion"),
         "truncation": ("part beyond the border", "Truncation"),
     }
-    text += "\nInstances in a frame:\n\n" + histogram(
-        statistics["per_frame"], "instances", "frames"
-    )
+    text += "\nInstances in a frame:\n\n" + histogram(part["per_frame"], "instances", "frames")
     for key, (what, title) in titles.items():
-        if key in statistics["all"]:
-            text += f"\n{title}:\n\n" + histogram(statistics["all"][key], what, "instances")
+        if key in part["all"]:
+            text += f"\n{title}:\n\n" + histogram(part["all"][key], what, "instances")
     return text
 
 
-def viewpoints(statistics: Mapping[str, Any]) -> str:
+def viewpoints(part: Mapping[str, Any]) -> str:
     """Tabulates positions and directions of cameras."""
-    rows = [
-        (axis, float(low), float(high)) for axis, (low, high) in statistics["position_m"].items()
-    ]
+    rows = [(axis, float(low), float(high)) for axis, (low, high) in part["position_m"].items()]
     text = "Positions of cameras, meters:\n\n" + table(["axis", "least", "most"], rows, "lrr")
     titles = {
         "height_above_surface": "Height above the first surface straight below, meters",
@@ -168,20 +164,20 @@ def viewpoints(statistics: Mapping[str, Any]) -> str:
         "heading": "Heading, degrees clockwise from +Y (north)",
     }
     for key, title in titles.items():
-        if key in statistics:
-            text += f"\n{title}:\n\n" + histogram(statistics[key], key.split("_")[0], "frames")
+        if key in part:
+            text += f"\n{title}:\n\n" + histogram(part[key], key.split("_")[0], "frames")
     return text
 
 
-def sun(statistics: Mapping[str, Any]) -> str:
+def sun(part: Mapping[str, Any]) -> str:
     """Elevations by bearings of the sun."""
-    edges = statistics["azimuth_edges_deg"]
+    edges = part["azimuth_edges_deg"]
     header = ["elevation \\ bearing", *(f"{low:g}°" for low in edges[:-1])]
     rows = [
         [f"{10 * int(row) - 90}° to {10 * int(row) - 80}°", *(count or "" for count in counts)]
-        for row, counts in reversed(statistics["frames"].items())
+        for row, counts in reversed(part["frames"].items())
     ]
     text = table(header, rows, "l" + "r" * 12) if rows else ""
-    if statistics["without"]:
-        text += f"\n{statistics['without']:,} frames have no sun.\n"
+    if part["without"]:
+        text += f"\n{part['without']:,} frames have no sun.\n"
     return text

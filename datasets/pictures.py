@@ -21,7 +21,7 @@ from scenec.datasets.source import LoadedFrame
 from scenec.schemas.codec import JSON, UNSET, encode
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
-from scenec.schemas.frames import Frame, extra_picture_path
+from scenec.schemas.frames import Frame, extra_path
 from scenec.schemas.picture import develop
 from scenec.schemas.records import FileDigest, FrameRecord
 
@@ -101,7 +101,7 @@ def extra_picture_file(frame: LoadedFrame | Frame, kind: str) -> Path:
     Raises:
         FrameError: It has none, or the file is not the one that its sidecar names.
     """
-    path = extra_picture_path(_stem(frame), kind)
+    path = extra_path(_stem(frame), kind)
     digest = _digests(frame.sidecar).get(kind)
     if digest is None:
         raise FrameError(f"{path}: its sensor was not asked for it (imaging, {kind!r})")

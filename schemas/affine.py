@@ -37,7 +37,7 @@ def composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray
     return out
 
 
-def transformed_boxes(
+def moved_boxes(
     linear: NDArray[np.float64],
     boxes: NDArray[np.float64],
     shift: NDArray[np.float64] | float = 0.0,

@@ -146,7 +146,7 @@ def frame_stem(folder: Path, backend: str, camera: str, sample: int) -> Path:
     return folder / FRAMES / backend / camera / f"{sample:06d}"
 
 
-def extra_picture_path(stem: Path, kind: str) -> Path:
+def extra_path(stem: Path, kind: str) -> Path:
     """Path of a picture beside the picture, one of ``BESIDE``."""
     return stem.with_name(f"{stem.name}.{kind}.png")
 
@@ -177,8 +177,8 @@ def is_done(stem: Path, key: FrameKey) -> bool:
             and (not record.png or stem.with_suffix(".png").is_file())
             and _is_there(frame_table_path(stem), record.instance_table)
             and _is_there(amodal_path(stem), record.amodal)
-            and _is_there(extra_picture_path(stem, "clean"), beside.clean)
-            and _is_there(extra_picture_path(stem, "raw"), beside.raw)
+            and _is_there(extra_path(stem, "clean"), beside.clean)
+            and _is_there(extra_path(stem, "raw"), beside.raw)
         )
     except (OSError, FrameError):
         return False

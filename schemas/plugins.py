@@ -248,13 +248,11 @@ def load_kind(group: str, name: str) -> type[Any]:
     return made  # type: ignore[return-value]
 
 
-def _declares(candidate: Any) -> bool:
+def _declares(kind: Any) -> bool:
     """Whether all fields of a class are declared, but for those that it derives."""
-    if not dataclasses.is_dataclass(candidate):
+    if not dataclasses.is_dataclass(kind):
         return False
-    own = [
-        field for field in dataclasses.fields(candidate) if field.name in candidate.__annotations__
-    ]
+    own = [field for field in dataclasses.fields(kind) if field.name in kind.__annotations__]
     return all({KEY, GIVEN} & field.metadata.keys() or field.name == "key" for field in own)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.schemas.files import sha256
-from scenec.schemas.frames import BESIDE, extra_picture_path
+from scenec.schemas.frames import BESIDE, extra_path
 from scenec.schemas.picture import write_png
 
 
@@ -36,7 +36,7 @@ def add_sensor(
         write_png(stem.with_suffix(".png"), _smooth(rng, width, height))
         beside: dict[str, Any] = {}
         for kind in kinds:
-            file = extra_picture_path(stem, kind)
+            file = extra_path(stem, kind)
             raw = rng.integers(0, 2**16, (height, width), np.uint16)
             write_png(file, raw if kind == "raw" else _smooth(rng, width, height))
             beside[kind] = {"bytes": file.stat().st_size, "sha256": sha256(file)}
@@ -57,5 +57,5 @@ def on_disk(out: Path, camera: str, sample: int, batch: int = 0) -> dict[str, ND
     folder = next(out.glob(f"batch_{batch:04d}/frames/*/{camera}"))
     stem = folder / f"{sample:06d}"
     files = {"picture": stem.with_suffix(".png")}
-    files |= {kind: extra_picture_path(stem, kind) for kind in BESIDE}
+    files |= {kind: extra_path(stem, kind) for kind in BESIDE}
     return {kind: np.asarray(Image.open(f)) for kind, f in files.items() if f.is_file()}

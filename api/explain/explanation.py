@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.api.explain.data import BatchData, read_batches
-from scenec.api.explain.left_out import as_json, left_out_of, left_out_text, rates_of, retained_of
+from scenec.api.explain.left_out import as_json, left_out_of, left_out_text, parts_of, rates_of
 from scenec.api.explain.passes import frames_text, passes_text, rows_of
 from scenec.api.explain.stage import StageContents, read_contents
 
@@ -44,7 +44,7 @@ class BatchExplanation:
         rates = rates_of(batch, contents)
         left = left_out_of(batch.report, rates)
         parts = [
-            f"{batch.name}: {retained_of(batch.report, contents, left).text}",
+            f"{batch.name}: {parts_of(batch.report, contents, left).text}",
             left_out_text(left, rates, width),
             passes_text(rows_of(batch.report, batch.seconds), width),
             frames_text(batch.frames) if batch.frames else "",
@@ -54,7 +54,7 @@ class BatchExplanation:
     def as_json(self) -> dict[str, Any]:
         """Returns what is in the stage and what is left out, for scripts."""
         left = left_out_of(self.data.report, rates_of(self.data, self._contents))
-        kept = vars(retained_of(self.data.report, self._contents, left))
+        kept = vars(parts_of(self.data.report, self._contents, left))
         return {
             "kept": {name: {"kept": part, "of": whole} for name, (part, whole) in kept.items()},
             "left_out": as_json(left),

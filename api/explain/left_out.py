@@ -83,7 +83,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class Retained:
+class Parts:
     """Holds how much of a batch is in its stage: (in it, of how much)."""
 
     instances: tuple[int, int]
@@ -143,9 +143,7 @@ def left_out_of(report: Mapping[str, Any], rates: Rates | None = None) -> list[L
     return sorted(found, key=lambda one: (-(one.seconds or 0.0), -one.weight, -one.instances))
 
 
-def retained_of(
-    report: Mapping[str, Any], contents: StageContents, left: Sequence[LeftOut]
-) -> Retained:
+def parts_of(report: Mapping[str, Any], contents: StageContents, left: Sequence[LeftOut]) -> Parts:
     """Measures how much of a batch is in its stage.
 
     Args:
@@ -154,7 +152,7 @@ def retained_of(
         left: What is not in it.
     """
     instances, triangles, written = contents.instances, contents.triangles, int(report["bytes"])
-    return Retained(
+    return Parts(
         (instances, instances + sum(one.instances for one in left)),
         (triangles, triangles + sum(one.triangles for one in left)),
         (written, written + sum(one.bytes for one in left)),

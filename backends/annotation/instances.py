@@ -17,7 +17,7 @@ from scenec.backends.annotation.poses import Poses, decomposed
 from scenec.backends.contract import Rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
-from scenec.schemas.affine import composed, inverses_or_identity, transformed_boxes
+from scenec.schemas.affine import composed, inverses_or_identity, moved_boxes
 from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
@@ -80,14 +80,12 @@ class Instances:
         self._local: tuple[int, NDArray[np.float64]] | None = None
         every, first = np.arange(len(starts)), self._first_samples()
         poses = self.poses(every, first)
-        self._scale, self._box = poses.scale, transformed_boxes(poses.linear, self._local_boxes(0))
+        self._scale, self._box = poses.scale, moved_boxes(poses.linear, self._local_boxes(0))
         #: Instances whose scale or box is another at some sample, bool [n].
         self._resized = self._find_resized()
         for sample in np.unique(first[self._resized]).tolist():
             which = np.flatnonzero(self._resized & (first == sample))
-            self._box[which] = transformed_boxes(
-                poses.linear[which], self._local_boxes(sample)[which]
-            )
+            self._box[which] = moved_boxes(poses.linear[which], self._local_boxes(sample)[which])
         self._labels = self._find_labels()
         bases = np.array(list(scene.instance_paths.values()) or [0], np.int64)
         self._classes = tuple(scene.instance_paths) or ("",)
@@ -188,10 +186,8 @@ class Instances:
         whole = np.concatenate([pixels, border[:, None]], axis=1)
         depths[:, 1] /= np.maximum(pixels[:, 0], 1)
         # What is known already of a picture that is no pinhole's.
-        options: dict[str, Any] = {} if rays is None else {"rays": rays}
-        found = self._outliner.outline(
-            geometry, camera, row, which, pixels[:, 1:], masks, **options
-        )
+        extra: dict[str, Any] = {} if rays is None else {"rays": rays}
+        found = self._outliner.outline(geometry, camera, row, which, pixels[:, 1:], masks, **extra)
         amodal = (found.areas, found.full, found.bounded.astype(np.int64))
         table = {
             "id": self.ids[which],
@@ -281,7 +277,7 @@ class Instances:
             shown = (poses.linear != 0.0).any(axis=(1, 2))
             at = at[shown]
             scale[at] = poses.scale[shown]
-            box[at] = transformed_boxes(poses.linear[shown], self._local_boxes(sample)[which[at]])
+            box[at] = moved_boxes(poses.linear[shown], self._local_boxes(sample)[which[at]])
         return scale, box
 
     def _local_boxes(self, sample: int) -> NDArray[np.float64]:

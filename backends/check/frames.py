@@ -9,12 +9,7 @@ from typing import Literal
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
-from scenec.backends.picture.brightness import (
-    FrameBrightness,
-    brief,
-    brightness_warning,
-    sky_warning,
-)
+from scenec.backends.picture.brightness import FrameBrightness, brief, picture_warning, sky_warning
 from scenec.schemas.codec import Unset
 from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
@@ -80,10 +75,7 @@ def check_frames(
         for message in (*frame_faults(frame.passes, frame.sidecar), *table_faults(frame)):
             yield check.finding(path, message)
     for camera, briefs in pictures.items():
-        for name, line in (
-            ("brightness", brightness_warning(briefs)),
-            ("sky", sky_warning(briefs)),
-        ):
+        for name, line in (("brightness", picture_warning(briefs)), ("sky", sky_warning(briefs))):
             if line is not None:
                 yield Finding(name, "warning", check.name(camera), line)
 

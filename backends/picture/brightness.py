@@ -24,7 +24,7 @@ _HOW = {
 
 
 class FrameBrightness(NamedTuple):
-    """Holds what ``brightness_warning`` needs of a frame's record, which may be long."""
+    """Holds what ``picture_warning`` needs of a frame's record, which may be long."""
 
     sample: int
     exposure_ev: float
@@ -57,7 +57,7 @@ def sky_warning(frames: Sequence[FrameBrightness]) -> str | None:
     )
 
 
-def brightness_warning(frames: Sequence[FrameBrightness]) -> str | None:
+def picture_warning(frames: Sequence[FrameBrightness]) -> str | None:
     """A line about the pictures of one camera and backend in one batch; None if all is well.
 
     Args:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.picture.haze import Hazy
-from scenec.backends.picture.metering import MeteredLuminance, look
+from scenec.backends.picture.metering import Metering, look
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import imaging as formulas
 from scenec.schemas.records import ExposureRecord
@@ -136,10 +136,10 @@ class Meter:
         surfaces, sky = (
             np.concatenate([getattr(one, what) for one in seen]) for what in ("surfaces", "sky")
         )
-        return expose(MeteredLuminance(surfaces, sky), count)
+        return expose(Metering(surfaces, sky), count)
 
 
-def expose(metered: MeteredLuminance, samples: int) -> Exposure:
+def expose(metered: Metering, samples: int) -> Exposure:
     """The exposure for what was seen.
 
     Args:

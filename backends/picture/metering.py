@@ -55,7 +55,7 @@ _LIFT = 1e-8
 
 
 @dataclass(frozen=True)
-class MeteredLuminance:
+class Metering:
     """Holds luminance along a camera's rays, [W/(m^2 sr)], without the suns' discs.
 
     Attributes:
@@ -74,7 +74,7 @@ def look(
     sample: int,
     rays: int,
     hazy: Hazy | None = None,
-) -> MeteredLuminance:
+) -> Metering:
     """Estimate what a camera sees at a sample.
 
     Args:
@@ -94,7 +94,7 @@ def look(
     sky = np.zeros((int((~hit).sum()), 3))
     if paths.sky is not None:
         sky = lookup(paths.sky, table.directions[~hit]).astype(np.float64)
-    return MeteredLuminance(luminance(surfaces), luminance(sky))
+    return Metering(luminance(surfaces), luminance(sky))
 
 
 def _spread(camera: Camera, rays: int, sample: int) -> Rays:

@@ -204,7 +204,7 @@ class _Render(BatchRun):
                     sight = brightness.brief(sidecar)
                 frames_of.setdefault(frame.sensor, []).append(sight)
         for camera, sights in frames_of.items():
-            line = brightness.brightness_warning(sights)
+            line = brightness.picture_warning(sights)
             if line is not None:
                 self.warn(f"{work.batch.name}/{camera}: {line}")
             sky = brightness.sky_warning(sights)

@@ -17,7 +17,7 @@ from scenec.schemas.codec import encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
-from scenec.schemas.frames import CONVENTIONS, FrameKey, extra_picture_path
+from scenec.schemas.frames import CONVENTIONS, FrameKey, extra_path
 from scenec.schemas.instances import frame_table_path, write_frame_table
 from scenec.schemas.passes import origins
 from scenec.schemas.records import FileDigest, FrameRecord
@@ -64,13 +64,9 @@ def write_frame(
         shown = apply(shown, camera.effects, record.sample)
     _put(stem.with_suffix(".png"), shown, picture.write_png)
     clean = _put(
-        extra_picture_path(stem, "clean"),
-        None if sensor is None else sensor.clean,
-        picture.write_png,
+        extra_path(stem, "clean"), None if sensor is None else sensor.clean, picture.write_png
     )
-    raw = _put(
-        extra_picture_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png
-    )
+    raw = _put(extra_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png)
     seen = result.seen
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
     brightness = None

@@ -90,7 +90,7 @@ def _over_time(
     exposures = [a for a in prim.GetAttributes() if a.GetName().startswith(_EXPOSURE)]
     exposed = values.cached(exposures, lambda time: _exposure(prim, time))
     at = values.cached(
-        values.local_attributes(prim, *_EXPOSURE, "scenec:shutter:"),
+        values.inputs(prim, *_EXPOSURE, "scenec:shutter:"),
         lambda time: _camera(request, frame, time),
     )
     found = []

@@ -93,8 +93,7 @@ def light_over_time(
         poses = frame.pose(straightened(matrices) if dome else matrices)
     # Few lights change but for the picture of a dome.
     strength = values.cached(
-        values.local_attributes(prim, "inputs:texture:"),
-        lambda time: _strength(UsdLux.LightAPI(prim), time),
+        values.inputs(prim, "inputs:texture:"), lambda time: _strength(UsdLux.LightAPI(prim), time)
     )
 
     def light(time: Usd.TimeCode) -> _Placed:
@@ -104,7 +103,7 @@ def light_over_time(
             return _lamp(UsdLux.SphereLight(prim), frame, time, strength)
         return _dome(prim, time, strength, sources)
 
-    read = values.cached(values.local_attributes(prim), light)
+    read = values.cached(values.inputs(prim), light)
     gobos = _gobos(prim, frame, times, sources)
     # Without an inverse there are no directions that it shines in.
     dark = flat(matrices) & (prim.GetTypeName() != "SphereLight")
@@ -263,9 +262,7 @@ def read_sky_label_maps(
     prim = stage.GetPrimAtPath(names.SKY_PRIM)
     if not prim:
         return ()
-    read = values.cached(
-        values.local_attributes(prim), lambda time: _label_maps(prim, table, time, sources)
-    )
+    read = values.cached(values.inputs(prim), lambda time: _label_maps(prim, table, time, sources))
     found = tuple(read(time) for time in times)
     return found if any(found) else ()
 
@@ -300,7 +297,7 @@ def read_haze(
     prim = stage.GetPrimAtPath(names.SKY_PRIM)
     if not prim:
         return ()
-    read = values.cached(values.local_attributes(prim), lambda time: _haze(prim, frame, time))
+    read = values.cached(values.inputs(prim), lambda time: _haze(prim, frame, time))
     found = tuple(read(time) for time in times)
     return found if any(found) else ()
 

@@ -22,7 +22,7 @@ from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.times import sample_times, time_codes
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
-from scenec.schemas.affine import transformed_boxes
+from scenec.schemas.affine import moved_boxes
 from scenec.schemas.errors import StageError
 
 
@@ -176,7 +176,7 @@ def _world_box(
     # In parts: the products of a million rows at once would be most of what reading takes.
     for start in range(0, len(mesh), 1 << 16):
         at, part = to_world[start : start + (1 << 16)], mesh[start : start + (1 << 16)]
-        boxes = transformed_boxes(at[:, :, :3], local[part], at[:, :, 3])
+        boxes = moved_boxes(at[:, :, :3], local[part], at[:, :, 3])
         box[0] = np.minimum(box[0], boxes[:, 0].min(axis=0))
         box[1] = np.maximum(box[1], boxes[:, 1].max(axis=0))
     return box

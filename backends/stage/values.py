@@ -274,7 +274,7 @@ def asset(attribute: Usd.Attribute, time: Usd.TimeCode = DEFAULT) -> Sdf.AssetPa
     return value if value is not None and value.path else None
 
 
-def local_attributes(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
+def inputs(prim: Usd.Prim, *others: str) -> list[Usd.Attribute]:
     """Attributes of a prim that say neither where nor whether it is, nor begin with ``others``."""
     excluded = ("visibility", "xformOp", *others)
     return [a for a in prim.GetAttributes() if not a.GetName().startswith(excluded)]

@@ -43,14 +43,10 @@ def all_slopes(fn: Algebra, depths: Sequence[float]) -> list[tuple[Number, Numbe
 
 
 def heeded(
-    fn: Algebra,
-    weight: Number,
-    slopes_of_merge: tuple[Number, Number],
-    below: Number,
-    above: Number,
+    fn: Algebra, weight: Number, merge: tuple[Number, Number], below: Number, above: Number
 ) -> Number:
-    """W' of one merge: ``slopes_of_merge`` are its slopes."""
-    steep, half = slopes_of_merge
+    """W' of one merge: ``merge`` are its slopes."""
+    steep, half = merge
     return fn.clip(weight * steep + (above - below - 1.0) * half, 0.0, 1.0)
 
 

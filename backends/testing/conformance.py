@@ -207,10 +207,8 @@ class Conformance:
         if not _witnesses(self._renderer):
             pytest.skip("it bears no witness")
         camera = scene.cameras[sample][0]
-        visibility: Visibility | None = self.ready(scene).witness(
-            camera_rays(camera), sample, camera
-        )
-        return visibility
+        hits: Visibility | None = self.ready(scene).witness(camera_rays(camera), sample, camera)
+        return hits
 
     def see(self, check: str, case: str, scene: RenderScene, sample: int = 0) -> None:
         """Hold first hits against the exact ones."""

@@ -40,7 +40,7 @@ from scenec.datasets.formats.encode import (
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, write_json
-from scenec.schemas.frames import BESIDE, extra_picture_path
+from scenec.schemas.frames import BESIDE, extra_path
 from scenec.schemas.passes import built_in
 
 INDEX = "shards.json"
@@ -190,9 +190,9 @@ class WebDataset(Format):
         table = ref.stem.with_name(ref.stem.name + ".instances.csv")
         files = (
             *((ref.stem.with_suffix(".png"), 1), (table, 4), (ref.stem.with_suffix(".json"), 1)),
-            (extra_picture_path(ref.stem, "clean"), 1),
+            (extra_path(ref.stem, "clean"), 1),
         )
-        held += 2 * extra_picture_path(ref.stem, "raw").is_file()
+        held += 2 * extra_path(ref.stem, "raw").is_file()
         return width * height * held + sum(_bytes(path) * n for path, n in files)
 
     def _picture(self, frame: LoadedFrame) -> bytes:

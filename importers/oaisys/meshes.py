@@ -99,14 +99,14 @@ class Class:
             self.cfg["instances"] = active.translated(f"{self.to}/instances").flag()
 
 
-def _model(params: Item, scattered: Class) -> tuple[Sequence[Shell], Path | None]:
+def _model(params: Item, group: Class) -> tuple[Sequence[Shell], Path | None]:
     item, turn = params.need("meshFilePath"), params.get("preRotationDeg")
-    file = scattered.ctx.assets.find(item, "procedural rocks")
-    shells = scattered.model(item, params.get("meshInstanceName"), file)
+    file = group.ctx.assets.find(item, "procedural rocks")
+    shells = group.model(item, params.get("meshInstanceName"), file)
     if file is None:
         turn.dropped("rocks have no axis to turn")
     elif turn:
-        _pre_rotation(turn, scattered.cfg["models"][0], f"{scattered.to}/models/0/up")
+        _pre_rotation(turn, group.cfg["models"][0], f"{group.to}/models/0/up")
     return shells, file
 
 
@@ -148,8 +148,8 @@ def _count(params: Item, to: str) -> Any:
     return {"type": "choice", "values": values, "weights": weights}
 
 
-def _density(params: Item, scattered: Class) -> None:
-    mapped, to = params.get("useDensityMap"), f"{scattered.to}/density"
+def _density(params: Item, group: Class) -> None:
+    mapped, to = params.get("useDensityMap"), f"{group.to}/density"
     density = params.object("densityMapSettings").get("densityMap")
     if not mapped.flag():
         mapped.translated(to, "uniform")
@@ -167,9 +167,9 @@ def _density(params: Item, scattered: Class) -> None:
     start = density.get("colorStopPosition_0")
     start.approximated(f"{to}/sharpness", "how narrow the bands are")
     low = min(start.number(0.0, 1.0, 0.6), 0.95)
-    scattered.cfg["density"] = {
+    group.cfg["density"] = {
         "type": "worley",
-        "scale_m": tidy(size.number(1e-3, 1e3, 0.2) * 0.5 * min(scattered.ctx.extent_m)),
+        "scale_m": tidy(size.number(1e-3, 1e3, 0.2) * 0.5 * min(group.ctx.extent_m)),
         "distance": "f2-f1",
         "sharpness": tidy(1.0 / (1.0 - low)),
     }
@@ -179,13 +179,13 @@ def _density(params: Item, scattered: Class) -> None:
     )  # fmt: skip
 
 
-def _size(params: Item, scattered: Class) -> None:
+def _size(params: Item, group: Class) -> None:
     item, strength = params.get("defaultSize"), params.get("strengthRandomScale")
     size, share = item.number(1e-6, 1e5, 1.0), strength.number(0.0, 1.0, 0.0)
-    to = f"{scattered.to}/{scattered.size_key}"
+    to = f"{group.to}/{group.size_key}"
     low = size * max(1.0 - share, _SMALLEST)
-    scattered.cfg[scattered.size_key] = uniform(low, size, per="instance") if share else tidy(size)
-    is_model = scattered.size_key == "scale"
+    group.cfg[group.size_key] = uniform(low, size, per="instance") if share else tidy(size)
+    is_model = group.size_key == "scale"
     item.approximated(
         to, "" if is_model else "as meters, since the file with the mesh is not there"
     )
@@ -193,11 +193,11 @@ def _size(params: Item, scattered: Class) -> None:
     strength.approximated(to, f"from {_SMALLEST:g} of the size, not from 0" if is_cut else "")
 
 
-def _turn(params: Item, scattered: Class) -> None:
-    enabled, to = params.get("randomRotationEnabled"), f"{scattered.to}/orientation"
+def _turn(params: Item, group: Class) -> None:
+    enabled, to = params.get("randomRotationEnabled"), f"{group.to}/orientation"
     option = "rotationOption"
     if not enabled.flag():
-        scattered.cfg["orientation"] = "upright"
+        group.cfg["orientation"] = "upright"
         enabled.approximated(to, "upright, but turned about the vertical")
         keys = (f"{option}{end}" for end in ("Mode", "Factor", "Phase", "PhaseRandom"))
         params.drop("randomRotationEnabled is off", *keys)
@@ -206,45 +206,42 @@ def _turn(params: Item, scattered: Class) -> None:
     mode, factor = params.get(f"{option}Mode"), params.get(f"{option}Factor")
     kind, lean = mode.one_of(*_MODES), factor.number(0.0, 1.0, 0.0)
     if kind in ("NONE", "VEL") or lean > 0.99:
-        scattered.cfg["orientation"], lean = "random", 0.0
+        group.cfg["orientation"], lean = "random", 0.0
     else:
-        scattered.cfg["orientation"] = "normal" if kind in ("NOR", "NOR_TAN", "OB_X") else "upright"
-    mode.translated(to, scattered.cfg["orientation"])
+        group.cfg["orientation"] = "normal" if kind in ("NOR", "NOR_TAN", "OB_X") else "upright"
+    mode.translated(to, group.cfg["orientation"])
     if lean:
-        scattered.cfg["lean_deg"] = uniform(0.0, 90.0 * lean, per="instance")
+        group.cfg["lean_deg"] = uniform(0.0, 90.0 * lean, per="instance")
         note = "leaning evenly up to that share of 90 degrees"
-        factor.approximated(f"{scattered.to}/lean_deg", note)
+        factor.approximated(f"{group.to}/lean_deg", note)
     else:
         factor.translated(to)
     for key in ("Phase", "PhaseRandom"):
         params.get(option + key).approximated(to, "turned about that axis by chance, all around")
 
 
-def _labels(params: Item, scattered: Class, shells: Sequence[Shell], file: Path | None) -> None:
-    ctx, to = scattered.ctx, f"{scattered.to}/labels"
+def _labels(params: Item, group: Class, shells: Sequence[Shell], file: Path | None) -> None:
+    ctx, to = group.ctx, f"{group.to}/labels"
     vector = semantic_labels(params.object("passParams"))
     entries = vector.children()
     if not entries:
         return
     if not isinstance(entries[0].value, list):
-        scattered.cfg["labels"] = label_vector(ctx, vector, scattered.name, to)
+        group.cfg["labels"] = label_vector(ctx, vector, group.name, to)
         return
-    scattered.cfg["labels"] = label_vector(ctx, entries[0], scattered.name, to)
+    group.cfg["labels"] = label_vector(ctx, entries[0], group.name, to)
     slots = _materials(shells, file) if file else []
     parts = {
         # More slots than vectors: they are gone through again.
         slot: {
             "labels": label_vector(
-                ctx,
-                entries[i % len(entries)],
-                f"{scattered.name}_{slot}",
-                f"{scattered.to}/parts/{slot}",
+                ctx, entries[i % len(entries)], f"{group.name}_{slot}", f"{group.to}/parts/{slot}"
             )
         }
         for i, slot in enumerate(slots[1:], 1)
     }
     if len(entries) > 1 and parts:
-        scattered.cfg["parts"] = parts
+        group.cfg["parts"] = parts
     for entry in entries[max(len(slots), 1) :]:
         entry.dropped("the mesh has no such material slot" if file else "rocks have one material")
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.picture.exposure import Meter, expose, level
-from scenec.backends.picture.metering import MeteredLuminance
+from scenec.backends.picture.metering import Metering
 from scenec.backends.stage.read import read_stage
 from scenec.lab.pictures import frames
 from scenec.lab.runner import CONFIGS, Cell, Study, run
@@ -44,9 +44,7 @@ def _row(study: Study, name: str) -> list[Cell]:
     start = time.process_time()
     metered = Meter(scene).exposed(cameras[0], 0, lambda: caster)[0].exposure_ev
     seconds = time.process_time() - start
-    ev = expose(
-        MeteredLuminance(*(np.concatenate(part) for part in zip(*seen, strict=True))), len(seen)
-    ).ev
+    ev = expose(Metering(*(np.concatenate(part) for part in zip(*seen, strict=True))), len(seen)).ev
     apart = []
     for i, (camera, (surfaces, _)) in enumerate(zip(cameras, seen, strict=True)):
         alone = replace(camera, exposure_per="sample")

@@ -99,9 +99,7 @@ def unseen_floors(floors: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def pictures(
-    folder: Path, batch: str, climbed: Sequence[Climbed], references: References
-) -> list[Path]:
+def pictures(folder: Path, batch: str, climbed: Sequence[Climbed], truth: References) -> list[Path]:
     """Pictures of differences, of the first frame.
 
     Each ladder's ends against its reference, and the references against each other;
@@ -113,7 +111,7 @@ def pictures(
     made = []
     for number, one in enumerate(climbed):
         place = one.references[0][0].place
-        reference = references.frames[one.backend, place]
+        reference = truth.frames[one.backend, place]
         ends = [one.rungs[0], one.rungs[-1]] if one.rungs else []
         for rung, denoised, repeats in ends:
             kind = "_denoised" if denoised else ""
@@ -121,7 +119,7 @@ def pictures(
             made.append(_differences(path, reference, repeats[0][0].read()))
         for other in climbed[number + 1 :]:
             path = folder / f"{batch}_{one.backend}_{other.backend}.png"
-            made.append(_differences(path, reference, references.frames[other.backend, place]))
+            made.append(_differences(path, reference, truth.frames[other.backend, place]))
     return made
 
 

@@ -20,8 +20,8 @@ from scenec.api.explain.left_out import (
     Rates,
     left_out_of,
     left_out_text,
+    parts_of,
     rates_of,
-    retained_of,
     size,
 )
 from scenec.api.explain.passes import passes_text, rows_of, wrapped
@@ -377,7 +377,7 @@ def test_a_report_of_another_shape_is_refused_with_the_place_or_it_does_not_matt
                 continue
             rates = rates_of(one, contents)
             left = left_out_of(one.report, rates)
-            assert retained_of(one.report, contents, left).text
+            assert parts_of(one.report, contents, left).text
             assert left_out_text(left, rates, 100)
             assert passes_text(rows_of(one.report, one.seconds), 100)
         file.write_text(text)

@@ -9,8 +9,8 @@ from scenec.schemas.affine import (
     composed,
     inverses_or_identity,
     mirrored,
+    moved_boxes,
     orthonormal,
-    transformed_boxes,
 )
 from scenec.schemas.quaternions import quaternions, rotation_entries
 
@@ -30,7 +30,7 @@ def test_a_box_around_a_box_is_that_of_its_corners() -> None:
                         for k in (0, 1)], axis=1)  # fmt: skip
     moved = np.einsum("nij,nkj->nki", MAPS[..., :3], corners) + MAPS[:, None, :, 3]
     expected = np.stack([moved.min(axis=1), moved.max(axis=1)], axis=1)
-    found = transformed_boxes(MAPS[..., :3], boxes, MAPS[..., 3])
+    found = moved_boxes(MAPS[..., :3], boxes, MAPS[..., 3])
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 

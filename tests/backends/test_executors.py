@@ -336,7 +336,7 @@ def test_a_line_says_how_many_are_compiled_at_once(cfg, tmp_path):
     with MAKERS["2"]() as executor:
         compile_cfg(
             cfg, seed=1, out=tmp_path / "out", batches=range(2), executor=executor,
-            progress=lambda text, place: lines.append(text) if place is None else None,
+            progress=lambda text, place: lines.append(text) if place is None else None
         )  # fmt: skip
     assert lines[0] == "compiling 2 batches of small, seed 1, 2 at once"
     assert not [line for line in lines[1:] if line.startswith("compiling")]

@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.exposure import GRAY, Meter, expose, level
-from scenec.backends.picture.metering import MeteredLuminance, look
+from scenec.backends.picture.metering import Metering, look
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, Lamp, Lighting, RenderScene
@@ -220,7 +220,7 @@ def test_the_sun_in_the_picture_does_not_decide() -> None:
 def test_surfaces_meet_a_sky_against_the_light_half_way(share: float, bright: float) -> None:
     """Surfaces of luminance 1 below a sky that is ``bright`` over a ``share`` of the picture."""
     sky = np.full(round(1000 * share), bright)
-    found = expose(MeteredLuminance(np.ones(1000 - len(sky)), sky), 1)
+    found = expose(Metering(np.ones(1000 - len(sky)), sky), 1)
     # Glare over a twentieth burns; of a larger part's stops above white half are taken, up to 3.
     over = np.log2(0.18 * bright) if share > 0.05 else 0.0
     expected = np.log2(GRAY) - min(max(0.5 * over, 0.0), 3.0)

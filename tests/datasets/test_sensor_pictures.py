@@ -23,7 +23,7 @@ from scenec.datasets.source import Source
 from scenec.datasets.torch_dataset import FrameDataset
 from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
-from scenec.schemas.frames import extra_picture_path, read_frame
+from scenec.schemas.frames import extra_path, read_frame
 from scenec.testing.made_output import Passes, make_output, some_passes
 
 CAMERAS = ("rover_left", "rover_right")
@@ -241,8 +241,8 @@ def test_a_picture_that_is_gone_or_another_is_an_error_and_never_made_up(tmp_pat
     source = Source(out)
     stem = source.frames[0].stem
     frame, bare = source.load(source.frames[0]), read_frame(stem)
-    extra_picture_path(stem, "clean").write_bytes(extra_picture_path(stem, "raw").read_bytes())
-    extra_picture_path(stem, "raw").unlink()
+    extra_path(stem, "clean").write_bytes(extra_path(stem, "raw").read_bytes())
+    extra_path(stem, "raw").unlink()
     for seen in (frame, bare):
         with pytest.raises(FrameError, match=r"000000\.clean\.png: truncated, damaged or changed"):
             pictures.beside(seen, "clean")

@@ -69,7 +69,7 @@ FLOORS = {
     ),
     "importers": (
         ("numbers", "poses", "report"),
-        ("made", "scene", "source"),
+        ("scene", "source", "writers"),
         ("assets", "output"),
         ("blenderproc", "oaisys", "usd"),
     ),

@@ -28,7 +28,7 @@ from scenec.compiler.kinds.draw import draw_object
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.errors import CfgError, SceneError, StageError
-from scenec.schemas.frames import extra_picture_path, read_frame
+from scenec.schemas.frames import extra_path, read_frame
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.picture import develop
 from scenec.testing import small
@@ -260,8 +260,8 @@ def test_pictures_are_the_sensors_rgb_is_the_scenes_and_nothing_else_moves(tmp_p
             assert array.tobytes() == after.passes[name].tobytes(), name
         stem = after.path.with_suffix("")
         shown = np.asarray(Image.open(stem.with_suffix(".png")))
-        clean = np.asarray(Image.open(extra_picture_path(stem, "clean")))
-        raw = np.asarray(Image.open(extra_picture_path(stem, "raw")))
+        clean = np.asarray(Image.open(extra_path(stem, "clean")))
+        raw = np.asarray(Image.open(extra_path(stem, "raw")))
         assert raw.shape == (32, 48)
         assert raw.dtype == np.uint16
         # The meter says the same, so the clean picture shows what one without a sensor does.
@@ -275,10 +275,10 @@ def test_pictures_are_the_sensors_rgb_is_the_scenes_and_nothing_else_moves(tmp_p
         assert before.sidecar.imaging is None
     # A picture that is gone is made again, the same; nothing else is.
     stem = reports[1].frames[0].with_suffix("")
-    files = {kind: extra_picture_path(stem, kind).read_bytes() for kind in ("clean", "raw")}
+    files = {kind: extra_path(stem, kind).read_bytes() for kind in ("clean", "raw")}
     picture = stem.with_suffix(".png").read_bytes()
-    extra_picture_path(stem, "raw").unlink()
+    extra_path(stem, "raw").unlink()
     again = render(folders[1].parent, "mitsuba", spp=4)
     assert again.rendered == 1
     assert stem.with_suffix(".png").read_bytes() == picture
-    assert {kind: extra_picture_path(stem, kind).read_bytes() for kind in files} == files
+    assert {kind: extra_path(stem, kind).read_bytes() for kind in files} == files
