@@ -56,7 +56,7 @@ def main(file: Path, out: Path) -> None:
 
 
 class _Reader:
-    """What is seen of the file that is open.
+    """Reads the open file into a document and arrays.
 
     Attributes:
         document: Shells, looks, unit and notes.
@@ -136,7 +136,7 @@ class _Reader:
         return self._looks[material.name]
 
     def picture(self, image: Any) -> dict[str, str] | str:
-        """Where a picture is, or why it is left out."""
+        """Returns where a picture is stored, or why it is left out."""
         if image is None:
             return "has no picture"
         if image.source != "FILE":

@@ -65,7 +65,7 @@ class GltfFile:
         self._left = _MOST_SHARED * (len(data) + sum(map(len, self._buffers)))
 
     def fetch(self, uri: str, what: str) -> bytes:
-        """What a URI stands for."""
+        """Returns the bytes that a URI refers to."""
         if uri.startswith("data:"):
             head, _, content = uri.partition(",")
             if not head.endswith(";base64"):

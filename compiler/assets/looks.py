@@ -104,7 +104,7 @@ class Look:
 
     @property
     def shown(self) -> str:
-        """What messages call it."""
+        """Names the material in messages."""
         return f"material {self.name!r}" if self.name else "a material without a name"
 
     def coordinates(self) -> tuple[str, UvMap]:
@@ -173,7 +173,7 @@ def is_warning(note: str) -> bool:
 
 
 def reflectance(ior: float) -> float:
-    """Of an index of refraction, at normal incidence, against air (Fresnel)."""
+    """Returns an index of refraction's Fresnel reflectance against air, at normal incidence."""
     if not ior > 0.0:
         return 1.0
     ratio = (ior - 1.0) / (ior + 1.0)

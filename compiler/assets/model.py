@@ -113,7 +113,7 @@ def finish_model(
     part: str | None = None,
     origin: Origin = None,
 ) -> Model:
-    """What ``read_model`` makes of a parsed file; where nobody says them, 1 m and z.
+    """Turns a parsed file into a model, as ``read_model`` does; the defaults are 1 m and z.
 
     Args:
         origin: What of it becomes the model's origin.

@@ -1,4 +1,4 @@
-"""What the readers of models have in common: parts with all that stands at their corners."""
+"""Defines what the readers of models return: parts with all values at their corners."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class ParsedModel:
     warnings: tuple[str, ...] = ()
 
     def missing(self, unit_m: float | None, up: str | None) -> list[str]:
-        """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
+        """Names which of ``unit_m`` and ``up`` neither the file nor the caller gives."""
         said = {"unit_m": (unit_m, self.unit_m), "up": (up, self.up)}
         return [key for key, values in said.items() if values == (None, None)]
 
@@ -160,7 +160,7 @@ def repeated(
     faces[mirrored] = faces[mirrored][:, :, ::-1]
 
     def corners(values: NDArray) -> NDArray:
-        """What stands at the corners of one copy, at those of all."""
+        """Repeats the values at the corners of one copy for all copies."""
         every = np.repeat(values[None], count, axis=0)
         every[mirrored] = every[mirrored][:, :, ::-1]
         return every.reshape(-1, 3, values.shape[-1])

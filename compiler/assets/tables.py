@@ -37,7 +37,7 @@ class Table:
     columns: dict[str, NDArray[np.float64]]
 
     def fault(self, row: int, message: str) -> SceneError:
-        """What is wrong with a row, by its line."""
+        """Returns an error about a row, which it names by its line."""
         return SceneError(f"{self.file.name}:{self.lines[row]}: {message}")
 
     def stacked(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -115,7 +115,7 @@ def is_number(cell: str) -> bool:
 
 
 def find_columns(file: Path, header: Row, wanted: tuple[str, ...]) -> dict[str, int]:
-    """Where each wanted column stands in a header line.
+    """Returns the index of each wanted column in a header line.
 
     Raises:
         SceneError: One is missing, or stands twice.

@@ -172,7 +172,7 @@ class UsdLooks:
 
 
 def _producer(source: UsdShade.Input | None) -> Any:
-    """Where an input's value comes from: an attribute, a shader's output, or None."""
+    """Returns the source of an input's value: an attribute, a shader's output, or None."""
     if not source:
         return None
     attributes = source.GetValueProducingAttributes()

@@ -96,7 +96,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """As for ``_Pickler``."""
+    """Reads what ``_Pickler`` wrote: files and buffers are looked up by name."""
 
     def __init__(self, value: Packed, files: Mapping[tuple[str, str], Path], known: Known) -> None:
         blobs = value.blobs
@@ -115,12 +115,12 @@ class _Unpickler(pickle.Unpickler):
         return data
 
     def find_class(self, module: str, name: str) -> Any:
-        """What an entry may name."""
+        """Resolves a class or function that an entry names."""
         return self._array if (module, name) == _FROM_BUFFER else _named(module, name)
 
 
 def _array(digests: Iterator[str], known: Known, *given: Any) -> Any:
-    """What NumPy makes of the next buffer; its digest is known from now on."""
+    """Builds an array from the next buffer, and records its digest."""
     array, digest = _named(*_FROM_BUFFER)(*given), next(digests)
     if array.flags.forc:
         known.learn(array, digest)

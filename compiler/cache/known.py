@@ -19,7 +19,7 @@ def digest_of(data: bytes | memoryview) -> str:
 
 
 def order_of(array: NDArray[Any]) -> str:
-    """How an array lies in memory: "F" for columns first, "C" for all else."""
+    """Returns an array's memory order: "F" for column-major, "C" for all others."""
     return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
 
 

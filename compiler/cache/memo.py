@@ -36,7 +36,7 @@ _current: ContextVar[Memo | None] = ContextVar("memo", default=None)
 
 
 class Memo:
-    """What the steps of one batch are kept in, and which were made.
+    """Caches the steps of one batch, and counts which were computed.
 
     Attributes:
         made: How often each step was made, by name.
@@ -59,7 +59,7 @@ class Memo:
     def call(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any]
     ) -> tuple[Any, bool]:
-        """What a function returns for arguments, and whether it was taken from the cache.
+        """Returns a function's result, and whether it came from the cache.
 
         Args:
             name: Of the step, to be counted by.

@@ -74,7 +74,7 @@ class Store:
             self._tell(why)
 
     def path(self, key: str) -> Path:
-        """Where the entry of a key is.
+        """Returns the path of a key's entry.
 
         Raises:
             OutputError: A link there leads out of the folder.
@@ -150,7 +150,7 @@ class Store:
         self._say(f"cache {self.folder}: {why}; compiling goes on without keeping steps")
 
     def size(self) -> tuple[int, int]:
-        """How many entries there are, and how many bytes they take."""
+        """Counts the entries, and the bytes that they take."""
         sizes = [stat.st_size for path, stat in self._files() if not path.name.startswith(".")]
         return len(sizes), sum(sizes)
 

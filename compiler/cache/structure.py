@@ -164,7 +164,7 @@ def name_of_function(function: Any) -> str:
 
 
 def fields_of(kind: type) -> tuple[str, ...] | None:
-    """What makes up a dataclass, a named tuple or a class of ``PLAIN``; None: it is neither."""
+    """Names the fields of a dataclass, a named tuple or a class of ``PLAIN``; None otherwise."""
     if dataclasses.is_dataclass(kind):
         fields = dataclasses.fields(kind)
         # What cannot be given to the constructor is state, not data.

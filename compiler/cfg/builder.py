@@ -34,7 +34,7 @@ class Part:
     _CONST: tuple[tuple[str, Any], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """As it stands in a cfg: keys that are given, in the schema's order."""
+        """Returns its value in a cfg: the keys that are given, in the schema's order."""
         given = ((name, getattr(self, name)) for name in self.__dataclass_fields__)  # type: ignore[attr-defined]
         kept = {name: _plain(value) for name, value in given if value is not LEFT_OUT}
         return dict(self._CONST) | kept
@@ -46,10 +46,10 @@ class Part:
 
 
 class WholeCfg(Part):
-    """What a whole cfg can do beside."""
+    """Writes and validates a complete cfg."""
 
     def text(self) -> str:
-        """As a JSON file."""
+        """Returns the text of a JSON file."""
         return json.dumps(self.as_json(), indent=2, ensure_ascii=False) + "\n"
 
     def save(self, path: Path | str) -> Path:

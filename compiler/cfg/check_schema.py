@@ -1,4 +1,4 @@
-"""What the JSON Schemas find wrong, in words."""
+"""Checks values against the JSON Schemas, and says in words what is wrong."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NAME = "a name of letters, digits and underscores, with no digit first"
 
 
 def check_schema(fields: Iterable[Field]) -> list[Finding]:
-    """What the schemas find wrong.
+    """Checks all values of a cfg against their schemas.
 
     Args:
         fields: All places of a cfg, see ``schema.walk``.
@@ -49,7 +49,7 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
 
 
 def check_value(field: Field) -> Iterator[Finding]:
-    """What a value's own keywords find wrong with it."""
+    """Checks a value against the keywords of its own schema."""
     value, keywords = field.value, field.keywords
     if "x-fault" in keywords:
         yield Finding(field.path, keywords["x-fault"])

@@ -1,4 +1,4 @@
-"""What is read of a cfg, whatever syntax it is written in: values, and where each stands."""
+"""Represents a cfg as it was read, in any syntax: values and their positions."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Text:
         self._line_starts = [0, *(match.end() for match in re.finditer("\n", text))]
 
     def position(self, offset: int) -> Position:
-        """Of a character."""
+        """Returns the line and column of a character."""
         line = bisect_right(self._line_starts, offset)
         return Position(line, offset - self._line_starts[line - 1] + 1, self.file)
 

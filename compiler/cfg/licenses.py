@@ -37,7 +37,7 @@ _GLB = b"glTF"
 
 @dataclass(frozen=True)
 class Terms:
-    """What is known of a file's terms.
+    """Holds what is known of a file's license.
 
     Attributes:
         license: SPDX expression, or what stands in the place of one; None where it is unknown.
@@ -81,7 +81,7 @@ def as_json(file: InputFile) -> dict[str, Any]:
 
 
 def _said(path: Path) -> Terms | None:
-    """What ``<file>.license`` or a ``REUSE.toml`` says."""
+    """Reads the terms in ``<file>.license`` or a ``REUSE.toml``."""
     beside = path.with_name(path.name + ".license")
     text = _text(beside)
     if text is not None:

@@ -88,7 +88,7 @@ def own_files(folder: str, pattern: str) -> list[Path]:
 
 
 def own_reference(file: Path) -> str | None:
-    """How a cfg names a file that comes with scenec; None of any other."""
+    """Returns a cfg's reference to a file that comes with scenec; None for any other."""
     for name in OWN:
         for folder in _package_folders(name):
             if file.resolve().is_relative_to(folder.resolve()):
@@ -113,7 +113,7 @@ def _package_folders(name: str) -> list[Path]:
 
 
 def distribution_of(name: str) -> str:
-    """What is installed to get the package ``name``."""
+    """Names the distribution to install for the package ``name``."""
     return _DISTRIBUTIONS.get(name, name)
 
 

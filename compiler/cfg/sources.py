@@ -1,4 +1,4 @@
-"""What a cfg says in all: its file, those that it extends, and settings of the command line.
+"""Merges a cfg's file, the files that it extends, and settings of the command line.
 
 Everything ends in one document whose places still name the file, or the setting, that each value
 came from. What is behind it makes no difference to a stage: only the document's value counts.

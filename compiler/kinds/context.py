@@ -1,4 +1,4 @@
-"""What a kind is drawn from: the batch's streams, and what its part of the cfg refers to."""
+"""Defines what a kind is drawn from: the batch's streams, and what its part refers to."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Context:
-    """What a part of the cfg is drawn from, and what it refers to beyond itself.
+    """Holds what a part of the cfg is drawn from, and what it refers to beyond itself.
 
     Attributes:
         streams: The batch's.

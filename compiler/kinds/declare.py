@@ -35,7 +35,7 @@ NONE: Any = object()
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…").
+    """Declares the values a key takes: keywords of JSON Schema, and scenec's own ("x-…").
 
     Attributes:
         drawn: Name of the object or the choice (``table``) of which a kind gets one in place of
@@ -116,7 +116,7 @@ def _filled(keywords: Mapping[str, Any]) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """What a field says of its key; without a name it is the field's."""
+    """Declares the key of a field; without a name it is the field's."""
 
     name: str
     form: Form

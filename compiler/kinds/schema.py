@@ -149,7 +149,7 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
 
 
 def _offered(key: Mapping[str, Any], name: Any) -> dict[str, Any]:
-    """What another package's kind adds to an object; ``key`` is the schema of what names it."""
+    """Returns the schema that another package's kind adds; ``key`` is the schema of its name."""
     group = key["x-open"]
     if not isinstance(name, str) or not (points := entry_points_of(group, name)):
         return {}
