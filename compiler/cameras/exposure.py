@@ -17,7 +17,7 @@ from scenec.schemas import shutter
 
 
 class Exposure:
-    """What exposures have in common."""
+    """Defines what all exposures share."""
 
     #: The key that says how bright it is, and whether that is on top of what the light says.
     EV: ClassVar = ""

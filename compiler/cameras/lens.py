@@ -24,7 +24,7 @@ from scenec.schemas.lens import COEFFICIENTS, EQUIRECTANGULAR
 
 
 class Lens:
-    """What lenses have in common."""
+    """Defines what all lenses share."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -53,5 +53,5 @@ class RigPlan:
 
     @property
     def outputs(self) -> list[str]:
-        """What is asked of its sensors, one after the other."""
+        """Lists the outputs of its sensors, one after the other."""
         return [name for sensor in self.sensors for name in sensor.sensor.outputs]

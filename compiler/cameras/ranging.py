@@ -109,7 +109,7 @@ class LidarNoise:
 
 
 class ScanPattern(ABC):
-    """Where the rays of a lidar go, by another package."""
+    """Defines where the rays of a lidar go, in another package."""
 
     @abstractmethod
     def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -74,7 +74,7 @@ def open_shutters(
 
 
 def way_of(pose: Motion, built: Built, around: Around) -> Way | None:
-    """How a rig moves between its samples; None where it does not."""
+    """Returns how a rig moves between its samples; None where it does not."""
     duration = built.facts.get("duration_s")
     if built.way is not None or built.times is None or duration is None:
         return built.way
@@ -135,7 +135,7 @@ def _opened(
 def _error_px(
     sensor: Sensor, poses: NDArray[np.float64], steps: int, away: NDArray[np.float64]
 ) -> float:
-    """What interpolation between some of the poses errs by at all of them, pixels.
+    """Returns the largest error of interpolating between some of the poses, pixels.
 
     Args:
         poses: Camera-to-world, [s, n + 1, 4, 4].

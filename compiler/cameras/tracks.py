@@ -107,7 +107,7 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Gaps:
-    """What happens where stamps are missing.
+    """Defines what happens where stamps are missing.
 
     Attributes:
         longest_s: Longer steps from stamp to stamp are gaps; None: none is.

@@ -246,7 +246,7 @@ def add_again(
 def bake_again(
     medium: Medium, look: Look, ground_color: NDArray[np.float64], height: int
 ) -> NDArray[np.float64]:
-    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit."""
+    """Bakes the multiple scattering that ``atmosphere.bake`` lacks, in the same shape and unit."""
     sizes, spectra, g = medium.planet.sizes(), medium.spectra(), mean_cosine(medium.phase)
     even = reduced(spectra, g)
     albedo = spectral_albedo(wavelengths(len(medium.gas)), ground_color)
@@ -263,7 +263,7 @@ def bake_again(
 def _again(
     count: int, sight: Sight, air: Air, full: Steps, less: Steps, part: NDArray, total: NDArray
 ) -> None:
-    """What a ray's single scattering lacks, [wavelengths], into ``total``.
+    """Fills ``total`` [wavelengths] with the multiple scattering along a ray.
 
     Args:
         full, less: The ray, prepared in the medium and in the reduced one.
@@ -374,7 +374,7 @@ def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out
 
 @kernel
 def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out: NDArray) -> None:
-    """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half."""
+    """Fills rows of multiple scattering's left half, linear Rec.709, [height, height, 3]."""
     r0, ground, sun, steps, weights = look
     low, high, on_ground, albedo = far
     sizes, phase = air.sizes, air.phase

@@ -33,7 +33,7 @@ class Planet:
     layer_half_m: float = 15_000.0
 
     def sizes(self) -> NDArray[np.float64]:
-        """As the kernels take it, [6]."""
+        """Returns the lengths as the kernels take them, [6]."""
         return np.array(
             [self.radius_m, self.top_m, self.gas_m, self.aerosol_m, self.layer_m, self.layer_half_m]
         )

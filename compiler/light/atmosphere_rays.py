@@ -38,7 +38,7 @@ class Sight(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """What a ray's steps hold, whatever the direction of the sun; ``prepare`` fills it.
+    """Holds a ray's steps, for any direction of the sun; ``prepare`` fills it.
 
     Attributes:
         t: Their ends, distances from the observer, float64 [2 * steps + 1].
@@ -126,7 +126,7 @@ def _climb(steps, first, count, closest, low, high, shift, down):  # type: ignor
 
 @kernel
 def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-untyped-def]
-    """What a ray's steps hold, whatever the direction of the sun.
+    """Fills a ray's steps, for any direction of the sun.
 
     Args:
         r0: The observer's distance from the planet's center.

@@ -149,7 +149,7 @@ class AtmosphereSky(Sky):
 
 
 def resolution_error(picture: NDArray[np.float64]) -> float:
-    """What a picture that is read linearly between its texels errs above the horizon.
+    """Estimates the error of reading a picture linearly between texels, above the horizon.
 
     Halfway between texels a linear reading errs by an eighth of the second difference: of the
     luminance, its root mean square over the sky, relative to the sky's mean.

@@ -113,7 +113,7 @@ def _sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:
 def without_dark(
     light: Light, lamps: tuple[Lamp, ...]
 ) -> tuple[Light, tuple[Lamp, ...], list[tuple[str, str]]]:
-    """What shines at one sample at least.
+    """Leaves out the lights that shine at no sample.
 
     A disc that is below the horizon has no light there: nothing in a scene stands for the planet
     that hides it, and it would shine on the edges of the terrain from below.

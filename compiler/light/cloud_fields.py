@@ -226,7 +226,7 @@ class Cirrus(NamedTuple):
 
 
 class CumulusField:
-    """What all samples of a batch share of a layer of cumulus."""
+    """Holds what all samples of a batch share of a layer of cumulus."""
 
     def __init__(self, plan: CumulusClouds) -> None:
         self._plan = plan
@@ -248,7 +248,7 @@ class CumulusField:
 
 
 class CirrusField:
-    """What all samples of a batch share of a sheet of cirrus."""
+    """Holds what all samples of a batch share of a sheet of cirrus."""
 
     def __init__(self, plan: CirrusClouds) -> None:
         self._plan = plan
@@ -292,7 +292,7 @@ def _quantile(sorted_values: NDArray[np.float32], share: float) -> float:
 
 
 def _places_and_keys(key: int) -> tuple[NDArray[np.float64], list[int]]:
-    """Of a pattern's columns and rows, in clouds; and a key for each of its noises."""
+    """Returns the places of a pattern's columns and rows, in clouds; and a key for each noise."""
     place = np.arange(_SIDE, dtype=np.float64)
     place = (place + 0.5) * (_SPAN / _SIDE)
     return place, [int(mix(np.uint64((key + i) & (2**64 - 1)))) for i in range(5)]
@@ -387,7 +387,7 @@ def value_at(pattern: Pattern, east: float, north: float) -> float:
 
 @kernel
 def rise_at(layer: Cumulus, east: float, north: float) -> float:
-    """How high clouds rise over a place: 0 and less is none, 1 the full height."""
+    """Returns the height of clouds over a place: 0 and less is none, 1 the full height."""
     return (value_at(layer.pattern, east, north) - layer.pattern.threshold) / _RISE
 
 

@@ -212,7 +212,7 @@ def _mean_left(to_sun: NDArray[np.float64], cumulus: Cumulus, cirrus: Cirrus) ->
 
 
 def _numbers(*layers: Cumulus | Cirrus) -> list[float]:
-    """What a layer is, but for what all samples share."""
+    """Lists the numbers of layers that samples do not share."""
     out = []
     for layer in layers:
         out += [value for value in layer if isinstance(value, float)]

@@ -163,7 +163,7 @@ def _on_ground(
 def _ground_hit(
     origin: NDArray[np.float64], direction: NDArray[np.float64], surface: Surface
 ) -> NDArray[np.float64] | None:
-    """Where a ray goes into the ground, but for what is finer than its grid; None: nowhere."""
+    """Returns where a ray meets the ground, as fine as its grid; None: nowhere."""
     lengths = np.zeros(_STEPS)
     length = _NEAREST_M
     for i in range(_STEPS):

@@ -143,7 +143,7 @@ def _spots(level: NDArray[np.float64], height: int) -> list[_Spot]:
 
 
 def _spot(level: NDArray[np.float64], height: int, row: int, column: int) -> _Spot:
-    """What stands out around a texel; values below 0 belong to another spot."""
+    """Measures the bright spot around a texel; values below 0 belong to another spot."""
     width = level.shape[1]
     middle = _direction(height, width, row, column)
     for _ in range(3):
@@ -230,7 +230,7 @@ def _quantiles(
 
 
 def _solid_angles(height: int, width: int) -> NDArray[np.float64]:
-    """Of a texel in each row, steradians, [height]."""
+    """Returns the solid angle of a texel in each row, steradians, [height]."""
     edge = elementary.cos_array(elementary.PI * np.arange(height + 1) / height)
     return (edge[:-1] - edge[1:]) * (2.0 * elementary.PI / width)
 

@@ -24,7 +24,7 @@ type SkyAndSun = tuple[SkyLight | None, SunLight | None, dict[str, Any]]
 
 
 class Sky(ABC):
-    """What surrounds the scene. Numbers of each sample are arrays once they are drawn."""
+    """Surrounds the scene. Numbers of each sample are arrays once they are drawn."""
 
     #: Albedo of the far ground, [s, 3]; clouds that are drawn before the sky are lit by it.
     ground_color: Array

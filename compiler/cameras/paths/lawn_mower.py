@@ -94,7 +94,7 @@ class LawnMower:
         return Built(poses(position, frames(heading, self.pitch_deg)), times, facts)
 
     def _lines(self, around: Around) -> tuple[int, float]:
-        """How many lines, and their spacing: evened out, so that the outer ones lie on the edge."""
+        """Returns the number and spacing of lines, of which the outer ones are on the edge."""
         spacing = self.spacing_m
         if spacing is None:
             sensor = around.sensors[0]

@@ -71,7 +71,7 @@ def bodies_of(objects: Scatter | Placed) -> Bodies:
 
 @dataclass(frozen=True)
 class Around:
-    """What a motion is made in.
+    """Holds what a motion is computed from.
 
     Attributes:
         what: Who asks, for messages: "rigs/rover/pose".
@@ -94,7 +94,7 @@ class Around:
     def below_ground(
         self, k: int, time_s: float, xy: NDArray[np.float64], depth_m: float, expected: str
     ) -> SceneError:
-        """What is wrong with a pose at a point [2] that lies so far below the ground."""
+        """Returns the error for a pose at a point [2] that is ``depth_m`` below the ground."""
         place = f"{self.named(k, time_s)}, at ({xy[0]:.6g}, {xy[1]:.6g}) m,"
         return SceneError(
             f"{self.what}: {place} is {depth_m:.4g} m below the ground: expected {expected}"
@@ -122,7 +122,7 @@ class Around:
 
 
 class Way(NamedTuple):
-    """How a rig moves.
+    """Describes a rig's motion at any time.
 
     Attributes:
         at: Rig-to-world matrices [n, 4, 4] at seconds [n] after the motion's beginning.
@@ -150,7 +150,7 @@ class Built:
 
 
 class Motion(Protocol):
-    """How a rig moves."""
+    """Computes the poses of a rig."""
 
     @property
     def needs_objects(self) -> bool:

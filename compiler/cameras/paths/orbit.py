@@ -30,7 +30,7 @@ class PointAim:
     """Height above the ground there."""
 
     def at(self, around: Around) -> NDArray[np.float64]:
-        """Where it is, float64 [3]."""
+        """Returns the point's position, float64 [3]."""
         xy = np.array([[self.x_m, self.y_m]])
         around.require_on_terrain(xy, "center")
         return np.array([self.x_m, self.y_m, float(around.ground(xy)[0]) + self.height_m])
@@ -90,7 +90,7 @@ class ObjectAim:
         return int(found[0])
 
     def at(self, around: Around) -> NDArray[np.float64]:
-        """Where it is, float64 [3]."""
+        """Returns the object's position, float64 [3]."""
         return around.bodies[self.object].middle[self.picked(around, self.pick_u)]
 
 

@@ -145,7 +145,7 @@ class RandomPose:
             )
 
     def _drawn(self, around: Around, samples: NDArray[np.int64], k: int) -> _Drawn:
-        """What is drawn at try ``k`` of some samples."""
+        """Draws try ``k`` of some samples."""
 
         def number(name: str, value: Number) -> NDArray[np.float64]:
             return at_uniforms(value, _uniforms(np.uint64(self.keys[name]), samples, k))

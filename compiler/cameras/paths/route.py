@@ -46,11 +46,11 @@ class Passable:
         return float(self.slope_deg[self.cell(xy)])
 
     def nearest(self, xy: NDArray[np.float64]) -> Nearest | None:
-        """What is nearest to a point [2] at a vehicle's height there; None: nothing is."""
+        """Returns the obstacle nearest to a point [2] at a vehicle's height there, if any."""
         return nearest(self.obstacles, self.band, self.cell(xy), xy)
 
     def slack_m(self) -> float:
-        """How much more room than the vehicle's own a free way may need, to each side."""
+        """Bounds the room beyond the vehicle's own that a free path may need, to each side."""
         width, height = self.cell_m
         diagonal = float(np.sqrt(width * width + height * height))
         return diagonal + max((one.slack_m() for one in self.obstacles), default=0.0)
@@ -246,7 +246,7 @@ def _sees(free, frame, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
 
 @kernel
 def _pulled(free, frame, points):  # type: ignore[no-untyped-def]
-    """Which points of a way are left when it is pulled straight: from each the farthest seen."""
+    """Shortens a path: marks the points left where each is joined to the farthest one in sight."""
     keep = np.zeros(len(points), np.bool_)
     keep[0] = True
     at = 0

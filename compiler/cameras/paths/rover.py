@@ -183,7 +183,7 @@ class Rover:
     def _on_wheels(
         self, xy: NDArray[np.float64], heading: NDArray[np.float64], around: Around
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Where the rig is on the wheels: positions, axes, and the body's slope in degrees.
+        """Returns the rig's pose on its wheels: positions, axes, and the body's slope in degrees.
 
         The four wheels touch the ground at the corners of a rectangle in plan; the body is the
         plane that is nearest to them, which a rocker suspension averages to.
