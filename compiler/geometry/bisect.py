@@ -24,7 +24,7 @@ _WHOLE, _MARKED = -1, -2
 
 
 class Halved(NamedTuple):
-    """What a round of halving did.
+    """Records what a round of halving did.
 
     Attributes:
         middle_of: Edge that each new vertex halves, ascending, int64 [k].
@@ -58,7 +58,7 @@ class Bisection:
     """
 
     def __init__(self, vertices: int, faces: NDArray[np.int32]) -> None:
-        """Of faces, int32 [m, 3], to be halved at the edges opposite of their first vertices."""
+        """Takes faces, int32 [m, 3], to be halved at the edges opposite their first vertices."""
         face_edges, edges = _numbered(vertices, faces)
         self.vertices = vertices
         self.order = np.arange(len(faces), dtype=np.int32)

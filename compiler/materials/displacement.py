@@ -152,7 +152,7 @@ def octaves_of(plane: Plane, size_m: float) -> Spectrum:
 
 @lru_cache(maxsize=8)
 def _turns(cells: Cells | None) -> NDArray[np.float64]:
-    """Of each cell: shift along u and v, cosine and sine of its turn."""
+    """Returns each cell's shift along u and v, and cosine and sine of its turn."""
     if cells is None:
         return _NO_CELLS
     found = table(cells.seed)

@@ -69,7 +69,7 @@ def _shown(
 
 
 def _share(band: tuple[Plane, Plane], scale: float) -> Plane:
-    """What of an octave's slopes is the mesh's, from their mean square about each place."""
+    """Returns the mesh's share of an octave's slopes, from their mean square about each place."""
     square = band[0] * band[0] + band[1] * band[1]
     times = 0
     while times < 2 and min(square.shape) > 1 and not (square.shape[0] % 2 or square.shape[1] % 2):

@@ -24,7 +24,7 @@ from scenec.schemas.maps import COLORS, MAP_CHANNELS
 
 @dataclass(frozen=True)
 class Shown:
-    """What of the ground's mesh bears on its pictures.
+    """Says how fine the ground's mesh is, for its pictures.
 
     Attributes:
         tolerance_px: Reached by the mesh; None: it shows no relief finer than the grid.
@@ -93,7 +93,7 @@ def _with_heights(ground: Ground) -> set[str]:
 def _finished(
     name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: Shown
 ) -> Finished:
-    """What becomes of one material: it reads nothing of the others."""
+    """Finishes one material, which reads nothing of the others."""
     out, material, sources = Finished(), drawn.material, drawn.sources
     facts: dict[str, Any] = {}
     as_is = footprint is None or (sources is not None and sources.as_is)
@@ -132,7 +132,7 @@ def _finished(
 
 
 def _with_lean(material: Material, facts: dict[str, Any]) -> Material:
-    """How its normals lean: before texels go whose facets hide each other all the same."""
+    """Measures how its normals lean, before texels go whose facets hide each other all the same."""
     maps = material.maps
     # By texture coordinates come models, whose files mean no more than they say.
     if maps is None or maps.projection == "uv" or "normal" not in maps.files:

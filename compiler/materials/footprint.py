@@ -46,7 +46,7 @@ def footprints(
     views: tuple[Views, Views],
     unseen: float,
 ) -> dict[str, Footprint]:
-    """Of all materials with maps.
+    """Returns the footprints of all materials with maps.
 
     Args:
         views: The cameras, for the ground (which may hide behind hills) and for objects.

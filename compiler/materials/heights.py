@@ -20,7 +20,7 @@ from scenec.schemas.files import Stamp
 
 @lru_cache(maxsize=2)
 def painted_look(surface: Surface, size_m: float) -> Look:
-    """What a kind of surface looks like; not to be changed. Few are kept: they are large."""
+    """Paints a kind of surface; the result is not to be changed. Few are cached: they are large."""
     return surface.paint(Tile(surface.key, size_m, surface.resolution))
 
 

@@ -131,7 +131,7 @@ class MapsKeys:
     def draw(
         self, context: Context, *, worn: bool, glows: bool
     ) -> tuple[MaterialMaps, Surface | None, Sources | None]:
-        """How pictures lie and which are shown as they are; what makes further ones; their sources.
+        """Returns how pictures are mapped, what paints further ones, and their sources.
 
         Args:
             worn: Whether objects have the material.

@@ -43,7 +43,7 @@ class Cells(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """What is the same for each row: of each octave and column, [octaves, n].
+    """Holds what all rows share: of each octave and column, [octaves, n].
 
     Attributes:
         point: The lattice point to the left, int32.
@@ -180,7 +180,7 @@ def _scatter(key, count, jitter):  # type: ignore[no-untyped-def]
 
 @inlined
 def _inside(u, v):  # type: ignore[no-untyped-def]
-    """What is not in a pixel's cell or next to it is at least this far away."""
+    """Returns the least distance of what is neither in a pixel's cell nor next to it."""
     return 1.0 + min(min(u, 1.0 - u), min(v, 1.0 - v))
 
 

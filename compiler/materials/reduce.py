@@ -61,7 +61,7 @@ class Reduced:
 
 
 def halvings(high: int, wide: int, pixels: float) -> int:
-    """How often a picture can be halved and still have a texel to a pixel.
+    """Counts how often a picture can be halved and still have a texel to a pixel.
 
     Args:
         high, wide: Its sides, in texels.

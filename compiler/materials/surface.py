@@ -35,5 +35,5 @@ class Surface(ABC):
         """Relief, color and roughness on a tile."""
 
     def unit(self, tile: Tile) -> float:
-        """What ``Look.height`` is in, meters, where no relief is asked for."""
+        """Returns the unit of ``Look.height``, meters, where no relief is asked for."""
         return self.RELIEF * tile.fitting(self.grain_m)

@@ -24,7 +24,7 @@ _CELL_PX, _WAVE_PX = 3, 2
 
 @dataclass
 class Look:
-    """What a kind paints, before it is brought to the mean and relief asked for.
+    """Holds what a kind paints, before it is scaled to the mean and relief asked for.
 
     Attributes:
         height: Shape of the relief, up to a factor and an offset.

@@ -71,11 +71,11 @@ class _Laid:
     noise: NDArray[np.float64] | None
 
     def side(self) -> NDArray[np.float64]:
-        """As ``Merge.side``."""
+        """Returns ``Merge.side`` at the samples."""
         return self.merge.side_of(self.values, self.noise)
 
     def weight(self) -> NDArray[np.float64]:
-        """Of the colors, in [0, 1]."""
+        """Returns the weight of the colors, in [0, 1]."""
         return self.merge.weight_of_side(self.side())
 
     def noised(self, samples: Samples) -> _Laid:
@@ -127,7 +127,7 @@ def _center(laid: _Laid, part: float, name: str, strict: bool) -> float:
 
 
 def _report(laid: Sequence[_Laid]) -> list[dict[str, Any]]:
-    """What layers cover, from what there is at the samples that count."""
+    """Reports what layers cover, at the samples that count."""
     if not laid:
         return []
     sides = [each.side() for each in laid]
@@ -165,7 +165,7 @@ def _of_limit(merge: Merge, laid: SignedBound, value: NDArray[np.float64]) -> di
 
 @dataclass(frozen=True)
 class MaterialCondition(Condition):
-    """Where a material shows, were the ground laid on the heights before the operator.
+    """Weighs by where a material shows, were the ground laid on the heights before the operator.
 
     The weight is that of the colors: alpha of a layer times 1 - alpha of each one over it, summed
     over the layers that count. A coverage that those heights leave no room for is met as far as

@@ -49,7 +49,7 @@ _RELAX = 1.5
 
 @dataclass(frozen=True)
 class Land:
-    """What lies beyond the terrain, at any point.
+    """Represents the land beyond the terrain, at any point.
 
     Attributes:
         surface: Its own relief.
@@ -104,12 +104,12 @@ class Land:
         return Surface(HeightField(grid, self.height_at(*grid.points()).reshape(grid.shape)))
 
     def off_m(self, near: Surface, positions: NDArray[np.float32]) -> float:
-        """How far ``near`` is off its heights where objects stand, [n, 3], at most, meters."""
+        """Returns the most that ``near`` is off its heights at positions [n, 3], meters."""
         x, y = np.ascontiguousarray(positions[:, :2].T, np.float64)
         return float(np.abs(near.height_at(x, y) - self.height_at(x, y)).max(initial=0.0))
 
     def _border_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of the border where a column through points begins, float64 [n]."""
+        """Returns the border's height where the column through each point begins, float64 [n]."""
         away = self.distance_m(x, y)
         along = x / (self.half_m[0] + away), y / (self.half_m[1] + away)
         east_west = np.abs(along[0]) >= np.abs(along[1])
@@ -200,7 +200,7 @@ def build_horizon(
 
 
 def _distances(half: tuple[float, float], reach_m: float, columns: int) -> NDArray[np.float64]:
-    """Of the rectangles from the border, meters: whole roots of triangles of them."""
+    """Returns the rectangles' distances from the border, meters: whole roots of triangles."""
     middle = 0.5 * (half[0] + half[1])
     first = min(2.0 * elementary.PI / columns * middle, 0.5 * reach_m)
     span = elementary.log((middle + reach_m) / (middle + first))
@@ -365,7 +365,7 @@ def _errors(
     views: Views,
     meshing: Meshing,
 ) -> dict[str, float]:
-    """How far the middles of triangles are from the land."""
+    """Measures how far the middles of triangles are from the land."""
     middle = points.astype(np.float64)[faces].mean(axis=1)
     height = land.height_at(*(np.ascontiguousarray(middle[:, axis]) for axis in (0, 1)))
     error = np.abs(height - middle[:, 2])

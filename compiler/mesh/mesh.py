@@ -60,7 +60,7 @@ class Meshing:
 
 @dataclass(frozen=True)
 class Appearance:
-    """What is laid over the ground, at points of any shape.
+    """Holds the layers and albedo of the ground, at points of any shape.
 
     Attributes:
         sides: Of the merges, float64 [k, ...].
@@ -183,7 +183,7 @@ def label_error(
     sides: NDArray[np.float64],
     pixels_per_m: NDArray[np.float64],
 ) -> float:
-    """How far from the line that it should be beyond the worst wrong label of a sample is, pixels.
+    """Returns how far beyond the line of its label the worst mislabeled sample is, pixels.
 
     Args:
         layer: Label of its faces, int32 [m].
@@ -204,7 +204,7 @@ def label_error(
 
 @kernel
 def _distances(side, rows, columns, dx, dy):  # type: ignore[no-untyped-def]
-    """Of some samples to the zero line of a field [ny, nx], meters, float64 [n]."""
+    """Returns the distances of some samples to a field's zero line, meters, float64 [n]."""
     out = np.empty(len(rows))
     for n in range(len(rows)):
         out[n] = adaptive.distance_to_line(side, rows[n], columns[n], dx, dy)

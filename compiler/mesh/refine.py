@@ -31,7 +31,7 @@ _STEP = (0.7548776662466927, 0.5698402909980532)
 
 @dataclass(frozen=True)
 class Limits:
-    """When to stop.
+    """Says when refinement stops.
 
     Attributes:
         tolerance_px: Error that may show.
@@ -184,7 +184,7 @@ def _wanted(
     views: Views,
     limits: Limits,
 ) -> NDArray[np.bool_]:
-    """Which of some faces show too large an error."""
+    """Selects the faces that show too large an error."""
     faces = work.mesh.faces[asked]
     center, radius, leg = _balls(work.points.rows, faces)
     # What is coarse enough needs no view.
@@ -289,7 +289,7 @@ def _put(columns, at, rows):  # type: ignore[no-untyped-def]
 
 @kernel
 def _unknown(asked, middles):  # type: ignore[no-untyped-def]
-    """Those of some edges of which nothing is known yet, each once, int64 [u].
+    """Selects the edges that are not measured yet, each once, int64 [u].
 
     Args:
         asked: Edges, [n].

@@ -38,7 +38,7 @@ class SignedBound:
     softness: tuple[float, float]
 
     def value(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What is held against the bounds at points, float64 [n]."""
+        """Returns the value that is compared with the bounds at points, float64 [n]."""
         return self.condition.value_at(self.quantities, x, y)
 
     def t(self, value: NDArray[np.float64]) -> NDArray[np.float64]:

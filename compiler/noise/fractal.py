@@ -91,7 +91,7 @@ class Fractal:
 
 
 class Places(NamedTuple):
-    """Where a noise is wanted.
+    """Holds the places at which a noise is evaluated.
 
     Attributes:
         x, y: Positions, float64 [n] each; or those of a grid's columns and rows in units of the
@@ -107,7 +107,7 @@ class Places(NamedTuple):
 
 
 class Form(NamedTuple):
-    """What is summed, in numbers: see ``Fractal``."""
+    """Holds the parameters of a sum of octaves: see ``Fractal``."""
 
     variant: int
     gain: float
@@ -199,7 +199,7 @@ def _fbm(octaves: Octaves, u: NDArray, v: NDArray, noise: NDArray, out: NDArray)
 
 @kernel
 def _at_zero(octaves: int, form: Form) -> tuple[float, float]:
-    """What the sums are centered by: where every octave is zero, hetero's growth, others' level."""
+    """Returns what the sums are centered by: at octaves of zero, hetero's growth, others' level."""
     growth = 1.0
     level = 0.0
     weight = 1.0

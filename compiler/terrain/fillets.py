@@ -28,7 +28,7 @@ _LEVEL, _CORE = 0.5, 1.5
 
 
 class Feet(NamedTuple):
-    """Where stones stand in the ground, and how high it is heaped there.
+    """Holds the outlines of stones in the ground, and the fillets around them.
 
     Attributes:
         x, y: Middles of outlines, meters, float64 [n].
@@ -105,7 +105,7 @@ class Fillets:
         return out
 
     def spectrum(self) -> Spectrum:
-        """Of the highest, under its stone: see ``_ramp``."""
+        """Returns the spectrum of the highest fillet, under its stone: see ``_ramp``."""
         highest = float(
             (_CORE * self.feet.height * np.maximum(self.feet.share.max(axis=1), 1.0)).max()
         )
@@ -114,7 +114,7 @@ class Fillets:
 
 @inlined
 def _side(dx: float, dy: float) -> float:
-    """Where a direction is among ``directions()``, in [0, SIDES]."""
+    """Returns the place of a direction among ``directions()``, in [0, SIDES]."""
     around = abs(dx) + abs(dy)
     if dy >= 0.0:
         turn = dy / around if dx >= 0.0 else 1.0 - dx / around

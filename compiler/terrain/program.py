@@ -26,7 +26,7 @@ HIGHEST_M = 1e18
 
 @dataclass(frozen=True)
 class Relief:
-    """What a program made.
+    """Holds the result of a program.
 
     Attributes:
         field: Heights.

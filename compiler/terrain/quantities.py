@@ -40,7 +40,7 @@ class Samples:
 
     @classmethod
     def of(cls, grid: Grid) -> Samples:
-        """Of a relief's grid."""
+        """Returns the samples of a relief's grid."""
         return cls(grid.x(), grid.y())
 
     def noise(self, key: Hashable, noise: Fractal) -> NDArray[np.float64]:
@@ -74,7 +74,7 @@ class Quantities:
         return type(self), (self.grid, self.height)
 
     def once(self, key: object, make: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """What ``make`` gives, made at most once for a key."""
+        """Returns the result of ``make``, which is called at most once for a key."""
         if key not in self._known:
             self._known[key] = make()
         return self._known[key]

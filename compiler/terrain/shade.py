@@ -34,7 +34,7 @@ class Shade:
 
 
 def shade(shades: Sequence[Shade], field: HeightField) -> HeightField | None:
-    """What all of them add at a relief's samples, and between them; None: there are none."""
+    """Returns the sum of all shades at, and between, a relief's samples; None without shades."""
     if not shades:
         return None
     quantities = Quantities(field.grid, field.height)

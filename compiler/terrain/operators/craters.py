@@ -205,7 +205,7 @@ class Craters:
         }
 
     def bowls(self, which: NDArray[np.bool_]) -> Bowls:
-        """Where some of them lie."""
+        """Returns the bowls of some of them."""
         return Bowls(
             self.x_m[which],
             self.y_m[which],
@@ -217,7 +217,7 @@ class Craters:
 
 
 class Bowls(NamedTuple):
-    """Where craters lie, meters, and their wear and outlines: see ``Craters``."""
+    """Holds places of craters, meters, and their wear and outlines: see ``Craters``."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -240,7 +240,7 @@ def _require_doable(diameter_m: NDArray[np.float64], grid: Grid) -> None:
 
 
 def shown_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
-    """Which craters are wide enough for a grid to show: bool [n]."""
+    """Selects the craters that are wide enough for a grid to show: bool [n]."""
     return craters.diameter_m >= _FINEST * max(grid.spacing_m)
 
 
@@ -443,7 +443,7 @@ class _Law:
 
 
 def _area(size_m: tuple[float, float], octave: int) -> float:
-    """Of the rectangle that craters below 2**(octave + 1) m reach the terrain from, m^2."""
+    """Returns the area that craters below 2**(octave + 1) m reach the terrain from, m^2."""
     margin = 2.0 * _margin(octave)
     return (size_m[0] + margin) * (size_m[1] + margin)
 

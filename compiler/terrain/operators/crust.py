@@ -36,7 +36,7 @@ _SHIFT = np.uint64(21)
 
 
 class Plates(NamedTuple):
-    """Of a ``Crust``, in numbers.
+    """Holds the parameters of a ``Crust``.
 
     Attributes:
         height: In meters.
@@ -122,7 +122,7 @@ class Crust:
 
 
 def _below(share: float) -> float:
-    """What the sum of two numbers that are uniform in [0, 1] is below in a share of cases."""
+    """Returns the quantile of the sum of two numbers that are uniform in [0, 1]."""
     if share <= 0.5:
         return float(np.sqrt(2.0 * share))
     return 2.0 - float(np.sqrt(2.0 * (1.0 - share)))

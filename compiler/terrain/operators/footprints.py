@@ -44,7 +44,7 @@ _FINEST = 3.0
 
 
 class Sole(NamedTuple):
-    """What presses, in meters.
+    """Describes the sole that presses, in meters.
 
     Attributes:
         half_length, half_width: Of the outline, u^4 + v^2 = 1, tapered.
@@ -247,7 +247,7 @@ def _walk(
 
 
 def _reach(length_m: float) -> float:
-    """How far from its middle a print of a sole ends, meters: the corner of its rim at most."""
+    """Returns how far a print ends from its middle, meters: the corner of its rim at most."""
     half = 0.5 * length_m
     wide = _HALF_WIDTH * length_m * (1.0 + _TAPER * (1.0 + _RIM))
     return (1.0 + _RIM) * math.sqrt(half * half + wide * wide)
@@ -266,7 +266,7 @@ def _binned(of: Footprints) -> Bins:
 def _amplitudes(
     bins: Bins, x: NDArray, y: NDArray, radius: NDArray, length: NDArray, table: Finer
 ) -> NDArray:
-    """Of what is finer than lengths in disks that prints may reach into, float64 [n]."""
+    """Returns the relief finer than lengths in disks that prints may reach into, float64 [n]."""
     out = np.zeros(x.size)
     for n in range(x.size):
         if any_within(bins, x[n], y[n], radius[n]):

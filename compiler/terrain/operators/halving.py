@@ -11,7 +11,7 @@ from scenec.compiler.arithmetic.ranks import ranked
 def halving_error(
     out: NDArray[np.float64], steps: int, other: NDArray[np.float64], others: int
 ) -> dict[str, float]:
-    """What heights err after some steps, from those after fewer (or more).
+    """Estimates the error of heights after some steps, from those after fewer (or more).
 
     Richardson's estimate for an error that falls with the square root of the steps: what stops
     converging smoothly (water that finds another way, slides that meet) falls no slower in the

@@ -71,7 +71,7 @@ class OctaveRelief(ABC):
 
     @abstractmethod
     def spectrum(self, shown: int) -> Spectrum:
-        """Of the octaves from ``shown`` on."""
+        """Returns the spectrum of the octaves from ``shown`` on."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class FinerOctaves:
         return relief.amplitude_m * relief.beyond(x, y, self.shown, self.spacing_m)
 
     def spectrum(self) -> Spectrum:
-        """Of the octaves."""
+        """Returns the spectrum of the octaves."""
         return self.relief.spectrum(self.shown)
 
 
@@ -196,7 +196,7 @@ class Multifractal(OctaveRelief):
 
 
 def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: float) -> int:
-    """How many of a noise's octaves are at least two grid spacings wide."""
+    """Counts the octaves of a noise that are at least two grid spacings wide."""
     wavelength = scale_m
     for octave in range(octaves):
         if wavelength < 2.0 * spacing_m:
@@ -206,7 +206,7 @@ def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: fl
 
 
 def octaves_held(octaves: int, scale_m: float, lacunarity: float, extent_m: float) -> int:
-    """How many of a noise's octaves have a place: float64 knows where in its lattice a point lies.
+    """Counts the octaves of a noise in whose lattice float64 can still place a point.
 
     Beyond 2**45 wavelengths from the origin too few bits are left of the place between two points
     of the lattice, and soon none; whole numbers of it then overflow.

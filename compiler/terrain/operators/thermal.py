@@ -97,7 +97,7 @@ def _degrees(slope: float) -> float:
 
 
 class _Step(NamedTuple):
-    """What an iteration goes by.
+    """Holds the parameters of an iteration.
 
     Attributes:
         dx, dy: Spacing, meters.
@@ -312,7 +312,7 @@ def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @kernel
 def _refine(height: NDArray, q: NDArray, step: _Step, ny: int, nx: int) -> tuple[NDArray, NDArray]:
-    """What ``_iterate`` begins with on a grid twice as fine, where the penalty is half of it.
+    """Returns the start of ``_iterate`` on a grid twice as fine, where the penalty is half of it.
 
     Args:
         height, q: What it ends with.

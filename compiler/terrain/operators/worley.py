@@ -87,14 +87,14 @@ class Worley(OctaveRelief):
         return out
 
     def spectrum(self, shown: int) -> Spectrum:
-        """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
+        """Returns the octaves' spectrum about their mean; cells count as two waves, a cone each."""
         octaves = range(shown, self.octaves)
         amplitude = _SPANS[_KINDS.index(self.distance)] * self.amplitude_m
         return octave_spectrum(0.5 * self.scale_m, octaves, self.lacunarity, self.gain, amplitude)
 
 
 class Cells(NamedTuple):
-    """Of a ``Worley``, in numbers: octaves left out; ``distance`` by its place in ``_KINDS``."""
+    """Holds the parameters of a ``Worley`` but its octaves; ``kind`` is an index of ``_KINDS``."""
 
     shown: int
     gain: float

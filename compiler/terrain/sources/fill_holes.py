@@ -100,7 +100,7 @@ def _coarsen(field: NDArray, mask: NDArray) -> tuple[NDArray, NDArray]:
 
 @kernel
 def _equations(field: NDArray, holes: NDArray, number: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """What Laplace's equation says of each sample of a hole.
+    """Sets up Laplace's equation at each sample of a hole.
 
     Its neighbors in holes (-1: none), the sum of those that are known, and how many there are.
     """

@@ -248,7 +248,7 @@ def _read_report(mesh: Model) -> dict[str, Any]:
 
 
 def _beyond(grid: Grid, points: NDArray[np.float64]) -> dict[str, Any]:
-    """How far the mesh reaches over the terrain's rectangle, where heights are its border's."""
+    """Reports how far the mesh exceeds the terrain's rectangle; heights there are its border's."""
     half = 0.5 * np.array(grid.size_m)
     reach = float((np.abs(points[:, :2]) - half).max(initial=0.0))
     return {"beyond_terrain_m": reach if reach > SAME * max(grid.spacing_m) else 0.0}
