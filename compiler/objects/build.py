@@ -45,7 +45,7 @@ class Built(NamedTuple):
     facts: dict[str, Any]
 
     def float32_errors(self) -> list[float]:
-        """Of each class, the largest error of its positions in float32, meters."""
+        """Lists each class's largest error of positions in float32, meters."""
         return [float(own["float32_error_max_m"]) for own in self.facts["objects"].values()]
 
 

@@ -19,7 +19,7 @@ from scenec.schemas.threads import POINTS, over_threads
 
 
 class Cells(NamedTuple):
-    """What kernels take of ``Candidates``.
+    """Holds ``Candidates`` as kernels take them.
 
     Attributes:
         cumulative, corners: As there.
@@ -37,7 +37,7 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Where three uniform numbers lead: a cell or a face by the first, a place in it by the others.
+    """Maps three uniform numbers to a place: the first to a cell or face, the others within it.
 
     Attributes:
         lattice: The cells; faces are taken where there are ``corners``.
@@ -52,7 +52,7 @@ class Candidates:
     share: float
 
     def cells(self) -> Cells:
-        """As ``point`` takes it."""
+        """Returns the arrays as ``point`` takes them."""
         (ny, nx), of = self.lattice.shape, self.lattice
         return Cells(self.cumulative, self.corners, (of.x0, of.y0), (of.dx, of.dy), nx, ny)
 

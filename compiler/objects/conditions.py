@@ -25,7 +25,7 @@ class PlacementCondition(ABC):
 
     @abstractmethod
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
-        """How much holds at the middles of cells, in [0, 1]: float64 [ny, nx]."""
+        """Returns the weight at the middles of cells, in [0, 1]: float64 [ny, nx]."""
 
     def finest_m(self, around: Surroundings) -> float | None:
         """Width of cells that shows all there is of it; None: those of the relief's grid do."""
@@ -48,7 +48,7 @@ class OnRelief(PlacementCondition):
 
 @dataclass(frozen=True)
 class OnMaterial(PlacementCondition):
-    """Where ground layers show, with the weight of their color: of the ground as it is laid.
+    """Weighs by where ground layers show, with the weight of their color: of the ground as laid.
 
     Attributes:
         layers: Indices of those that count, 0 for the base.

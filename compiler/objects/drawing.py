@@ -98,7 +98,7 @@ def draw_scattered(
 
 
 def _counted(law: Scattered, size: Number, context: Context) -> tuple[Count, int]:
-    """How many there are, and how many there can be: ``where`` only takes some away."""
+    """Returns the number of objects, and the most there can be: ``where`` only removes some."""
     if law.count is not None:
         return Count(int(law.count), None, 0.0), int(law.count)
     rounding = float(context.streams.uniforms(f"{context.path}/count_rounding", 1)[0])

@@ -207,7 +207,7 @@ def _moves(
 def _rms(
     move: NDArray[np.float64], corners: NDArray[np.int32], pieces: _Pieces, kept: NDArray[np.bool_]
 ) -> float:
-    """Of what the corners of kept leaves move by, each leaf by its area."""
+    """Returns the root mean square of the moves of kept leaves' corners, weighted by leaf area."""
     own = pieces.of_face[kept]
     weight = np.where(pieces.group[own] >= 0, pieces.area[own] / pieces.triangles[own], 0.0)
     square = (move * move).sum(axis=1)[corners].mean(axis=1)
@@ -215,7 +215,7 @@ def _rms(
 
 
 def _partners(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Of each vertex the one across its strip: each is the other's nearest; else itself."""
+    """Returns the vertex across each one's strip, where it is mutually nearest; else itself."""
     nearest = np.arange(len(points))
     _across(points, faces, np.full(len(points), np.inf), nearest)
     mutual = nearest[nearest] == np.arange(len(points))

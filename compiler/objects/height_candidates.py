@@ -23,7 +23,7 @@ def candidates_on(
     around: Surroundings,
     name: str,
 ) -> Candidates:
-    """Where objects of a density lie on heights: it is taken as constant over each cell.
+    """Returns the places of a density's objects on heights: it is constant over each cell.
 
     Raises:
         SceneError: It is zero everywhere.

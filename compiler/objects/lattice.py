@@ -99,7 +99,7 @@ class Lattice:
 
 
 def table(reach: float) -> NDArray[np.float64]:
-    """Where the table of a radial function has its values: from 0 to its reach."""
+    """Returns the radii at which a radial function is tabulated: from 0 to its reach."""
     return reach * np.arange(_STEPS + 1) / _STEPS
 
 

@@ -36,7 +36,7 @@ class ObjectDetail:
 
 @dataclass(frozen=True)
 class Levels:
-    """What the levels of a class's instances would show.
+    """Holds what the levels of detail of a class's instances would show.
 
     Attributes:
         scatter: Instances of the finest levels.
@@ -64,7 +64,7 @@ class Levels:
         return self.scatter.scales.max(axis=1, initial=0.0).astype(np.float64)
 
     def shown(self, level: int) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
-        """Which instances have a level; its mesh; its error in pixels (without views: meters)."""
+        """Returns which instances have a level; its mesh; its error in pixels, or meters."""
         there = level < self.lengths
         index = np.where(there, self.finest + level, self.finest)
         error = self.errors[index] * self.size
@@ -96,7 +96,7 @@ def see_levels(
     tolerance_px: float,
     small_pieces: bool = False,
 ) -> Levels:
-    """What the levels of a class would show in the views.
+    """Measures what the levels of a class would show in the views.
 
     Args:
         scatter: Instances of the finest levels.
@@ -187,7 +187,7 @@ def _balls(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0) -> float | None:
-    """How much larger than asked errors have to be for all classes to keep to a budget.
+    """Returns the factor by which errors must exceed their tolerances to keep to a budget.
 
     Args:
         classes: All that counts; those whose tolerance is 0 keep their finest levels.

@@ -80,7 +80,7 @@ class ModelPart:
 
 @dataclass(frozen=True)
 class PartRule:
-    """What is drawn of one part of a class's models.
+    """Holds what is drawn of one part of a class's models.
 
     Attributes:
         name: Of a part, of what stands above it, or of a material of the file.

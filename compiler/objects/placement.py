@@ -149,12 +149,12 @@ class Placement:
         return self._radius[self._plan.prototype[which]] * size
 
     def positions(self, which: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Of some instances, float32 [m, 3]."""
+        """Returns the positions of some instances, float32 [m, 3]."""
         columns = [at[which].astype(np.float32) for at in (self.x, self.y, self.z)]
         return np.stack(columns, axis=1)
 
     def rounding_m(self, which: NDArray[np.int64]) -> float:
-        """How far float32 moves an instance up or down at most, meters."""
+        """Returns how far float32 moves an instance up or down at most, meters."""
         z = self.z[which]
         return float(np.abs(z.astype(np.float32) - z).max(initial=0.0))
 
@@ -173,7 +173,7 @@ def surface_normals(
 def seating_report(
     scatter: Scatter, embed: NDArray[np.float64], placement: Placement, which: NDArray[np.int64]
 ) -> dict[str, Any]:
-    """How well finished instances sit: measured again on the arrays as the stage will have them.
+    """Measures how well finished instances sit, on the arrays as the stage will have them.
 
     ``float_max_m`` and ``sink_max_m`` are how far the deepest vertex is above and below the depth
     asked for under the surface as it will be meshed, with all rounding; ``gap_max_px`` what that is
@@ -222,7 +222,7 @@ def seating_report(
 
 
 def _gaps(surface: Surface, bodies: Bodies, origin_z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far the deepest vertex of each body lies above the depth asked for, meters, [n]."""
+    """Returns the height of each body's deepest vertex above the depth asked for, meters, [n]."""
     (x, y, z), starts = vertices(bodies)
     z += np.repeat(origin_z, np.diff(starts, append=len(z)))
     above = np.minimum.reduceat(z - surface.height_at(x, y), starts)

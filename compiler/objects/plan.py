@@ -52,7 +52,7 @@ class ModelSource:
 
 @dataclass(frozen=True)
 class Count:
-    """How many there are: a number, or one to the square meter of terrain in plan.
+    """Gives the number of objects: exact, or per square meter of terrain in plan.
 
     Attributes:
         exact: The number, or None.

@@ -83,14 +83,14 @@ def scatter(
 
 
 def _stem(prototype: Prototype) -> Prototype:
-    """What stands on the ground where the origin does: that point, and how high the model is."""
+    """Reduces a prototype to what meets the ground at its origin: that point, and its height."""
     height = max(float(prototype.points[:, 2].max()), 0.0)
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height]], np.float32)
     return replace(prototype, points=points)
 
 
 def _scales(plan: ScatterPlan, which: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Of some instances as the stage will have them, [m, 3]."""
+    """Returns the scales of some instances as the stage will have them, [m, 3]."""
     return np.repeat(plan.scale[which].astype(np.float32)[:, None], 3, axis=1)
 
 
@@ -205,7 +205,7 @@ class _Scattering:
     def _near(
         self, which: NDArray[np.int64], cameras: NDArray[np.float64], cubes: Cubes
     ) -> NDArray[np.int64]:
-        """Of some instances, those that a camera is in, or nearer to than the clearance."""
+        """Selects the instances that contain a camera, or are nearer to one than the clearance."""
         plan, clearance = self.plan, self.plan.clearance_m
         at = self.placement.positions(which).astype(np.float64)
         reach = np.maximum(self._radius[which] + clearance, 0.0)

@@ -19,7 +19,7 @@ from scenec.compiler.views.resolution import NO_VIEWS, Views
 
 @dataclass
 class Surroundings:
-    """What a class of objects is placed among.
+    """Holds what a class of objects is placed among.
 
     Attributes:
         cameras: Where any camera is at any sample, float64 [c, 3], meters.

@@ -245,7 +245,7 @@ def _views(rows: Iterable[_Row]) -> Views:
 
 
 def _eyes(sensor: Sensor) -> tuple[float, ...]:
-    """Where a sensor looks from, along its x axis: a stereo camera has a second eye."""
+    """Returns the places of a sensor's eyes along its x axis: a stereo camera has two."""
     measuring = sensor.depth_camera
     if measuring is not None and isinstance(measuring.model, StereoDepth):
         return 0.0, measuring.model.baseline_m

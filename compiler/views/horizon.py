@@ -1,4 +1,4 @@
-"""What certainly hides behind the ground: the one test, for meshing and for pruning.
+"""Finds what certainly hides behind the ground: the one test, for meshing and for pruning.
 
 The terrain is a surface without holes, so a ray from an eye above it that is somewhere below it has
 met it before. The plan is cut into blocks, of which ``Relief`` bounds the heights. From each eye

@@ -1,4 +1,4 @@
-"""What no camera sees, but changes the light on what one does: the rule, and its one number.
+"""Finds what no camera sees, but changes the light on what one does: the rule and its number.
 
 With color an object out of view stays if
 
@@ -45,7 +45,7 @@ _LOOKED_AT = 8
 
 
 class Seen(NamedTuple):
-    """Where what is seen stands, by the blocks of the relief.
+    """Holds the places of what is seen, by the blocks of the relief.
 
     Attributes:
         top: The highest place seen in a block, -inf where nothing is; float64 [by, bx].
@@ -71,7 +71,7 @@ def seen_blocks(
     radii: NDArray[np.float64],
     beyond: bool = False,
 ) -> Seen:
-    """Where what some views see stands.
+    """Returns the places of what some views see.
 
     Args:
         relief: Of the ground, in square blocks over all there is.
@@ -166,7 +166,7 @@ def _mark(middles, radii, frame, top):  # type: ignore[no-untyped-def]
 
 @kernel
 def squared_distances(top):  # type: ignore[no-untyped-def]
-    """Of each block to the nearest that has a top, in blocks; inf where none has."""
+    """Returns each block's squared distance to the nearest that has a top, in blocks; or inf."""
     rows, columns = top.shape
     # Along columns first, then the lowest of their parabolas along rows: Meijster, Roerdink and
     # Hesselink, "A general algorithm for computing distance transforms in linear time" (2000).

@@ -1,4 +1,4 @@
-"""What the outputs of a batch need of its Scene, and leaving out the rest.
+"""Selects what the outputs of a batch need of its Scene, and leaves out the rest.
 
 ======================  ============================================================================
 output                  needs, beside geometry, places and cameras
@@ -43,7 +43,7 @@ _SHADING, _NUMBER = 24, 4
 
 
 class Keep(StrEnum):
-    """How much of a scene stays in the stage.
+    """Chooses how much of a scene stays in the stage.
 
     ``SEEN``: what the cameras of the batch can see the effect of (the default).
     ``UNPRUNED``: everything, as coarse where no camera sees it as ``SEEN`` would have it: meshes
@@ -58,7 +58,7 @@ class Keep(StrEnum):
 
 
 class Needs(NamedTuple):
-    """What the outputs show.
+    """Says what the outputs show.
 
     Attributes:
         color: Materials, shading and light.
@@ -70,7 +70,7 @@ class Needs(NamedTuple):
 
 
 def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True) -> Needs:
-    """What a batch's outputs need.
+    """Returns what a batch's outputs need.
 
     Args:
         keep: ``Keep.ALL`` needs everything that the cfg has: someone will walk around in the stage.
@@ -102,7 +102,7 @@ def with_color(rigs: tuple[Rig, ...], keep: Keep = Keep.SEEN) -> tuple[Rig, ...]
 
 @dataclass(frozen=True)
 class Used[Kind]:
-    """What is left of a Scene's contents.
+    """Holds what is left of a Scene's contents.
 
     Attributes:
         materials: By name, drawn or built.
@@ -177,7 +177,7 @@ def _without_unused_prototypes(
 
 
 def _bytes_of(mesh: Prototype | Tile) -> int:
-    """Of what is always written of a mesh: points, faces, and three a face."""
+    """Returns the bytes that are always written of a mesh: points, faces, and three a face."""
     return int(mesh.points.nbytes + mesh.faces.nbytes + _NUMBER * len(mesh.faces))
 
 

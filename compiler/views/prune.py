@@ -100,7 +100,7 @@ class _Balls:
         return self.middles[balls], self.radii[balls]
 
     def keep(self, which: NDArray[np.bool_], of_balls: NDArray[np.bool_], why: Reason) -> None:
-        """Those of some instances stay of which any ball is chosen."""
+        """Keeps those of some instances of which any ball is chosen."""
         stays = of_balls.reshape(-1, self._samples).any(axis=1)
         self.reason[np.flatnonzero(which)[stays]] = _CODE[why]
 

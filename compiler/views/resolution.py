@@ -1,4 +1,4 @@
-"""How closely the cameras of a batch look at each part of the terrain."""
+"""Measures how closely the cameras of a batch look at each part of the terrain."""
 
 from __future__ import annotations
 

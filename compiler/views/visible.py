@@ -1,4 +1,4 @@
-"""Which balls a view may see: conservative, by view volumes and by the ground alone.
+"""Finds the balls that a view may see: conservative, by view volumes and by the ground alone.
 
 No object hides another.
 """

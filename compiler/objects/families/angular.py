@@ -125,16 +125,16 @@ class Angular(Carved[_Drawn]):
         return self.drawn._replace(normals=normals, distances=distances, scars=scars)
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self._whole.normals, self._whole.distances
 
     def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``."""
+        """Returns the parameters for a mesh: with its chips, and scars as balls."""
         return self._whole
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
         tilt = unit_vectors(u[:, :2])
         joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])

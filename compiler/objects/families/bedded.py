@@ -93,12 +93,12 @@ class Bedded(Carved[_Drawn]):
     LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         count, first, dip, toward = streams.uniforms(f"{path}/joints", 4)
         sides = 4 + int(count * (_MOST_SIDES - 3))
         u = streams.uniforms(f"{path}/sides", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]

@@ -99,7 +99,7 @@ class Breccia(Carved[_Drawn]):
     USUAL = Usual(0.22, 0.4, 0.4)
 
     def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, with the clasts that the mesh can show."""
+        """Returns the parameters for a mesh, with the clasts that it can show."""
         rock = self.drawn
         shown = rock.clasts[:, 3] >= 1.6 * fine.spacing
         return rock._replace(
@@ -108,7 +108,7 @@ class Breccia(Carved[_Drawn]):
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
         v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
         w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)

@@ -74,7 +74,7 @@ class Rounded(Carved[_Drawn]):
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
         turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
         c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]

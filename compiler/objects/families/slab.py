@@ -84,16 +84,16 @@ class Slab(Carved[_Drawn]):
     LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
     def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, with room of its own."""
+        """Returns the parameters for a mesh, with a work array of their own."""
         return self.drawn._replace(in_layer=self.drawn.distances.copy())
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         count, first = streams.uniforms(f"{path}/sides", 2)
         sides = 5 + int(count * (_MOST_SIDES - 4))
         u = streams.uniforms(f"{path}/outline", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]

@@ -101,7 +101,7 @@ class Ventifact(Carved[_Drawn]):
     LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where facets meet each other and the body."""
+        """Returns the planes of facets and body, which meet at creases."""
         rock = self.drawn
         return (
             np.concatenate([rock.facets, rock.normals]),
@@ -109,7 +109,7 @@ class Ventifact(Carved[_Drawn]):
         )
 
     def bearings(self) -> NDArray[np.float64]:
-        """Where its facets look, in whole turns from +x toward +y, float64 [f]."""
+        """Returns the bearings of facets, in whole turns from +x toward +y, float64 [f]."""
         # Across planes that are stretched, as normals go.
         x, y = self.drawn.facets[:, 0] / self.axes[0], self.drawn.facets[:, 1] / self.axes[1]
         angles = [elementary.atan2(*each) for each in zip(y.tolist(), x.tolist(), strict=True)]
@@ -117,7 +117,7 @@ class Ventifact(Carved[_Drawn]):
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/body", 3 * _PLANES).reshape(_PLANES, 3)
         count, first = streams.uniforms(f"{path}/wind", 2)
         # Most are dreikanter, with three edges.

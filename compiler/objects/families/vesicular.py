@@ -47,7 +47,7 @@ class _Drawn(NamedTuple):
 
 @kernel
 def _radius(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
-    """Of the worn block, before balls are taken from it."""
+    """Returns the radius of the worn block, before balls are taken from it."""
     h, _plane, _gap = block(rock.normals, rock.distances, x, y, z, rock.width)
     r = 1.0 / min(max(h, 0.8), 4.0)
     bumps = 0.0
@@ -103,13 +103,13 @@ class Vesicular(Carved[_Drawn]):
     USUAL = Usual(0.2, 0.35, 0.4)
 
     def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, its bubbles where coarse relief alone leaves them."""
+        """Returns the parameters for a mesh, with bubbles where coarse relief alone leaves them."""
         fine = fine._replace(waves=min(fine.waves, 2), grains=0)
         return self.drawn._replace(bubbles=_balls(np.uint64(self.key), self.drawn, fine))
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
         v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
         # Numbers fall with the size's square: as much of the surface to every size.

@@ -99,17 +99,17 @@ class Weathered(Carved[_Drawn]):
     READS = "angularity"
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
     def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, with scars as balls."""
+        """Returns the parameters for a mesh, with scars as balls."""
         rock = self.drawn
         return rock._replace(scars=bowls(rock.normals, rock.distances, rock.scars))
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/joints", 18).reshape(6, 3)
         v = streams.uniforms(f"{path}/planes", 3 * _FRACTURES).reshape(_FRACTURES, 3)
         joints = np.concatenate([np.eye(3), -np.eye(3)]) + 0.45 * unit_vectors(u[:, :2])
