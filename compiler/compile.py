@@ -30,7 +30,7 @@ FAULTS = ("stop", "skip", "redraw")
 
 @dataclass(frozen=True)
 class CompileReport:
-    """What a compilation did.
+    """Reports what a compilation did.
 
     Attributes:
         out: Output folder.
@@ -177,7 +177,7 @@ def _compiled(
     executor: Executor | None,
     tell: Tell,
 ) -> Generator[tuple[CompileBatch, Compiled]]:
-    """What came of each batch, in their order, whoever compiled it."""
+    """Compiles batches, itself or by an executor, and yields their results in order."""
 
     def say(line: str) -> None:
         tell(line, None)

@@ -51,7 +51,7 @@ _NAMED: Final = 0.05
 
 @dataclass(frozen=True)
 class Need:
-    """What one key of a cfg asks for.
+    """Estimates the memory and time that one key of a cfg takes.
 
     Attributes:
         pointer: The key: "objects/rocks/count".
@@ -67,7 +67,7 @@ class Need:
 
 
 def needs_of(spec: Spec, seed: int, batch: int) -> list[Need]:
-    """What compiling a batch needs, the largest first.
+    """Estimates what compiling a batch takes, the largest first.
 
     Args:
         spec: A validated cfg.

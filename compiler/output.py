@@ -148,7 +148,7 @@ class Output:
         self._note_failed(failed)
 
     def attempt(self, batch: int) -> int:
-        """How often a batch was drawn again when it was compiled here before."""
+        """Returns how often a batch was drawn again when it was compiled to this output before."""
         entries = [b for b in self._manifest["batches"] if b["index"] == batch]
         return int(entries[0].get("attempt", 0)) if entries else 0
 
@@ -262,7 +262,7 @@ class Output:
 
 
 def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
-    """What the manifest says of all batches."""
+    """Returns what the manifest says of all batches."""
     alone = {key: value for key, value in spec.cfg.items() if key != "batches"}
     return {
         "format": MANIFEST_FORMAT,
@@ -292,7 +292,7 @@ def _origin(spec: Spec, out: Path) -> dict[str, str]:
 
 
 def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | None]:
-    """Which batches an output has with all of their files, and what else they are of.
+    """Returns the batches of which an output has all files, and how its inputs differ.
 
     Raises:
         OutputError: It is no output.
@@ -356,7 +356,7 @@ def _entry(file: Path, path: Path) -> dict[str, Any]:
 
 
 def _role(path: Path) -> str:
-    """What a file of a batch is, by its place in it."""
+    """Names the role of a batch's file, by its place."""
     folders = {"objects": "object class", "looks": "material", "textures": "texture"}
     if len(path.parts) > 1:
         return folders[path.parts[0]]

@@ -37,7 +37,7 @@ class Plan:
 
 
 def needs_of_plan(plan: Plan, keep: Keep) -> Needs:
-    """What the sensors of a batch need of its Scene."""
+    """Returns what the sensors of a batch need of its Scene."""
     outputs = [name for rig in plan.rigs for name in rig.outputs]
     # Scans hold labels and ids, whatever cameras are asked for.
     scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
