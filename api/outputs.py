@@ -32,7 +32,7 @@ from scenec.backends.run.executors import make_executor
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
-from scenec.compiler.cfg.builder import WholeCfg
+from scenec.compiler.cfg.builder import CompleteCfg
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets import pictures
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, paint_labels
@@ -46,7 +46,9 @@ from scenec.schemas.scratch import scratch_folder
 _WIDE = 480
 
 
-def compile(cfg: WholeCfg | Path | str, out: Path | str, seed: int = 0, **options: Any) -> Output:
+def compile(
+    cfg: CompleteCfg | Path | str, out: Path | str, seed: int = 0, **options: Any
+) -> Output:
     """Compile a cfg.
 
     Args:
@@ -60,7 +62,7 @@ def compile(cfg: WholeCfg | Path | str, out: Path | str, seed: int = 0, **option
         CfgError, SceneError, OutputError: As of ``compile_cfg``.
     """
     # Said of no file: faults have JSON pointers.
-    given = cfg.check() if isinstance(cfg, WholeCfg) else cfg
+    given = cfg.check() if isinstance(cfg, CompleteCfg) else cfg
     compile_cfg(given, seed=seed, out=out, **options)
     return Output(out)
 

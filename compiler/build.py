@@ -19,7 +19,7 @@ from scenec.compiler.cameras.rigs import build_rigs, expose, memoized_rigs
 from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
-from scenec.compiler.materials.finish import Shown, finish
+from scenec.compiler.materials.finish import MeshLimits, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.materials.plan import MaterialPlan
@@ -33,7 +33,7 @@ from scenec.compiler.objects.build import Built, build_objects
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
+from scenec.compiler.plan import Plan, fine_everywhere, needs_of_plan
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import SkyLight
 from scenec.compiler.scene.material import Material
@@ -93,7 +93,7 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     """
     keep_freed()
     if keep is Keep.ALL:
-        plan = seen_everywhere(plan)
+        plan = fine_everywhere(plan)
     outputs = tuple(dict.fromkeys(name for rig in plan.rigs for name in rig.outputs))
     needs = needs_of_plan(plan, keep)
     color, labels = needs.color, needs.labels
@@ -384,7 +384,7 @@ def _finished(
         shown = {name: one.material for name, one in materials.items()}
         looked_at = footprints(shown, ground, objects, (views, views_of(rigs)), unseen)
     finest_m = plan.terrain.meshing.finest(plan.terrain.spacing_m)
-    finished = finish(materials, ground, looked_at, Shown(reached_px, finest_m))
+    finished = finish(materials, ground, looked_at, MeshLimits(reached_px, finest_m))
     if finished.facts:
         log.facts["surfaces"] = finished.facts
     if finished.left_out:

@@ -15,7 +15,7 @@ from scenec.compiler.batch_unit import CompileBatch, Compiled
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.check_files import require_unchanged
 from scenec.compiler.cfg.load import Spec, load
-from scenec.compiler.estimate import needs_of, require_memory, told_time
+from scenec.compiler.estimate import needs_of, require_memory, time_warning
 from scenec.compiler.output import Output, locked
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
@@ -231,7 +231,7 @@ def _require_room(
     tight = require_memory(needs) if room is None else require_memory(needs, *room)
     if tight is not None:
         say(f"warning: {unit.what}: {tight}")
-    long = None if batches is None else told_time(needs, batches)
+    long = None if batches is None else time_warning(needs, batches)
     if long is not None:
         say(long)
 

@@ -130,11 +130,11 @@ class Output:
         gone = [b for b in old["batches"] if b not in kept]
         if gone and not replace:
             raise OutputError(
-                f"{out}: holds {_told(out, gone)}, {other or 'which this cfg has no more'}; "
+                f"{out}: holds {_described(out, gone)}, {other or 'which this cfg has no more'}; "
                 "--replace throws that away, or choose another folder"
             )
         if gone:
-            say(f"replacing {_told(out, gone)} in {out}")
+            say(f"replacing {_described(out, gone)} in {out}")
         paths = {b["path"] for b in kept}
         self._stale = bool(other)
         files = {p: e for p, e in old["files"].items() if p.partition("/")[0] in paths or p == CFG}
@@ -200,7 +200,7 @@ class Output:
         same = place.is_file() and place.stat().st_size == entry["bytes"]
         return same and sha256(place) == entry["sha256"]
 
-    def _commit(self, folder: Path, gone: set[str]) -> None:
+    def _commit(self, folder: Path, removed: set[str]) -> None:
         digest = hashlib.sha256(self._cfg).hexdigest()
         entry = {"what": self._cfg_role, "bytes": len(self._cfg), "sha256": digest}
         self._manifest["files"][CFG] = entry
@@ -209,8 +209,8 @@ class Output:
             place = self._out / path
             if not place.is_file() or place.read_bytes() != data:
                 (folder / path).write_bytes(data)
-        if tree(folder) or gone:
-            replace_files(folder, self._out, sorted(gone))
+        if tree(folder) or removed:
+            replace_files(folder, self._out, sorted(removed))
         self._ours = set(self._manifest["files"])
         self._dropped = set()
 
@@ -338,7 +338,7 @@ def _difference(old: dict[str, Any], head: dict[str, Any]) -> str | None:
     return None if same and was.get("inputs") == now["inputs"] else "of another cfg"
 
 
-def _told(out: Path, batches: list[dict[str, Any]]) -> str:
+def _described(out: Path, batches: list[dict[str, Any]]) -> str:
     """Batches in words, with what was rendered of them."""
     frames, scans = count_rendered(out / batch["path"] for batch in batches)
     first, last = batches[0]["path"], batches[-1]["path"]

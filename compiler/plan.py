@@ -44,7 +44,7 @@ def needs_of_plan(plan: Plan, keep: Keep) -> Needs:
     return needs_of((*outputs, *scanned), keep, bool(plan.label_table))
 
 
-def seen_everywhere(plan: Plan) -> Plan:
+def fine_everywhere(plan: Plan) -> Plan:
     """A plan whose meshes and levels of detail are as fine out of view as in view."""
     meshing = replace(plan.terrain.meshing, unseen=1.0)
     return replace(plan, terrain=replace(plan.terrain, meshing=meshing))

@@ -81,7 +81,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
         return
     path = frame_table_path(frame.path.with_suffix(""))
     try:
-        _require_whole(path, entry)
+        _require_integers(path, entry)
         table = read_frame_table(path)
     except FrameError as error:
         yield str(error)
@@ -109,7 +109,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
         yield f"{path.name}: poses in the camera's frame are not those in the world"
 
 
-def _require_whole(path: Path, entry: dict[str, str]) -> None:
+def _require_integers(path: Path, entry: dict[str, str]) -> None:
     if path.is_file() and sha256(path) != entry.get("sha256"):
         raise FrameError(f"{path.name} is truncated, damaged or changed since it was written")
 
@@ -121,7 +121,7 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
         return
     path = amodal_path(frame.path.with_suffix(""))
     try:
-        _require_whole(path, entry)
+        _require_integers(path, entry)
         amodal = read_amodal(path)
     except FrameError as error:
         yield str(error)

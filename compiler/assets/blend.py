@@ -50,12 +50,12 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
     if importlib.util.find_spec("bpy") is None:
         raise MeshFileError("reading .blend needs the extra 'cycles': pip install 'scenec[cycles]'")
     document, arrays = _evaluated(file.resolve())
-    found: list[Path] = []
+    pictures: list[Path] = []
     notes = tuple(document["notes"])
-    materials = tuple(_look(file, values, arrays, found) for values in document["looks"])
+    materials = tuple(_look(file, values, arrays, pictures) for values in document["looks"])
     shells = tuple(_shell(values, arrays) for values in document["shells"])
     unit = float(document["unit_m"])
-    return ParsedModel(shells, materials, unit, "z", tuple(dict.fromkeys(found)), notes)
+    return ParsedModel(shells, materials, unit, "z", tuple(dict.fromkeys(pictures)), notes)
 
 
 @once_per_file(most=2)
@@ -140,7 +140,7 @@ def _shell(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Shell:
 
 
 def _look(
-    file: Path, values: dict[str, Any], arrays: dict[str, np.ndarray], found: list[Path]
+    file: Path, values: dict[str, Any], arrays: dict[str, np.ndarray], pictures: list[Path]
 ) -> Look:
     slots: dict[str, Slot] = {}
     for kind, slot in values["slots"].items():
@@ -151,7 +151,7 @@ def _look(
             # Two slashes are Blender's sign for the file's own folder.
             name = slot["file"]
             source = companion(file, name[2:] if name.startswith("//") else name, "picture")
-            found.append(source)
+            pictures.append(source)
         slots[kind] = Slot(source, label, slot["channel"], 1.0, 0.0, slot["uv_set"], _uv_map(slot))
     red, green, blue = values["base_color"]
     return Look(

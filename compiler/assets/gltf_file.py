@@ -74,9 +74,9 @@ class GltfFile:
                 return base64.b64decode(content, validate=True)
             except binascii.Error as error:
                 raise MeshFileError(f"a {what} in a broken data URI: {error}") from error
-        return self.beside(uri, what).read_bytes()
+        return self.companion(uri, what).read_bytes()
 
-    def beside(self, uri: str, what: str) -> Path:
+    def companion(self, uri: str, what: str) -> Path:
         """A file beside it."""
         path = companion(self._file, uri, what, escaped=True)
         if path not in self.companions:

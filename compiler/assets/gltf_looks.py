@@ -128,7 +128,7 @@ class GltfLooks:
                 source = embedded(self._file.fetch(str(uri), "picture"))
             else:
                 label = str(uri)
-                source = self._file.beside(label, "picture")
+                source = self._file.companion(label, "picture")
             self._pictures[index] = source, label
         return self._pictures[index]
 

@@ -291,7 +291,7 @@ def _texture_coordinates(
 ) -> NDArray[np.float64] | None:
     if not any(shell.uv for shell in shells):
         notes += [
-            f"{looks[i].shown}: its pictures lie on no texture coordinates"
+            f"{looks[i].title}: its pictures lie on no texture coordinates"
             for i in used
             if looks[i].slots
         ]
@@ -311,7 +311,7 @@ def _texture_coordinates(
             chosen = shell.uv.get(name) if name else first
             if chosen is None:
                 notes.append(
-                    f"{looks[i].shown}: {shell.path or 'the mesh'} does not have its texture "
+                    f"{looks[i].title}: {shell.path or 'the mesh'} does not have its texture "
                     "coordinates"
                 )
                 continue
@@ -319,7 +319,7 @@ def _texture_coordinates(
             block[of_look] = np.stack([a * u + b * v + c, d * u + e * v + f], axis=-1)
             outside = (block[of_look] < -1e-6) | (block[of_look] > 1.0 + 1e-6)
             if not looks[i].repeats and outside.any():
-                notes.append(f"{looks[i].shown}: its pictures repeat, where it asks for their edge")
+                notes.append(f"{looks[i].title}: its pictures repeat, where it asks for their edge")
         blocks.append(block)
     uv = np.concatenate(blocks)
     if not (np.abs(uv) < 1e9).all():

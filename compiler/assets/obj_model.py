@@ -177,22 +177,22 @@ class _Reader:
         return _numbers([*((line.split() + zeros)[:width] for line in lines), zeros], width)[index]
 
     def _materials(self) -> tuple[tuple[Look, ...], tuple[Path, ...], tuple[str, ...]]:
-        found: list[Path] = []
-        known: dict[str, Look] = {}
+        files: list[Path] = []
+        look_of: dict[str, Look] = {}
         for library in self._libraries:
             for path in self._library(library):
-                if path not in found:
-                    found.append(path)
-                for name, look in read_mtl(path, found.append).items():
-                    known.setdefault(name, look)
+                if path not in files:
+                    files.append(path)
+                for name, look in read_mtl(path, files.append).items():
+                    look_of.setdefault(name, look)
         notes = []
         looks = []
         for name in self._looks:
-            if name not in known:
+            if name not in look_of:
                 where = "its libraries do not have" if self._libraries else "it has no library for"
                 notes.append(f"{where} the material {name!r}, which is shown in gray")
-            looks.append(known.get(name, Look(name)))
-        return tuple(looks), tuple(dict.fromkeys(found)), tuple(notes)
+            looks.append(look_of.get(name, Look(name)))
+        return tuple(looks), tuple(dict.fromkeys(files)), tuple(notes)
 
     def _library(self, words: str) -> list[Path]:
         """One name with spaces, or several without."""

@@ -42,15 +42,15 @@ class Shell:
         """Index of each face's material; -1 for none."""
         return np.full(len(self.faces), -1, np.int64) if self.material is None else self.material
 
-    def chosen(self, own: NDArray) -> Shell:
+    def chosen(self, selection: NDArray) -> Shell:
         """Some of its faces, by their indices or by a mask, with the points that they use."""
         return replace(
             self,
-            faces=self.faces[own],
-            uv={name: uv[own] for name, uv in self.uv.items()},
-            normals=None if self.normals is None else self.normals[own],
-            colors=None if self.colors is None else self.colors[own],
-            material=None if self.material is None else self.material[own],
+            faces=self.faces[selection],
+            uv={name: uv[selection] for name, uv in self.uv.items()},
+            normals=None if self.normals is None else self.normals[selection],
+            colors=None if self.colors is None else self.colors[selection],
+            material=None if self.material is None else self.material[selection],
         ).compact()
 
     def compact(self) -> Shell:

@@ -43,7 +43,7 @@ class Lens:
         if message is not None:
             yield node.fault(message)
 
-    def made(self) -> lens.Lens:
+    def build(self) -> lens.Lens:
         """Returns what computes."""
         model = name_of("lens", type(self))
         numbers = tuple(float(getattr(self, name)) for name in COEFFICIENTS[model])
@@ -124,16 +124,16 @@ def _fold(sensor: Node, node: Node) -> str | None:
     numbers = {name: node.constant(name) for name in keys_of(kind) if name in node}
     if None in (size, *numbers.values()):
         return None
-    made, given = kind(**numbers).made(), sensor.at("intrinsics")
+    lens_, given = kind(**numbers).build(), sensor.at("intrinsics")
     fov = sensor.constant("fov_deg")
     five: Any = None
     if "intrinsics" in sensor:
         five = tuple(map(given.constant, ("fx", "fy", "cx", "cy", "skew")))
         if None in five:
             return None
-    elif fov is None and ("fov_deg" in sensor or made.model != EQUIRECTANGULAR):
+    elif fov is None and ("fov_deg" in sensor or lens_.model != EQUIRECTANGULAR):
         return None
-    found = sound_intrinsics(made, tuple(size), fov, five)
+    found = sound_intrinsics(lens_, tuple(size), fov, five)
     return found if isinstance(found, str) else None
 
 

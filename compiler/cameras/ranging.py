@@ -215,16 +215,16 @@ class Lidar:
 
 def _rays(pattern: ScanPattern) -> NDArray[np.float64]:
     """Returns elevation and azimuth of each ray, [beams, azimuths, 2]; checks what was returned."""
-    made: Any = pattern.rays()
+    answer: Any = pattern.rays()
     try:
-        rays = np.stack([np.asarray(angles, np.float64) for angles in made], axis=-1)
+        rays = np.stack([np.asarray(angles, np.float64) for angles in answer], axis=-1)
     except (TypeError, ValueError):
         rays = np.zeros(0)
     of_shape = rays.ndim == 3 and rays.shape[2] == 2 and rays.size
     if not of_shape or not (np.abs(rays) <= _ANGLES).all():
         who = f"scan pattern {type(pattern).__module__}:{type(pattern).__qualname__}"
         raise SceneError(
-            f"{who}: returned {' '.join(repr(made).split()):.60}: expected elevations and azimuths "
-            "(each float64 [beams, azimuths]) from -90 to 90 and from -720 to 720 degrees"
+            f"{who}: returned {' '.join(repr(answer).split()):.60}: expected elevations and "
+            "azimuths (each float64 [beams, azimuths]) from -90 to 90 and from -720 to 720 degrees"
         )
     return rays

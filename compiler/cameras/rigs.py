@@ -13,7 +13,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import ImagingPlan, two_to
 from scenec.compiler.cameras.pairs import require_rectified
-from scenec.compiler.cameras.paths.motion import Around, Bodies
+from scenec.compiler.cameras.paths.motion import Bodies, MotionContext
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
@@ -43,7 +43,7 @@ def build_rigs(
         what = f"rigs/{plan.name}/pose"
         drawn = tuple(sensor.sensor for sensor in plan.sensors)
         samples = len(drawn[0].exposure_ev) if drawn else 0
-        around = Around(what, samples, surface, drawn, bodies, lidars=plan.lidars)
+        around = MotionContext(what, samples, surface, drawn, bodies, lidars=plan.lidars)
         built = plan.pose.built(around)
         sensors = tuple(_exposed(sensor, irradiance) for sensor in plan.sensors)
         still = Rig(plan.name, built.to_world, sensors, built.times, plan.lidars)

@@ -148,7 +148,7 @@ class Sensor:
         path, samples = context.path, context.samples
         lens = focus = depth = imaging = opened = None
         if self.lens is not None:
-            lens = draw_kind("lens", self.lens, f"{path}/lens", context).made()
+            lens = draw_kind("lens", self.lens, f"{path}/lens", context).build()
         given = None if self.intrinsics is None else astuple(self.intrinsics)
         intrinsics = sound_intrinsics(lens, self.resolution, self.fov_deg, given)
         if isinstance(intrinsics, str):

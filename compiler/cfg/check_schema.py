@@ -33,13 +33,13 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
         fields: All places of a cfg, see ``schema.walk``.
     """
     findings: list[Finding] = []
-    told: set[Path] = set()
+    reported: set[Path] = set()
     for field in fields:
-        if field.path[:-1] in told:
+        if field.path[:-1] in reported:
             continue
         if color := meant_color(field):
             findings.append(Finding(field.path, color))
-            told.add(field.path)
+            reported.add(field.path)
             continue
         findings += check_value(field)
         if field.is_number:

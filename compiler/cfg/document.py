@@ -74,9 +74,9 @@ class Text:
         return Position(line, offset - self._line_starts[line - 1] + 1, self.file)
 
 
-def as_number(token: str, whole: bool) -> int | float | None:
+def as_number(token: str, integer: bool) -> int | float | None:
     """The number that decimal digits stand for; None where it is too large for a double."""
-    if whole and len(token) < _MAX_INT_DIGITS:
+    if integer and len(token) < _MAX_INT_DIGITS:
         value = int(token)
         return None if abs(value) >= 2**1023 else value
     number = float(token)

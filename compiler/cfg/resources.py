@@ -39,12 +39,12 @@ def find_file(reference: str, folder: Path, what: str = "file") -> Path:
     try:
         if reference.startswith(PREFIX):
             return _find_in_package(reference, what, fits)
-        return _find_beside(reference, folder, what, fits)
+        return _find_relative(reference, folder, what, fits)
     except OSError as error:
         raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
 
 
-def _find_beside(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
+def _find_relative(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
     path = folder / reference
     if fits(path):
         return path
@@ -82,12 +82,12 @@ def _find_in_package(reference: str, what: str, fits: Callable[[Path], bool]) ->
     )
 
 
-def own_files(folder: str, pattern: str) -> list[Path]:
+def packaged_files(folder: str, pattern: str) -> list[Path]:
     """Files that come with scenec, of one of its folders ``OWN``, sorted."""
     return [path for root in _package_folders(folder) for path in sorted(root.glob(pattern))]
 
 
-def own_reference(file: Path) -> str | None:
+def packaged_reference(file: Path) -> str | None:
     """Returns a cfg's reference to a file that comes with scenec; None for any other."""
     for name in OWN:
         for folder in _package_folders(name):

@@ -19,7 +19,7 @@ from typing import Any
 from scenec.compiler.cfg import json_positions
 from scenec.compiler.cfg.document import CfgSyntaxError, Document, has_half_pair
 from scenec.compiler.cfg.faults import pointer
-from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
+from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, packaged_reference
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.finding import Finding, Path, Position
 from scenec.schemas.errors import CfgError, Fault
@@ -292,7 +292,7 @@ def _rebase_files(document: Document, folder: FilePath) -> None:
             owner = owner[key]
         file = origin / field.value
         relative = FilePath(os.path.relpath(file, folder)).as_posix()
-        owner[field.path[-1]] = own_reference(file) or relative
+        owner[field.path[-1]] = packaged_reference(file) or relative
 
 
 def _set(document: Document, text: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scenec.compiler.kinds import forms, shared
-from scenec.compiler.kinds.declare import Form, description, own_keys
+from scenec.compiler.kinds.declare import Form, declared_keys, description
 from scenec.compiler.kinds.forms import DEFS
 from scenec.compiler.kinds.laws import LAWS
 from scenec.compiler.kinds.shared import Keys
@@ -71,7 +71,7 @@ def _number() -> dict[str, Any]:
 
 def _keys(first: Keys, kind: type[Any], last: Keys | None = None) -> dict[str, Any]:
     """Returns an object's type and keys: a class's own ones, those before and those after."""
-    own = own_keys(kind)
+    own = declared_keys(kind)
     later = {name: said for name, said in (last or {}).items() if name not in own}
     keys = {**first, **own, **later}
     required = [key for key, (_, needed) in keys.items() if needed]
@@ -99,7 +99,7 @@ def _choice(choice: Choice) -> dict[str, Any]:
     kinds: dict[str, Any] = {"enum": list(choice.kinds)}
     if choice.group:
         kinds["x-open"] = choice.group
-    found: dict[str, Any] = {
+    schema: dict[str, Any] = {
         "title": choice.title,
         "description": choice.description,
         "type": "object",
@@ -109,14 +109,14 @@ def _choice(choice: Choice) -> dict[str, Any]:
         **choice.keywords,
     }
     if not choice.kinds:
-        return {**found, "additionalProperties": False}
-    return {**found, "allOf": _branches(choice.kinds)}
+        return {**schema, "additionalProperties": False}
+    return {**schema, "allOf": _branches(choice.kinds)}
 
 
 def _object(name: str) -> dict[str, Any]:
     """Returns the definition of what a class declares."""
     kind, own = class_of(name), vars(class_of(name))
-    changes = dict(own.get("ELSEWHERE", {}).get(name, {}))
+    changes = dict(own.get("VARIANTS", {}).get(name, {}))
     first: Keys = {}
     last: Keys = {}
     context = next((c for c in CHOICES.values() if name in c.kinds.values()), None)

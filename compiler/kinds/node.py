@@ -124,9 +124,9 @@ class Node:
             yield self.fault(f"expected either the key {first} or the key {second}")
 
 
-def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> str:
+def unknown(what: str, name: str, valid: Iterable[str], where: str = "") -> str:
     """Returns the message about a name that refers to nothing."""
-    return f"no {what} {shown(name)}{where}{nearest(name, known)}"
+    return f"no {what} {shown(name)}{where}{nearest(name, valid)}"
 
 
 def is_black(node: Node, key: str = "color") -> bool:

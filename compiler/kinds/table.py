@@ -174,7 +174,7 @@ _KINDS = {
 ROCKS = ("weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia")
 #: Objects of a cfg that have no ``type``.
 _OBJECTS = {
-    "cfg": "cfg.whole:Cfg",
+    "cfg": "cfg.root:Cfg",
     "clouds_cirrus": "light.cloud_fields:CirrusClouds",
     "clouds_cumulus": "light.cloud_fields:CumulusClouds",
     "condition_ragged": "terrain.condition:Ragged",
@@ -189,8 +189,8 @@ _OBJECTS = {
     "imaging_jpeg": "cameras.imaging:Jpeg",
     "imaging_vignetting": "cameras.imaging:Vignetting",
     "intrinsics": "cameras.sensor:Intrinsics",
-    "label_choice": "cfg.whole:LabelChoice",
-    "labels": "cfg.whole:Labels",
+    "label_choice": "cfg.root:LabelChoice",
+    "labels": "cfg.root:Labels",
     "lidar": "cameras.ranging:Lidar",
     "lidar_noise": "cameras.ranging:LidarNoise",
     "light": "light.plan:Lights",
@@ -424,7 +424,7 @@ BASES = {
 #: What they, or what they draw, have beside what is abstract there.
 NEEDS = {
     "scenec.effects": ("apply(picture, random)",),
-    "scenec.poses": ("built(around)", "needs_objects"),
+    "scenec.poses": ("built(context)", "needs_objects"),
     "scenec.relief": ("apply(grid, height)",),
     "scenec.surfaces": ("SIZE_M", "RELIEF"),
 }
@@ -432,8 +432,8 @@ NEEDS = {
 
 def class_of(name: str) -> type[Any]:
     """Returns the class that declares an object or a kind, by its name in ``CLASSES``."""
-    made: type[Any] = loaded(CLASSES[name])
-    return made
+    kind: type[Any] = loaded(CLASSES[name])
+    return kind
 
 
 def kind_of(choice: str, name: str) -> type[Any]:
@@ -474,7 +474,7 @@ def lacking(group: str, kind: type[Any]) -> str:
         return f"a subclass of {base.__module__}.{base.__qualname__}"
     abstract = (
         f"{name}({', '.join([*inspect.signature(getattr(of, name)).parameters][1:])})"
-        for of in filter(is_own, kind.__mro__)
+        for of in filter(is_builtin, kind.__mro__)
         for name in sorted(getattr(of, "__abstractmethods__", ()))
     )
     needed = (*abstract, *NEEDS.get(group, ()))
@@ -501,7 +501,7 @@ def _answers(kind: type[Any], need: str) -> bool:
 
 def name_of(choice: str, kind: type[Any]) -> str:
     """Returns the ``type`` that a class goes by; what an own kind draws says it by its ``KIND``."""
-    if not is_own(kind):
+    if not is_builtin(kind):
         return plugin_name(CHOICES[choice].group, kind)
     if "KIND" in vars(kind):
         return str(kind.KIND)
@@ -510,7 +510,7 @@ def name_of(choice: str, kind: type[Any]) -> str:
     return next(own, kind.__name__)
 
 
-def is_own(kind: type[Any]) -> bool:
+def is_builtin(kind: type[Any]) -> bool:
     """Whether a kind is one of this package."""
     return kind.__module__.startswith("scenec.compiler.")
 

@@ -81,17 +81,17 @@ def build_light(
     return Light(sun, sky, plan.more_suns, haze, label_maps, irradiance, facts)
 
 
-def _held(kind: Sky | CloudLayer, made: Any) -> SkyAndSun:
+def _held(kind: Sky | CloudLayer, result: Any) -> SkyAndSun:
     """Returns what a sky or a layer of clouds made; checks another package's.
 
     Raises:
         SceneError: It is not what ``SkyAndSun`` says.
     """
     types = (SkyLight | None, SunLight | None, dict)
-    is_held = isinstance(made, tuple) and len(made) == len(types)
-    if not is_held or not all(map(isinstance, made, types)):
-        raise SceneError(f"{_who(kind)}: returned {made!r:.60}: expected a SkyAndSun")
-    return made
+    is_held = isinstance(result, tuple) and len(result) == len(types)
+    if not is_held or not all(map(isinstance, result, types)):
+        raise SceneError(f"{_who(kind)}: returned {result!r:.60}: expected a SkyAndSun")
+    return result
 
 
 def _who(kind: Sky | CloudLayer) -> str:

@@ -309,11 +309,11 @@ def cumulus_values(key: int) -> NDArray[np.float32]:
 
 
 @kernel
-def _cumulus_rows(first, last, key, place, bend_x, bend_y, groups, out):  # type: ignore[no-untyped-def]
+def _cumulus_rows(first, last, key, place, warp_x, warp_y, groups, out):  # type: ignore[no-untyped-def]
     for j in range(first, last):
         for i in range(len(place)):
-            x = place[i] + 0.35 * bend_x[j, i]
-            y = place[j] + 0.35 * bend_y[j, i]
+            x = place[i] + 0.35 * warp_x[j, i]
+            y = place[j] + 0.35 * warp_y[j, i]
             near, _ = worley2(key, x, y, 1.0)
             small, _ = worley2(key ^ np.uint64(77), 2.3 * x, 2.3 * y, 1.0)
             out[j, i] = (

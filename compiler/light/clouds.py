@@ -62,7 +62,7 @@ def add_clouds(
     cirrus_field = None if plan.cirrus is None else CirrusField(plan.cirrus)
     left = np.ones(samples)
     shadows: list[Shadows | None] = [None] * samples
-    known: dict[bytes, Shadows | None] = {}
+    shadows_of: dict[bytes, Shadows | None] = {}
     pictures: dict[str, NDArray[np.float32]] = {}
     names: dict[bytes, str] = {}
     texture = []
@@ -77,9 +77,9 @@ def add_clouds(
             if land is not None:
                 radius = 0.5 * float(sun.diameter_deg[i]) * _RADIAN
                 same = np.array([*to_sun, radius, *_numbers(cumulus, cirrus)]).tobytes()
-                if same not in known:
-                    known[same] = cloud_shadows(to_sun, radius, cumulus, cirrus, land)
-                shadows[i] = known[same]
+                if same not in shadows_of:
+                    shadows_of[same] = cloud_shadows(to_sun, radius, cumulus, cirrus, land)
+                shadows[i] = shadows_of[same]
         picture = sky.pictures[sky.texture[i]]
         assert isinstance(picture, np.ndarray), "clouds over a picture from a file"
         numbers = [*to_sun, *beam, *ground_color[i], sky.intensity[i], sky.rotation_deg[i]]

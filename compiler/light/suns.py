@@ -33,7 +33,7 @@ class Sun:
         "azimuth_deg": {"type": "uniform", "min": 0, "max": 360},
     }
 
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "light_sun": {
             "DESCRIPTION": "A second sun; its keys are those of the sun.",
             "EXAMPLE": {

@@ -23,7 +23,7 @@ from scenec.schemas.maps import COLORS, MAP_CHANNELS
 
 
 @dataclass(frozen=True)
-class Shown:
+class MeshLimits:
     """Says how fine the ground's mesh is, for its pictures.
 
     Attributes:
@@ -54,7 +54,7 @@ def finish(
     materials: dict[str, MaterialPlan],
     ground: Ground,
     looked_at: dict[str, Footprint] | None,
-    mesh: Shown,
+    mesh: MeshLimits,
 ) -> Finished:
     """Makes pictures, and leaves out what no camera can notice.
 
@@ -91,7 +91,7 @@ def _with_heights(ground: Ground) -> set[str]:
 
 @memoized("surfaces", lambda name, **_: name)
 def _finished(
-    name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: Shown
+    name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: MeshLimits
 ) -> Finished:
     """Finishes one material, which reads nothing of the others."""
     out, material, sources = Finished(), drawn.material, drawn.sources
@@ -113,11 +113,11 @@ def _finished(
     left: list[LeftOut] = []
     if (footprint is None or footprint.seen > 0.0) and material.maps is not None:
         if footprint is not None:
-            material = _beside_relief(material, drawn, footprint, mesh, facts)
+            material = _without_mesh_relief(material, drawn, footprint, mesh, facts)
         material = _with_lean(material, facts)
         if footprint is not None and not as_is:
             material, left = without_unneeded(material)
-            material = _made_smaller(material, footprint, facts)
+            material = _reduced(material, footprint, facts)
     elif not as_is and material.maps is not None:
         material, left = unseen(material, material.maps)
     out.left_out += [_entry(name, f"the picture of {one.kind}", one.why, one.bytes) for one in left]
@@ -161,11 +161,11 @@ def _entry(material: str, what: str, why: str, size: int | None) -> dict[str, An
     return entry("surfaces", f"materials/{material}: {what}", why, size=size or 0)
 
 
-def _beside_relief(
+def _without_mesh_relief(
     material: Material,
     drawn: MaterialPlan,
     footprint: Footprint,
-    mesh: Shown,
+    mesh: MeshLimits,
     facts: dict[str, Any],
 ) -> Material:
     """Normals without what the mesh shows of the same relief."""
@@ -191,23 +191,23 @@ def _beside_relief(
     return _with_files(material, {**maps.files, "normal": picture})
 
 
-def _made_smaller(material: Material, footprint: Footprint, facts: dict[str, Any]) -> Material:
+def _reduced(material: Material, footprint: Footprint, facts: dict[str, Any]) -> Material:
     """Pictures with no more texels than pixels show."""
     assert material.maps is not None
     files: dict[str, Source] = {}
-    told: dict[str, Any] = {}
+    reports: dict[str, Any] = {}
     for kind, source in material.maps.files.items():
         high, wide = stored(source).shape[:2]
         times = halvings(high, wide, footprint.counted)
         found = reduced(source, kind, times) if times else None
         files[kind] = source if found is None else found.picture
-        told[kind] = {
+        reports[kind] = {
             "texels": [wide, high],
             "texels_per_pixel": min(high, wide) / footprint.counted,
         }
         if found is None:
             continue
-        told[kind] |= {
+        reports[kind] |= {
             "texels_kept": [wide >> times, high >> times],
             "texels_per_pixel_kept": (min(high, wide) >> times) / footprint.counted,
             "bytes_saved": size_of(source) - len(found.picture.data),
@@ -215,6 +215,6 @@ def _made_smaller(material: Material, footprint: Footprint, facts: dict[str, Any
         }
         if kind in COLORS:
             material = with_factor(material, kind, found.factor)
-    facts["pictures"] = told
+    facts["pictures"] = reports
     assert material.maps is not None
     return replace(material, maps=replace(material.maps, files=files))

@@ -52,7 +52,7 @@ def footprints(
         views: The cameras, for the ground (which may hide behind hills) and for objects.
         unseen: Part that pixels count where no view shows something.
     """
-    found: dict[str, Footprint] = {}
+    footprint_of: dict[str, Footprint] = {}
     names = tuple(name for name, material in materials.items() if material.maps is not None)
     of_parts = [_of_ground(names, part, views[0]) for part in ground.parts]
     for name in names:
@@ -63,8 +63,8 @@ def footprints(
         for one in objects:
             own = _of_objects(name, material, one, views[1])
             seen, possible = max(seen, own[0]), max(possible, own[1])
-        found[name] = Footprint(seen, max(seen, unseen * possible))
-    return found
+        footprint_of[name] = Footprint(seen, max(seen, unseen * possible))
+    return footprint_of
 
 
 @memoized("footprint")
@@ -73,12 +73,12 @@ def _of_ground(
 ) -> dict[str, tuple[float, float]]:
     """Pixels per meter of layers by material: in a view, and were all of it in view."""
     # Blends by height can show much of what has little weight.
-    faint = 0.0 if any(layer.height_blend > 0.0 for layer in ground.layers) else FAINT
+    least = 0.0 if any(layer.height_blend > 0.0 for layer in ground.layers) else FAINT
     used = tuple(name for name in names if any(name == one.material for one in ground.layers))
     if not used or not ground.tiles:
         return dict.fromkeys(names, (0.0, 0.0))
     middles, radii = (np.concatenate(p) for p in zip(*map(_blocks, ground.tiles), strict=True))
-    shown = [_shown(tile, ground, used, faint) for tile in ground.tiles]
+    shown = [_visible_faces(tile, ground, used, least) for tile in ground.tiles]
     largest = {name: [0.0, 0.0] for name in names}
     for part, unseen in enumerate((0.0, 1.0)):
         bounds = pixels_of_balls(views, middles, radii, unseen, NEAREST_M)
@@ -92,7 +92,9 @@ def _of_ground(
     return {name: (seen, possible) for name, (seen, possible) in largest.items()}
 
 
-def _shown(tile: Tile, ground: Ground, names: tuple[str, ...], faint: float) -> NDArray[np.bool_]:
+def _visible_faces(
+    tile: Tile, ground: Ground, names: tuple[str, ...], least: float
+) -> NDArray[np.bool_]:
     """Faces at one of whose corners a material's layers have more than a faint share, for each."""
     left = np.ones(len(tile.points))
     total = np.zeros((len(names), len(tile.points)))
@@ -101,11 +103,11 @@ def _shown(tile: Tile, ground: Ground, names: tuple[str, ...], faint: float) -> 
         if ground.layers[index].material in names:
             total[names.index(ground.layers[index].material)] += left * alpha
         left *= 1.0 - alpha
-    some = total > faint
-    shown: NDArray[np.bool_] = np.logical_or(
+    some = total > least
+    visible: NDArray[np.bool_] = np.logical_or(
         some[:, tile.faces[:, 0]] | some[:, tile.faces[:, 1]], some[:, tile.faces[:, 2]]
     )
-    return shown
+    return visible
 
 
 def _largest(

@@ -100,31 +100,31 @@ class Tile:
         if warp > 0.0:
             bends = [np.float32(warp) * self.noise(warp_m or width_m, 0.6, 4) for _ in range(2)]
         warp_x, warp_y = bends
-        found: Cells = periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered)
-        return found
+        cells: Cells = periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered)
+        return cells
 
-    def waves(self, length_m: float, bend: Plane) -> Plane:
+    def waves(self, length_m: float, shift: Plane) -> Plane:
         """Phase of waves in their wavelengths, [0, 1): whole waves fit into the tile.
 
         Args:
             length_m: Wavelength.
-            bend: Added to the phase.
+            shift: Added to the phase.
         """
         count = float(min(max(round(min(self.size_m / length_m, 1e6)), 1), self.pixels // 4))
         lean = round(0.3 * count)
         at = (np.arange(self.pixels) + 0.5) / self.pixels
-        phase = count * at[None, :] + lean * at[:, None] + bend
+        phase = count * at[None, :] + lean * at[:, None] + shift
         return _plane(phase - np.floor(phase))
 
-    def beds(self, length_m: float, bend: Plane) -> Plane:
+    def beds(self, length_m: float, offset: Plane) -> Plane:
         """Noise of the height alone, of mean 0 and rms 1: layers, bent.
 
         Args:
             length_m: Thickness of the thickest ones.
-            bend: How far up each pixel looks, in tiles.
+            offset: How far up each pixel looks, in tiles.
         """
         profile = self.noise(length_m, 0.7)[:, 0].astype(np.float64)
-        rows = np.arange(self.pixels)[:, None] + self.pixels * bend.astype(np.float64)
+        rows = np.arange(self.pixels)[:, None] + self.pixels * offset.astype(np.float64)
         low = np.floor(rows)
         part = rows - low
         i = low.astype(np.int64) % self.pixels
@@ -134,8 +134,8 @@ class Tile:
 
     def _key(self) -> np.uint64:
         self._next += 1
-        made: np.uint64 = subkey(np.uint64(self.key), self._next)
-        return np.uint64(made)
+        key: np.uint64 = subkey(np.uint64(self.key), self._next)
+        return np.uint64(key)
 
 
 def step(low: float, high: float, x: Values) -> Plane:

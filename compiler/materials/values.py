@@ -27,14 +27,14 @@ type Source = Path | Picture
 #: float32 [h, w, 3].
 type Planes = NDArray[np.float32]
 #: Pixels of pictures made here, for as long as these are there: they need not be decoded.
-_made: WeakKeyDictionary[Picture, NDArray] = WeakKeyDictionary()
+_codes_of: WeakKeyDictionary[Picture, NDArray] = WeakKeyDictionary()
 
 
 def picture_of(codes: NDArray) -> Picture:
     """A picture with pixels as ``stored`` gives them."""
     picture = Picture(".png", png(codes))
     codes.setflags(write=False)
-    _made[picture] = codes
+    _codes_of[picture] = codes
     return picture
 
 
@@ -45,7 +45,7 @@ def stored(source: Source) -> NDArray:
         SceneError: They cannot be read.
     """
     if isinstance(source, Picture):
-        known = _made.get(source)
+        known = _codes_of.get(source)
         return _stored(source, None) if known is None else known
     return _stored(source, stamp(source))
 
@@ -64,7 +64,7 @@ def _stored(source: Source, _stamp: Stamp | None) -> NDArray:
 def forget_pixels() -> None:
     """Frees what ``stored`` keeps."""
     _stored.cache_clear()
-    _made.clear()
+    _codes_of.clear()
 
 
 def size_of(source: Source) -> int:

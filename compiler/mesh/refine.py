@@ -148,19 +148,19 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
 
 def _pixels(
     work: _Work,
-    asked: NDArray[np.integer],
+    which: NDArray[np.integer],
     center: NDArray[np.float64],
     radius: NDArray[np.float64],
     views: Views,
     limits: Limits,
 ) -> NDArray[np.float64]:
     """Pixels that a meter of some faces takes, float64 [n]: evaluated once for each face."""
-    pixels = work.pixels.rows[asked]
+    pixels = work.pixels.rows[which]
     new = np.flatnonzero(np.isnan(pixels))
     pixels[new] = pixels_of_balls(
         views, center[new], radius[new], limits.unseen, _nearest_m(limits)
     )
-    work.pixels.rows[asked[new]] = pixels[new]
+    work.pixels.rows[which[new]] = pixels[new]
     return pixels
 
 
@@ -169,9 +169,9 @@ def _nearest_m(limits: Limits) -> float:
     return min(NEAREST_M, limits.finest_m)
 
 
-def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
+def _know(work: _Work, surface: Surface, which: NDArray[np.integer]) -> None:
     """Evaluates the surface above the middles of some edges, int [n], where it was not yet."""
-    unknown = _unknown(asked, work.middles.rows)
+    unknown = _unknown(which, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
     work.middles.rows[unknown] = height
     _put(np.reshape(sides, (len(sides), len(unknown))), unknown, work.middle_sides.rows)
@@ -179,26 +179,26 @@ def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
 
 def _wanted(
     work: _Work,
-    asked: NDArray[np.integer],
+    which: NDArray[np.integer],
     surface: Surface,
     views: Views,
     limits: Limits,
 ) -> NDArray[np.bool_]:
     """Selects the faces that show too large an error."""
-    faces = work.mesh.faces[asked]
+    faces = work.mesh.faces[which]
     center, radius, leg = _balls(work.points.rows, faces)
     # What is coarse enough needs no view.
     large = leg > limits.finest_m
     some = np.flatnonzero(large)
-    pixels = np.zeros(len(asked))
-    pixels[some] = _pixels(work, asked[some], center[some], radius[some], views, limits)
+    pixels = np.zeros(len(which))
+    pixels[some] = _pixels(work, which[some], center[some], radius[some], views, limits)
     finer = surface.finer_than(2.0 * leg, work.shares.rows, faces, (center, radius))
     finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
     most = _SLACK * limits.tolerance_px
     out: NDArray[np.bool_] = finer * pixels > most
     # Where detail is reason enough, what lies above the middles need not be known.
     rest = np.flatnonzero(~out)
-    faces, face_edges = faces[rest], work.mesh.face_edges[asked[rest]]
+    faces, face_edges = faces[rest], work.mesh.face_edges[which[rest]]
     _know(work, surface, face_edges.ravel())
     error = _errors(
         work.points.rows, work.sides.rows, work.middles.rows, work.middle_sides.rows,
@@ -288,16 +288,16 @@ def _put(columns, at, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _unknown(asked, middles):  # type: ignore[no-untyped-def]
+def _unknown(which, middles):  # type: ignore[no-untyped-def]
     """Selects the edges that are not measured yet, each once, int64 [u].
 
     Args:
-        asked: Edges, [n].
+        which: Edges, [n].
         middles: float64 [e], NaN where it is not known; infinite of those returned.
     """
-    out = np.empty(len(asked), np.int64)
+    out = np.empty(len(which), np.int64)
     count = 0
-    for e in asked:
+    for e in which:
         if np.isnan(middles[e]):
             middles[e] = np.inf
             out[count] = e

@@ -61,11 +61,11 @@ def signed_bound(
     Args:
         value: What is held against the bounds at the samples, float64 [ny, nx].
     """
-    low, high = (_shown(value, at, condition.softness) for at in (condition.low, condition.high))
+    low, high = (_softness(value, at, condition.softness) for at in (condition.low, condition.high))
     return SignedBound(condition, quantities, (low, high))
 
 
-def _shown(value: NDArray[np.float64], bound: float | None, softness: float) -> float:
+def _softness(value: NDArray[np.float64], bound: float | None, softness: float) -> float:
     """The softness at one bound."""
     if bound is None:
         return 1.0

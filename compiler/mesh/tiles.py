@@ -144,10 +144,10 @@ def build_tiles(
     }
 
 
-def _at_all(field: Field, known: NDArray[np.float64], mesh: CutMesh) -> NDArray[np.float64]:
+def _at_all(field: Field, given: NDArray[np.float64], mesh: CutMesh) -> NDArray[np.float64]:
     """A field at all vertices, where it is known at the first of them."""
-    x, y = np.ascontiguousarray(mesh.points[len(known) :, :2].T)
-    return np.concatenate([known, field(x, y)]) if len(x) else known
+    x, y = np.ascontiguousarray(mesh.points[len(given) :, :2].T)
+    return np.concatenate([given, field(x, y)]) if len(x) else given
 
 
 def albedo_variation(

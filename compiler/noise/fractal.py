@@ -57,7 +57,7 @@ class Fractal:
     offset: float = 0.0
     distortion: float = 0.0
     warps: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
-    shown: int = 0
+    first_octave: int = 0
     scale_m: float = 1.0
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -84,7 +84,9 @@ class Fractal:
         octaves = tabulate(keys, x, y, self.lacunarity, n, margin)
         warps = [tabulate(k, x, y, WARP_LACUNARITY, n, 0.0) for k in self.warps or (none, none)]
         variant = _VARIANTS[self.variant]
-        form = Form(variant, self.gain, self.lacunarity, self.offset, self.distortion, self.shown)
+        form = Form(
+            variant, self.gain, self.lacunarity, self.offset, self.distortion, self.first_octave
+        )
         out = np.empty(n)
         over_threads(_sum_part, n, octaves, *warps, places, form, out, least=POINTS)
         return out
@@ -114,7 +116,7 @@ class Form(NamedTuple):
     lacunarity: float
     offset: float
     distortion: float
-    shown: int
+    first_octave: int
 
 
 def warp_keys(key: int, octaves: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
@@ -298,12 +300,12 @@ def _sum_part(
         value[:] = 0.0
         weight = 1.0
         for octave in range(count):
-            if octave >= form.shown or not sums:
+            if octave >= form.first_octave or not sums:
                 octave_at(octaves, octave, u, v, noise)
                 _add(form, octave, weight, noise, signal, value)
-                if octave == form.shown - 1:
+                if octave == form.first_octave - 1:
                     coarse[:] = value
-                    _center(form, form.shown, coarse)
+                    _center(form, form.first_octave, coarse)
             weight *= form.gain
             next_octave(u, v, form.lacunarity)
         _center(form, count, value)

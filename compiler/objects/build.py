@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import Model, cached_model, require_near_origin
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.kinds.table import is_own
+from scenec.compiler.kinds.table import is_builtin
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.coatings import coat
 from scenec.compiler.objects.feet import heap
@@ -147,7 +147,7 @@ def _others(plan: ScatterPlan, there: Iterable[str]) -> set[str]:
     Args:
         there: All; another package's density can refer to any of them, by any key.
     """
-    if not is_own(type(plan.density)):
+    if not is_builtin(type(plan.density)):
         return {*there}
     found = {part.of for part in (plan.density, *plan.where) if hasattr(part, "of")}
     return found | set((plan.spacing and plan.spacing.of) or ())

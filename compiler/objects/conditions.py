@@ -43,7 +43,7 @@ class OnRelief(PlacementCondition):
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The soft interval."""
-        return self.condition.weight_on(around.quantities, Samples(*lattice.axes, kept=0))
+        return self.condition.weight_on(around.quantities, Samples(*lattice.axes, cache_bytes=0))
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class OnMaterial(PlacementCondition):
 
     def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
         """The part of the color that is theirs."""
-        samples = Samples(*lattice.axes, kept=0)
+        samples = Samples(*lattice.axes, cache_bytes=0)
         weight, left = np.zeros(lattice.shape), np.ones(lattice.shape)
         merges = around.surface.merges
         # From the top down: ``left`` is what shows through.

@@ -120,8 +120,8 @@ def _place(node: Mapping[str, Any], path: str, context: Context) -> PlacementCon
     if node["type"] == "material":
         return OnMaterial(context.layers_of(node))
     if node["type"] in ("camera", "object"):
-        made: PlacementCondition = draw_kind("objects_where", node, path, context)
-        return made
+        condition: PlacementCondition = draw_kind("objects_where", node, path, context)
+        return condition
     return OnRelief(draw_condition(node, replace(context, path=path, choice="objects_where")))
 
 

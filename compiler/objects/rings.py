@@ -18,9 +18,9 @@ from scenec.compiler.terrain.condition import Condition, product
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.craters import (
     Craters,
-    craters_laid,
+    craters_of,
     require_craters,
-    shown_on,
+    resolved_on,
 )
 
 
@@ -43,7 +43,7 @@ class RingDensity(Density):
     freshness: float = key(forms.PER_BATCH, default=2, at_least=0, at_most=20)
     """Exponent on freshness: 0 treats all craters alike, larger ones favor fresh craters."""
     background: float = key(forms.BACKGROUND)
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
+    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_of)
     """With the conditions of their masks, which are taken at their middles."""
 
     @staticmethod
@@ -67,7 +67,7 @@ class RingDensity(Density):
         # Within a tenth of a radius from the middle the law would diverge.
         falling /= np.maximum(at, 0.1) * np.maximum(at, 0.1) * np.maximum(at, 0.1)
         for craters, conditions in self.craters:
-            shown = shown_on(craters, around.quantities.grid)
+            shown = resolved_on(craters, around.quantities.grid)
             if not shown.any():
                 continue
             x, y = craters.x_m[shown], craters.y_m[shown]

@@ -221,13 +221,13 @@ class _Scattering:
             )
         ]
 
-    def require_all(self, found: int, what: str) -> None:
+    def require_all(self, placed: int, what: str) -> None:
         """Refuses instances that found no place, unless the plan lets fewer be.
 
         Raises:
             SceneError: There are some.
         """
-        if found == self.n or self.plan.fewer:
+        if placed == self.n or self.plan.fewer:
             return
         size, reach = self._around.surface.field.grid.size_m, self._reach
         allowed = 1.0 if self._candidates is None else self._candidates.allowed()
@@ -237,7 +237,7 @@ class _Scattering:
             where = f"the {100 * allowed:.3g} % of it they may be on"
         covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
         raise SceneError(
-            f"objects/{self.plan.name}: only {found:,} of {self.n:,} found a place where they "
+            f"objects/{self.plan.name}: only {placed:,} of {self.n:,} found a place where they "
             f"{what}, in at most {MOST_TRIES} tries each{covered if self.plan.spacing else ''}; "
             'ask for fewer or smaller ones, allow them more room, or say "shortfall": "fewer"'
         )

@@ -31,7 +31,7 @@ from scenec.compiler.kinds.forms import (
 )
 from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.multifractal import octaves_shown
+from scenec.compiler.terrain.operators.multifractal import octaves_resolved
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.kernels import kernel
 
@@ -355,7 +355,7 @@ class Noise(Quantity):
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """The octaves that the grid shows."""
         spacing = max(quantities.grid.spacing_m)
-        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
+        octaves = octaves_resolved(self.octaves, self.scale_m, self.lacunarity, spacing)
         return self._noise(octaves).on(quantities.grid.x(), quantities.grid.y())
 
     def at(self, quantities: Quantities, held: Interval, x: NDArray, y: NDArray) -> NDArray:

@@ -162,8 +162,8 @@ def _heights_part(first, last, feet, far, bins, x, y, out):  # type: ignore[no-u
 
 
 @kernel
-def _finer_part(first, last, heaped, x, y, radius, length, out):  # type: ignore[no-untyped-def]
-    feet, far, bins = heaped
+def _finer_part(first, last, fillets, x, y, radius, length, out):  # type: ignore[no-untyped-def]
+    feet, far, bins = fillets
     ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
     for n in range(first, last):
         out[n] = 0.0

@@ -32,10 +32,10 @@ class Samples:
         x, y: Of its columns and rows, meters, float64 [nx], [ny].
     """
 
-    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64], kept: int = 1 << 27):
+    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64], cache_bytes: int = 1 << 27):
         """``kept``: bytes of noises that are kept at most."""
         self.x, self.y = x, y
-        self._left = kept
+        self._left = cache_bytes
         self._noises: dict[Hashable, NDArray[np.float64]] = {}
 
     @classmethod

@@ -46,7 +46,7 @@ class Relief(NamedTuple):
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    whole: NDArray[np.bool_]
+    is_solid: NDArray[np.bool_]
     frame: NDArray[np.float64]
 
 
@@ -79,7 +79,7 @@ def with_horizon(views: Views, relief: Relief) -> Views:
     above = ((at >= 0) & (at < (columns, rows))).all(axis=1)
     i, j = np.where(above, at.T, 0).astype(np.int64)
     # An eye that moves sees over what hides from one of its places.
-    above &= (views.kind & MOVING == 0) & relief.whole[j, i]
+    above &= (views.kind & MOVING == 0) & relief.is_solid[j, i]
     above &= views.eye[:, 2] > relief.high[j, i]
     return views._replace(ceiling=_ceilings(relief, views, above), blocks=relief.frame)
 
@@ -128,18 +128,18 @@ def relief_of_tiles(tiles: Sequence[Tile], bounds: NDArray[np.float64], views: i
     # A block that the ground covers in part hides nothing.
     first = np.ceil((np.min(ends, axis=0) - frame[:2]) / width - 1e-9)
     last = np.floor((np.max(ends, axis=0) - frame[:2]) / width + 1e-9)
-    whole = np.logical_and.outer(
+    is_solid = np.logical_and.outer(
         *((np.arange(n) >= a) & (np.arange(n) < b)
           for n, a, b in zip((rows, columns), first[::-1], last[::-1], strict=True))
     )  # fmt: skip
-    return Relief(low, high, whole & (low <= high), frame)
+    return Relief(low, high, is_solid & (low <= high), frame)
 
 
 def _ceilings(relief: Relief, views: Views, above: NDArray[np.bool_]) -> NDArray[np.float32]:
     """``Views.ceiling``; -inf of views that are not above the ground, and out of view."""
     rows, columns = relief.low.shape
     wide = np.full((rows + 2, columns + 2), -np.inf)
-    wide[1:-1, 1:-1] = np.where(relief.whole, relief.low, -np.inf)
+    wide[1:-1, 1:-1] = np.where(relief.is_solid, relief.low, -np.inf)
     least = np.minimum.reduce(
         [wide[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
     )

@@ -31,9 +31,9 @@ from scenec.compiler.views.frustum import COLOR, Views, chosen, views_of_all
 from scenec.compiler.views.horizon import Relief, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
     MIN_VIEW_FACTOR,
-    seen_blocks,
-    shadows_seen,
+    shadows_visible_blocks,
     view_factors,
+    visible_blocks,
 )
 from scenec.compiler.views.needed import Keep, Needs, without_unused
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
@@ -128,7 +128,7 @@ def prune(
         return Pruned(scene, [], _record(scene.objects, whole, {}))
     relief = relief_of_tiles(_ground_of(scene), scene.bounds, len(views.eye))
     if not hills:
-        relief.whole[:] = False
+        relief.is_solid[:] = False
     views = with_horizon(views, relief)
     classes = [_seen(one, views, scene.bounds) for one in scene.objects]
     facts: dict[str, Any] = {}
@@ -199,12 +199,12 @@ def _mark_lit(
     none = np.zeros((0, 3)), np.zeros(0)
     middles, radii = (np.concatenate(part) for part in zip(none, *shown, strict=True))
     beyond = scene.ground.horizon is not None
-    seen = seen_blocks(relief, scene.bounds, showing, middles, radii, beyond)
+    seen = visible_blocks(relief, scene.bounds, showing, middles, radii, beyond)
     for one, balls in zip(scene.objects, classes, strict=True):
         if everywhere or _shines(one, scene):
             balls.reason[balls.open] = _CODE[Reason.LIGHT]
         left = balls.open
-        balls.keep(left, shadows_seen(seen, scene, *balls.of(left)), Reason.SHADOW)
+        balls.keep(left, shadows_visible_blocks(seen, scene, *balls.of(left)), Reason.SHADOW)
         left = balls.open
         balls.keep(left, view_factors(seen, *balls.of(left)) >= MIN_VIEW_FACTOR, Reason.LIGHT)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scenec.backends.annotation.contract import Pass, View
 from scenec.backends.annotation.passes import normal
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
+from scenec.compiler.cameras.paths.motion import Built, MotionContext, poses, toward
 from scenec.compiler.cameras.ranging import ScanPattern
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
@@ -192,12 +192,12 @@ class Spiral:
     #: Whether it has to know where objects are.
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> Built:
         """Poses of all samples, once the ground is there."""
-        times = self.sampling.times(2.0 * self.period_s, around.samples, around.what)
+        times = self.sampling.times(2.0 * self.period_s, context.samples, context.what)
         angle = 2.0 * elementary.PI * times / self.period_s
         away = np.stack([elementary.sin_array(angle), elementary.cos_array(angle)], axis=1)
-        ground = float(around.ground(np.zeros((1, 2)))[0])
+        ground = float(context.ground(np.zeros((1, 2)))[0])
         height = ground + 2.0 + self.rise_m * times / self.period_s
         position = np.column_stack([self.radius_m * away, height])
         way = np.array([0.0, 0.0, ground]) - position

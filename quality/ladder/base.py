@@ -20,7 +20,7 @@ from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.build import Built
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.prototypes import Looks
-from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
+from scenec.compiler.plan import Plan, fine_everywhere, needs_of_plan
 from scenec.compiler.scene.ground import Tile
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.rig import Rig
@@ -54,7 +54,7 @@ class Base:
             attempt: How often it was drawn again.
         """
         plan = draw(spec, seed, batch, attempt)
-        self.plan: Plan = seen_everywhere(plan) if keep is Keep.ALL else plan
+        self.plan: Plan = fine_everywhere(plan) if keep is Keep.ALL else plan
         self.seed, self.keep = seed, keep
         self.tiles: tuple[Tile, ...] | None = None
         needs = needs_of_plan(self.plan, keep)

@@ -13,7 +13,7 @@ from PIL import Image
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.materials.finish import Shown, finish
+from scenec.compiler.materials.finish import MeshLimits, finish
 from scenec.compiler.materials.footprint import Footprint, footprints
 from scenec.compiler.materials.grounds import Gravel
 from scenec.compiler.materials.plan import MaterialPlan, Sources
@@ -202,7 +202,9 @@ def test_normals_are_summed_as_vectors_and_the_slope_that_goes_is_told():
 def finished(material: Material, seen: float, high: bool = False, **drawn):
     made = MaterialPlan(material, **drawn)
     layers = (GroundLayer("m", {}), GroundLayer("m", {}, 0.2 if high else 0.0))
-    return finish({"m": made}, Ground(layers, ()), {"m": Footprint(seen, seen)}, Shown(0.5, 0.01))
+    return finish(
+        {"m": made}, Ground(layers, ()), {"m": Footprint(seen, seen)}, MeshLimits(0.5, 0.01)
+    )
 
 
 def test_pictures_that_show_nothing_a_number_would_not_become_numbers():

@@ -12,7 +12,13 @@ from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.legs import rounded
 from scenec.compiler.cameras.paths.mav import Mav
-from scenec.compiler.cameras.paths.motion import Around, Bodies, frames, level_bearing, toward
+from scenec.compiler.cameras.paths.motion import (
+    Bodies,
+    MotionContext,
+    frames,
+    level_bearing,
+    toward,
+)
 from scenec.compiler.cameras.paths.orbit import ObjectAim, Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.paths.spline import Spline, largest
@@ -29,13 +35,13 @@ SENSOR = Sensor(
 )
 
 
-def around(height=None, samples=50, size=(60.0, 40.0), bodies=None, spacing=0.25) -> Around:
+def around(height=None, samples=50, size=(60.0, 40.0), bodies=None, spacing=0.25) -> MotionContext:
     """A terrain whose height is a function of x and y."""
     grid = Grid.with_spacing(size, spacing)
     x, y = np.meshgrid(grid.x(), grid.y())
     heights = np.zeros(grid.shape) if height is None else height(x, y) + 0.0 * x
     surface = Surface(HeightField(grid, heights))
-    return Around("rigs/r/pose", samples, surface, (SENSOR,), bodies or {})
+    return MotionContext("rigs/r/pose", samples, surface, (SENSOR,), bodies or {})
 
 
 def hills(x, y):

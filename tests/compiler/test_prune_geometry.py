@@ -17,10 +17,10 @@ from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
 from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
     Seen,
-    seen_blocks,
-    shadows_seen,
+    shadows_visible_blocks,
     squared_distances,
     view_factors,
+    visible_blocks,
 )
 from scenec.compiler.views.visible import SHOWN, visible
 
@@ -163,11 +163,11 @@ def test_the_reliefs_bounds_hold_all_of_the_mesh():
     assert (relief.low[j, i] <= points[:, 2] + 1e-9).all()
     assert (relief.high[j, i] >= points[:, 2] - 1e-9).all()
     # Not because they are wide.
-    assert np.median((relief.high - relief.low)[relief.whole]) < 0.2
+    assert np.median((relief.high - relief.low)[relief.is_solid]) < 0.2
     # 40 of 44 m are ground; blocks that are so in part may hide nothing.
-    assert relief.whole.mean() == pytest.approx((40 / 44) ** 2, rel=0.03)
-    assert (relief.low[relief.whole] <= relief.high[relief.whole]).all()
-    assert not relief.whole[0].any()
+    assert relief.is_solid.mean() == pytest.approx((40 / 44) ** 2, rel=0.03)
+    assert (relief.low[relief.is_solid] <= relief.high[relief.is_solid]).all()
+    assert not relief.is_solid[0].any()
 
 
 def _scene(ground: Ground, sun: np.ndarray | None, lamps: tuple[Lamp, ...] = ()) -> Scene:
@@ -201,7 +201,7 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
     eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     found = 0
     for azimuth in (0.3, 2.0, 4.5):
         e = np.deg2rad(elevation)
@@ -222,7 +222,7 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
             middles.append(middle)
             radii.append(10 ** rng.uniform(-2, 0))
         at, reach, free = np.array(middles), np.array(radii), np.array(lighted)
-        lit = shadows_seen(seen, scene, at, reach)
+        lit = shadows_visible_blocks(seen, scene, at, reach)
         assert lit[free].all()
         found += int((free & (visible(views, at, reach) != SHOWN)).sum())
     assert found >= 2
@@ -235,7 +235,7 @@ def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
     eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     at = eye + np.array([-4.0, 6.0, 4.0])
     to_world = np.eye(4)
     to_world[:3, 3] = at
@@ -256,12 +256,12 @@ def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
     aside *= (0.99 * radii / np.linalg.norm(aside, axis=1))[:, None]
     middles = start + rng.uniform(0.1, 0.95, (len(points), 1)) * way + aside
     inside = ((middles > scene.bounds[0]) & (middles < scene.bounds[1])).all(axis=1)
-    lit = shadows_seen(seen, scene, middles, radii)
+    lit = shadows_visible_blocks(seen, scene, middles, radii)
     assert (lighted & inside).sum() > 20
     assert lit[lighted & inside].all()
     # Not all that is there: what stands beyond the lamp casts no shadow here.
     beyond = at - 0.5 * way[:100] / np.linalg.norm(way[:100], axis=1)[:, None]
-    assert not shadows_seen(seen, scene, beyond, np.full(len(beyond), 0.01)).any()
+    assert not shadows_visible_blocks(seen, scene, beyond, np.full(len(beyond), 0.01)).any()
 
 
 def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
@@ -270,7 +270,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.4]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
     ball = np.array([[-16.0, 10.0, 2.0]])
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, ball, np.array([0.5]))
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, ball, np.array([0.5]))
     points = _shown_points(eye, pose, _triangles(ground), np.random.default_rng(0), 300)
     i, j = ((points[:, :2] - seen.frame[:2]) / seen.frame[2]).astype(int).T
     assert (seen.top[j, i] >= points[:, 2] - 1e-6).all()
@@ -318,8 +318,8 @@ def test_blocks_without_ground_are_not_seen_and_hide_nothing():
     relief, views = _seeing(holed, rig)
     empty = relief.high == -np.inf
     assert empty.any()
-    assert not relief.whole[empty].any()
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    assert not relief.is_solid[empty].any()
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     assert (seen.top > -np.inf).any()
     assert not (seen.top[empty] > -np.inf).any()
     assert (seen.ground[empty] == -np.inf).all()

@@ -18,7 +18,7 @@ from scenec.compiler.cameras.lens import Equirectangular, KannalaBrandt
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
-from scenec.compiler.cameras.paths.motion import Around, Way
+from scenec.compiler.cameras.paths.motion import MotionContext, Way
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.plan import RigPlan
@@ -118,7 +118,7 @@ def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tupl
     plan = RigPlan("r", pose, (sensor,))
     surface = flat()
     (rig,), facts = build_rigs((plan,), surface, None, {})
-    around = Around("rigs/r/pose", samples, surface, (still,))
+    around = MotionContext("rigs/r/pose", samples, surface, (still,))
     way = way_of(pose, pose.built(around), around)
     assert way is not None
     return rig, facts["r"]["shutter"]["front"], way
@@ -353,7 +353,7 @@ def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
     grid = Grid.with_spacing((60.0, 40.0), 0.5)
     x = (np.arange(grid.shape[1]) - 0.5 * (grid.shape[1] - 1)) * 0.5
     wall = np.broadcast_to(np.where(np.abs(x + 2.0) < 1.1, 9.0, 0.0), grid.shape)
-    around = Around(
+    around = MotionContext(
         "rigs/r/pose", 2, Surface(HeightField(grid, np.ascontiguousarray(wall))), (SENSOR,)
     )
     free = replace(motion, sampling=Sampling(times_s=ends))
@@ -387,8 +387,8 @@ def test_a_pair_that_rolls_differently_is_none(tmp_path: Path) -> None:
 
 LENSES: dict[str, Lens | None] = {
     "pinhole": None,
-    "kannala_brandt": KannalaBrandt(max_angle_deg=70).made(),
-    "equirectangular": Equirectangular().made(),
+    "kannala_brandt": KannalaBrandt(max_angle_deg=70).build(),
+    "equirectangular": Equirectangular().build(),
 }
 
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from scenec.compiler.cameras.paths.motion import Around, Built
+from scenec.compiler.cameras.paths.motion import Built, MotionContext
 from scenec.compiler.cameras.ranging import ScanPattern
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
@@ -142,11 +142,11 @@ class Hover:
     sampling: Sampling = key(SAMPLING)
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> Built:
         """Looks down from over the middle."""
-        times = self.sampling.times(10.0, around.samples, around.what)
+        times = self.sampling.times(10.0, context.samples, context.what)
         pose = np.diag([1.0, -1.0, -1.0, 1.0])
-        pose[2, 3] = float(around.ground(np.zeros((1, 2)))[0]) + self.height_m
+        pose[2, 3] = float(context.ground(np.zeros((1, 2)))[0]) + self.height_m
         return Built(np.repeat(pose[None], len(times), axis=0), times)
 
 

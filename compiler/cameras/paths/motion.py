@@ -70,7 +70,7 @@ def bodies_of(objects: Scatter | Placed) -> Bodies:
 
 
 @dataclass(frozen=True)
-class Around:
+class MotionContext:
     """Holds what a motion is computed from.
 
     Attributes:
@@ -156,7 +156,7 @@ class Motion(Protocol):
     def needs_objects(self) -> bool:
         """Whether it depends on where objects are."""
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> Built:
         """The poses.
 
         Raises:

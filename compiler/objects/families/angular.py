@@ -113,7 +113,7 @@ class Angular(Carved[_Drawn]):
     USUAL = Usual(0.29, 0.5, 0.1)
 
     @cached_property
-    def _whole(self) -> _Drawn:
+    def _chipped(self) -> _Drawn:
         """With its chips, and scars as balls."""
         directions, _ = icosphere(3)
         normals, distances = self.drawn.normals, self.drawn.distances
@@ -126,11 +126,11 @@ class Angular(Carved[_Drawn]):
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Returns the planes that meet at creases."""
-        return self._whole.normals, self._whole.distances
+        return self._chipped.normals, self._chipped.distances
 
-    def seen(self, fine: Fine) -> _Drawn:
+    def for_mesh(self, fine: Fine) -> _Drawn:
         """Returns the parameters for a mesh: with its chips, and scars as balls."""
-        return self._whole
+        return self._chipped
 
     @staticmethod
     def draw(path: str, streams: Streams, wear: float) -> _Drawn:

@@ -98,7 +98,7 @@ class Breccia(Carved[_Drawn]):
     noises = ((1.4, 3), (6.0, 4))
     USUAL = Usual(0.22, 0.4, 0.4)
 
-    def seen(self, fine: Fine) -> _Drawn:
+    def for_mesh(self, fine: Fine) -> _Drawn:
         """Returns the parameters for a mesh, with the clasts that it can show."""
         rock = self.drawn
         shown = rock.clasts[:, 3] >= 1.6 * fine.spacing

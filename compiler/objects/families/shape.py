@@ -124,10 +124,10 @@ class Carved[T: tuple[Any, ...]](Shape):
         """Returns radii and variation in directions: see ``Shape``."""
         counts = [octaves(frequency, spacing, most) for frequency, most in self.noises]
         fine = Fine(self.bumpiness, spacing, *counts, *[0] * (3 - len(counts)))
-        radius, variation = self.sample(np.uint64(self.key), directions, self.seen(fine), fine)
+        radius, variation = self.sample(np.uint64(self.key), directions, self.for_mesh(fine), fine)
         return radius, variation
 
-    def seen(self, fine: Fine) -> T:
+    def for_mesh(self, fine: Fine) -> T:
         """Returns the parameters that the kernel takes for a mesh."""
         return self.drawn
 

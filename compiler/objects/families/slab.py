@@ -87,7 +87,7 @@ class Slab(Carved[_Drawn]):
         """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
-    def seen(self, fine: Fine) -> _Drawn:
+    def for_mesh(self, fine: Fine) -> _Drawn:
         """Returns the parameters for a mesh, with a work array of their own."""
         return self.drawn._replace(in_layer=self.drawn.distances.copy())
 

@@ -102,7 +102,7 @@ class Vesicular(Carved[_Drawn]):
     noises = ((1.5, 3), (6.0, 4))
     USUAL = Usual(0.2, 0.35, 0.4)
 
-    def seen(self, fine: Fine) -> _Drawn:
+    def for_mesh(self, fine: Fine) -> _Drawn:
         """Returns the parameters for a mesh, with bubbles where coarse relief alone leaves them."""
         fine = fine._replace(waves=min(fine.waves, 2), grains=0)
         return self.drawn._replace(bubbles=_balls(np.uint64(self.key), self.drawn, fine))

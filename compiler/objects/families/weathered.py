@@ -102,7 +102,7 @@ class Weathered(Carved[_Drawn]):
         """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
-    def seen(self, fine: Fine) -> _Drawn:
+    def for_mesh(self, fine: Fine) -> _Drawn:
         """Returns the parameters for a mesh, with scars as balls."""
         rock = self.drawn
         return rock._replace(scars=bowls(rock.normals, rock.distances, rock.scars))

@@ -44,7 +44,7 @@ class Plates(NamedTuple):
     """
 
     height: float
-    gone: float
+    missing_below: float
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Crust:
     """Share of the plates that are gone, in gaps of several."""
     key: int = noise_key()
 
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "displacement_crust": {
             "DESCRIPTION": "A cemented crust on loose soil (duricrust), broken into plates. It "
             "ends where the layer does: a high sharpness of that makes a steep border.",
@@ -137,7 +137,7 @@ def _heights_part(
         nearest, second, i, j = worley2_cell(keys[0], u[n], v[n], _JITTER)
         bits = hash2(keys[1], i, j)
         own, east, north = _unit(bits), _unit(bits >> _SHIFT), _unit(bits >> _SHIFT >> _SHIFT)
-        if own + _unit(hash2(keys[2], i // _BLOCK, j // _BLOCK)) < plates.gone:
+        if own + _unit(hash2(keys[2], i // _BLOCK, j // _BLOCK)) < plates.missing_below:
             out[n] = 0.0
             continue
         lean = _LOOSE if _unit(mix(bits)) < _LOOSE_SHARE else _LYING

@@ -29,7 +29,7 @@ def bytes_of(array: NDArray[Any]) -> memoryview:
     return memoryview(np.ascontiguousarray(lying).reshape(-1).view(np.uint8))
 
 
-class Known:
+class Digests:
     """Digests by identity: of what is still there, and of nothing else.
 
     Arrays are held weakly, so that what a step lets go of is freed. Their content must not change
