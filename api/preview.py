@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import html
 import io
 import json
 import re
@@ -11,7 +12,7 @@ import secrets
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
@@ -21,6 +22,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.api.declare import Spread
+from scenec.api.options import PreviewOptions
+from scenec.api.steps import AnyCfg, cache_folder, read_cfg
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.files import Stamp, atomic, check_output, stamp
 from scenec.schemas.scratch import scratch_folder
@@ -40,74 +44,74 @@ _OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
 _VERSION = re.compile("[0-9]{1,18}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PreviewOptions:
-    """What a preview shows.
+@dataclass(frozen=True)
+class PreviewPage:
+    """What a cfg makes, as one page of HTML that asks nobody; shows itself in a notebook.
 
     Attributes:
-        settings: What is set over the cfg, each ``path=value``.
-        seed: Of the compilation.
-        backend: Who draws.
-        spp: Samples a pixel.
-        width: Pixels that pictures are wide at most.
-        cache: Folder of steps that earlier compilations made; None: all is made.
+        content: The page, UTF-8.
     """
 
-    settings: Sequence[str] = ()
-    seed: int = 0
-    backend: str = "pyrender"
-    spp: int = 8
-    width: int = 480
-    cache: Path | None = None
+    content: bytes
+
+    def save(self, path: Path | str) -> Path:
+        """Writes it to a file, whose path is returned.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        check_output(Path(path))
+        with atomic(Path(path)) as temporary:
+            temporary.write_bytes(self.content)
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        text = html.escape(self.content.decode(), quote=True)
+        return f'<iframe srcdoc="{text}" width="100%" height="600"></iframe>'
 
 
-def write_preview(cfg: Path | str, to: Path | str, options: PreviewOptions) -> None:
-    """Writes the page once, as a file that asks nobody.
+@Spread(PreviewOptions).one
+def preview(cfg: AnyCfg, options: PreviewOptions) -> PreviewPage:
+    """Shows what a cfg makes: a map, sketches, and pictures of the first batch.
 
     Args:
-        cfg: The cfg's file.
-        to: The HTML file.
-        options: What is shown.
+        cfg: As of ``compile``.
+        options: As fields of ``PreviewOptions``.
 
     Raises:
         CfgError: The cfg has faults.
-        ScenecError: The scene cannot be made, or the page not be written.
+        ScenecError: The scene cannot be made.
     """
-    to = Path(to)
-    check_output(to)
-    with _previewing(cfg, options, lambda _line: None) as preview:
-        preview.make(preview.load())
-        with atomic(to) as temporary:
-            temporary.write_bytes(page(preview.state.facts(), live=False))
+    with _previewing("cfg", options) as made:
+        spec = read_cfg(cfg, options.settings)
+        made.make(read_cfg(cfg, [*options.settings, *coarse(spec, options.width)]))
+        return PreviewPage(page(made.state.facts(), live=False))
 
 
 @contextlib.contextmanager
 def live_preview(
-    cfg: Path | str, options: PreviewOptions, *, port: int = 0, say: Callable[[str], None]
+    cfg: Path | str, options: PreviewOptions, *, port: int = 0
 ) -> Iterator[tuple[str, Preview]]:
     """Serves the page to this machine's own user; ``Preview.follow`` keeps it up to date.
 
     Args:
         cfg: The cfg's file.
-        options: What is shown.
+        options: What is shown; its listener hears the faults of the cfg, as the page shows them.
         port: Of the page; 0 takes a free one.
-        say: Called with the faults of the cfg, as the page shows them.
 
     Raises:
         ScenecError: The port is taken.
     """
-    with _previewing(cfg, options, say) as preview, _served(preview.state, port) as address:
+    with _previewing(str(cfg), options) as preview, _served(preview.state, port) as address:
         yield address, preview
 
 
 @contextlib.contextmanager
-def _previewing(
-    cfg: Path | str, options: PreviewOptions, say: Callable[[str], None]
-) -> Iterator[Preview]:
+def _previewing(cfg: str, options: PreviewOptions) -> Iterator[Preview]:
     from scenec.backends.run.executors import make_executor
 
     with scratch_folder() as folder, make_executor(1) as executor:
-        yield Preview(str(cfg), options, Path(folder), executor, say)
+        yield Preview(cfg, options, Path(folder), executor)
 
 
 class PreviewState:
@@ -137,16 +141,9 @@ class PreviewState:
 class Preview:
     """Compiles coarsely and draws, again and again."""
 
-    def __init__(
-        self,
-        cfg: str,
-        options: PreviewOptions,
-        folder: Path,
-        executor: Executor,
-        say: Callable[[str], None],
-    ) -> None:
+    def __init__(self, cfg: str, options: PreviewOptions, folder: Path, executor: Executor) -> None:
         self.state = PreviewState()
-        self._cfg, self._options, self._say = cfg, options, say
+        self._cfg, self._options, self._say = cfg, options, options.listener.say
         self._folder, self._executor = folder, executor
         self._made, self._out = 0, folder / "0"
         self._files: tuple[str, ...] = (cfg,)
@@ -197,7 +194,7 @@ class Preview:
         Raises:
             ScenecError: It cannot be made.
         """
-        from scenec.api.outputs import Stage
+        from scenec.api.shown import StageView
         from scenec.backends.stage.ground import relief
         from scenec.compiler.compile import compile_cfg
         from scenec.schemas.manifest import find_batches
@@ -213,12 +210,12 @@ class Preview:
             spec,
             seed=self._options.seed,
             out=self._out,
-            cache=self._options.cache,
+            cache=cache_folder(self._options.cache),
             replace=True,
             progress=lambda text, place: put(doing=text) if place else None,
         )
         took = f"compiled in {time.perf_counter() - started:.1f} s"
-        stage = Stage(find_batches(self._out, [0])[0])
+        stage = StageView(find_batches(self._out, [0])[0])
         _, _, heights = relief(stage.scene, _CELLS)
         facts = {"map": _png(shaded(heights)), "made": took}
         cameras = [camera.name for camera in stage.cameras]

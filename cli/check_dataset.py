@@ -1,56 +1,37 @@
-"""``scenec check`` of datasets: are they as they were written, do two have the same annotation."""
+"""What ``scenec check`` says of datasets: are they as they were written, are two the same."""
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from scenec.cli.output import print_json, say
-from scenec.datasets.models.verify import is_models, verify_models
-from scenec.datasets.verify import Comparison, Flaw, compare, is_dataset, opened, verify
-from scenec.schemas.errors import OutputError
+from scenec.api.check import CheckReport
+from scenec.cli.output import print_json
+from scenec.datasets.verify import Comparison, is_dataset
 
 _LISTED = 20
 
 
-def run(options: argparse.Namespace) -> int:
-    """Checks; 1 if something is wrong, or not the same."""
-    folder = Path(options.out)
-    flaws = []
-    if is_models(folder):
-        if options.against is not None:
-            raise OutputError(f"--against: {folder} holds models of stages, and no annotation")
-        flaws = verify_models(folder)
-    elif is_dataset(folder):
-        flaws = verify(folder) or _opened(folder)
-    compared = None if options.against is None else compare(folder, Path(options.against), say)
-    if options.json:
+def tell(folder: Path, found: CheckReport, *, as_json: bool) -> int:
+    """Prints what was found; 1 if something is wrong, or not the same."""
+    compared = found.compared
+    if as_json:
         print_json(
             {
-                "flaws": [asdict(flaw) for flaw in flaws],
+                "flaws": [asdict(flaw) for flaw in found.flaws],
                 "against": None
                 if compared is None
                 else {"same": compared.same, **asdict(compared)},
             }
         )
-    else:
-        for flaw in flaws:
-            print(flaw)
-        if is_dataset(folder):
-            print(f"{len(flaws)} errors in the dataset")
-        if compared is not None:
-            _tell(compared)
-    return 1 if flaws or (compared is not None and not compared.same) else 0
-
-
-def _opened(folder: Path) -> list[Flaw]:
-    """What the format's own reader finds, where it is installed."""
-    try:
-        return opened(folder)
-    except OutputError as error:
-        say(f"not opened by its own reader: {error}")
-        return []
+        return 0 if found.sound else 1
+    for flaw in found.flaws:
+        print(flaw)
+    if is_dataset(folder):
+        print(f"{len(found.flaws)} errors in the dataset")
+    if compared is not None:
+        _tell(compared)
+    return 0 if found.sound else 1
 
 
 def _tell(found: Comparison) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_executor, add_frames, add_json, seed
+from scenec.api.declare import declared
+from scenec.api.options import ExportOptions
+from scenec.cli.arguments import add, add_executor, add_frames, add_json
 
 EPILOG = """\
 conditions of --keep: NAME OPERATOR VALUE, in quotes, all must hold
@@ -35,51 +37,15 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", metavar="NAME", help="see --list")
     parser.add_argument("--list", action="store_true", help="list formats and their options")
     parser.add_argument(
-        "-o", "--output", metavar="FOLDER", help="the dataset (default: OUT/datasets/FORMAT)"
+        "-o",
+        "--output",
+        dest="folder",
+        metavar="FOLDER",
+        help="the dataset (default: OUT/datasets/FORMAT)",
     )
     add_frames(parser)
-    parser.add_argument(
-        "--keep",
-        action="append",
-        default=[],
-        metavar="CONDITION",
-        help="only instances of which it holds, see below; may be given several times",
-    )
-    parser.add_argument(
-        "--rejected",
-        choices=("drop", "ignore"),
-        default="drop",
-        help="drop the other instances, or keep them marked as not to be judged (default: drop)",
-    )
-    parser.add_argument(
-        "--remap", metavar="JSON", help="file of other label names and ids: {level: {old: new}}"
-    )
-    parser.add_argument(
-        "--level", help="level whose labels are the categories (default: the first)"
-    )
-    parser.add_argument(
-        "--split",
-        metavar="A=X,B=Y,…",
-        help="splits by whole batches: shares (train=0.8,val=0.2) or ranges (train=0:8,val=8:10)",
-    )
-    parser.add_argument(
-        "--split-seed", type=seed, default=0, metavar="N", help="of the assignment (default: 0)"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="option of the format, see --list; may be given several times",
-    )
-    parser.add_argument(
-        "--faults",
-        choices=("stop", "skip"),
-        default="stop",
-        help="what to do about missing, foreign and damaged frames (default: stop)",
-    )
-    add_executor(parser, "one a core")
-    parser.add_argument(
-        "--replace", action="store_true", help="replace another dataset in the same folder"
-    )
+    own = [name for name in declared(ExportOptions, own=True) if name != "workers"]
+    add(parser, ExportOptions, *own[:-1])
+    add_executor(parser, ExportOptions)
+    add(parser, ExportOptions, own[-1])
     add_json(parser)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import os
 import textwrap
 from dataclasses import asdict
 
-from scenec.backends.run.executors import make_executor
-from scenec.cli.output import Progress, print_json, say, say_next
-from scenec.datasets.export import Choice, ExportReport, export
-from scenec.datasets.filters import make_filters
+from scenec.api.export import export
+from scenec.api.models import ModelsReport
+from scenec.api.options import ExportOptions
+from scenec.cli.arguments import chosen
+from scenec.cli.output import print_json, say, say_next
+from scenec.cli.terminal import Terminal
+from scenec.datasets.export import ExportReport
 from scenec.datasets.formats.registry import find_format, format_names
 from scenec.datasets.models import MODEL_FORMATS, TEXELS
-from scenec.datasets.remap import Remap, read_remap
-from scenec.datasets.splits import parse_splits
 from scenec.schemas.errors import OutputError
 
 #: Of the formats that hold stages.
@@ -37,48 +37,25 @@ def run(options: argparse.Namespace) -> int:
             f"say to which format: --format {'|'.join([*format_names(), *MODEL_FORMATS])} "
             "(scenec export --list)"
         )
-    if options.format in MODEL_FORMATS:
-        from scenec.cli import export_models
-
-        return export_models.run(options)
-    workers = options.workers if options.workers is not None else os.process_cpu_count()
-    with make_executor(workers, options.cluster) as executor:
-        report = export(
-            options.out,
-            options.format,
-            options.output,
-            _choice(options),
-            executor=executor,
-            replace=options.replace,
-            progress=Progress("exported", unit="step", every_s=2.0),
-            say=say,
-        )
+    asked = chosen(ExportOptions, options)
+    report = export(options.out, options.format, **asked, listener=Terminal())
+    if isinstance(report, ModelsReport):
+        if options.json:
+            print_json({"folder": str(report.folder), **report.content})
+        _tell_models(report)
+        say_next(("explain", options.out))
+        return 0
     if options.json:
         print_json(as_json(report))
     _tell(report)
     return 0
 
 
-def _choice(options: argparse.Namespace) -> Choice:
-    settings: dict[str, str] = {}
-    for text in options.set:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise OutputError(f"--set {text!r}: expected NAME=VALUE")
-        settings[name.strip()] = value.strip()
-    return Choice(
-        backend=options.backend,
-        batches=options.batches,
-        cameras=options.cameras,
-        samples=options.samples,
-        filters=make_filters(options.keep, options.rejected),
-        remap=read_remap(options.remap) if options.remap else Remap(),
-        splits=parse_splits(options.split) if options.split else {},
-        split_seed=options.split_seed,
-        level=options.level,
-        options=settings,
-        faults=options.faults,
-    )
+def _tell_models(report: ModelsReport) -> None:
+    for line in report.losses:
+        say(f"not in it: {line}")
+    for file in report.files:
+        say(f"{report.format}: {file} ({file.stat().st_size / 1e6:.1f} MB)")
 
 
 def _tell(report: ExportReport) -> None:

@@ -16,8 +16,17 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from scenec.api import forms
+from scenec.api.options import (
+    CheckOptions,
+    CompileOptions,
+    PreviewOptions,
+    RenderOptions,
+    ScanOptions,
+)
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
+    add,
     add_allow_missing,
     add_batches,
     add_cache,
@@ -25,17 +34,13 @@ from scenec.cli.arguments import (
     add_executor,
     add_json,
     add_keep,
-    add_preview_options,
     add_render_options,
     add_replace,
     add_seed,
     add_settings,
-    add_settle_options,
     add_verbose,
-    counted,
-    passes,
     positive,
-    span,
+    read_by,
 )
 from scenec.cli.completion import complete
 from scenec.cli.converge_arguments import add_converge_options
@@ -44,6 +49,7 @@ from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.import_arguments import add_import_options
 from scenec.cli.output import clear_bar, tell
+from scenec.cli.settle_arguments import add_settle_options
 from scenec.cli.supervise import supervised
 from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
@@ -199,7 +205,7 @@ def parser() -> argparse.ArgumentParser:
     add_cache(compile_)
     add_replace(compile_)
     add_batches(compile_)
-    add_executor(compile_, "0")
+    add_executor(compile_, CompileOptions)
     compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
     add_verbose(compile_)
     add_json(compile_)
@@ -214,7 +220,16 @@ def parser() -> argparse.ArgumentParser:
     add_cfg(preview)
     add_settings(preview)
     add_seed(preview)
-    add_preview_options(preview)
+    add(preview, PreviewOptions)
+    preview.add_argument(
+        "--port",
+        type=read_by(forms.port),
+        default=0,
+        metavar="N",
+        help="of the page (default: a free one)",
+    )
+    preview.add_argument("--no-browser", action="store_true", help="only print the address")
+    preview.add_argument("--once", metavar="HTML", help="write the page to a file, and end")
     add_cache(preview)
 
     init = _command(commands, "init", "write a small cfg to begin with")
@@ -249,12 +264,7 @@ def parser() -> argparse.ArgumentParser:
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
-    render.add_argument(
-        "--replace",
-        action="store_true",
-        help="render frames again that are there with other samples, target, noise seed, denoising "
-        "or passes (default: that is an error; frames that hold more passes count as made)",
-    )
+    add(render, RenderOptions, "replace")
     add_allow_missing(render)
     add_batches(render)
     add_verbose(render)
@@ -262,14 +272,7 @@ def parser() -> argparse.ArgumentParser:
 
     scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
     scan.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
-    scan.add_argument("--samples", type=span, metavar="A:B", help="only these samples")
-    scan.add_argument(
-        "--lidars",
-        metavar="A,B,…",
-        type=lambda text: [name for name in text.split(",") if name],
-        help="only these, by name: RIG_LIDAR",
-    )
-    scan.add_argument("--ply", action="store_true", help="write clouds of points, too")
+    add(scan, ScanOptions, "samples", "lidars", "ply")
     add_executor(scan)
     add_allow_missing(scan)
     add_batches(scan)
@@ -280,41 +283,7 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument(
         "out", metavar="OUT", help="output folder of compile, a USD file, or a dataset of export"
     )
-    check.add_argument(
-        "--backends",
-        metavar="A,B,…",
-        type=lambda text: [name for name in text.split(",") if name],
-        default=[],
-        help="compare the frames of these pixel by pixel; missing ones are rendered",
-    )
-    check.add_argument(
-        "--exact",
-        action="store_true",
-        help="cast every pixel of the frames there are through the exact ray caster",
-    )
-    check.add_argument(
-        "--against",
-        metavar="OTHER",
-        help="another dataset or output folder: is the annotation of all frames the same",
-    )
-    check.add_argument(
-        "--spp", type=positive, default=64, help="of rgb that has to be rendered (default: 64)"
-    )
-    check.add_argument("--passes", type=passes, metavar="A,B,…", help="compare only these")
-    check.add_argument("--samples", type=span, metavar="A:B", help="compare only these samples")
-    check.add_argument(
-        "--floor",
-        action="store_true",
-        help="render the first backend with another noise seed too: the FLIP of noise alone",
-    )
-    check.add_argument(
-        "--pictures",
-        type=counted,
-        default=8,
-        metavar="N",
-        help="pictures of where two backends differ, in OUT/check (default: 8 a pair)",
-    )
-    add_allow_missing(check)
+    add(check, CheckOptions)
     add_json(check)
 
     sheet = _command(commands, "sheet", "one picture of all passes of some frames")

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+from scenec.api.listener import StepProgress
 from scenec.cli.interrupt import stop_if_pending
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def warn(spec: Spec) -> Spec:
     return spec
 
 
-class Progress:
+class Progress(StepProgress):
     """Progress through a known number of steps: a bar on a terminal, plain lines elsewhere.
 
     Both say how many steps a second are made, over the last of them, and how long the rest will
@@ -132,7 +133,7 @@ class Progress:
             self._bar(done, total, rate, left, text, last=False)
 
     def _rate(self, done: int) -> float:
-        """Steps a second over the last reports."""
+        """StepProgress a second over the last reports."""
         if len(self._reports) == 1 and done > 1:
             # Whatever was finished before the first report cost none of our time.
             self._reports[0] = (self._reports[0][0], done - 1)

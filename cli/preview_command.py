@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import webbrowser
+from pathlib import Path
 
-from scenec.api.preview import PreviewOptions, live_preview, write_preview
-from scenec.cli.compile_command import cache_of
+from scenec.api.options import PreviewOptions
+from scenec.api.preview import live_preview, preview
+from scenec.cli.arguments import chosen, given
 from scenec.cli.output import say
+from scenec.cli.terminal import Terminal
+from scenec.schemas.files import check_output
 
 
 def run(options: argparse.Namespace) -> int:
@@ -16,21 +20,15 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         CfgError, ScenecError: With ``--once``, what is wrong; else the page says it.
     """
-    shown = PreviewOptions(
-        settings=options.settings,
-        seed=options.seed,
-        backend=options.backend,
-        spp=options.spp,
-        width=options.width,
-        cache=cache_of(options),
-    )
     if options.once:
-        write_preview(options.cfg, options.once, shown)
+        check_output(Path(options.once))
+        preview(options.cfg, **chosen(PreviewOptions, options)).save(options.once)
         print(f"preview: {options.once}")
         return 0
-    with live_preview(options.cfg, shown, port=options.port, say=say) as (address, preview):
+    asked = given(PreviewOptions, options, listener=Terminal())
+    with live_preview(options.cfg, asked, port=options.port) as (address, following):
         say(f"preview of {options.cfg}: {address} (Ctrl-C ends it)")
         if not options.no_browser:
             webbrowser.open(address)
-        preview.follow()
+        following.follow()
     return 0

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from scenec.api.options import SweepOptions
 from scenec.cli.arguments import (
+    add,
     add_batches,
     add_cache,
     add_cfg,
@@ -13,33 +15,13 @@ from scenec.cli.arguments import (
     add_render_options,
     add_replace,
     add_verbose,
-    span,
 )
 
 
 def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     """What is varied, and where it goes; else as of ``run``."""
     add_cfg(parser)
-    parser.add_argument(
-        "--set",
-        dest="lists",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE,…",
-        help="values of a place of the cfg, as of run --set; several are all combined (repeatable)",
-    )
-    parser.add_argument(
-        "--zip",
-        dest="in_step",
-        action="store_true",
-        help="the first values of all lists together, then the second ones …, not each with each",
-    )
-    parser.add_argument(
-        "--seeds", type=span, default=range(1), metavar="A:B", help="seeds A to B-1 (default: 0:1)"
-    )
-    parser.add_argument(
-        "--compile-only", action="store_true", help="make the stages alone: render and scan nothing"
-    )
+    add(parser, SweepOptions)
     parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
     add_render_options(parser)
     add_verbose(parser)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import textwrap
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,6 +93,12 @@ class Why:
         if self.triangles is not None:
             lines.append(f"  triangles       {self.triangles:,}")
         return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self.text)}</pre>"
 
     def as_json(self) -> dict[str, Any]:
         """For scripts: the attributes, by name."""

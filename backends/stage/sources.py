@@ -91,7 +91,7 @@ class Sources:
         if not self._path.is_file():
             raise StageError(f"{self._path}: no such file")
         self._hold_against_manifest()
-        self._require_integers()
+        self._require_whole()
         if damage := crate_fault(self._path):
             raise StageError(f"{self._path}: not a USD stage: {damage}")
         # Warnings about composition come again, as errors that can be told apart.
@@ -105,10 +105,10 @@ class Sources:
             self._compose(stage)
             self._open_clips(stage)
             trap.Clear()
-        self._require_integers()
+        self._require_whole()
         return stage
 
-    def _require_integers(self) -> None:
+    def _require_whole(self) -> None:
         """Ends the reading of a stage that lacks something, unless that is allowed."""
         lines = list(self._lines)
         if not lines or self._allowed:
@@ -161,7 +161,7 @@ class Sources:
             self._digests[file] = _hash(file)
             if self._listed:
                 self.miss(f"{self._named(file)}: is read, and is not in the {MANIFEST}")
-        self._require_integers()
+        self._require_whole()
         pairs = [(self._named(file), digest) for file, digest in self._digests.items()]
         return digest_of_files([*pairs, *((_MISSING, line) for line in self._lines)])
 

@@ -13,15 +13,17 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import ImagingPlan, two_to
 from scenec.compiler.cameras.pairs import require_rectified
-from scenec.compiler.cameras.paths.motion import Bodies, MotionContext
+from scenec.compiler.cameras.paths.motion import Bodies, MotionContext, bodies_of
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
+from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.left_out import Facts
 
 
 def build_rigs(
@@ -60,6 +62,34 @@ def build_rigs(
 memoized_rigs = memoized("cameras")(build_rigs)
 
 
+def place_free_rigs(
+    drawn_rigs: tuple[RigPlan, ...], surface: Surface
+) -> tuple[tuple[Rig, ...] | None, Facts]:
+    """Builds the rigs that heed no objects; None where all are such.
+
+    Where some heed objects, all objects are placed once before, among the free rigs only. There
+    they stand in the end, unless a rig gets nearer to scattered ones than their clearance (these
+    then give way), or sees stones so near that fines are heaped about them (``fillet``; classes
+    after these then rise by the ramps).
+    """
+    free = tuple(rig for rig in drawn_rigs if not rig.pose.needs_objects)
+    if len(free) == len(drawn_rigs):
+        return None, {}
+    return build_rigs(free, surface, None, {})[0], {}
+
+
+def place_rigs(
+    drawn_rigs: tuple[RigPlan, ...],
+    surface: Surface,
+    irradiance: NDArray[np.float64] | None,
+    obstacles: Objects,
+) -> tuple[tuple[Rig, ...], Facts]:
+    """Builds the rigs in the cfg's order, among obstacles (``build_rigs``)."""
+    bodies = {one.name: bodies_of(one) for one in obstacles}
+    rigs, motion = memoized_rigs(drawn_rigs, surface, irradiance, bodies)
+    return rigs, {"motion": motion} if motion else {}
+
+
 def _exposed(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:
     ev = plan.sensor.exposure_ev
     if irradiance is None:
@@ -96,7 +126,7 @@ def _pictured(sensor: Sensor, plan: ImagingPlan) -> Sensor:
         )
     ev = sensor.exposure_ev
     if all(imaging.rule == "fixed" for imaging in samples):
-        ev = np.array([_shown_ev(imaging) for imaging in samples])
+        ev = np.array([_display_ev(imaging) for imaging in samples])
     # Manual ones, and those that meter each picture, have an exposure of their own.
     return replace(sensor, imaging=samples, exposure_ev=ev, exposure_per=None)
 
@@ -113,7 +143,7 @@ def _metered(imaging: Imaging, ev: float) -> Imaging:
     return replace(imaging, time_s=time_s, iso=iso, time_range_s=none, iso_range=none)
 
 
-def _shown_ev(imaging: Imaging) -> float:
+def _display_ev(imaging: Imaging) -> float:
     white = two_to(imaging.headroom)
     shown = formulas.shown_per_value(imaging.f_number, imaging.time_s, imaging.iso, white)
     return float(elementary.log(shown) / elementary.log(2.0))

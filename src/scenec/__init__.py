@@ -9,15 +9,32 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from scenec.api.outputs import Output, Stage, compile
+    from scenec.api.check import check
+    from scenec.api.evaluate import evaluate
+    from scenec.api.explain.explanation import explain
+    from scenec.api.explain.why import why
+    from scenec.api.export import export
+    from scenec.api.listener import Listener
+    from scenec.api.outputs import OutputFolder, open_frames
+    from scenec.api.preview import preview
+    from scenec.api.shown import FrameView, StageView
+    from scenec.api.sweep import sweep
+    from scenec.api.view import view
+    from scenec.api.work import compile, render, run, scan
 
-#: Public name -> the module of ``scenec.api`` that has it.
-_HOMES = {
-    "compile": "outputs",
-    "Output": "outputs",
-    "Stage": "outputs",
+__all__ = [
+    "FrameView", "Listener", "OutputFolder", "StageView", "check", "compile", "evaluate", "explain",
+    "export", "open_frames", "preview", "render", "run", "scan", "sweep", "view", "why",
+]  # fmt: skip
+#: Public name -> the module of ``scenec.api`` that has it, where that is named otherwise.
+_HOMES = {name: name for name in __all__} | {
+    **dict.fromkeys(("FrameView", "StageView"), "shown"),
+    **dict.fromkeys(("OutputFolder", "open_frames"), "outputs"),
+    **dict.fromkeys(("compile", "render", "run", "scan"), "work"),
+    "Listener": "listener",
+    "explain": "explain.explanation",
+    "why": "explain.why",
 }
-__all__ = ["Output", "Stage", "compile"]
 
 if not TYPE_CHECKING:
 

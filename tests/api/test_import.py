@@ -32,7 +32,7 @@ def test_importing_scenec_imports_nothing_but_itself() -> None:
 @pytest.mark.parametrize("name", scenec.__all__)
 def test_each_public_name_is_what_its_module_documents(name: str) -> None:
     found = getattr(scenec, name)
-    assert found.__module__.startswith("scenec.api.")
+    assert found.__module__ == f"scenec.api.{scenec._HOMES[name]}"
     assert found.__doc__
     assert name in dir(scenec)
 
@@ -50,9 +50,9 @@ def test_what_there_is_not_is_said() -> None:
         _ = scenec.rendre
 
 
-def test_the_earlier_name_is_deprecated_and_the_same() -> None:
+def test_the_earlier_name_is_deprecated_and_shows_the_same() -> None:
     sys.modules.pop("scenec.cli.notebook", None)
     with pytest.warns(DeprecationWarning, match="scenec.cli.notebook is scenec now"):
         from scenec.cli import notebook
-    assert notebook.compile is scenec.compile
-    assert notebook.Output is scenec.Output
+    earlier = (notebook.Output, notebook.Stage, notebook.Frame)
+    assert earlier == (scenec.OutputFolder, scenec.StageView, scenec.FrameView)

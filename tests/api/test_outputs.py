@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scenec.api import outputs
+import scenec
+from scenec.api import shown
+from scenec.api.listener import StepProgress
 from scenec.backends.run.executors import make_executor
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.cfg import builder
@@ -31,19 +33,36 @@ def pictures_in(html: str) -> list[Image.Image]:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> outputs.Output:
+def output(tmp_path_factory: pytest.TempPathFactory) -> scenec.OutputFolder:
     folder = tmp_path_factory.mktemp("notebook")
     cfg = builder.read(write_cfg(folder, small_cfg(samples=2)))
-    return outputs.compile(cfg, folder / "out", seed=3)
+    return scenec.compile(cfg, folder / "out", seed=3)
 
 
-def test_a_cfg_in_python_compiles_as_its_file_does(output: outputs.Output, tmp_path: Path) -> None:
+def test_a_cfg_in_python_compiles_as_its_file_does(
+    output: scenec.OutputFolder, tmp_path: Path
+) -> None:
     path = write_cfg(tmp_path, small_cfg(samples=2))
-    by_file = outputs.compile(path, tmp_path / "out", seed=3)
+    by_file = scenec.compile(path, tmp_path / "out", seed=3)
     stages = [(o.path / "batch_0000").glob("*.usd?") for o in (output, by_file)]
     ours, theirs = ({p.name: p.read_bytes() for p in paths} for paths in stages)
     assert ours == theirs
     assert len(ours) > 3
+
+
+class Watching(scenec.Listener, StepProgress):
+    """Notes what is in the working directory whenever a step begins."""
+
+    def __init__(self, there: list[str]) -> None:
+        self._there = there
+
+    def steps(self, *_: object, **__: object) -> StepProgress:
+        """Is told of them itself."""
+        return self
+
+    def now(self, *_: object) -> None:
+        """Looks."""
+        self._there += os.listdir()
 
 
 @pytest.mark.parametrize("workers", [0, 1])
@@ -59,16 +78,17 @@ def test_a_cfg_in_python_is_no_file_and_names_files_of_the_working_directory(
     monkeypatch.chdir(hills)
     cfg = builder.read(path)
     path.unlink()
-    there = []
+    there: list[str] = []
     with ExitStack() as stack:
         executor = stack.enter_context(make_executor(workers, None)) if workers else None
-        options = {"executor": executor, "progress": lambda *_: there.extend(os.listdir())}
-        output = outputs.compile(cfg, tmp_path / "out", seed=3, **options)
+        output = scenec.compile(
+            cfg, tmp_path / "out", seed=3, executor=executor, listener=Watching(there)
+        )
     assert set(there) == {"dem.npy"}
-    assert list(read_manifest(output.path)["cfg"]["inputs"]) == ["terrain/relief/0/file"]
+    assert list(read_manifest(output.path).cfg.inputs) == ["terrain/relief/0/file"]
 
 
-def test_a_stage_shows_what_its_cameras_see(output: outputs.Output) -> None:
+def test_a_stage_shows_what_its_cameras_see(output: scenec.OutputFolder) -> None:
     (stage,) = output.stages
     sketch = stage.sketch()
     camera = stage.cameras[0]
@@ -81,18 +101,18 @@ def test_a_stage_shows_what_its_cameras_see(output: outputs.Output) -> None:
     assert ">300<" in html
 
 
-def test_a_sketch_of_fewer_pixels_sees_the_same(output: outputs.Output) -> None:
+def test_a_sketch_of_fewer_pixels_sees_the_same(output: scenec.OutputFolder) -> None:
     scene = read_stage(output.stages[0].batch.stage)
     camera = scene.cameras[0][0]
-    small = outputs._smaller(camera, camera.width // 2)
+    small = shown._smaller(camera, camera.width // 2)
     at = np.array([0.3, -0.2, 1.0])
     wide, narrow = (c.intrinsics @ at for c in (camera, small))
     scale = (camera.width / small.width, camera.height / small.height)
     assert wide[:2] == pytest.approx(narrow[:2] * scale, rel=1e-12)
-    assert outputs._smaller(camera, 10_000) is camera
+    assert shown._smaller(camera, 10_000) is camera
 
 
-def test_frames_give_arrays_and_show_every_pass(output: outputs.Output) -> None:
+def test_frames_give_arrays_and_show_every_pass(output: scenec.OutputFolder) -> None:
     assert pictures_in(output._repr_html_())
     frames = output.render("annotation", passes=("label", "instance", "depth")).frames()
     assert len(frames) == 2
@@ -110,7 +130,7 @@ def test_faults_are_errors_of_the_library(tmp_path: Path) -> None:
     cfg = builder.read(write_cfg(tmp_path))
     cfg.samples = 0
     with pytest.raises(CfgError, match=r"cfg:.* /samples: 0: expected at least 1"):
-        outputs.compile(cfg, tmp_path / "out")
+        scenec.compile(cfg, tmp_path / "out")
     assert os.listdir(tmp_path) == ["small.json"]
     with pytest.raises(OutputError, match="holds no manifest"):
-        outputs.Output(tmp_path)
+        scenec.OutputFolder(tmp_path)

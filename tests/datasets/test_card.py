@@ -198,7 +198,7 @@ def test_commands_are_ones_that_the_command_line_takes(card: str) -> None:
     assert export_.keep == ["id<4000000000", "depth_mean<=35.123456789"]
     assert (export_.rejected, export_.remap, export_.level) == ("ignore", "remap.json", "surface")
     assert (export_.split, export_.split_seed) == ("train=0.5,val=0.5", 11)
-    assert (export_.set, export_.samples) == (["ending=txt"], range(2))
+    assert (export_.settings, export_.samples) == (["ending=txt"], range(2))
     assert (check.out, check.against) == ("AGAIN", "DATASET")
 
 

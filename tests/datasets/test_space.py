@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scenec.api.listener import Listener
+from scenec.api.view import ground_of, rooms_of
 from scenec.cli.main import main
-from scenec.cli.view_command import _rooms, ground_of
+from scenec.cli.terminal import Terminal
 from scenec.datasets.view.space import space_text, three
 from scenec.schemas.manifest import find_batches
 from scenec.schemas.model import Look, Model, Part, Placement, View
@@ -102,16 +104,16 @@ def out(tmp_path_factory) -> Path:
 
 
 def test_the_budget_of_a_page_goes_to_as_many_batches_as_are_worth_it(out, capsys):
-    assert _rooms(out, 200.0) == dict.fromkeys((0, 1), (8_000_000 - 650_000) // 2)
-    assert list(_rooms(out, 4.0)) == [0]
+    assert rooms_of(out, 200.0, Terminal()) == dict.fromkeys((0, 1), (8_000_000 - 650_000) // 2)
+    assert list(rooms_of(out, 4.0, Terminal())) == [0]
     assert "the first 1 of 2 batches" in capsys.readouterr().err
-    assert _rooms(out, 1.0) == {}
+    assert rooms_of(out, 1.0, Terminal()) == {}
 
 
 def test_what_is_stored_of_a_stage_fits_its_room(out):
     batch = find_batches(out)[1]
     for room in (60_000, 200_000):
-        ground = ground_of(batch, {1: room})
+        ground = ground_of(batch, {1: room}, Listener())
         assert ground is not None
         assert ground.model is not None
         text = space_text(ground.model)
@@ -119,6 +121,6 @@ def test_what_is_stored_of_a_stage_fits_its_room(out):
         facts, _ = opened(text)
         assert facts["name"] == "batch_0001"
         assert {place["owner"] for place in facts["placements"]} > {""}
-    above_alone = ground_of(batch, {0: room})
+    above_alone = ground_of(batch, {0: room}, Listener())
     assert above_alone is not None
     assert above_alone.model is None

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from scenec.api.options import ViewOptions
 from scenec.cli import view_command
 from scenec.cli.main import parser
 from scenec.datasets.view.page import write_view
@@ -76,7 +77,7 @@ def test_the_page_is_written_anew_once_the_output_is_at_rest(out, tmp_path):
         if moment == 9:
             raise KeyboardInterrupt
 
-    view_command._watch(options(out, "--watch"), out, page, sleep)
+    view_command.watch(out, ViewOptions(page=page, no_ground=True, workers=1), sleep=sleep)
     states = [state for state, _ in seen]
     # Not yet at rest when first looked at; two states in all, though it changed twice.
     assert states[0] == ""
@@ -106,7 +107,7 @@ def test_it_waits_for_frames_and_shows_them_when_they_come(out, tmp_path, capsys
         if len(moments) == 6:
             raise KeyboardInterrupt
 
-    view_command._watch(options(out, "--watch"), out, page, sleep)
+    view_command.watch(out, ViewOptions(page=page, no_ground=True, workers=1), sleep=sleep)
     assert moments == [False] * 4 + [True] * 2
     assert "waiting: " in capsys.readouterr().err
 

@@ -43,7 +43,7 @@ FLOORS = {
     ),
     "backends": (
         ("stage",),
-        ("contract", "registry"),
+        ("contract", "noise_seeds", "registry"),
         ("camera",),
         ("surface",),
         ("model",),
@@ -74,9 +74,12 @@ FLOORS = {
         ("blenderproc", "oaisys", "usd"),
     ),
     "api": (
-        ("text",),
-        ("explain", "outputs"),
-        ("preview",),
+        ("forms", "listener", "text"),
+        ("declare",),
+        ("options",),
+        ("explain", "shown", "steps"),
+        ("outputs", "models"),
+        ("check", "evaluate", "export", "preview", "sweep", "view", "work"),
     ),
     "quality": (("converge", "ladder"),),
     "lab": (

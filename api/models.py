@@ -1,15 +1,16 @@
-"""``scenec export`` to formats of stages: glTF and USDZ."""
+"""Stages as files of 3D formats: glTF and USDZ."""
 
 from __future__ import annotations
 
-import argparse
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scenec.api.options import ExportOptions
 from scenec.backends.model.collect import whole_model
 from scenec.backends.stage.read import read_stage
-from scenec.cli.output import Progress, print_json, say, say_next
 from scenec.datasets.models import TEXELS
 from scenec.datasets.models.gltf import Written, write_gltf
 from scenec.datasets.models.usdz import write_usdz
@@ -18,36 +19,56 @@ from scenec.schemas.files import atomic, sha256
 from scenec.schemas.manifest import Batch, find_batches
 from scenec.schemas.versions import version_of
 
-#: Options that choose among frames, and what they are where nobody set them.
-_OF_FRAMES: dict[str, object] = {
-    "backend": None,
-    "cameras": None,
-    "samples": None,
-    "keep": [],
-    "rejected": "drop",
-    "remap": None,
-    "level": None,
-    "split": None,
-    "cluster": None,
-}
+#: Options that choose among frames.
+_OF_FRAMES = (
+    *("backend", "cameras", "samples", "keep", "rejected", "remap", "level", "split", "cluster"),
+)
 _ENDINGS = {"gltf": ".glb", "usdz": ".usdz"}
 #: Most texels that may be asked for.
 _MOST_TEXELS = 1 << 28
 
 
-def run(options: argparse.Namespace) -> int:
+@dataclass(frozen=True)
+class ModelsReport:
+    """What came of an export of stages.
+
+    Attributes:
+        folder: Of the files.
+        format: Their format.
+        files: One a batch.
+        content: What ``export.json`` beside them says.
+    """
+
+    folder: Path
+    format: str
+    files: tuple[Path, ...]
+    content: dict[str, Any]
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """A line for each thing that the format cannot hold."""
+        lines = (line for one in self.content["batches"].values() for line in one["losses"])
+        return tuple(dict.fromkeys(lines))
+
+
+def export_models(out: Path, format: str, options: ExportOptions) -> ModelsReport:
     """Writes a file a batch, and ``export.json`` about them.
+
+    Args:
+        out: Output folder of a compile, or a USD file.
+        format: ``gltf`` or ``usdz``.
+        options: Those that choose among frames must not be set.
 
     Raises:
         OutputError: An option makes no sense, or a file is there already.
     """
-    for name, default in _OF_FRAMES.items():
-        if getattr(options, name) != default:
+    usual = ExportOptions()
+    for name in _OF_FRAMES:
+        if getattr(options, name) not in (getattr(usual, name), []):
             raise OutputError(
-                f"--{name} chooses among frames, and {options.format} holds stages; leave it out"
+                f"--{name} chooses among frames, and {format} holds stages; leave it out"
             )
-    texels = _texels(options.set)
-    out = Path(options.out)
+    texels = _texels(options.settings)
     batches = [
         batch
         for batch in find_batches(out)
@@ -56,16 +77,16 @@ def run(options: argparse.Namespace) -> int:
     if not batches:
         raise OutputError(f"{out}: no such batches; scenec compile makes some")
     base = out if out.is_dir() else out.parent
-    folder = Path(options.output) if options.output else base / "datasets" / options.format
-    files = {b.name: folder / f"{b.name}{_ENDINGS[options.format]}" for b in batches}
+    folder = Path(options.folder) if options.folder else base / "datasets" / format
+    files = {b.name: folder / f"{b.name}{_ENDINGS[format]}" for b in batches}
     for file in files.values():
         if file.exists() and not options.replace:
             raise OutputError(f"{file}: is there already; --replace writes it anew")
     folder.mkdir(parents=True, exist_ok=True)
-    progress = Progress("exported", unit="batch", units="batches")
+    steps = options.listener.steps("exported", unit="batch", units="batches")
     told: dict[str, dict[str, Any]] = {}
     for number, batch in enumerate(batches):
-        written = _write(options.format, batch, files[batch.name], texels)
+        written = _write(format, batch, files[batch.name], texels)
         told[batch.name] = {
             "file": files[batch.name].name,
             "bytes": files[batch.name].stat().st_size,
@@ -74,22 +95,14 @@ def run(options: argparse.Namespace) -> int:
             "instances": written.instances,
             "losses": list(written.losses),
         }
-        progress(number + 1, len(batches), batch.name)
-    report = {"format": options.format, "scenec": version_of(), "batches": told}
+        steps(number + 1, len(batches), batch.name)
+    report = {"format": format, "scenec": version_of(), "batches": told}
     with atomic(folder / "export.json") as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    if options.json:
-        print_json({"folder": str(folder), **report})
-    losses = dict.fromkeys(line for one in told.values() for line in one["losses"])
-    for line in losses:
-        say(f"not in it: {line}")
-    for file in files.values():
-        say(f"{options.format}: {file} ({file.stat().st_size / 1e6:.1f} MB)")
-    say_next(("explain", options.out))
-    return 0
+    return ModelsReport(folder, format, tuple(files.values()), report)
 
 
-def _texels(settings: list[str]) -> int:
+def _texels(settings: Sequence[str]) -> int:
     texels = TEXELS
     for text in settings:
         name, _, value = text.partition("=")

@@ -1,0 +1,110 @@
+"""How an option is declared: once, for Python and the command line alike."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import Field, dataclass, field, fields
+from functools import wraps
+from typing import Any, Concatenate
+
+from scenec.api.listener import Listener
+from scenec.schemas.errors import ScenecError
+
+
+def option(default: Any, help: str, **facts: Any) -> Any:
+    """Declares a field that is an option.
+
+    Args:
+        default: Of a list: an empty tuple.
+        help: What it is, as ``--help`` says it.
+        facts: ``form``: what reads its text (``forms``); ``choices``; ``metavar``; ``flag``, where
+            it is another than the name; ``many``: whether it may be given several times;
+            ``const``: whether it is true where it is given, though its default is not false.
+    """
+    return field(default=default, metadata={"help": help, **facts})
+
+
+def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
+    """The options of a record by name.
+
+    Args:
+        record: One of ``CallOptions``.
+        own: Whether only those that its own class declares.
+    """
+    there = record.__annotations__ if own else record.__dataclass_fields__  # type: ignore[attr-defined]
+    return {f.name: f for f in fields(record) if f.name in there and "help" in f.metadata}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CallOptions:
+    """CallOptions of a call.
+
+    Attributes:
+        listener: Who hears what is done; the default keeps silent.
+
+    Raises:
+        ScenecError: One has a value that it cannot have.
+    """
+
+    listener: Listener = Listener()  # noqa: RUF009 (it has no state)
+
+    def __post_init__(self) -> None:
+        """Holds values to their forms, and reads those that are given as texts."""
+        for name, each in declared(type(self)).items():
+            value, form = getattr(self, name), each.metadata.get("form")
+            choices = each.metadata.get("choices")
+            if choices and value is not None and value not in choices:
+                raise ScenecError(f"{name}: {value!r}: expected one of {', '.join(choices)}")
+            if form is None or value is None or value == each.default:
+                continue
+            try:
+                if isinstance(value, str):
+                    object.__setattr__(self, name, form(value))
+                elif not isinstance(value, Iterable):
+                    form(str(value))
+            except ScenecError as error:
+                raise ScenecError(f"{name}: {error}") from error
+
+
+class Spread[**P, T: CallOptions]:
+    """Makes a function that takes a record take the record's fields, as typed keywords.
+
+    ``@Spread(RenderOptions).one`` on ``def render(out, options)`` makes ``render(out, spp=16)``.
+
+    Args:
+        record: The class.
+    """
+
+    def __init__(self, record: Callable[P, T]) -> None:
+        self._record = record
+
+    def one[A, R](self, function: Callable[[A, T], R]) -> Callable[Concatenate[A, P], R]:
+        """Of a function with one argument before the record."""
+        return self._spread(function)
+
+    def two[A, B, R](self, function: Callable[[A, B, T], R]) -> Callable[Concatenate[A, B, P], R]:
+        """Of a function with two arguments before the record."""
+        return self._spread(function)
+
+    def _spread(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        record: Callable[..., T] = self._record
+
+        @wraps(function)
+        def call(*args: Any, **options: Any) -> Any:
+            return function(*args, record(**options))
+
+        before = list(inspect.signature(function).parameters.values())[:-1]
+        after = inspect.signature(record).parameters.values()
+        call.__signature__ = inspect.signature(function).replace(  # type: ignore[attr-defined]
+            parameters=[*(p.replace(kind=p.POSITIONAL_ONLY) for p in before), *after]
+        )
+        call.__doc__ = re.sub(r"(?m)^( +)options: .*$", self._told, function.__doc__ or "")
+        return call
+
+    def _told(self, line: re.Match[str]) -> str:
+        told = {name: f.metadata["help"] for name, f in declared(self._record).items()}  # type: ignore[arg-type]
+        return "\n".join(
+            f"{line[1]}{name}: {text.replace('%%', '%')}" for name, text in told.items()
+        )

@@ -1,0 +1,75 @@
+"""Frames to a dataset, stages to files of 3D formats."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from scenec.api.declare import Spread
+from scenec.api.models import ModelsReport, export_models
+from scenec.api.options import ExportOptions
+from scenec.api.steps import hire
+from scenec.datasets.export import Choice, ExportReport
+from scenec.datasets.export import export as export_frames
+from scenec.datasets.filters import make_filters
+from scenec.datasets.models import MODEL_FORMATS
+from scenec.datasets.remap import Remap, read_remap
+from scenec.datasets.splits import parse_splits
+from scenec.schemas.errors import OutputError
+
+
+@Spread(ExportOptions).two
+def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport | ModelsReport:
+    """Exports frames to a dataset: COCO, HDF5, TUM, …; or stages to glTF or USDZ.
+
+    Args:
+        out: Output folder with frames, or a USD file that was rendered.
+        format: Its name, see ``scenec export --list``.
+        options: As fields of ``ExportOptions``.
+
+    Raises:
+        FrameError: A frame is missing, foreign or damaged.
+        OutputError: What is asked for makes no sense, or there is another dataset.
+    """
+    if format in MODEL_FORMATS:
+        return export_models(Path(out), format, options)
+    workers = options.workers if options.workers is not None else os.process_cpu_count()
+    with hire(replace(options, workers=workers)) as executor:
+        return export_frames(
+            out,
+            format,
+            options.folder,
+            choice_of(options),
+            executor=executor,
+            replace=options.replace,
+            progress=options.listener.steps("exported", unit="step", every_s=2.0),
+            say=options.listener.say,
+        )
+
+
+def choice_of(options: ExportOptions) -> Choice:
+    """What is exported, and how.
+
+    Raises:
+        OutputError: An option makes no sense.
+    """
+    settings: dict[str, str] = {}
+    for text in options.settings:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise OutputError(f"--set {text!r}: expected NAME=VALUE")
+        settings[name.strip()] = value.strip()
+    return Choice(
+        backend=options.backend,
+        batches=options.batches,
+        cameras=options.cameras,
+        samples=options.samples,
+        filters=make_filters(options.keep, options.rejected),
+        remap=read_remap(options.remap) if options.remap else Remap(),
+        splits=parse_splits(options.split) if options.split else {},
+        split_seed=options.split_seed,
+        level=options.level,
+        options=settings,
+        faults=options.faults,
+    )

@@ -1,0 +1,221 @@
+"""What compiling, rendering and scanning take: the steps of the main calls.
+
+What takes long to import is imported where it is used: a command says what it reads before.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scenec.api.options import PictureOptions, ScanOptions, StageOptions, WorkOptions
+
+if TYPE_CHECKING:
+    from scenec.backends.run.plan import RenderPlan
+    from scenec.backends.run.render import RenderReport
+    from scenec.backends.run.scan import ScanReport
+    from scenec.compiler.cfg.builder import CompleteCfg
+    from scenec.compiler.cfg.fill import Cfg
+    from scenec.compiler.cfg.load import Spec
+    from scenec.compiler.compile import CompileReport
+    from scenec.schemas.units import Executor
+
+#: A cfg: its file, what it holds, or one that is written in Python (``compiler.cfg.builder``).
+#: Files that the latter two name are relative to the working directory.
+type AnyCfg = Path | str | Mapping[str, Any] | CompleteCfg
+type Folder = Path | str
+
+
+def read_cfg(cfg: AnyCfg, settings: Sequence[str] = ()) -> Spec:
+    """Reads and validates a cfg, whoever wrote it.
+
+    Args:
+        cfg: A file, what it holds, or one that is written in Python.
+        settings: What is set over it, each ``path=value``.
+
+    Raises:
+        CfgError: With all of its faults; said of no file they have JSON pointers.
+    """
+    from scenec.compiler.cfg.load import load
+
+    if isinstance(cfg, Path | str):
+        return load(cfg, settings)
+    text = json.dumps(cfg) if isinstance(cfg, Mapping) else cfg.text()
+    return load(Path("cfg"), settings, text.encode())
+
+
+def compile_spec(spec: Spec, out: Folder, options: StageOptions, seed: int) -> CompileReport:
+    """Compiles what was read of a cfg; raises as ``compile`` does."""
+    listener = options.listener
+    for line in spec.warnings:
+        listener.warn(str(line))
+    # Here: what is wrong with a cfg is told before the rest is imported.
+    from scenec.compiler.compile import compile_cfg
+    from scenec.compiler.views.needed import Keep
+
+    cache = cache_folder(options.cache)
+    steps = listener.steps("compiled", unit="batch", units="batches")
+
+    def tell(text: str, place: tuple[int, int] | None) -> None:
+        if place is None:
+            listener.say(text)
+        else:
+            steps.now(*place, text)
+
+    given = options.executor is not None or options.workers or options.cluster
+    with hire(options, limited=False) if given else nullcontext() as executor:
+        report = compile_cfg(
+            spec,
+            seed=seed,
+            out=out,
+            batches=options.batches,
+            keep=Keep(options.keep),
+            progress=tell,
+            cache=cache,
+            replace=options.replace,
+            faults=options.faults,
+            executor=executor,
+        )
+    listener.compiled(report, cache)
+    return report
+
+
+def cache_folder(cache: bool | Path | str) -> Path | None:
+    """The folder that an option and the environment name; None: there shall be none."""
+    from scenec.compiler.cache.store import default_folder
+
+    if isinstance(cache, bool):
+        return default_folder() if cache else None
+    return Path(cache)
+
+
+def render_output(
+    out: Folder,
+    options: PictureOptions,
+    executor: Executor | None = None,
+    batches: Collection[int] | None = None,
+) -> RenderReport:
+    """Renders as ``render`` does.
+
+    Args:
+        out: Output folder, or a USD file.
+        options: What is rendered.
+        executor: Who works; None: who the options say.
+        batches: Only these; None: those that the options say.
+    """
+    from scenec.backends.run.render import render as render_stages
+
+    plan, listener = plan_of(options, batches), options.listener
+    with hire(options, executor) as worker:
+        report = render_stages(
+            out,
+            plan,
+            executor=worker,
+            progress=listener.steps("frame"),
+            warn=listener.warn,
+            say=listener.say,
+        )
+    listener.rendered(report)
+    return report
+
+
+def scan_output(
+    out: Folder,
+    options: ScanOptions | PictureOptions,
+    executor: Executor | None = None,
+    batches: Collection[int] | None = None,
+) -> ScanReport:
+    """Scans as ``scan`` does; arguments as of ``render_output``."""
+    from scenec.backends.run.scan import scan_output as scan_stages
+
+    own = options if isinstance(options, ScanOptions) else ScanOptions()
+    with hire(options, executor, limited=False) as worker:
+        report = scan_stages(
+            out,
+            samples=options.samples,
+            batches=getattr(options, "batches", None) if batches is None else batches,
+            lidars=own.lidars,
+            ply=own.ply,
+            allow_missing=own.allow_missing,
+            progress=options.listener.steps("scan", unit="scan"),
+            executor=worker,
+        )
+    for line in report.warnings:
+        options.listener.warn(line)
+    options.listener.scanned(report)
+    return report
+
+
+def plan_of(options: PictureOptions, batches: Collection[int] | None = None) -> RenderPlan:
+    """The plan of what is asked to be rendered.
+
+    Raises:
+        BackendError: It cannot be.
+    """
+    from scenec.backends.run.plan import RenderPlan
+
+    names = {field.name for field in fields(RenderPlan)}
+    asked = {name: value for name, value in vars(options).items() if name in names}
+    return RenderPlan(**asked if batches is None else {**asked, "batches": batches})
+
+
+def hire(
+    options: WorkOptions, executor: Executor | None = None, *, limited: bool = True
+) -> AbstractContextManager[Executor]:
+    """Who works, until the context ends: who is given, or else who the options say.
+
+    Args:
+        options: Of the call.
+        executor: Who is given.
+        limited: Whether workers may take no more than the options of pictures allow.
+
+    Raises:
+        BackendError: The cluster cannot be reached or used.
+    """
+    from scenec.backends.run.executors import make_executor
+    from scenec.backends.run.limits import Limits
+    from scenec.schemas.memory import GB
+
+    executor = executor or options.executor
+    if executor is not None:
+        return nullcontext(executor)
+    if not (limited and isinstance(options, PictureOptions)):
+        return make_executor(options.workers, options.cluster)
+    most = options.memory_limit
+    limits = Limits(options.timeout, memory_bytes=None if most is None else round(most * GB))
+    return make_executor(options.workers, options.cluster, limits)
+
+
+def refuse_early(options: PictureOptions, cfg: Cfg, executor: Executor | None = None) -> bool:
+    """What no renderer here can do should not cost a compilation.
+
+    Args:
+        options: What is to be rendered.
+        cfg: What will be compiled.
+        executor: Who starts the renderer, and has it then; None: a process of its own.
+
+    Returns:
+        Whether there are lidars.
+
+    Raises:
+        BackendError: The backend cannot render what is asked for.
+    """
+    from scenec.backends.run.auto import check_backend
+    from scenec.schemas.frames import ANNOTATION_NAMES
+
+    wanted = options.passes
+    rigs = cfg["rigs"]
+    sensors = {f"{rig}_{name}": s for rig in rigs for name, s in rigs[rig]["sensors"].items()}
+    drawn = [n for n, s in sensors.items() if "rgb" in (wanted or s["outputs"])]
+    if wanted is None:
+        wanted = [name for s in sensors.values() for name in s["outputs"]]
+        if options.backend in ANNOTATION_NAMES and set(wanted) != {"rgb"}:
+            # All but that is made.
+            wanted = [name for name in wanted if name != "rgb"]
+    apertures = [name for name in drawn if "focus" in sensors[name]]
+    check_backend(plan_of(options), rgb="rgb" in wanted, apertures=apertures, executor=executor)
+    return any("lidars" in rig for rig in rigs.values())

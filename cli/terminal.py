@@ -1,0 +1,182 @@
+"""A terminal that hears of long work: lines on standard error, bars, what came of each step."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from scenec.api.listener import Listener
+from scenec.cli.output import Progress, say
+from scenec.schemas.codec import encode
+
+if TYPE_CHECKING:
+    from scenec.backends.run.render import RenderReport
+    from scenec.backends.run.scan import ScanReport
+    from scenec.compiler.compile import CompileReport
+
+#: What a file of heights says of its numbers where they are meters.
+_HEIGHTS = {"scale": 1.0, "offset": 0.0, "unit_m": 1.0}
+#: Steps of a batch that are named with ``--verbose``.
+_SLOWEST = 5
+
+
+class Terminal(Listener):
+    """Prints what it hears.
+
+    Args:
+        verbose: Whether to say what took how long, too.
+
+    Attributes:
+        made: What was done so far, for scripts, by command.
+    """
+
+    def __init__(self, verbose: bool = False) -> None:
+        self._verbose = verbose
+        self.made: dict[str, Any] = {}
+
+    def say(self, line: str) -> None:
+        """Prints a line."""
+        say(line)
+
+    def steps(
+        self, what: str, unit: str = "frame", units: str | None = None, every_s: float = 0.0
+    ) -> Progress:
+        """Shows a bar, or lines where there is no terminal."""
+        return Progress(what, unit, units, every_s)
+
+    def compiled(self, report: CompileReport, cache: Path | None) -> None:
+        """Says what each batch holds, what is improbable of it, and where the stages are."""
+        self.made["compile"] = compile_json(report)
+        for name in report.seconds:
+            self._tell_batch(name, report)
+        for name, attempts in report.attempts.items():
+            say(f"{name}: drawn again {attempts} times, since it could not be built")
+        if report.failed:
+            say(
+                f"{len(report.failed)} of {len(report.failed) + len(report.batches)} batches "
+                f"cannot be built: {', '.join(report.failed)}"
+            )
+        for line in report.strays:
+            say(f"warning: {line}")
+        if report.unchanged:
+            say(
+                f"{report.unchanged} of {len(report.batches)} batches were there already, byte "
+                "for byte"
+            )
+        made, taken = (
+            sum(sum(one.values()) for one in all_.values()) for all_ in (report.made, report.taken)
+        )
+        if taken:
+            say(f"{taken} of {made + taken} steps were taken from the cache, {cache}")
+        say(f"stages: {report.out}/batch_*/stage.usda")
+
+    def _tell_batch(self, name: str, report: CompileReport) -> None:
+        from scenec.api.explain.passes import precision_text
+        from scenec.compiler.kinds.table import CHOICES
+        from scenec.compiler.mesh.precision import WARN_PX
+
+        facts, seconds = report.facts[name], report.seconds[name]
+        objects = sum(entry["count"] for entry in facts.get("objects", {}).values())
+        spared = sum(entry["instances"] for entry in facts.get("left_out", []))
+        less = f" ({spared:,} left out)" if spared else ""
+        say(
+            f"{name}: {facts['ground']['faces']:,} terrain faces, {objects:,} objects{less}, "
+            f"{facts['bytes'] / 2**20:.1f} MiB"
+        )
+        if self._verbose:
+            slowest = sorted(seconds.items(), key=lambda item: -item[1])[:_SLOWEST]
+            steps = ", ".join(f"{step} {spent:.2g} s" for step, spent in slowest)
+            say(
+                f"{name}: {sum(seconds.values()):.1f} s ({steps}); positions in float32: "
+                f"{precision_text(facts['precision'])}"
+            )
+        off = facts["precision"]["float32_error_max_px"]
+        if off is not None and off > WARN_PX:
+            say(
+                f"{name}: warning: float32 moves vertices by up to {off:.2g} pixels of the nearest "
+                f"view, over {facts['precision']['extent_m']:g} m; make the terrain smaller, or "
+                "keep cameras farther from it"
+            )
+        for place, entry in enumerate(facts["relief"]):
+            if entry["type"] not in CHOICES["relief"].kinds:
+                # Of another package: it reports what it likes.
+                continue
+            read = tuple(entry.get(key, rest) for key, rest in _HEIGHTS.items())
+            if read != tuple(_HEIGHTS.values()):
+                say(
+                    f"{name}: /terrain/relief/{place} (dem): heights are (sample * {read[0]:g} + "
+                    f"{read[1]:g}) * {read[2]:.9g} m of band {entry['band']}"
+                )
+            if entry.get("error_rms_m", 0.0) > entry.get("error_aim_m", math.inf):
+                say(
+                    f"{name}: warning: /terrain/relief/{place} ({entry['type']}) errs by about "
+                    f"{entry['error_rms_m']:.2g} m rms after {entry['steps']:,} steps, its aim is "
+                    f"{entry['error_aim_m']:.2g} m; raise steps, or error_m"
+                )
+
+    def scanned(self, report: ScanReport) -> None:
+        """Says how many scans were made, and where they are."""
+        self.made["scan"] = {
+            "scans": [f"{stem}.json" for stem in report.scans],
+            "made": report.made,
+            "failed": report.failed,
+            "seconds": report.seconds,
+            "warnings": report.warnings,
+        }
+        if report.failed:
+            say(f"{len(report.failed)} scans were given up; run again to try them again")
+        rest = f", {report.skipped} were there already" if report.skipped else ""
+        where = f": {report.scans[0].parent}/" if report.scans else ""
+        say(f"{report.made} scans made{self._spent(report.seconds)}{rest}{where}")
+
+    def rendered(self, report: RenderReport) -> None:
+        """Says how many frames were made, given up and refused, and where they are."""
+        self.made["render"] = render_json(report)
+        there = f", {report.skipped} were there already" if report.skipped else ""
+        if report.refused:
+            say(f"{report.refused} frames were refused by {report.backend}: see the warnings")
+        if lost := len(report.failed) - report.refused:
+            say(f"{lost} frames were given up; run again to try them again")
+        made = next((stem for stem in report.frames if stem.with_suffix(".exr").exists()), None)
+        where = "" if made is None else f": {made.parent}/"
+        say(f"{report.rendered} frames rendered{self._spent(report.seconds)}{there}{where}")
+
+    def _spent(self, seconds: dict[str, float]) -> str:
+        return f" in {sum(seconds.values()):.1f} s" if self._verbose else ""
+
+
+def compile_json(report: CompileReport) -> dict[str, object]:
+    """The report for scripts."""
+    return {
+        "out": str(report.out),
+        "batches": list(report.batches),
+        "unchanged": report.unchanged,
+        "failed": report.failed,
+        "attempts": report.attempts,
+        "seconds": report.seconds,
+        "strays": list(report.strays),
+        "steps": {"made": report.made, "taken": report.taken},
+    }
+
+
+def render_json(report: RenderReport) -> dict[str, object]:
+    """The report for scripts."""
+    return {
+        "backend": report.backend,
+        "choice": encode(report.choice),
+        "backend_version": report.backend_version,
+        "device": report.device,
+        "denoiser": report.denoiser,
+        "frames": [f"{stem}.json" for stem in report.frames],
+        "rendered": report.rendered,
+        "skipped": report.skipped,
+        "failed": report.failed,
+        "refused": report.refused,
+        "worker_deaths": report.deaths,
+        "workers_replaced": report.replaced,
+        "peak_memory_gb": report.peak_memory_gb,
+        "seconds": report.seconds,
+        "losses": report.losses,
+        "warnings": report.warnings,
+    }

@@ -1,0 +1,189 @@
+"""The commands as calls: one declaration of each option, the same values, errors and results."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+import scenec
+from scenec.api import options
+from scenec.api.declare import CallOptions, declared
+from scenec.backends.run.plan import RenderPlan
+from scenec.cli.main import main, parser
+from scenec.compiler.compile import FAULTS
+from scenec.compiler.views.needed import Keep
+from scenec.schemas.errors import ScenecError
+from scenec.testing.small import small_cfg, write_cfg
+
+RECORDS = {
+    "compile": options.CompileOptions,
+    "render": options.RenderOptions,
+    "scan": options.ScanOptions,
+    "run": options.RunOptions,
+    "sweep": options.SweepOptions,
+    "check": options.CheckOptions,
+    "export": options.ExportOptions,
+    "evaluate": options.EvaluateOptions,
+    "view": options.ViewOptions,
+    "preview": options.PreviewOptions,
+}
+#: Of the command line alone: where it prints to, how much, in a window or not.
+OF_COMMANDS = {
+    "help", "json", "verbose", "out", "cfg", "format", "list", "predictions", "open",
+    "watch", "rerun", "rerun_save", "port", "no_browser", "once",
+}  # fmt: skip
+
+
+def actions(command: str) -> dict[str, argparse.Action]:
+    found = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    own = next(found).choices[command]._actions
+    # The first of a name is the option; further ones are other words for a value of it.
+    return {action.dest: action for action in reversed(own)}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_call_takes_the_options_of_its_command_with_the_same_defaults(name: str) -> None:
+    record, there = RECORDS[name], actions(name)
+    known = {field.name: field.default for field in fields(record)}
+    assert set(declared(record)) <= set(there)
+    further = set(there) - set(known) - OF_COMMANDS
+    assert further <= ({"against"} if name == "evaluate" else set())
+    for dest in set(there) & set(known):
+        assert (there[dest].default or None) == (known[dest] or None), dest
+    keywords = inspect.signature(getattr(scenec, name)).parameters
+    assert set(known) <= set(keywords)
+
+
+def test_a_call_says_its_options_as_the_command_does() -> None:
+    text = " ".join((scenec.render.__doc__ or "").split())
+    said = (action.help for action in actions("render").values() if action.dest == "device")
+    assert f"device: {next(said)}" in text
+
+
+def test_what_is_named_again_so_that_nothing_is_imported_is_the_same() -> None:
+    assert options.FAULTS == FAULTS
+    keep = declared(options.CompileOptions)["keep"]
+    assert set(keep.metadata["choices"]) == {str(one.value) for one in Keep}
+    plan = {field.name: field.default for field in fields(RenderPlan) if field.name != "backend"}
+    ours = {field.name: field.default for field in fields(options.RenderOptions)}
+    assert plan.items() <= ours.items()
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "value", "words"),
+    [
+        (options.RenderOptions, "spp", 0, ["render", "OUT", "--spp", "0"]),
+        (options.RenderOptions, "error", -1.0, ["render", "OUT", "--error=-1.0"]),
+        (options.RenderOptions, "passes", "dept", ["render", "OUT", "--passes", "dept"]),
+        (options.CompileOptions, "seed", 2**64, ["compile", "A", "-o", "B", "--seed", f"{2**64}"]),
+    ],
+)
+def test_a_value_is_refused_in_the_words_of_the_command_line(
+    record: type[CallOptions],
+    name: str,
+    value: object,
+    words: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(ScenecError) as caught:
+        record(**{name: value})
+    with pytest.raises(SystemExit):
+        main(words)
+    assert str(caught.value).removeprefix(f"{name}: ") in capsys.readouterr().err
+
+
+def test_an_option_that_is_a_text_is_read_as_the_command_line_reads_it() -> None:
+    asked = options.RenderOptions(samples="0:3", passes="rgb,depth")  # type: ignore[arg-type]
+    assert (asked.samples, asked.passes) == (range(3), ("rgb", "depth"))
+    with pytest.raises(ScenecError, match="keep: 'sen': expected one of seen, unpruned, all"):
+        options.CompileOptions(keep="sen")
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("calls")
+    cfg = small_cfg(samples=2, outputs=["label", "instance", "depth"])
+    made = scenec.run(cfg, folder / "out", seed=3, workers=0)
+    assert made.compiled is not None
+    assert made.compiled.batches == (0,)
+    assert made.rendered is not None
+    assert made.rendered.rendered == 2
+    return folder / "out"
+
+
+def test_a_call_makes_what_its_command_makes(out: Path, tmp_path: Path) -> None:
+    cfg = write_cfg(tmp_path, small_cfg(samples=2, outputs=["label", "instance", "depth"]))
+    assert main(["compile", str(cfg), "--seed", "3", "-o", str(tmp_path / "out")]) == 0
+    stages = list((tmp_path / "out" / "batch_0000").glob("*.usd?"))
+    assert len(stages) > 3
+    for stage in stages:
+        assert (out / "batch_0000" / stage.name).read_bytes() == stage.read_bytes()
+
+
+def test_frames_are_read_when_they_are_looked_at(out: Path) -> None:
+    frames = scenec.open_frames(out)
+    assert ["loaded" in vars(frame) for frame in frames] == [False, False]
+    assert frames[1]["depth"].shape == frames[1]["label.class"].shape
+    assert ["loaded" in vars(frame) for frame in frames] == [False, True]
+
+
+def test_answers_print_and_show_what_the_command_prints(
+    out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["explain", str(out), "--why", "rocks/1"]) == 0
+    answer = scenec.why(out, "rocks/1")
+    assert str(answer) == capsys.readouterr().out.strip()
+    assert answer._repr_html_().startswith("<pre>rocks/1 ")
+    found = scenec.explain(out)
+    assert main(["explain", str(out)]) == 0
+    assert str(found) == capsys.readouterr().out.strip()
+    assert "left out" in found._repr_html_()
+
+
+def test_a_check_tells_a_sound_output_from_a_damaged_one(out: Path, tmp_path: Path) -> None:
+    cfg = small_cfg(samples=1, outputs=["depth"])
+    made = Path(scenec.compile(cfg, tmp_path / "out").path)
+    assert scenec.check(made).errors == scenec.check(out).errors == 0
+    next(iter(made.glob("batch_0000/*.usdc"))).write_bytes(b"")
+    damaged = scenec.check(made)
+    assert damaged.errors > 0
+    assert not damaged.sound
+
+
+def test_a_listener_hears_what_is_done(tmp_path: Path) -> None:
+    class Noting(scenec.Listener):
+        """Keeps what it hears."""
+
+        def __init__(self) -> None:
+            self.lines: list[str] = []
+
+        def say(self, line: str) -> None:
+            """Keeps a line."""
+            self.lines.append(line)
+
+        def compiled(self, report: object, cache: object) -> None:
+            """Keeps that it was told."""
+            self.lines.append(type(report).__name__)
+
+    heard = Noting()
+    cfg = small_cfg(samples=1, outputs=["depth"])
+    scenec.compile(cfg, tmp_path / "out", listener=heard)
+    assert heard.lines[-1] == "CompileReport"
+
+
+def test_a_sweep_of_values_is_that_of_their_texts(tmp_path: Path) -> None:
+    cfg = small_cfg(samples=1)
+    cfg["terrain"]["spacing_m"] = 0.5
+    path = write_cfg(tmp_path, cfg)
+    table = scenec.sweep(
+        path, tmp_path / "a", values={"objects.rocks.count": [3, 4]}, compile_only=True
+    )
+    words = ["sweep", str(path), "--set", "objects.rocks.count=3,4", "--compile-only"]
+    assert main([*words, "-o", str(tmp_path / "b")]) == 0
+    assert [made.name for made in table.made] == ["count=3", "count=4"]
+    assert (tmp_path / "a/sweep.csv").read_bytes() == (tmp_path / "b/sweep.csv").read_bytes()
+    assert table._repr_html_().count("<tr>") == 3
