@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cameras.enclosed import require_open
 from scenec.compiler.cameras.rigs import place_free_rigs, place_rigs
-from scenec.compiler.light.build import Light, expose_rigs, light_lamps, light_sky
+from scenec.compiler.light.build import SceneLight, expose_rigs, light_lamps, light_sky
 from scenec.compiler.materials.build import finish_materials, prune_scene, select_outputs
 from scenec.compiler.mesh import build as mesh
 from scenec.compiler.mesh.precision import find_precision
@@ -34,7 +34,7 @@ from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, sample_times
 from scenec.compiler.scene.scene import Georeference, Scene, require_finite
-from scenec.compiler.terrain.program import Relief
+from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.views.needed import Keep, Needs
 from scenec.schemas.left_out import Facts, Record
 from scenec.schemas.memory import keep_freed
@@ -113,11 +113,11 @@ class BuildStep:
 def assemble(
     plan: Plan,
     needs: Needs,
-    relief: Relief,
+    relief: ReliefResult,
     ground: Ground,
     objects: Objects,
     materials: dict[str, Material],
-    light: Light,
+    light: SceneLight,
     lamps: tuple[Lamp, ...],
     rigs: tuple[Rig, ...],
     bounds: NDArray[np.float64],

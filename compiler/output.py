@@ -154,7 +154,7 @@ class Output:
         self._note_failed(() if other else [f for f in old.failed or () if f.index < count])
 
     def attempt(self, batch: int) -> int:
-        """How often a batch was drawn again when it was compiled here before."""
+        """Returns how often a batch was drawn again when it was compiled to this output before."""
         return next((b.attempt or 0 for b in self._manifest.batches if b.index == batch), 0)
 
     def put(self, folder: Path, batch: int, samples: int, attempt: int) -> bool:
@@ -273,7 +273,7 @@ class Output:
 
 
 def _head(spec: Spec, seed: int, keep: Keep) -> Manifest:
-    """What the manifest says of all batches."""
+    """Returns what the manifest says of all batches."""
     alone = {key: value for key, value in spec.cfg.items() if key != "batches"}
     return Manifest(
         format=MANIFEST_FORMAT,
@@ -305,7 +305,7 @@ def _origin(spec: Spec, out: Path) -> dict[str, str]:
 
 
 def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | None]:
-    """Which batches an output has with all of their files, and what else they are of.
+    """Returns the batches of which an output has all files, and how its inputs differ.
 
     Raises:
         OutputError: It is no output.
@@ -373,7 +373,7 @@ def _entry(file: Path, path: Path) -> FileEntry:
 
 
 def _role(path: Path) -> str:
-    """What a file of a batch is, by its place in it."""
+    """Names the role of a batch's file, by its place."""
     folders = {"objects": "object class", "looks": "material", "textures": "texture"}
     if len(path.parts) > 1:
         return folders[path.parts[0]]

@@ -21,7 +21,7 @@ import numpy as np
 import psutil
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import SAME_UV, FileLook, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
@@ -141,7 +141,7 @@ def _shell(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Shell:
 
 def _look(
     file: Path, values: dict[str, Any], arrays: dict[str, np.ndarray], pictures: list[Path]
-) -> Look:
+) -> FileLook:
     slots: dict[str, Slot] = {}
     for kind, slot in values["slots"].items():
         label = slot["label"]
@@ -154,7 +154,7 @@ def _look(
             pictures.append(source)
         slots[kind] = Slot(source, label, slot["channel"], 1.0, 0.0, slot["uv_set"], _uv_map(slot))
     red, green, blue = values["base_color"]
-    return Look(
+    return FileLook(
         values["name"],
         (red, green, blue),
         values["roughness"],

@@ -44,7 +44,7 @@ def main(file: Path, out: Path) -> None:
         reason = " ".join(str(error).removeprefix("Error: ").replace(str(file), "").split())
         fault = f"Blender cannot read it: {reason[:160]}"
     else:
-        reader = _Reader(bpy)
+        reader = _BlendReader(bpy)
         fault = reader.fault()
         if not fault:
             reader.read()
@@ -55,7 +55,7 @@ def main(file: Path, out: Path) -> None:
         out.with_suffix(".fault").write_text(fault, encoding="utf-8")
 
 
-class _Reader:
+class _BlendReader:
     """Reads the open file into a document and arrays.
 
     Attributes:
@@ -132,7 +132,7 @@ class _Reader:
             return -1
         if material.name not in self._looks:
             self._looks[material.name] = len(self.document["looks"])
-            self.document["looks"].append(_Look(self, material).values)
+            self.document["looks"].append(_LookReader(self, material).values)
         return self._looks[material.name]
 
     def picture(self, image: Any) -> dict[str, str] | str:
@@ -163,14 +163,14 @@ def _path(item: Any) -> str:
     return "".join(f"/{name}" for name in reversed(names))
 
 
-class _Look:
+class _LookReader:
     """A material: its Principled BSDF, or what else can be had.
 
     Attributes:
         values: For ``looks.Look``, as JSON.
     """
 
-    def __init__(self, reader: _Reader, material: Any):
+    def __init__(self, reader: _BlendReader, material: Any):
         self._reader = reader
         self._notes: list[str] = []
         self._slots: dict[str, Any] = {}

@@ -82,7 +82,7 @@ class Slot:
 
 
 @dataclass(frozen=True)
-class Look:
+class FileLook:
     """A material as a file has it; numbers as in ``ModelMaterial``.
 
     Attributes:
@@ -115,7 +115,7 @@ class Look:
         return "", SAME_UV
 
 
-def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
+def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
     """A material as it is used, and what is left out of it.
 
     Raises:

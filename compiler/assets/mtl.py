@@ -33,7 +33,7 @@ _LEFT_OUT = {
 }  # fmt: skip
 
 
-def read_mtl(file: Path, add_file: Callable[[Path], None]) -> dict[str, looks.Look]:
+def read_mtl(file: Path, add_file: Callable[[Path], None]) -> dict[str, looks.FileLook]:
     """The materials of a library, by name.
 
     Raises:
@@ -73,7 +73,7 @@ def _numbers(lines: dict[str, tuple[int, str]], key: str, count: int) -> list[fl
 
 def _look(
     file: Path, name: str, lines: dict[str, tuple[int, str]], add_file: Callable[[Path], None]
-) -> looks.Look:
+) -> looks.FileLook:
     def one(key: str) -> float | None:
         values = _numbers(lines, key, 1)
         return None if values is None else values[0]
@@ -113,7 +113,7 @@ def _look(
         notes.append(looks.OPACITY)
     if max(_numbers(lines, "ke", 3) or [0.0]) > 0.0:
         notes.append("its emission is left out")
-    return looks.Look(
+    return looks.FileLook(
         name,
         (red, green, blue),
         roughness,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.looks import NO_VERTEX_COLORS, Look, linear_array
+from scenec.compiler.assets.looks import NO_VERTEX_COLORS, FileLook, linear_array
 from scenec.compiler.assets.mtl import read_mtl
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.pictures import companion
@@ -39,10 +39,10 @@ def read_obj(file: Path, looks: bool) -> ParsedModel:
         MeshFileError: It is not sound; a library or a picture is missing.
     """
     with sound(".obj"):
-        return _Reader(file, looks).model()
+        return _ObjReader(file, looks).model()
 
 
-class _Reader:
+class _ObjReader:
     """One pass over the lines; what a face names is resolved where it stands."""
 
     def __init__(self, file: Path, looks: bool):
@@ -176,9 +176,9 @@ class _Reader:
         zeros = ["0"] * width
         return _numbers([*((line.split() + zeros)[:width] for line in lines), zeros], width)[index]
 
-    def _materials(self) -> tuple[tuple[Look, ...], tuple[Path, ...], tuple[str, ...]]:
+    def _materials(self) -> tuple[tuple[FileLook, ...], tuple[Path, ...], tuple[str, ...]]:
         files: list[Path] = []
-        look_of: dict[str, Look] = {}
+        look_of: dict[str, FileLook] = {}
         for library in self._libraries:
             for path in self._library(library):
                 if path not in files:
@@ -191,7 +191,7 @@ class _Reader:
             if name not in look_of:
                 where = "its libraries do not have" if self._libraries else "it has no library for"
                 notes.append(f"{where} the material {name!r}, which is shown in gray")
-            looks.append(look_of.get(name, Look(name)))
+            looks.append(look_of.get(name, FileLook(name)))
         return tuple(looks), tuple(dict.fromkeys(files)), tuple(notes)
 
     def _library(self, words: str) -> list[Path]:

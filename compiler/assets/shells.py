@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.looks import Look
+from scenec.compiler.assets.looks import FileLook
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
 
@@ -83,7 +83,7 @@ class ParsedModel:
     """
 
     parts: tuple[Shell, ...]
-    looks: tuple[Look, ...]
+    looks: tuple[FileLook, ...]
     unit_m: float | None
     up: str | None
     companions: tuple[Path, ...] = ()

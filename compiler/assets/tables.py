@@ -24,7 +24,7 @@ _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Numbers of a file.
 
     Attributes:
@@ -85,7 +85,7 @@ def read_rows(file: Path, *, blanks: bool = False) -> list[Row]:
 
 def read_table(
     file: Path, rows: Sequence[Row], columns: dict[str, int], width: int, hint: str = ""
-) -> Table:
+) -> CsvTable:
     """Numbers of rows.
 
     Args:
@@ -106,7 +106,9 @@ def read_table(
                     f"{file.name}:{line}: {name} is {shown(cells[at])}, expected a number"
                 )
     names = list(columns)
-    return Table(file, [line for line, _ in rows], {n: values[:, k] for k, n in enumerate(names)})
+    return CsvTable(
+        file, [line for line, _ in rows], {n: values[:, k] for k, n in enumerate(names)}
+    )
 
 
 def is_number(cell: str) -> bool:

@@ -38,7 +38,7 @@ class ImagingPlan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imaging:
+class ImagingKeys:
     """What the sensor makes of the light: its picture is then 000000.png, with a real camera's
     optics, noise and processing; rgb stays clean linear radiance. The defaults are typical of an
     industrial camera with pixels of 3.45 µm. A stage is left out by 0 or null.
@@ -203,7 +203,7 @@ class Manual:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Auto:
+class AutoImaging:
     """From each picture alone, whatever is rendered before it: the logarithmic mean of the
     luminance of what is lit, or a percentile of all, is shown as target (in steps of 1/64 EV). Time
     first, then speed; without light the longest. sensor.exposure has no say.

@@ -23,7 +23,7 @@ from scenec.schemas.errors import SceneError
 from scenec.schemas.lens import COEFFICIENTS, EQUIRECTANGULAR
 
 
-class Lens:
+class LensKind:
     """Defines what all lenses share."""
 
     @staticmethod
@@ -52,7 +52,7 @@ class Lens:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BrownConrady(Lens):
+class BrownConrady(LensKind):
     """Radial and tangential distortion of a pinhole's picture (Brown 1966; OpenCV's rational
     model): radii are multiplied by (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
     It must be one-to-one over the whole picture. The sensor's fov_deg counts radial distortion in,
@@ -82,7 +82,7 @@ class BrownConrady(Lens):
 
 
 @dataclass(frozen=True, kw_only=True)
-class KannalaBrandt(Lens):
+class KannalaBrandt(LensKind):
     """A fisheye: a ray at the angle t to the axis lies t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)
     focal lengths from the principal point (Kannala and Brandt 2006; OpenCV's fisheye). Without
     coefficients it is equidistant. Here fx and fy are pixels per radian, and fov_deg may be up to
@@ -107,7 +107,7 @@ class KannalaBrandt(Lens):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Equirectangular(Lens):
+class Equirectangular(LensKind):
     """A panorama: columns are longitudes around the camera's y axis, rows latitudes.
 
     Without fov_deg and intrinsics it is the whole sphere; with fov_deg it has square pixels,
@@ -142,7 +142,7 @@ _OF_IMAGING = {"f_number": "f_number", "focal_length_mm": "pixel_um"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Focus:
+class FocusKeys:
     """A lens of finite aperture: rgb is sharp at one distance and blurred before and behind it.
 
     Field of view and annotation stay those of the pinhole in the aperture's middle. Not with

@@ -88,7 +88,7 @@ class TimeOfFlight:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LidarNoise:
+class LidarNoiseKeys:
     """What is wrong with a lidar's answers.
 
     Its numbers depend on seed, batch, sample and the lidar's name alone.
@@ -121,7 +121,7 @@ class ScanPattern(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lidar:
+class LidarKeys:
     """A scanner of beams at fixed elevations that turns about its upward axis, or one whose rays go
     where the pattern of another package says.
 
@@ -162,7 +162,7 @@ class Lidar:
         list_of(_DISTANCE, "Along the beam.", count=2), default=[0.5, 120]
     )
     """Nearest and farthest range that is answered."""
-    noise: LidarNoise = key(an("lidar_noise", drawn=True), default={})
+    noise: LidarNoiseKeys = key(an("lidar_noise", drawn=True), default={})
     """What is wrong with its answers."""
     trigger: Trigger = key(an("trigger", drawn=True), default={})
     """At which samples it scans."""
@@ -206,7 +206,7 @@ class Lidar:
             azimuths=self.azimuths or 0,
             azimuth_deg=self.azimuth_deg,
             range_m=self.range_m,
-            noise=rig.LidarNoise(**vars(self.noise)),
+            noise=rig.LidarErrors(**vars(self.noise)),
             noise_key=context.key("noise/key"),
             trigger=astuple(self.trigger),
             rays=rays,

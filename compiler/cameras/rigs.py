@@ -13,11 +13,11 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import ImagingPlan, two_to
 from scenec.compiler.cameras.pairs import require_rectified
-from scenec.compiler.cameras.paths.motion import Bodies, MotionContext, bodies_of
+from scenec.compiler.cameras.paths.motion import MotionBodies, MotionContext, bodies_of
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
@@ -28,9 +28,9 @@ from scenec.schemas.left_out import Facts
 
 def build_rigs(
     plans: tuple[RigPlan, ...],
-    surface: Surface,
+    surface: GroundSurface,
     irradiance: NDArray[np.float64] | None,
-    bodies: Mapping[str, Bodies],
+    bodies: Mapping[str, MotionBodies],
 ) -> tuple[tuple[Rig, ...], dict[str, Any]]:
     """All rigs, and what is to be said of motions that were made, by rig.
 
@@ -63,7 +63,7 @@ memoized_rigs = memoized("cameras")(build_rigs)
 
 
 def place_free_rigs(
-    drawn_rigs: tuple[RigPlan, ...], surface: Surface
+    drawn_rigs: tuple[RigPlan, ...], surface: GroundSurface
 ) -> tuple[tuple[Rig, ...] | None, Facts]:
     """Builds the rigs that heed no objects; None where all are such.
 
@@ -80,7 +80,7 @@ def place_free_rigs(
 
 def place_rigs(
     drawn_rigs: tuple[RigPlan, ...],
-    surface: Surface,
+    surface: GroundSurface,
     irradiance: NDArray[np.float64] | None,
     obstacles: Objects,
 ) -> tuple[tuple[Rig, ...], Facts]:

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Built, Motion, MotionContext, Way
+from scenec.compiler.cameras.paths.motion import MotionContext, RigMotion, RigPoses, Way
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
@@ -73,7 +73,7 @@ def open_shutters(
     return dataclasses.replace(rig, sensors=tuple(sensors), between=moving), facts
 
 
-def way_of(pose: Motion, built: Built, context: MotionContext) -> Way | None:
+def way_of(pose: RigMotion, built: RigPoses, context: MotionContext) -> Way | None:
     """Returns how a rig moves between its samples; None where it does not."""
     duration = built.facts.get("duration_s")
     if built.way is not None or built.times is None or duration is None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
-from scenec.compiler.cameras.paths.motion import Built, MotionContext, Way
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, Way
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
@@ -284,7 +284,7 @@ class TrackPlan:
     way: TrackWay | None = None
     needs_objects: ClassVar = False
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         way = None if self.way is None else Way(self.way.at, self.way.times)
-        return Built(self.to_world, self.times, way=way)
+        return RigPoses(self.to_world, self.times, way=way)

@@ -40,11 +40,11 @@ def parse(data: bytes, file: str = "") -> Document:
             number that is too large for a double or a string with half a surrogate pair.
     """
     source = Text(data, file)
-    return _Parser(source, source.text).document()
+    return _JsonParser(source, source.text).document()
 
 
 @dataclass
-class _Parser:
+class _JsonParser:
     source: Text
     text: str
     offset: int = 0

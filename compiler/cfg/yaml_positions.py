@@ -75,7 +75,7 @@ def parse(data: bytes, file: str = "") -> Document:
     """
     text = Text(data, file)
     try:
-        return _Parser(text).document()
+        return _YamlParser(text).document()
     except YAMLError as error:
         raise _fault(error, text) from error
 
@@ -89,7 +89,7 @@ def _fault(error: YAMLError, text: Text) -> CfgSyntaxError:
     return CfgSyntaxError(f"not YAML: {message}", text.position(getattr(error, "position", 0)))
 
 
-class _Parser:
+class _YamlParser:
     def __init__(self, text: Text) -> None:
         self._file = text.file
         self._events: Iterator[Event] = YAML(typ="safe", pure=True).parse(text.text)

@@ -10,7 +10,7 @@ from scenec.compiler.kinds.declare import Form, declared_keys, description
 from scenec.compiler.kinds.forms import DEFS
 from scenec.compiler.kinds.laws import LAWS
 from scenec.compiler.kinds.shared import Keys
-from scenec.compiler.kinds.table import CHOICES, CLASSES, Choice, class_of
+from scenec.compiler.kinds.table import CHOICES, CLASSES, KindChoice, class_of
 from scenec.schemas.plugins import plugin_name
 
 #: Forms by the names that other packages' schemas call them by.
@@ -94,7 +94,7 @@ def _branches(kinds: Mapping[str, str]) -> list[dict[str, Any]]:
     ]
 
 
-def _choice(choice: Choice) -> dict[str, Any]:
+def _choice(choice: KindChoice) -> dict[str, Any]:
     """Returns what stands for one of several kinds, by ``type``."""
     kinds: dict[str, Any] = {"enum": list(choice.kinds)}
     if choice.group:
@@ -154,12 +154,12 @@ def _check(place: str) -> dict[str, Any]:
     return {"x-check": place} if place else {}
 
 
-def _shared(choice: Choice, kind: type[Any]) -> Keys:
+def _shared(choice: KindChoice, kind: type[Any]) -> Keys:
     """Returns the keys that a kind has as all of its choice have."""
     return getattr(shared, choice.shared)(kind) if choice.shared else {}
 
 
-def _title(name: str, context: Choice | None) -> str:
+def _title(name: str, context: KindChoice | None) -> str:
     """Returns what an object is called on the reference page where it says nothing else."""
     if context is not None:
         of = next(type_ for type_, other in context.kinds.items() if other == name)

@@ -21,7 +21,7 @@ from scenec.schemas.kernels import inlined, kernel
 _INV_PI = 1.0 / elementary.PI
 
 
-class Sight(NamedTuple):
+class SightLine(NamedTuple):
     """A ray, and where the sun is.
 
     Attributes:
@@ -189,7 +189,7 @@ def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-u
 
 
 @kernel
-def shadow(sight: Sight, radius: float) -> tuple[float, float]:
+def shadow(sight: SightLine, radius: float) -> tuple[float, float]:
     """Distances between which a ray is in the planet's shadow; if never, the first is larger."""
     r0, sine, toward, sun_sine = sight
     # The shadow is a half cylinder: square distance from its axis below that of the planet.

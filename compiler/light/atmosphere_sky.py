@@ -15,7 +15,7 @@ from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
-    from scenec.compiler.scene.light import SunLight
+    from scenec.compiler.scene.light import SunDisc
 
 #: At which optical depths are reported, nm.
 _REPORTED_NM = 550.0
@@ -84,7 +84,7 @@ class AtmosphereSky(Sky):
         """Returns what the sun is above the planet."""
         return SUNS[sky["planet"]]
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns pictures, the sun at the observer, and facts of each picture.
 
         Samples that differ in the sun's bearing alone share a picture and turn it.

@@ -170,7 +170,7 @@ class Clouds:
         return replace(self, **layers)
 
 
-class Pattern(NamedTuple):
+class CloudPattern(NamedTuple):
     """A pattern over the ground.
 
     Attributes:
@@ -201,7 +201,7 @@ class Cumulus(NamedTuple):
         extinction: Within, 1/m; 0 where there is no layer.
     """
 
-    pattern: Pattern
+    pattern: CloudPattern
     tile: NDArray[np.float32]
     base_m: float
     thickness_m: float
@@ -219,7 +219,7 @@ class Cirrus(NamedTuple):
         rise: Range of the pattern over which it gets there.
     """
 
-    pattern: Pattern
+    pattern: CloudPattern
     height_m: float
     depth: float
     rise: float
@@ -238,7 +238,7 @@ class CumulusField:
         """The layer at a sample."""
         plan = self._plan
         coverage, thickness = float(plan.coverage[sample]), float(plan.thickness_m[sample])
-        pattern = Pattern(
+        pattern = CloudPattern(
             self._values, _SIDE / (_SPAN * plan.size_m), float(plan.offset_m[sample, 0]),
             float(plan.offset_m[sample, 1]), 1.0, 0.0, _quantile(self._sorted, 1.0 - coverage),
         )  # fmt: skip
@@ -262,7 +262,7 @@ class CirrusField:
         # Streaks run along the pattern's columns: to the north at a bearing of 0.
         turn = -float(plan.bearing_deg[sample]) * elementary.PI / 180.0
         low = _quantile(self._sorted, 1.0 - coverage)
-        pattern = Pattern(
+        pattern = CloudPattern(
             self._values, _SIDE / (_SPAN * plan.size_m), float(plan.offset_m[sample, 0]),
             float(plan.offset_m[sample, 1]), elementary.cos(turn), elementary.sin(turn), low,
         )  # fmt: skip
@@ -281,8 +281,8 @@ def no_cirrus() -> Cirrus:
     return Cirrus(_nothing(), 1.0, 0.0, 1.0)
 
 
-def _nothing() -> Pattern:
-    return Pattern(np.zeros((1, 1), np.float32), 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+def _nothing() -> CloudPattern:
+    return CloudPattern(np.zeros((1, 1), np.float32), 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 def _quantile(sorted_values: NDArray[np.float32], share: float) -> float:
@@ -371,7 +371,7 @@ def _mirrored(place: float, size: int) -> float:
 
 
 @kernel
-def value_at(pattern: Pattern, east: float, north: float) -> float:
+def value_at(pattern: CloudPattern, east: float, north: float) -> float:
     """A pattern over a place, bilinear, meters."""
     side = pattern.values.shape[0]
     x, y = east - pattern.east_m, north - pattern.north_m

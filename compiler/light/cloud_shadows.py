@@ -32,7 +32,7 @@ _LOWEST = 0.035
 _PARTS = 8
 
 
-class Land(NamedTuple):
+class LandBox(NamedTuple):
     """Bounds the land that shadows can fall on.
 
     Attributes:
@@ -61,7 +61,7 @@ class Shadows(NamedTuple):
 
 
 def cloud_shadows(
-    to_sun: NDArray[np.float64], radius: float, cumulus: Cumulus, cirrus: Cirrus, land: Land
+    to_sun: NDArray[np.float64], radius: float, cumulus: Cumulus, cirrus: Cirrus, land: LandBox
 ) -> Shadows | None:
     """Shadows of clouds over the land; None where there is one light on all of it.
 
@@ -97,7 +97,7 @@ def cloud_shadows(
 
 
 def _extent(
-    axes: NDArray[np.float64], land: Land, reach_m: float
+    axes: NDArray[np.float64], land: LandBox, reach_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns the extent of the land's box along two axes: least and most, [2] each."""
     out = np.array([reach_m, reach_m, 0.0])

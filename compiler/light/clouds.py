@@ -25,10 +25,10 @@ from scenec.compiler.light.cloud_fields import (
     no_cumulus,
 )
 from scenec.compiler.light.cloud_rays import Shine, beam_left, beams_left, draw_rows
-from scenec.compiler.light.cloud_shadows import Land, Shadows, cloud_shadows
+from scenec.compiler.light.cloud_shadows import LandBox, Shadows, cloud_shadows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
 from scenec.compiler.light.overcast import NIL
-from scenec.compiler.scene.light import Gobo, SkyLight, SunLight
+from scenec.compiler.scene.light import Gobo, SkyLight, SunDisc
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
@@ -41,11 +41,11 @@ _NEAR_RAD = 2.0 * _RADIAN
 def add_clouds(
     plan: Clouds,
     sky: SkyLight,
-    sun: SunLight | None,
+    sun: SunDisc | None,
     ground_color: NDArray[np.float64],
     samples: int,
-    land: Land | None = None,
-) -> tuple[SkyLight, SunLight | None, dict[str, Any]]:
+    land: LandBox | None = None,
+) -> tuple[SkyLight, SunDisc | None, dict[str, Any]]:
     """A sky with clouds, what is left of its sun, and facts of that at each sample.
 
     Samples that see the same clouds in the same light share a picture.
@@ -171,7 +171,7 @@ def draw_clouds(
     picture[rows:] *= (1.0 + near[:, None] * (share - 1.0))[:, None, :]
 
 
-def _sun_left(sun: SunLight, sample: int, cumulus: Cumulus, cirrus: Cirrus) -> float:
+def _sun_left(sun: SunDisc, sample: int, cumulus: Cumulus, cirrus: Cirrus) -> float:
     """Share of the sun's light that comes through clouds, a mean over its disc."""
     center = np.array(sun.direction(sample))
     radius = 0.5 * float(sun.diameter_deg[sample]) * _RADIAN

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from scenec.compiler.light.cloud_fields import Clouds
     from scenec.compiler.light.lamp import LampPlan
     from scenec.compiler.light.sky import Sky
-    from scenec.compiler.scene.light import Haze, SunLight
+    from scenec.compiler.scene.light import Haze, SunDisc
 
 #: Keys of a sky that the plan has of its own (``Plan.sky_labels``): its pictures need none of them.
 _LABELS = ("labels", "labels_below")
@@ -113,9 +113,9 @@ class LightPlan:
         more_suns: Further distant discs, by prim name.
     """
 
-    sun: SunLight | None
+    sun: SunDisc | None
     sky: Sky | None
-    more_suns: dict[str, SunLight] = field(default_factory=dict)
+    more_suns: dict[str, SunDisc] = field(default_factory=dict)
     haze: Haze | None = None
     clouds: Clouds | None = None
     lamps: tuple[LampPlan, ...] = ()

@@ -13,7 +13,7 @@ from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.scene import Scene
-from scenec.compiler.terrain.program import Relief
+from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.needed import Keep, Needs, note_outputs, without_unused
@@ -67,7 +67,7 @@ def finish_materials(
 
 
 def prune_scene(
-    scene: Scene, needs: Needs, keep: Keep, relief: Relief
+    scene: Scene, needs: Needs, keep: Keep, relief: ReliefResult
 ) -> tuple[Scene, Record | None, Facts]:
     """Leaves out what no camera can see the effect of."""
     sharp = scene.sky is not None and scene.sky.sharp

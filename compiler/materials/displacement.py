@@ -24,7 +24,7 @@ from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.resample import box
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.scene.material import Cells
+from scenec.compiler.scene.material import TilingCells
 from scenec.compiler.terrain.detail import Detail, Spectrum, Sum
 from scenec.compiler.terrain.grid import bicubic
 from scenec.schemas.cells import SIDE, STEPS, table
@@ -49,7 +49,7 @@ class Displacement:
     """
 
     size_m: float
-    cells: Cells | None
+    cells: TilingCells | None
     source: Surface | tuple[Path, float]
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,7 +151,7 @@ def octaves_of(plane: Plane, size_m: float) -> Spectrum:
 
 
 @lru_cache(maxsize=8)
-def _turns(cells: Cells | None) -> NDArray[np.float64]:
+def _turns(cells: TilingCells | None) -> NDArray[np.float64]:
     """Returns each cell's shift along u and v, and cosine and sine of its turn."""
     if cells is None:
         return _NO_CELLS

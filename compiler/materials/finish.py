@@ -11,9 +11,9 @@ from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.footprint import Footprint
 from scenec.compiler.materials.heights import forget_looks
-from scenec.compiler.materials.leave_out import LeftOut, unseen, with_factor, without_unneeded
+from scenec.compiler.materials.leave_out import UnusedMap, unseen, with_factor, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
 from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
 from scenec.compiler.scene.ground import Ground
@@ -110,7 +110,7 @@ def _finished(
         facts["made"] = done
     if material.maps is not None and high and sources is not None and sources.heights is not None:
         material = _with_files(material, {**material.maps.files, "height": sources.heights})
-    left: list[LeftOut] = []
+    left: list[UnusedMap] = []
     if (footprint is None or footprint.seen > 0.0) and material.maps is not None:
         if footprint is not None:
             material = _without_mesh_relief(material, drawn, footprint, mesh, facts)
@@ -147,7 +147,7 @@ def _with_files(material: Material, files: dict[str, Source]) -> Material:
     return replace(material, maps=replace(material.maps, files=ordered))
 
 
-def _note_folder(name: str, sources: Sources | None, out: Finished) -> None:
+def _note_folder(name: str, sources: MapSources | None, out: Finished) -> None:
     if sources is None:
         return
     for files, why in (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.geometry.normals import cross_products
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
@@ -93,7 +93,7 @@ def _of_ground(
 
 
 def _visible_faces(
-    tile: Tile, ground: Ground, names: tuple[str, ...], least: float
+    tile: MeshTile, ground: Ground, names: tuple[str, ...], least: float
 ) -> NDArray[np.bool_]:
     """Faces at one of whose corners a material's layers have more than a faint share, for each."""
     left = np.ones(len(tile.points))
@@ -111,7 +111,7 @@ def _visible_faces(
 
 
 def _largest(
-    blocks: list[tuple[Tile, int, NDArray[np.bool_]]],
+    blocks: list[tuple[MeshTile, int, NDArray[np.bool_]]],
     bounds: NDArray[np.float64],
     views: Views,
     unseen: float,
@@ -136,7 +136,7 @@ def _largest(
     return best
 
 
-def _corners(tile: Tile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
+def _corners(tile: MeshTile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
     a, b, c = (
         tile.points[tile.faces[faces, i]].astype(np.float64) + tile.translate for i in range(3)
     )
@@ -152,7 +152,7 @@ def _balls(
     return middle, np.sqrt(np.maximum(np.maximum(away[0], away[1]), away[2]))
 
 
-def _blocks(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _blocks(tile: MeshTile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Balls about blocks of a tile's faces: middles [blocks, 3] and radii [blocks]."""
     a, b, c = (tile.points[tile.faces[:, i]] for i in range(3))
     starts = np.arange(0, len(tile.faces), _BLOCK)

@@ -29,7 +29,7 @@ from scenec.compiler.materials.values import (
     stored,
     unit,
 )
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.maps import COLORS
 
 #: Texels to a pixel that are kept at least. With 1, picture and pixels end at the same wavelength;
@@ -55,7 +55,7 @@ class Reduced:
         facts: For report.json.
     """
 
-    picture: Picture
+    picture: ImageFile
     factor: tuple[float, float, float]
     facts: dict[str, Any]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.materials import periodic
-from scenec.compiler.materials.periodic import Cells, Plane
+from scenec.compiler.materials.periodic import CellPattern, Plane
 from scenec.compiler.noise.lattice import subkey
 
 #: A color, or a plane of colors, relative to the mean.
@@ -23,7 +23,7 @@ _CELL_PX, _WAVE_PX = 3, 2
 
 
 @dataclass
-class Look:
+class Paint:
     """Holds what a kind paints, before it is scaled to the mean and relief asked for.
 
     Attributes:
@@ -83,7 +83,7 @@ class Tile:
         warp: float = 0.0,
         warp_m: float | None = None,
         bordered: bool = True,
-    ) -> Cells:
+    ) -> CellPattern:
         """Cells of a mean width, their borders bent by noise.
 
         Args:
@@ -91,7 +91,7 @@ class Tile:
             jitter: How far their points are from a square lattice.
             warp: How far borders are bent, rms, in cells.
             warp_m: Wavelength of the bends; a cell's width if left out.
-            bordered: Whether ``Cells.border`` is asked for.
+            bordered: Whether ``CellPattern.border`` is asked for.
         """
         most = self.pixels // _CELL_PX
         count = min(max(round(min(self.size_m / width_m, most)), _FEWEST), most)
@@ -100,7 +100,9 @@ class Tile:
         if warp > 0.0:
             bends = [np.float32(warp) * self.noise(warp_m or width_m, 0.6, 4) for _ in range(2)]
         warp_x, warp_y = bends
-        cells: Cells = periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered)
+        cells: CellPattern = periodic.cells(
+            key, self.pixels, count, jitter, warp_x, warp_y, bordered
+        )
         return cells
 
     def waves(self, length_m: float, shift: Plane) -> Plane:
@@ -156,7 +158,7 @@ def dome(x: Values) -> Plane:
     return _plane(np.sqrt(1.0 - rest * rest))
 
 
-def number(cells: Cells, index: int) -> Plane:
+def number(cells: CellPattern, index: int) -> Plane:
     """A number in [0, 1) for each cell; another for each index."""
     return _plane(periodic.numbers(cells.hashed, index))
 

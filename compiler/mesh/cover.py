@@ -13,7 +13,7 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.kinds.table import name_of
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.mesh.signed_bound import SignedBound, signed_bound
-from scenec.compiler.terrain.condition import Condition
+from scenec.compiler.terrain.condition import ReliefCondition
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.errors import SceneError
@@ -23,7 +23,7 @@ _COUNTED = 1 << 18
 
 
 @memoized("cover")
-def lay(
+def fit_merges(
     merges: Sequence[Merge],
     coverage: Sequence[float | None],
     field: HeightField,
@@ -164,7 +164,7 @@ def _of_limit(merge: Merge, signed: SignedBound, value: NDArray[np.float64]) -> 
 
 
 @dataclass(frozen=True)
-class MaterialCondition(Condition):
+class MaterialCondition(ReliefCondition):
     """Weighs by where a material shows, were the ground laid on the heights before the operator.
 
     The weight is that of the colors: alpha of a layer times 1 - alpha of each one over it, summed

@@ -12,7 +12,7 @@ from scenec.compiler.geometry.bisect import Bisection
 from scenec.compiler.geometry.growing import Growing
 from scenec.compiler.geometry.normals import normal_of
 from scenec.compiler.mesh.cut import CutMesh
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 from scenec.schemas.kernels import kernel
 
@@ -30,7 +30,7 @@ _STEP = (0.7548776662466927, 0.5698402909980532)
 
 
 @dataclass(frozen=True)
-class Limits:
+class RefineLimits:
     """Says when refinement stops.
 
     Attributes:
@@ -77,9 +77,9 @@ class _Work:
 def refine(
     mesh: CutMesh,
     sides: NDArray[np.float64],
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> tuple[CutMesh, NDArray[np.float64], dict[str, Any]] | None:
     """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
 
@@ -105,7 +105,7 @@ def refine(
     return None
 
 
-def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: Surface) -> _Work:
+def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: GroundSurface) -> _Work:
     bisection = Bisection(len(mesh.points), mesh.faces)
     x, y = np.ascontiguousarray(mesh.points[:, :2].T)
     height = surface.height_at(x, y, sides)
@@ -123,7 +123,9 @@ def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: Surface) -> _Work
     )
 
 
-def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> NDArray[np.integer]:
+def _doubtful(
+    work: _Work, surface: GroundSurface, views: Views, limits: RefineLimits
+) -> NDArray[np.integer]:
     """Faces of the grid's mesh that can be wrong between the samples, where it was not measured.
 
     The others are flat to the tolerance at their samples, no line crosses them, and neither detail
@@ -152,7 +154,7 @@ def _pixels(
     center: NDArray[np.float64],
     radius: NDArray[np.float64],
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> NDArray[np.float64]:
     """Pixels that a meter of some faces takes, float64 [n]: evaluated once for each face."""
     pixels = work.pixels.rows[which]
@@ -164,12 +166,12 @@ def _pixels(
     return pixels
 
 
-def _nearest_m(limits: Limits) -> float:
+def _nearest_m(limits: RefineLimits) -> float:
     """No point of a face counts as nearer to a camera than this."""
     return min(NEAREST_M, limits.finest_m)
 
 
-def _know(work: _Work, surface: Surface, which: NDArray[np.integer]) -> None:
+def _know(work: _Work, surface: GroundSurface, which: NDArray[np.integer]) -> None:
     """Evaluates the surface above the middles of some edges, int [n], where it was not yet."""
     unknown = _unknown(which, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
@@ -180,9 +182,9 @@ def _know(work: _Work, surface: Surface, which: NDArray[np.integer]) -> None:
 def _wanted(
     work: _Work,
     which: NDArray[np.integer],
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> NDArray[np.bool_]:
     """Selects the faces that show too large an error."""
     faces = work.mesh.faces[which]
@@ -208,7 +210,9 @@ def _wanted(
     return out
 
 
-def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArray[np.integer]:
+def _halved(
+    work: _Work, wanted: NDArray[np.integer], surface: GroundSurface
+) -> NDArray[np.integer]:
     """Halves some faces, and what must follow; the faces that are new."""
     halved = work.mesh.halve(wanted)
     x, y = _halfway(work.points.rows, work.mesh.edges, halved.middle_of)
@@ -231,9 +235,9 @@ def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArr
 def _finish(
     coarse: CutMesh,
     work: _Work,
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> tuple[CutMesh, dict[str, Any]]:
     order, points = work.mesh.order, work.points.rows
     faces, refined = work.mesh.faces[order], work.refined.rows[order]
@@ -252,7 +256,7 @@ def _finish(
 def _measured(
     points: NDArray[np.float64],
     faces: NDArray[np.int32],
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
     unseen: float,
 ) -> dict[str, Any]:

@@ -23,7 +23,7 @@ _Sides = Sequence[NDArray[np.float64]] | NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Surface:
+class GroundSurface:
     """Heights and label fields at points.
 
     Attributes:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.model import MeshModel
 from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.noise.lattice import mix
 from scenec.compiler.objects.rocks import Chain
@@ -50,7 +50,7 @@ class _Pieces(NamedTuple):
     group: NDArray[np.int64]
 
 
-def foliage_chain(finest: Prototype, model: Model) -> Chain:
+def foliage_chain(finest: Prototype, model: MeshModel) -> Chain:
     """The levels of a model whose materials let light through, as leaves do; others have one.
 
     Its connected pieces of few triangles are leaves, needles, blades and twigs. Each level keeps
@@ -96,7 +96,7 @@ def foliage_chain(finest: Prototype, model: Model) -> Chain:
     return tuple(levels)
 
 
-def _pieces(model: Model, partner: NDArray[np.int64]) -> _Pieces:
+def _pieces(model: MeshModel, partner: NDArray[np.int64]) -> _Pieces:
     of_vertex = pieces_of(model.faces, len(model.points))
     of_face = of_vertex[model.faces[:, 0]]
     count = int(of_vertex.max()) + 1

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import ModelMaterial
-from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.model import MeshModel
 from scenec.compiler.assets.parts import is_of
 from scenec.compiler.geometry.rounding import rounding_of
 from scenec.compiler.materials.plan import MaterialPlan
@@ -53,7 +53,7 @@ def build_prototype(
     plan: ScatterPlan | PlacedPlan,
     source: ModelSource | PlacedPlan,
     name: str,
-    model: Model,
+    model: MeshModel,
     looks: Looks | None,
 ) -> Prototype:
     """A model as a prototype, in meters, about the file's origin.
@@ -92,7 +92,7 @@ def build_prototype(
     )
 
 
-def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int64]:
+def _rules_of_faces(model: MeshModel, rules: tuple[PartRule, ...]) -> NDArray[np.int64]:
     """Index of the last rule that fits each face; -1: none."""
     found = np.full(len(model.faces), -1)
     for index, rule in enumerate(rules):
@@ -105,7 +105,7 @@ def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int
 def _parts(
     plan: ScatterPlan | PlacedPlan,
     source: ModelSource | PlacedPlan,
-    model: Model,
+    model: MeshModel,
     rule_of_face: NDArray[np.int64],
     looks: Looks | None,
 ) -> tuple[MeshPart, ...]:

@@ -65,7 +65,7 @@ class Ragged:
         return fbm2(self.key, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
 
 
-class Condition(ABC):
+class ReliefCondition(ABC):
     """One factor of a mask."""
 
     @abstractmethod
@@ -102,7 +102,7 @@ class Quantity(ABC):
 
 
 @dataclass(frozen=True)
-class Interval(Condition):
+class Interval(ReliefCondition):
     """A quantity between two bounds.
 
     Attributes:
@@ -195,7 +195,7 @@ def _weigh(quantity: NDArray, bound: float, sign: float, softness: float, weight
             weight[k] *= inside >= 0.0
 
 
-def product(conditions: Sequence[Condition], quantities: Quantities) -> NDArray[np.float64]:
+def product(conditions: Sequence[ReliefCondition], quantities: Quantities) -> NDArray[np.float64]:
     """Weights of one condition or more, multiplied: float64 [ny, nx]."""
     weight = conditions[0].weight_of(quantities)
     for condition in conditions[1:]:

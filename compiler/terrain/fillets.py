@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned, bins_between
+from scenec.compiler.terrain.bins import BinIndex, any_within, bin_at, binned, bins_between
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -66,7 +66,7 @@ class Fillets:
 
     feet: Feet
     far: NDArray[np.float64]
-    bins: Bins
+    bins: BinIndex
 
     @classmethod
     def of(cls, feet: Feet) -> Fillets:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Finding, Node, forms, given, key
 from scenec.compiler.terrain.bounds import Bounds
-from scenec.compiler.terrain.condition import Condition, Interval, Quantity, Ragged, product
+from scenec.compiler.terrain.condition import Interval, Quantity, Ragged, ReliefCondition, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
 from scenec.compiler.terrain.operators.craters import (
@@ -63,7 +63,7 @@ class Freshness(Quantity):
     """Width over which it fades about a bound: half of it on either side. On the ground at least an
     eighth of what changes over a spacing there."""
     ragged: Ragged | None = key(forms.RAGGED, optional=True)
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_of)
+    craters: tuple[tuple[Craters, tuple[ReliefCondition, ...]], ...] = given(craters_of)
     """What was laid, in order, each with the conditions of its mask, which are taken on the relief
     that is asked about."""
 

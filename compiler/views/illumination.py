@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import Views
-from scenec.compiler.views.horizon import Relief, touched
+from scenec.compiler.views.horizon import BlockRelief, touched
 from scenec.compiler.views.lamps import in_cone
 from scenec.compiler.views.visible import SHOWN, visible
 from scenec.schemas.kernels import kernel
@@ -52,7 +52,7 @@ class VisibleBlocks(NamedTuple):
         distance: Of each block to the nearest that holds something seen, meters, inf where nothing
             is seen at all; float64 [by, bx].
         ground: Height that the ground is nowhere below, -inf where it may be missing.
-        frame: As in ``Relief``; blocks are square.
+        frame: As in ``BlockRelief``; blocks are square.
         longest: How far from each other two things can be, meters.
     """
 
@@ -64,7 +64,7 @@ class VisibleBlocks(NamedTuple):
 
 
 def visible_blocks(
-    relief: Relief,
+    relief: BlockRelief,
     bounds: NDArray[np.float64],
     views: Views,
     middles: NDArray[np.float64],

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
@@ -169,7 +169,7 @@ def _without_unused_prototypes(
     )
 
 
-def _bytes_of(mesh: Prototype | Tile) -> int:
+def _bytes_of(mesh: Prototype | MeshTile) -> int:
     """Returns the bytes that are always written of a mesh: points, faces, and three a face."""
     return int(mesh.points.nbytes + mesh.faces.nbytes + _NUMBER * len(mesh.faces))
 
@@ -202,8 +202,8 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
     number = np.cumsum([*shown, True], dtype=np.int32) - 1
     rows = np.flatnonzero(shown[1:])
 
-    def renumbered(tile: Tile, own: int) -> Tile:
-        weights = np.concatenate([tile.weights[rows], tile.weights[len(tile.weights) - own :]])
+    def renumbered(tile: MeshTile, count: int) -> MeshTile:
+        weights = np.concatenate([tile.weights[rows], tile.weights[len(tile.weights) - count :]])
         return replace(tile, layer=number[tile.layer].astype(np.int32), weights=weights)
 
     return Ground(
@@ -228,7 +228,7 @@ def note_outputs(
         levels: How many kinds of labels there are.
         lit: Whether the cfg has any light.
     """
-    meshes: list[Tile | Prototype] = [
+    meshes: list[MeshTile | Prototype] = [
         *ground.meshes,
         *(mesh for one in objects for mesh in one.prototypes),
     ]

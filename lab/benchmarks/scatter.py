@@ -18,10 +18,10 @@ from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.lab.runner import Study, apart, peak_mib, run
@@ -67,7 +67,7 @@ def measure(count: int, subdivisions: int, name: str) -> tuple[float, ...]:
         variant="fbm",
         offset=0.7,
     )
-    surface = Surface(HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0]))
+    surface = GroundSurface(HeightField(grid, relief.apply(grid, np.zeros(grid.shape))[0]))
     cameras = np.array([[x, 0.0, 2.0] for x in np.linspace(-100, 100, 100)])
     setting = Context(Streams(1, 0), (_SIZE, _SIZE))
 
@@ -78,7 +78,7 @@ def measure(count: int, subdivisions: int, name: str) -> tuple[float, ...]:
         clock.append(time.perf_counter())
         chains = build_chains(plan.source.shapes, coarser=False)
         clock.append(time.perf_counter())
-        made = scatter(plan, chains, Surroundings(surface, cameras), {})
+        made = scatter(plan, chains, PlacementContext(surface, cameras), {})
         clock.append(time.perf_counter())
         return made.count, *np.diff(clock).tolist()
 

@@ -18,7 +18,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.geometry.poses import facing
 from scenec.compiler.light.cloud_fields import Cirrus, Cumulus
 from scenec.compiler.light.cloud_rays import beam_left
-from scenec.compiler.light.cloud_shadows import Land, cloud_shadows
+from scenec.compiler.light.cloud_shadows import LandBox, cloud_shadows
 from scenec.lab.runner import Page, held, in_turns, table
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import read_frame
@@ -118,7 +118,7 @@ def _errors(page: Page, cumulus: Cumulus, none: Cirrus) -> str:
     rows: list[list[str | float]] = []
     count = 40 if page.fast else 400
     for half in (100.0, 500.0, 2500.0):
-        land = Land((-half, -half, -0.02 * half), (half, half, 0.05 * half), 0.0)
+        land = LandBox((-half, -half, -0.02 * half), (half, half, 0.05 * half), 0.0)
         for elevation in (60.0, 20.0):
             at = np.radians(elevation)
             way = np.array([0.0, -np.cos(at), np.sin(at)])

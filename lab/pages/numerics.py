@@ -23,7 +23,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.mesh.merge import Merge, label_index
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.lab.runner import Page, run, table, times
@@ -82,7 +82,7 @@ def label_lines(page: Page) -> str:
         field = HeightField(Grid.with_spacing((40.0, 40.0), spacing), np.zeros((1, 1)))
         field = HeightField(field.grid, np.zeros(field.grid.shape))
         start = time.perf_counter()
-        tiles, report = build_tiles(Surface(field, (merge,)), 1, color=False)
+        tiles, report = build_tiles(GroundSurface(field, (merge,)), 1, color=False)
         seconds = time.perf_counter() - start
         cut = report["cuts"][0]
         rows.append(

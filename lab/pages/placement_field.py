@@ -20,7 +20,7 @@ from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw import draw
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.mesh.build import build_surface
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
@@ -49,7 +49,7 @@ class Stood:
     objects: tuple[Scatter | Placed, ...]
     facts: dict[str, dict[str, Any]]
     seconds: float
-    surface: Surface
+    surface: GroundSurface
     plan: Plan
     rigs: tuple[Rig, ...]
 
@@ -142,7 +142,7 @@ def number(value: dict[str, Any]) -> Distribution:
 
 
 def gaps(
-    surface: Surface,
+    surface: GroundSurface,
     prototypes: tuple[Prototype, ...],
     prototype: NDArray,
     position: NDArray,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.conditions import OnRelief, PlacementCondition
 from scenec.compiler.objects.density import (
     AroundDensity,
@@ -26,7 +26,7 @@ from scenec.compiler.objects.density import (
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
 from scenec.compiler.objects.rings import RingDensity
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -73,7 +73,7 @@ def _skirts(x: NDArray, y: NDArray, there: Circles) -> NDArray[np.float64]:
 
 
 def _cases(
-    folder: Path, around: Surroundings
+    folder: Path, around: PlacementContext
 ) -> list[tuple[str, Density, tuple[PlacementCondition, ...], NDArray]]:
     """Name, density, where, and the density by its formula at the middles of fine squares."""
     axes = [_FINE * (np.arange(round(n / _FINE)) + 0.5) - 0.5 * n for n in SIZE]
@@ -196,8 +196,8 @@ def densities(page: Page) -> str:
         variant="fbm",
         offset=0.7,
     )
-    around = Surroundings(
-        Surface(HeightField(grid, hills.apply(grid, np.zeros(grid.shape))[0])), _NOWHERE
+    around = PlacementContext(
+        GroundSurface(HeightField(grid, hills.apply(grid, np.zeros(grid.shape))[0])), _NOWHERE
     )
     n, shown = 100_000, 3000
     u = np.random.default_rng(1).random((n, 3))

@@ -19,7 +19,7 @@ from scenec.compiler.cache.entry import packed, restored
 from scenec.compiler.cache.memo import Memo, memoized, memoizing
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cache.structure import Describer, NotPlainError, text_of
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Quantities
@@ -53,7 +53,7 @@ _VALUES = st.recursive(
         st.lists(inner, max_size=4),
         st.lists(inner, max_size=4).map(tuple),
         st.dictionaries(st.text(max_size=5), inner, max_size=4),
-        st.builds(Picture, st.text(max_size=4), st.binary(max_size=9)),
+        st.builds(ImageFile, st.text(max_size=4), st.binary(max_size=9)),
     ),
     max_leaves=12,
 )
@@ -87,7 +87,7 @@ def test_values_have_one_key_only_if_they_are_the_same(a, b):
             return ("scalar", value.dtype.str, value.tobytes())
         if isinstance(value, float):
             return ("float", struct.pack("<d", value))
-        if isinstance(value, Picture):
+        if isinstance(value, ImageFile):
             return ("picture", value.suffix, value.data)
         if isinstance(value, dict):
             return ("dict", *((bits(k), bits(v)) for k, v in value.items()))

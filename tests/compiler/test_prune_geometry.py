@@ -9,12 +9,12 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from scenec.compiler.geometry.poses import look_at
-from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
-from scenec.compiler.scene.light import Lamp, SunLight
+from scenec.compiler.scene.ground import Ground, GroundLayer, MeshTile
+from scenec.compiler.scene.light import Lamp, SunDisc
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
-from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
+from scenec.compiler.views.horizon import BlockRelief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
     Seen,
     shadows_visible_blocks,
@@ -40,7 +40,7 @@ def _ground(seed: int = 0, amplitude: float = 4.0) -> Ground:
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1).astype(np.float32)
     n = len(points)
-    tile = Tile("tile_000_000", np.array([3.0, -2.0, 1.0]), points, faces, np.zeros((n, 3)),
+    tile = MeshTile("tile_000_000", np.array([3.0, -2.0, 1.0]), points, faces, np.zeros((n, 3)),
                 np.zeros(len(faces), np.int32), np.zeros((0, n)), np.zeros(n))  # fmt: skip
     return Ground((GroundLayer("sand", {}),), (tile,))
 
@@ -111,7 +111,7 @@ def _bounds(ground: Ground, slack: float = 0.0) -> np.ndarray:
     return np.array([triangles.min(axis=(0, 1)) - slack, triangles.max(axis=(0, 1)) + slack])
 
 
-def _seeing(ground: Ground, *rigs: Rig, slack: float = 0.0) -> tuple[Relief, Views]:
+def _seeing(ground: Ground, *rigs: Rig, slack: float = 0.0) -> tuple[BlockRelief, Views]:
     """The relief, and views that know what it hides."""
     views = views_of_all(rigs)
     relief = relief_of_tiles(ground.tiles, _bounds(ground, slack), len(views.eye))
@@ -174,7 +174,7 @@ def _scene(ground: Ground, sun: np.ndarray | None, lamps: tuple[Lamp, ...] = ())
     """A scene of a ground, one sample of a sun towards a direction, and lamps."""
     light = None
     if sun is not None:
-        light = SunLight(
+        light = SunDisc(
             np.degrees(np.arctan2(sun[:1], sun[1:2])),
             np.degrees(np.arcsin(sun[2:])),
             *(np.array([value]) for value in (1000.0, 0.54)),

@@ -28,7 +28,7 @@ from scenec.compiler.cameras.shutters import ERROR_PX, way_of
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.frustum import MOVING, in_view, views_of_all
@@ -106,9 +106,9 @@ def test_each_fault_is_said_where_it_is(
 # Where cameras are -------------------------------------------------------------------------------
 
 
-def flat() -> Surface:
+def flat() -> GroundSurface:
     grid = Grid.with_spacing((60.0, 40.0), 0.5)
-    return Surface(HeightField(grid, np.zeros(grid.shape)))
+    return GroundSurface(HeightField(grid, np.zeros(grid.shape)))
 
 
 def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tuple[Rig, Any, Way]:
@@ -354,7 +354,7 @@ def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
     x = (np.arange(grid.shape[1]) - 0.5 * (grid.shape[1] - 1)) * 0.5
     wall = np.broadcast_to(np.where(np.abs(x + 2.0) < 1.1, 9.0, 0.0), grid.shape)
     around = MotionContext(
-        "rigs/r/pose", 2, Surface(HeightField(grid, np.ascontiguousarray(wall))), (SENSOR,)
+        "rigs/r/pose", 2, GroundSurface(HeightField(grid, np.ascontiguousarray(wall))), (SENSOR,)
     )
     free = replace(motion, sampling=Sampling(times_s=ends))
     way = way_of(free, free.built(around), around)

@@ -8,7 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenec.compiler.cameras.paths.motion import Built, MotionContext, frames, level_bearing, poses
+from scenec.compiler.cameras.paths.motion import (
+    MotionContext,
+    RigPoses,
+    frames,
+    level_bearing,
+    poses,
+)
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds import Finding, Node, forms, key
 
@@ -67,7 +73,7 @@ class Descent:
                 "entry_height_m",
             )
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         down = self.entry_height_m - self.touchdown_height_m
         v0, v1 = self.entry_speed_m_s, self.touchdown_speed_m_s
@@ -91,4 +97,6 @@ class Descent:
         bearing = np.tile(level_bearing(self.heading_deg), (len(times), 1))
         facts = {"duration_s": duration, "deceleration_m_s2": brake,
                  "lowest_m": float(clearance.min())}  # fmt: skip
-        return Built(poses(np.column_stack([xy, z]), frames(bearing, self.pitch_deg)), times, facts)
+        return RigPoses(
+            poses(np.column_stack([xy, z]), frames(bearing, self.pitch_deg)), times, facts
+        )

@@ -9,7 +9,7 @@ import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.legs import Legs, Pen
-from scenec.compiler.cameras.paths.motion import Built, MotionContext, frames, poses
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, frames, poses
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import strip_width
 from scenec.compiler.kinds import forms, key
@@ -66,7 +66,7 @@ class LawnMower:
     sampling: Sampling = key(forms.SAMPLING)
     needs_objects: ClassVar = False
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         lines, spacing = self._lines(context)
         legs = self._way(lines, spacing)
@@ -91,7 +91,7 @@ class LawnMower:
         facts = {"lines": lines, "spacing_m": spacing, "length_m": float(legs.length.sum()),
                  "duration_s": duration, "lowest_m": lowest}  # fmt: skip
         position = np.column_stack([xy, z])
-        return Built(poses(position, frames(heading, self.pitch_deg)), times, facts)
+        return RigPoses(poses(position, frames(heading, self.pitch_deg)), times, facts)
 
     def _lines(self, context: MotionContext) -> tuple[int, float]:
         """Returns the number and spacing of lines, of which the outer ones are on the edge."""

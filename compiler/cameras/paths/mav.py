@@ -9,7 +9,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Built, MotionContext, bearing_of, frames, poses
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, bearing_of, frames, poses
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.rotations import products, upright_to
@@ -69,7 +69,7 @@ class Mav:
         u = context.uniforms("goals", self.goals, 2)
         return replace(self, drawn=(u - 0.5) * (1.0 - 2.0 * self.margin))
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         if self.waypoints_m is not None:
             points = np.array(self.waypoints_m, np.float64)
@@ -97,14 +97,14 @@ class Mav:
         axes = frames(self._bearing(plan, times), self.pitch_deg)
         if self.tilt:
             axes = self._tilted(axes, np.column_stack([plan.at(times, 2), height.at(times, 2)]))
-        return Built(poses(position, axes), times, facts)
+        return RigPoses(poses(position, axes), times, facts)
 
-    def _hovering(self, points: NDArray[np.float64], context: MotionContext) -> Built:
+    def _hovering(self, points: NDArray[np.float64], context: MotionContext) -> RigPoses:
         """A flight without a way: it stays, looking north."""
         z = float(context.ground(points)[0]) + self.height_m
         position = np.tile([points[0, 0], points[0, 1], z], (context.samples, 1))
         north = np.tile([0.0, 1.0], (context.samples, 1))
-        return Built(
+        return RigPoses(
             poses(position, frames(north, self.pitch_deg)),
             None,
             {"duration_s": 0.0, "lowest_m": self.height_m},

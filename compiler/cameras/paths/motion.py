@@ -15,7 +15,7 @@ from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
     # A cfg is checked by modules that import this one: it is to be light.
-    from scenec.compiler.mesh.surface import Surface
+    from scenec.compiler.mesh.surface import GroundSurface
     from scenec.compiler.scene.objects import Placed, Prototype, Scatter
     from scenec.compiler.scene.rig import Lidar, Sensor
 
@@ -23,7 +23,7 @@ _DEGREE = elementary.PI / 180.0
 
 
 @dataclass(frozen=True)
-class Bodies:
+class MotionBodies:
     """One class's objects, by rising id.
 
     Attributes:
@@ -42,7 +42,7 @@ class Bodies:
     prototype: NDArray[np.int32]
     prototypes: tuple[Prototype, ...]
 
-    def only(self, which: NDArray[np.bool_]) -> Bodies:
+    def only(self, which: NDArray[np.bool_]) -> MotionBodies:
         """Some of them, bool [n]."""
         return replace(
             self,
@@ -54,17 +54,19 @@ class Bodies:
         )
 
 
-def bodies_of(objects: Scatter | Placed) -> Bodies:
+def bodies_of(objects: Scatter | Placed) -> MotionBodies:
     """The objects of one class; of one that moves, where it is at the first sample."""
     from scenec.compiler.scene.objects import Scatter
 
     middle, radius = objects.balls()
     if isinstance(objects, Scatter):
         turn = turned(objects.orientations, objects.scales)
-        return Bodies(objects.ids, middle, radius, turn, objects.prototype, objects.prototypes)
+        return MotionBodies(
+            objects.ids, middle, radius, turn, objects.prototype, objects.prototypes
+        )
     step = len(middle) // objects.count if objects.count else 1
     turn = objects.to_world[:, 0, :, :3].astype(np.float32)
-    return Bodies(
+    return MotionBodies(
         objects.ids, middle[::step], radius[::step], turn, objects.prototype, objects.prototypes
     )
 
@@ -81,9 +83,9 @@ class MotionContext:
 
     what: str
     samples: int
-    surface: Surface
+    surface: GroundSurface
     sensors: tuple[Sensor, ...] = ()
-    bodies: Mapping[str, Bodies] = field(default_factory=dict)
+    bodies: Mapping[str, MotionBodies] = field(default_factory=dict)
     exposing: bool = False
     lidars: tuple[Lidar, ...] = ()
 
@@ -134,7 +136,7 @@ class Way(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Built:
+class RigPoses:
     """A motion's poses.
 
     Attributes:
@@ -149,14 +151,14 @@ class Built:
     way: Way | None = None
 
 
-class Motion(Protocol):
+class RigMotion(Protocol):
     """Computes the poses of a rig."""
 
     @property
     def needs_objects(self) -> bool:
         """Whether it depends on where objects are."""
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses.
 
         Raises:

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Bodies
+from scenec.compiler.cameras.paths.motion import MotionBodies
 from scenec.compiler.geometry.voxels import voxels_of
 from scenec.schemas.kernels import inlined, kernel
 
@@ -64,7 +64,7 @@ class Obstacles:
     """
 
     name: str
-    bodies: Bodies
+    bodies: MotionBodies
     points: NDArray[np.float64]
     first: NDArray[np.int64]
     half: NDArray[np.float64]
@@ -87,7 +87,7 @@ class Obstacles:
 
 
 def obstacles_of(
-    bodies: Mapping[str, Bodies], largest_m: float, cell_m: float
+    bodies: Mapping[str, MotionBodies], largest_m: float, cell_m: float
 ) -> tuple[Obstacles, ...]:
     """Selects the objects to drive around.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Built, MotionContext, poses, toward
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds import Context, Finding, Node, an, forms, given, key, unknown
 from scenec.schemas.errors import SceneError
@@ -130,7 +130,7 @@ class Orbit:
         """Whether it goes around one."""
         return isinstance(self.center, ObjectAim)
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         center = self.center.at(context)
         duration = abs(self.sweep_deg) / 360.0 * self.period_s
@@ -151,7 +151,7 @@ class Orbit:
         facts = {"length_m": duration / self.period_s * 2.0 * elementary.PI * self.radius_m,
                  "duration_s": duration,
                  "lifted": int((z > center[2] + self.height_m).sum())}  # fmt: skip
-        return Built(poses(position, toward(way, -away)), times, facts)
+        return RigPoses(poses(position, toward(way, -away)), times, facts)
 
     def _times(self, duration: float, context: MotionContext) -> NDArray[np.float64]:
         free = self.sampling == Sampling()

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.looks import Limits, LookDirection, LookPoint
+from scenec.compiler.cameras.paths.looks import LookDirection, LookPoint, PoseLimits
 from scenec.compiler.cameras.paths.motion import (
-    Bodies,
-    Built,
+    MotionBodies,
     MotionContext,
+    RigPoses,
     frames,
     level_bearing,
     poses,
@@ -64,7 +64,7 @@ class RandomPose:
     """What it looks at."""
     roll_deg: Number = key(forms.TURN_PER_SAMPLE, default=0)
     """Turn about the line of sight, clockwise as the rig sees it."""
-    limits: Limits = key(an("pose_limits", drawn=True), default={})
+    limits: PoseLimits = key(an("pose_limits", drawn=True), default={})
     """What it must keep."""
     tries: int = key(forms.COUNT, default=200, at_least=1, at_most=100_000)
     """Poses that are drawn for a sample at most."""
@@ -83,7 +83,7 @@ class RandomPose:
         """The region's corners in order, or two opposite ones of a box, [n, 2]."""
         return np.array(self.region_m, np.float64)
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         context.require_on_terrain(self.polygon, "the region")
         self._require_wide(context)
@@ -124,7 +124,7 @@ class RandomPose:
             for why, count in reasons.items():
                 in_all[why] = in_all.get(why, 0) + count
         facts = {"tries": tried, "rejected": dict(sorted(in_all.items()))}
-        return Built(found, None, facts)
+        return RigPoses(found, None, facts)
 
     def _require_wide(self, context: MotionContext) -> None:
         """Refuses polygons that are next to nothing of their box: no point of them is found.
@@ -144,7 +144,7 @@ class RandomPose:
                 f"{width:g} m by {height:g} m: expected 1 % of the box or more, corners in order"
             )
 
-    def _drawn(self, context: MotionContext, samples: NDArray[np.int64], k: int) -> _Drawn:
+    def _drawn(self, context: MotionContext, samples: NDArray[np.int64], k: int) -> _DrawnPoses:
         """Draws try ``k`` of some samples."""
 
         def number(name: str, value: Number) -> NDArray[np.float64]:
@@ -163,7 +163,7 @@ class RandomPose:
             bearings = number("look/bearing_deg", look.bearing_deg)
             bearing = np.array([level_bearing(b) for b in bearings.tolist()])
             axes = frames(bearing.reshape(-1, 2), number("look/pitch_deg", look.pitch_deg), roll)
-            return _Drawn(eye, ground, axes, axes[:, :, 2], extent)
+            return _DrawnPoses(eye, ground, axes, axes[:, :, 2], extent)
         if isinstance(look, ObjectAim):
             bodies = context.bodies[look.object]
             u = _uniforms(np.uint64(self.keys["object"]), samples, k)
@@ -177,12 +177,12 @@ class RandomPose:
         # A target that is the eye itself is turned away later; it must have some axes till then.
         still = ~way.any(axis=1)
         axes = rolled(toward(np.where(still[:, None], [0.0, 1.0, 0.0], way), north), roll)
-        return _Drawn(eye, ground, axes, way, extent)
+        return _DrawnPoses(eye, ground, axes, way, extent)
 
     def _judged(
         self,
         context: MotionContext,
-        drawn: _Drawn,
+        drawn: _DrawnPoses,
         n: int,
         span: NDArray[np.float64],
         cubes: Mapping[str, Cubes],
@@ -258,7 +258,7 @@ class RandomPose:
 
 
 @dataclass(frozen=True)
-class _Drawn:
+class _DrawnPoses:
     """Poses of one try, not yet judged.
 
     Attributes:
@@ -309,7 +309,7 @@ def _places(polygon, key_x, key_y, samples, k, out):  # type: ignore[no-untyped-
         out[n, 1] = y
 
 
-def _inside(bodies: Bodies, cubes: Cubes, eye: NDArray[np.float64], clearance: float) -> bool:
+def _inside(bodies: MotionBodies, cubes: Cubes, eye: NDArray[np.float64], clearance: float) -> bool:
     """Whether a point is in an object or nearer; below 0, only as far as within its ball."""
     away = bodies.middle - eye
     reach = np.maximum(bodies.radius + clearance, 0.0)

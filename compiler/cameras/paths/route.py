@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Bodies, MotionContext
+from scenec.compiler.cameras.paths.motion import MotionBodies, MotionContext
 from scenec.compiler.cameras.paths.obstacles import Band, Nearest, Obstacles, nearest, obstacles_of
 from scenec.schemas.kernels import kernel
 
@@ -148,7 +148,7 @@ def _max_filter(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
 
 
 def driven_over(
-    xy: NDArray[np.float64], width_m: float, bodies: Bodies, margin_m: float
+    xy: NDArray[np.float64], width_m: float, bodies: MotionBodies, margin_m: float
 ) -> list[int]:
     """Ids of the objects whose balls a way's strip touches in plan, rising.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.legs import Legs, rounded
-from scenec.compiler.cameras.paths.motion import Built, MotionContext, frames, poses
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, frames, poses
 from scenec.compiler.cameras.paths.route import Passable, driven_over, passable
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.normals import cross_products
@@ -78,7 +78,7 @@ class Rover:
         u = context.uniforms("goals", self.goals * _GOAL_TRIES, 2)
         return replace(self, goals_u=u.reshape(self.goals, _GOAL_TRIES, 2))
 
-    def built(self, context: MotionContext) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         cells = passable(
             context,
@@ -97,7 +97,7 @@ class Rover:
         times = self.sampling.times(legs.duration_s, context.samples, context.what)
         xy, heading = legs.at(times)
         position, axes, _ = self._on_wheels(xy, heading, context)
-        return Built(poses(position, axes), times, self._facts(legs, points, context))
+        return RigPoses(poses(position, axes), times, self._facts(legs, points, context))
 
     def _along(
         self, points: NDArray[np.float64], cells: Passable, context: MotionContext

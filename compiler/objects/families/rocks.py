@@ -28,7 +28,7 @@ def family_of(name: str) -> type[Any]:
     """
     if name not in ROCKS:
         return offered_kind("scenec.rocks", name)
-    family: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}")
+    family: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}Rock")
     return family
 
 

@@ -13,7 +13,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds import Context, forms, key
 from scenec.compiler.noise.fractal import fbm2
-from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned
+from scenec.compiler.terrain.bins import BinIndex, any_within, bin_at, binned
 from scenec.compiler.terrain.detail import Finer, Spectrum, finer, finer_than
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.errors import SceneError
@@ -183,7 +183,7 @@ class FootprintsDetail:
 
     prints: NDArray[np.float64]
     sole: Sole
-    bins: Bins
+    bins: BinIndex
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
@@ -253,7 +253,7 @@ def _reach(length_m: float) -> float:
     return (1.0 + _RIM) * math.sqrt(half * half + wide * wide)
 
 
-def _binned(of: Footprints) -> Bins:
+def _binned(of: Footprints) -> BinIndex:
     reach = _reach(of.length_m)
     sizes = [size + 2.0 * reach for size in of.size_m]
     x, y = np.ascontiguousarray(of.prints[:, :2].T)
@@ -264,7 +264,7 @@ def _binned(of: Footprints) -> Bins:
 
 @kernel
 def _amplitudes(
-    bins: Bins, x: NDArray, y: NDArray, radius: NDArray, length: NDArray, table: Finer
+    bins: BinIndex, x: NDArray, y: NDArray, radius: NDArray, length: NDArray, table: Finer
 ) -> NDArray:
     """Returns the relief finer than lengths in disks that prints may reach into, float64 [n]."""
     out = np.zeros(x.size)
@@ -280,7 +280,7 @@ def _heights_part(
     last: int,
     prints: NDArray,
     sole: Sole,
-    bins: Bins,
+    bins: BinIndex,
     x: NDArray,
     y: NDArray,
     out: NDArray,

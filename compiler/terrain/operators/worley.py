@@ -79,7 +79,7 @@ class Worley(OctaveRelief):
     ) -> NDArray[np.float64]:
         """Octaves at points, whatever a grid shows."""
         kind = _KINDS.index(self.distance)
-        cells = Cells(first_octave, self.gain, self.lacunarity, self.jitter, kind)
+        cells = WorleyForm(first_octave, self.gain, self.lacunarity, self.jitter, kind)
         keys = subkeys(np.uint64(self.key), self.octaves)
         out = np.empty(x.size)
         x, y = x / self.scale_m, y / self.scale_m
@@ -93,7 +93,7 @@ class Worley(OctaveRelief):
         return octave_spectrum(0.5 * self.scale_m, octaves, self.lacunarity, self.gain, amplitude)
 
 
-class Cells(NamedTuple):
+class WorleyForm(NamedTuple):
     """Holds the parameters of a ``Worley`` but its octaves; ``kind`` is an index of ``_KINDS``."""
 
     first_octave: int
@@ -105,7 +105,7 @@ class Cells(NamedTuple):
 
 @kernel
 def _points_part(
-    begin: int, end: int, keys: NDArray, x: NDArray, y: NDArray, cells: Cells, out: NDArray
+    begin: int, end: int, keys: NDArray, x: NDArray, y: NDArray, cells: WorleyForm, out: NDArray
 ) -> None:
     work = np.empty((4, BLOCK))
     for at in range(begin, end, BLOCK):

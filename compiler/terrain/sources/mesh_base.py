@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import Model, read_model
+from scenec.compiler.assets.model import MeshModel, read_model
 from scenec.compiler.geometry import affine
 from scenec.compiler.kinds import Finding, Node, an, bounded, file, forms, key, list_of, noise_key
 from scenec.compiler.terrain.grid import Applied, Grid, HeightField
@@ -180,10 +180,10 @@ class MeshBase:
         top = _without_holes(view)[0]
         return MeshSurface(grid, top, points, faces), {**report, **above, **filled}
 
-    def _read(self) -> Model:
+    def _read(self) -> MeshModel:
         return read_model(self.file, unit_m=self.unit_m, up=self.up, part=self.part, looks=False)
 
-    def _placed(self, mesh: Model) -> NDArray[np.float64]:
+    def _placed(self, mesh: MeshModel) -> NDArray[np.float64]:
         turn = affine.about_axis(2, self.rotation_deg)
         points = affine.applied(turn, mesh.points * self.scale)
         if self.place == "center":
@@ -238,7 +238,7 @@ def _without_holes(view: Above) -> tuple[NDArray[np.float64], float]:
     return fill_holes(np.where(holes, 0.0, view.top), holes)
 
 
-def _read_report(mesh: Model) -> dict[str, Any]:
+def _read_report(mesh: MeshModel) -> dict[str, Any]:
     return {
         **({"left_out": list(mesh.notes)} if mesh.notes else {}),
         "triangles_of_file": len(mesh.faces),
