@@ -95,7 +95,7 @@ class Describer:
                 self.files[named] = value
                 return ["p", *named]
             case type():
-                return ["k", _name_of_own(value)]
+                return ["k", _package_name(value)]
             case dict():
                 return ["d", *([self.describe(k), self.describe(v)] for k, v in value.items())]
             case list():
@@ -106,7 +106,7 @@ class Describer:
         if names is not None:
             return [
                 "c",
-                _name_of_own(type(value)),
+                _package_name(type(value)),
                 *(self.describe(getattr(value, name)) for name in names),
             ]
         if type(value) is tuple:
@@ -151,7 +151,7 @@ def name_of(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _name_of_own(kind: type) -> str:
+def _package_name(kind: type) -> str:
     """``name_of`` a class of this package: what another's does, no key could tell."""
     if not kind.__module__.startswith("scenec."):
         raise NotPlainError(f"{name_of(kind)} is of another package")

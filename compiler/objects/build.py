@@ -25,11 +25,11 @@ from scenec.compiler.objects.foliage import foliage_chain
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.models import ModelKeys
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
+from scenec.compiler.objects.placement_context import PlacementContext, plan_circles
 from scenec.compiler.objects.plan import ModelSource, ScatterPlan
 from scenec.compiler.objects.prototypes import Looks, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.objects.surroundings import PlacementContext, footprints
 from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, sample_times
 from scenec.compiler.views.needed import Needs
@@ -134,7 +134,7 @@ def place_classes(
                 placed = place_objects(plan, models, context.surface, times)
                 own |= _report(placed)
                 placed_classes.append(placed)
-                context.objects[plan.name] = footprints(placed)
+                context.objects[plan.name] = plan_circles(placed)
             else:
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
@@ -145,7 +145,7 @@ def place_classes(
                 own |= facts_of_it
                 own["float32_error_max_m"] += _rounding_m(levels.scatter)
                 placed_classes.append(levels)
-                context.objects[plan.name] = footprints(levels.scatter)
+                context.objects[plan.name] = plan_circles(levels.scatter)
                 if plan.fillet is not None:
                     context.surface, own["fillets"] = add_fillets(
                         plan.fillet, levels.scatter, context

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scenec.compiler.kinds.declare import key
 from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, RAGGED, TEXT
 from scenec.compiler.objects.lattice import Circles, PlanLattice, nearest
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
 from scenec.compiler.terrain.quantities import Samples
 

@@ -20,7 +20,7 @@ from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.octaves import BLOCK
 from scenec.compiler.noise.worley import worley2_points
 from scenec.compiler.objects.lattice import Circles, PlanLattice, splat, table
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.polyline import project_on
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel

@@ -13,7 +13,7 @@ from scenec.compiler.kinds import Context, forms, key
 from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.bodies import Bodies, vertices_of
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls

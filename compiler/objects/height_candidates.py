@@ -11,7 +11,7 @@ from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density, UniformDensity
 from scenec.compiler.objects.lattice import PlanLattice
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.errors import SceneError
 

@@ -16,7 +16,7 @@ from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density, Everywhere
 from scenec.compiler.objects.height_candidates import lattice_of, weighed
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
 

@@ -14,9 +14,9 @@ from scenec.compiler.objects.bodies import Bodies, vertices
 from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.mesh_candidates import MeshCandidates, Spots
 from scenec.compiler.objects.mesh_seating import seat_on_mesh
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.seating import seat, seat_on_detail
-from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.fillets import Fillets
 from scenec.compiler.terrain.grid import HeightField

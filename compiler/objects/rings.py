@@ -13,7 +13,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Finding, Node, forms, given, key
 from scenec.compiler.objects.density import Density, with_background
 from scenec.compiler.objects.lattice import Circles, PlanLattice, splat, table
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.condition import ReliefCondition, product
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.craters import (

@@ -15,11 +15,11 @@ from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
 from scenec.compiler.objects.placement import ClassPlacement, seating_report
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.plan import ObjectCount, ScatterPlan
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.scattered import Spacing
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
-from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError

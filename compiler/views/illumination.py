@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import Views
-from scenec.compiler.views.horizon import BlockRelief, touched
 from scenec.compiler.views.lamps import in_cone
+from scenec.compiler.views.occlusion import BlockRelief, touched
 from scenec.compiler.views.visible import SHOWN, visible
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads

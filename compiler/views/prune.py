@@ -29,7 +29,6 @@ from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, chosen, views_of_all
-from scenec.compiler.views.horizon import BlockRelief, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
     MIN_VIEW_FACTOR,
     shadows_visible_blocks,
@@ -37,6 +36,7 @@ from scenec.compiler.views.illumination import (
     visible_blocks,
 )
 from scenec.compiler.views.needed import Keep, Needs, without_unused
+from scenec.compiler.views.occlusion import BlockRelief, relief_of_tiles, with_horizon
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 
@@ -132,7 +132,7 @@ def prune(
     if not hills:
         relief.is_solid[:] = False
     views = with_horizon(views, relief)
-    classes = [_seen(one, views, scene.bounds) for one in scene.objects]
+    classes = [_visible_balls(one, views, scene.bounds) for one in scene.objects]
     facts: dict[str, Any] = {}
     removed: dict[str, Reason] = {}
     showing = chosen(views, views.kind & COLOR > 0)
@@ -179,7 +179,7 @@ def _ground_of(scene: Scene) -> tuple[MeshTile, ...]:
     return tiles
 
 
-def _seen(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _Balls:
+def _visible_balls(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _Balls:
     """A class as balls, and which of them are seen."""
     middles, radii = one.balls()
     radii = radii * (1.0 + _SLACK) + _ROUNDING * float(np.abs(bounds).max())

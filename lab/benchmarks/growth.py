@@ -41,9 +41,9 @@ from scenec.compiler.estimate import BASE_BYTES, needs_of
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.mesh.surface import GroundSurface
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.lab.benchmarks.cfgs import fbm, rocks_on_hills
 from scenec.lab.runner import (

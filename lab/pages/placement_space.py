@@ -24,8 +24,8 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rings import RingDensity
-from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters

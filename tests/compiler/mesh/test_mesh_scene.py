@@ -20,8 +20,8 @@ from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.mesh_candidates import STANDING, MeshCandidates, Spots
 from scenec.compiler.objects.mesh_seating import seat_on_mesh
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rocks import build_prototypes
-from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface

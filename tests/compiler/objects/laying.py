@@ -15,10 +15,10 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context, InputFile
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.mesh.surface import GroundSurface
+from scenec.compiler.objects.placement_context import PlacementContext, plan_circles
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.objects.surroundings import PlacementContext, footprints
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -44,7 +44,7 @@ def surroundings(
 ) -> PlacementContext:
     """Hills, cameras, and what lies there already."""
     around = PlacementContext(surface(amplitude_m), cameras)
-    around.objects.update({name: footprints(laid) for name, laid in objects.items()})
+    around.objects.update({name: plan_circles(laid) for name, laid in objects.items()})
     return around
 
 

@@ -16,9 +16,9 @@ from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.families.weathered import WeatheredRock
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.seating import seat
-from scenec.compiler.objects.surroundings import PlacementContext
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 

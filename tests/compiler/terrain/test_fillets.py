@@ -26,7 +26,7 @@ from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import place_classes
-from scenec.compiler.objects.surroundings import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal

@@ -14,7 +14,6 @@ from scenec.compiler.scene.light import Lamp, SunDisc
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
-from scenec.compiler.views.horizon import BlockRelief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
     VisibleBlocks,
     shadows_visible_blocks,
@@ -22,6 +21,7 @@ from scenec.compiler.views.illumination import (
     view_factors,
     visible_blocks,
 )
+from scenec.compiler.views.occlusion import BlockRelief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.visible import SHOWN, visible
 
 _SIDE = 48

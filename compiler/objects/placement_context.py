@@ -63,7 +63,7 @@ class PlacementContext:
         return own
 
 
-def footprints(objects: Scatter | Placed) -> Circles:
+def plan_circles(objects: Scatter | Placed) -> Circles:
     """One class in plan, circles as wide as its balls; single objects wherever they ever are."""
     at, radii = objects.balls()
     return Circles(np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1]), radii)
