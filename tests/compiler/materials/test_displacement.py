@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from scenec.backends.stage.scene import Maps
-from scenec.backends.stage.scene import TilingCells as ShownCells
+from scenec.backends.stage.scene import Cells as ShownCells
 from scenec.backends.surface.pictures import Point, values_at
 from scenec.compiler.build import build_to
 from scenec.compiler.cfg.load import load
@@ -186,18 +186,18 @@ _PROGRAM = """
 import hashlib, sys
 import numpy as np
 from pathlib import Path
-from scenec.compiler.scene.material import Cells, Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps, TilingCells
 from scenec.compiler.materials.displacement import displacement_of
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.materials.grounds import MudCracks
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)
-for cells in (None, Cells(0.7, 99)):
+for cells in (None, TilingCells(0.7, 99)):
     maps = MaterialMaps(1.3, {}, "opengl", cells=cells)
     material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
     for drawn in (
-        MaterialPlan(material, sources=Sources(heights=Path(sys.argv[1]), heights_m=0.1)),
+        MaterialPlan(material, sources=MapSources(heights=Path(sys.argv[1]), heights_m=0.1)),
         MaterialPlan(
             material, MudCracks(key=3, grain_m=0.1, resolution=64, displacement=True, gape=0.1)
         ),

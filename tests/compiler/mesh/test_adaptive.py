@@ -225,13 +225,13 @@ def test_pixels_per_meter_are_those_of_the_nearest_view(field):
 _HASH = """
 import hashlib
 import test_adaptive as t
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 field = t.relief(30.0)
 sight = pixels_per_meter(field, views_of((t.one_rig(field, (3.0, -10.0)),)), 0.125)
-tiles, _ = build_tiles(Surface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)
+tiles, _ = build_tiles(GroundSurface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)
 digest = hashlib.sha256()
 for tile in tiles:
     for array in (tile.points, tile.faces, tile.normals, tile.layer, tile.weights):
