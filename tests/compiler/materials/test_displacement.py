@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scenec.backends.stage.scene import Maps
 from scenec.backends.stage.scene import Cells as ShownCells
+from scenec.backends.stage.scene import Maps
 from scenec.backends.surface.pictures import Point, values_at
 from scenec.compiler.build import build_to
 from scenec.compiler.cfg.load import load

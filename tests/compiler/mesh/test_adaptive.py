@@ -231,7 +231,8 @@ from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 field = t.relief(30.0)
 sight = pixels_per_meter(field, views_of((t.one_rig(field, (3.0, -10.0)),)), 0.125)
-tiles, _ = build_tiles(GroundSurface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)
+surface = GroundSurface(field, t.MERGES, smooth=False)
+tiles, _ = build_tiles(surface, 1, Meshing(0.5, 10**9, 0.125), sight)
 digest = hashlib.sha256()
 for tile in tiles:
     for array in (tile.points, tile.faces, tile.normals, tile.layer, tile.weights):
