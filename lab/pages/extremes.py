@@ -56,7 +56,7 @@ HEAD = """# Cameras at their limits
 This page tries cameras at the ends of every range. Each case goes the whole way: cfg, `scenec
 compile`, `scenec render` with every backend, `scenec check --exact`. {cores} cores, shared with
 other work ({versions}): seconds are single readings and tell the order of magnitude only.
-`tests/backends/test_extremes.py` tests the same facts.
+`tests/backends/run/test_extremes.py` tests the same facts.
 """
 
 
@@ -326,7 +326,7 @@ def poses(page: Page) -> str:
         f"{size / 1e6:.1f} MB of stage; the first, the middle and the last frame rendered in "
         f"{rendered:.1f} s with starting and reading the stage. The last pose in its sidecar is "
         f"off the track's by {off:.0e} m. A track of length 0, sampled at any time, gives its one "
-        "pose (`tests/backends/test_extremes.py`). Beyond 256 views pruning uses coarser "
+        "pose (`tests/backends/run/test_extremes.py`). Beyond 256 views pruning uses coarser "
         "horizons, so memory hardly grows.\n"
     )
 

@@ -141,8 +141,8 @@ def extremes(page: Page) -> str:
     return (
         "## At the limits\n\n100 m × 100 m of 5 m hills, 3,000 rocks of 5 cm to 2 m, two samples "
         "of one camera of 96 × 72 pixels, 60° wide and 1.5 m high; sun 35° high; rgb, labels and "
-        "ids. Each row changes one thing. `tests/backends/test_pruned_extremes.py` holds the same "
-        "facts.\n\n"
+        "ids. Each row changes one thing. `tests/backends/exact/test_pruned_extremes.py` holds the "
+        "same facts.\n\n"
         "- **kept** counts instances that are visible, that stay for their shadow, and that stay "
         "for the light that they take or send.\n"
         "- **pixels** counts the values of all passes of annotation that differ from the whole "

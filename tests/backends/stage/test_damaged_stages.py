@@ -1,6 +1,6 @@
 """Whatever a stage's files hold, reading them ends in a ``StageError``, or in a stage.
 
-``python tests/backends/test_damaged_stages.py N`` reads N of each kind.
+``python tests/backends/stage/test_damaged_stages.py N`` reads N of each kind.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 
 from scenec.backends.run.doctor import diagnose
 
-TESTS = Path(__file__).resolve().parents[1]
+TESTS = Path(__file__).resolve().parents[2]
 #: Debian's and Ubuntu's; OpenCV and ROS bring it.
 TBB = "libtbb.so.12"
 

@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 pytest.importorskip("embreex")
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "backends.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "backends.md"
 
 
 def block(name: str) -> str:

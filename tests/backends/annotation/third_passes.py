@@ -14,7 +14,7 @@ import pytest
 #: The pass of docs/recipes.md, as it stands there.
 SLOPE = re.search(
     r"<!-- file: slope/scenec_slope.py -->\n```python\n(.*?)```",
-    (Path(__file__).resolve().parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8"),
+    (Path(__file__).resolve().parents[3] / "docs" / "recipes.md").read_text(encoding="utf-8"),
     re.DOTALL,
 )[1]
 
