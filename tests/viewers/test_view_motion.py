@@ -146,11 +146,3 @@ def test_the_picture_is_the_sensors_with_the_clean_one_and_raw_numbers_beside_it
     for column, row in ((0, 0), (59, 39), (17, 23)):
         told = hover(page, column, row)["raw"].replace(",", "")
         assert int(told) == wanted["raw"][row, column]
-
-
-def test_legends_say_scale_unit_and_what_black_is(page):
-    text = page.inner_text("#facts")
-    for part in ("px at the rim", "black: not a number", "red x right", "Occlusion",
-                 "something stands before it"):  # fmt: skip
-        assert part in text
-    assert page.locator("#facts .wheel canvas").count() == 2

@@ -23,9 +23,7 @@ from scenec.schemas.depth_camera import (
     DepthCamera,
     StereoDepth,
     TimeOfFlightDepth,
-    as_numbers,
     kind_of,
-    of_numbers,
 )
 from scenec.schemas.errors import BackendError, CfgError
 from scenec.testing.examples import examples
@@ -136,11 +134,6 @@ def test_stereo_has_no_answer_in_the_shadow_beside_what_stands_out(step_scene):
     assert len(inside) == pytest.approx(width, abs=1)
     answered = row > 0
     np.testing.assert_allclose(row[answered], row_depth[answered], rtol=1e-9)
-
-
-@pytest.mark.parametrize("model", [STEREO, TOF])
-def test_numbers_go_through_a_stage(model):
-    assert of_numbers(kind_of(model), as_numbers(model)) == model
 
 
 def test_without_a_hit_or_a_model_there_is_no_answer(step_scene):

@@ -19,7 +19,6 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
-from scenec.schemas.frames import read_frame
 from scenec.schemas.instances import (
     BATCH_TABLE,
     frame_table_path,
@@ -305,9 +304,3 @@ def test_a_frame_without_instances_has_an_empty_table(tmp_path):
     assert {len(v) for v in read_frame_table(tmp_path / "e.instances.csv").values()} == {0}
     write_table(tmp_path / BATCH_TABLE, made.table())
     assert len(read_table(tmp_path).id) == 0
-
-
-def test_frames_with_tables_read_back(rendered):
-    frames, _ = rendered
-    frame = read_frame(frames / "annotation" / "front" / "000000")
-    assert frame.sidecar["instance_table"]["bytes"] > 0

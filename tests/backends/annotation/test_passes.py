@@ -13,7 +13,7 @@ import pytest
 import third_passes
 
 from scenec.backends.annotation.annotate import annotate
-from scenec.backends.annotation.registry import find_pass, select
+from scenec.backends.annotation.registry import select
 from scenec.backends.camera import tiles
 from scenec.backends.check.compare import check_exact
 from scenec.backends.exact import ExactCaster
@@ -25,7 +25,6 @@ from scenec.compiler.compile import compile_cfg
 from scenec.datasets.source import Source
 from scenec.schemas.errors import BackendError, CfgError
 from scenec.schemas.frames import read_frame
-from scenec.schemas.passes import BUILT_IN, PASSES
 from scenec.testing.lens_scenes import CAMERAS, around, with_lens
 from scenec.testing.scenes import scene
 from scenec.testing.small import small_cfg, write_cfg
@@ -39,13 +38,6 @@ def world() -> tuple[RenderScene, ExactCaster]:
     meshes, rows = around()
     made = scene(meshes, rows)
     return made, ExactCaster(made)
-
-
-def test_every_format_has_its_pass() -> None:
-    for name in PASSES:
-        if name != "rgb":
-            made = find_pass(name)
-            assert (made.name, made.channels) == (name, BUILT_IN[name].channels)
 
 
 @pytest.mark.parametrize("name", VIEWS)

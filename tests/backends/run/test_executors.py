@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import shutil
 import signal
 import subprocess
@@ -12,7 +11,6 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from operator import methodcaller
 from pathlib import Path
 
 import counted_backend
@@ -26,7 +24,7 @@ from scenec.backends.run.executors import Processes, make_executor
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
-from scenec.backends.run.units import OfBackend, OfSession, Opening, open_stage
+from scenec.backends.run.units import OfBackend, Opening, open_stage
 from scenec.compiler.batch_unit import CompileBatch
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -102,22 +100,6 @@ def others() -> None:
 def children() -> list[psutil.Process]:
     found = psutil.Process().children(recursive=True)
     return [child for child in found if child.pid not in _others]
-
-
-def test_units_are_the_same_after_a_journey(tmp_path):
-    opening = Opening(str(tmp_path / "stage.usda"), "mitsuba", passes=("rgb",))
-    units = [
-        open_stage(opening),
-        OfSession(opening, "a table", methodcaller("write_instances", tmp_path)),
-        OfBackend("mitsuba", print),
-        CompileBatch(
-            tmp_path / "cfg.json", b"", "00", 1, 0, Keep.SEEN, 0, False, None, tmp_path, tmp_path
-        ),
-    ]
-    for unit in units:
-        back = pickle.loads(pickle.dumps(unit))
-        assert (back.what, hash(back.holds)) == (unit.what, hash(unit.holds))
-        assert repr(back) == repr(unit)
 
 
 @pytest.mark.slow
@@ -329,17 +311,6 @@ def test_batches_compiled_at_once_have_to_fit_together(cfg, tmp_path, monkeypatc
     # None was started for that.
     assert not children()
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("batch*"))
-
-
-def test_a_line_says_how_many_are_compiled_at_once(cfg, tmp_path):
-    lines: list[str] = []
-    with MAKERS["2"]() as executor:
-        compile_cfg(
-            cfg, seed=1, out=tmp_path / "out", batches=range(2), executor=executor,
-            progress=lambda text, place: lines.append(text) if place is None else None,
-        )  # fmt: skip
-    assert lines[0] == "compiling 2 batches of small, seed 1, 2 at once"
-    assert not [line for line in lines[1:] if line.startswith("compiling")]
 
 
 @pytest.mark.slow

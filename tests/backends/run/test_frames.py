@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.run.writer import write_frame
 from scenec.backends.testing import scenes as ms
-from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame
 
@@ -58,12 +58,6 @@ def test_every_pass_comes_back_bit_for_bit(tmp_path: Path):
         expected = array if array.dtype == np.uint32 else array.astype(np.float32)
         assert back[name].dtype == expected.dtype
         assert back[name].tobytes() == expected.tobytes()
-
-
-def test_the_same_passes_give_the_same_bytes(tmp_path: Path):
-    for name in ("a.exr", "b.exr"):
-        write_exr(tmp_path / name, arrays())
-    assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
 
 
 def test_channels_have_the_names_of_the_convention(tmp_path: Path):
@@ -171,15 +165,3 @@ def test_a_frame_with_a_file_missing_or_cut_is_not_done(tmp_path: Path, suffix):
         assert not is_done(stem, KEY)
     path.unlink()
     assert not is_done(stem, KEY)
-
-
-def test_nothing_is_left_beside_a_frame(tmp_path: Path):
-    stem = written(tmp_path)
-    names = sorted(p.name for p in stem.parent.iterdir())
-    assert names == ["000003.exr", "000003.json", "000003.png"]
-
-
-def test_a_folder_that_is_a_file_is_an_output_error(tmp_path: Path):
-    (tmp_path / "frames").write_text("in the way")
-    with pytest.raises(OutputError, match="frames"):
-        written(tmp_path)

@@ -113,9 +113,3 @@ def test_a_second_camera_in_the_same_place_adds_not_one_byte_of_geometry(tmp_pat
     both = read_stage(two / "batch_0000" / "stage.usda")
     assert [len(cameras) for cameras in both.cameras] == [2, 2]
     assert len(both.meshes) == len(read_stage(one / "batch_0000" / "stage.usda").meshes)
-
-
-def test_a_pair_has_one_terrain_and_one_prototype_each(pair: Path) -> None:
-    files = [name.partition("/")[2] for name in read_manifest(pair)["files"] if "/" in name]
-    geometry = [name for name in files if name == "terrain.usdc" or name.startswith("objects/")]
-    assert sorted(geometry) == sorted([*dict.fromkeys(geometry)] * 2), "once in each of 2 batches"

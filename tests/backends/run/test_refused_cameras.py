@@ -127,13 +127,6 @@ def test_denoising_an_aperture_is_refused_before_anything_is_rendered(stage, cap
     assert not (stage.parent / "frames").exists()
 
 
-@pytest.mark.slow
-def test_auto_refuses_it_before_anything_is_rendered(stage):
-    with pytest.raises(BackendError, match="camera left: its aperture"):
-        render(focused(stage, "left"), "auto", denoise=True)
-    assert not list(stage.parent.rglob("frames/*/*/*"))
-
-
 def test_an_aperture_does_not_count_where_no_rgb_is_asked_for(stage):
     # Of the right camera depth is asked for.
     focused(stage, "right")
@@ -199,12 +192,3 @@ def test_of_a_camera_that_asks_for_rgb_alone_annotation_makes_nothing_and_says_s
     made.Save()
     with pytest.raises(StageError, match=r"no frame to render: .*rgb alone is asked for"):
         render(stage, "annotation")
-
-
-@pytest.mark.usefixtures("worker_here")
-def test_run_makes_all_but_rgb_of_annotation(tmp_path):
-    cfg = write_cfg(tmp_path, small_cfg(samples=1, outputs=["rgb", "label", "depth"]))
-    words = ["run", str(cfg), "-o", str(tmp_path / "out"), "--backend", "annotation", "--no-cache"]
-    assert main(words) == 0
-    (path,) = (tmp_path / "out").rglob("frames/annotation/*/000000.json")
-    assert set(read_frame(path).passes) == {"label.class", "label.surface", "depth"}

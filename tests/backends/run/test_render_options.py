@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from third_party import LEVEL, NOISE, faults_so_far, install, plan_fault, square_stage
+from third_party import LEVEL, NOISE, install, plan_fault, square_stage
 from workers_here import here
 
 from scenec.api.options import RunOptions
 from scenec.api.steps import refuse_early
 from scenec.backends.registry import backend_class
-from scenec.backends.run.auto import check_backend
-from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import RenderReport, render
 from scenec.cli.main import main, parser
 from scenec.compiler.cfg.load import load
@@ -56,18 +54,6 @@ def test_a_device_that_a_backend_lacks_is_refused_before_anything_else(tmp_path,
         render(broken, "plain", device="cuda")
     with pytest.raises(BackendError, match="no driver for optix"):
         render(square_stage(tmp_path / "square.usda", width=32), "plain", device="optix")
-
-
-@pytest.mark.usefixtures("worker_here")
-def test_the_command_refuses_a_device_in_one_line_with_status_2(stage, capsys):
-    assert main(["render", str(stage), "--backend", "plain", "--device", "cuda"]) == 2
-    said = capsys.readouterr().err
-    assert said == "scenec: backend plain has no device 'cuda'; it has auto, cpu, optix\n"
-    assert not (stage.parent / "frames").exists()
-    for command in ("render", "converge"):
-        backend = ["--backends" if command == "converge" else "--backend", "plain"]
-        assert main([command, str(stage), *backend, "--device", "tpu"]) == 2
-        assert "no device 'tpu'; it has auto, cpu, optix" in capsys.readouterr().err
 
 
 def test_a_backend_that_two_packages_offer_is_refused(tmp_path, monkeypatch):
@@ -128,22 +114,6 @@ def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stag
 
 
 @pytest.mark.slow
-def test_denoised_and_noisy_frames_are_not_taken_for_each_other(stage):
-    assert run(stage, "smooth").rendered == 2
-    assert run(stage, "smooth", denoise=True, replace=True).rendered == 2
-    assert run(stage, "smooth", denoise=True, replace=True).skipped == 2
-
-
-@pytest.mark.usefixtures("worker_here")
-def test_there_is_nothing_to_denoise_without_rgb(stage):
-    with pytest.raises(BackendError, match="without rgb"):
-        run(stage, "smooth", denoise=True, passes=["depth"])
-    with pytest.raises(BackendError, match="without rgb"):
-        check_backend(RenderPlan("smooth", denoise=True), rgb=False)
-    check_backend(RenderPlan("smooth", denoise=True), rgb=True)
-
-
-@pytest.mark.slow
 def test_a_backend_without_a_denoiser_names_those_that_have_one(stage):
     with pytest.raises(BackendError, match=r"plain has no denoiser; .*smooth has one \(mean\)"):
         run(stage, "plain", denoise=True)
@@ -194,16 +164,6 @@ def test_annotation_of_another_stage_or_a_damaged_frame_is_cast_again(stage):
             sidecar = json.loads(path.read_text())
             path.write_text(json.dumps(sidecar | {"stage_digest": "0" * 64}))
         assert "annotate" in run(stage, "plain", passes=["rgb", "depth"]).seconds
-
-
-@pytest.mark.slow
-def test_without_rgb_no_renderer_starts(stage, tmp_path, monkeypatch):
-    plan_fault(tmp_path, monkeypatch, "exit", where="load")
-    report = run(stage, "plain", passes=ANNOTATION)
-    assert (report.rendered, report.deaths, report.backend) == (2, 0, "annotation")
-    assert faults_so_far(tmp_path) == 0
-    assert report.frames[0].parts[-3] == "annotation"
-    assert np.all(read_frame(report.frames[0]).passes["depth"] == 6.0)
 
 
 @pytest.mark.usefixtures("worker_here")

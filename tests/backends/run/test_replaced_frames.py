@@ -9,7 +9,6 @@ import pytest
 from third_party import install, square_stage
 
 from scenec.backends.run.render import render
-from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import OutputError
 from scenec.schemas.frames import read_frame
@@ -93,16 +92,6 @@ def test_frames_to_a_target_go_on_with_the_same_target_alone(stage: Path) -> Non
         render(stage, "plain", **{**ask, "error": None})
 
 
-def test_frames_of_an_earlier_stage_are_replaced(stage: Path) -> None:
-    stage.write_text(stage.read_text().replace("(-5, -5, 0)", "(-4, -5, 0)"))
-    assert render(stage, "smooth", spp=1, passes=("rgb",)).rendered == 4
-
-
-def test_a_damaged_frame_is_made_again(stage: Path) -> None:
-    next((stage.parent / "frames").rglob("*.exr")).unlink()
-    assert render(stage, "smooth", spp=4, passes=PASSES).rendered == 1
-
-
 def test_annotation_loses_no_pass(stage: Path) -> None:
     render(stage, "annotation", passes=("depth", "instance"))
     assert render(stage, "annotation", passes=("depth",)).skipped == 4
@@ -132,14 +121,3 @@ def test_no_batch_is_rendered_where_a_later_one_holds_what_would_go(
     render(out, "annotation", passes=("depth", "normal"), batches=[1])
     with pytest.raises(OutputError, match="is there, holding normal"):
         render(out, "annotation", passes=("depth", "range"))
-
-
-def test_the_command_ends_in_one_line_with_status_2(
-    stage: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ask = ["render", str(stage), "--backend", "smooth", "--passes", "rgb,depth,instance"]
-    assert main([*ask, "--spp", "4"]) == 0
-    capsys.readouterr()
-    assert main([*ask, "--spp", "1"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert main([*ask, "--spp", "1", "--replace"]) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -146,16 +145,4 @@ def test_what_killed_renders_left_half_written_is_removed_by_the_next(copy):
     subprocess.run([sys.executable, "-c", code, str(folder)], check=False)
     assert len(list(folder.iterdir())) == 2
     assert render(copy, "reference").rendered == 6
-    assert not list(copy.rglob(".scenec-*"))
-
-
-@pytest.mark.slow
-def test_two_renders_at_once_make_each_frame_once(copy):
-    words = [sys.executable, "-m", "scenec.cli.main", "render", str(copy), "--backend",
-             "reference", "--json"]  # fmt: skip
-    both = [subprocess.Popen(words, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    told = [json.loads(one.communicate()[0]) for one in both]
-    assert [one.returncode for one in both] == [0, 0]
-    assert sum(one["rendered"] for one in told) == 6
-    assert all(one["rendered"] + one["skipped"] == 6 for one in told)
     assert not list(copy.rglob(".scenec-*"))

@@ -178,29 +178,6 @@ def frames(out: Path, *names: str) -> list[str]:
     return [f"batch_0000/frames/annotation/rover_{name}.json" for name in names]
 
 
-STRAY = ("a/000000", "a/000002", "a/000004", "b/000004", *(f"gone/00000{i}" for i in range(5)))
-
-
-@twice
-def test_check_names_each_with_the_reason_and_what_to_do(made):
-    out, _ = made
-    told = {f.where: f.message for f in find(out) if "not of this stage" in f.message}
-    assert sorted(told) == frames(out, *STRAY)
-    assert "triggered at samples 1, 3;" in told[frames(out, "a/000002")[0]]
-    assert "has samples 0 to 3;" in told[frames(out, "b/000004")[0]]
-    assert "no camera 'rover_gone';" in told[frames(out, "gone/000001")[0]]
-    assert all("delete 00000" in message for message in told.values())
-    assert not [f for f in find(out) if f.severity == "error"]
-
-
-@twice
-def test_render_warns_once(made):
-    _, warnings = made
-    (line,) = (line for line in warnings if "not of this stage" in line)
-    assert "rover_a/000000.json" in line
-    assert f"and {len(STRAY) - 1} more in batch_0000" in line
-
-
 @twice
 def test_exports_pass_them_over_with_a_line_each(made, tmp_path):
     out, _ = made
