@@ -140,16 +140,6 @@ def test_haze_lies_before_what_each_point_of_the_aperture_sees() -> None:
     assert shown[:, -1] == pytest.approx(far * 0.2 + (1.0 - far) * 0.6, abs=0.02)
 
 
-def test_blur_is_measured_where_there_is_something_to_see() -> None:
-    """Without sky the widest disk is that of the nearest or the farthest surface."""
-    of = hazy()
-    caster = ExactCaster(of)
-    blur = measure(focused(4.0, 0.1), caster)
-    assert blur is not None
-    assert blur.disk_px == pytest.approx(disk(0.1, 40.0, 1.0, 4.0), rel=1e-9)
-    assert measure(ahead(), caster) is None
-
-
 def test_annotation_is_that_of_the_pinhole() -> None:
     made = Session(of_plates([SMALL]), Flat())
     plain = made.render(ahead(32, 24, 40.0), 0, ("depth", "instance"), 1, 1)[0]

@@ -23,7 +23,7 @@ from scenec.backends.testing.geometry import LENSES, inside_glow
 from scenec.backends.testing.scenes import dome, look_at, mesh, plane, scene, sun, surface
 from scenec.schemas.errors import BackendError
 from scenec.schemas.lens import Lens
-from scenec.testing.lens_scenes import BROWN, CAMERAS, FISHEYE, PANORAMA, with_lens
+from scenec.testing.lens_scenes import BROWN, CAMERAS, FISHEYE, with_lens
 
 
 def board(upright: bool = True, bars: int = 5) -> RenderScene:
@@ -280,31 +280,6 @@ def test_rays_between_the_tables_are_off_by_what_it_says(name: str) -> None:
 def sine(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """Of the angle between two directions."""
     return float(np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b))
-
-
-def test_faces_of_the_cube_are_turns() -> None:
-    """Each is a rotation; z of all six together points everywhere."""
-    for face in resample.FACES:
-        assert np.array_equal(face @ face.T, np.eye(3))
-        assert np.linalg.det(face) == pytest.approx(1.0)
-    assert len({tuple(face[2]) for face in resample.FACES}) == 6
-
-
-@pytest.mark.parametrize(
-    ("camera", "views"),
-    [
-        (with_lens(BROWN, 64, 48), 1),
-        (with_lens(FISHEYE, 64, 48, 200.0), 1),
-        (with_lens(FISHEYE, 64, 48, 20.0), 5),
-        (with_lens(PANORAMA, 64, 32), 6),
-    ],
-)
-def test_as_many_views_as_a_lens_needs(camera: Camera, views: int) -> None:
-    """One where all rays lie within 60 degrees, faces of a cube that have any otherwise."""
-    plan = resample.plan_views(camera)
-    assert len(plan.cameras) == views
-    assert plan.fineness == pytest.approx(resample.FINENESS)
-    assert all(view.lens is None for view in plan.cameras)
 
 
 class Pinholes:

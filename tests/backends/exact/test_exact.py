@@ -147,18 +147,6 @@ def test_edge_function_of_the_reversed_edge_is_the_exact_negative(ax, ay, bx, by
     assert edge_function(ax, ay, bx, by) == -edge_function(bx, by, ax, ay)
 
 
-def test_depth_of_an_inclined_plane_is_right_to_1e_12():
-    # z = x / 4 - 8 and its corners are exact in float32.
-    corners = [(-64, -64, -24), (64, -64, 8), (64, 64, 8), (-64, 64, -24)]
-    plane = scenes.scene([scenes.mesh(corners, [0, 1, 2, 0, 2, 3])], [(0, scenes.affine())])
-    view = scenes.camera(80, 60, 65.0, (0.0, 0.0, 4.0), (0.5, 0.25, -10.0))
-    rays = camera_rays(view)
-    _, _, t = ExactCaster(plane).cast(rays)
-    o, d = rays.origins, rays.directions
-    expected = -(o[:, 2] - o[:, 0] / 4 + 8) / (d[:, 2] - d[:, 0] / 4)
-    np.testing.assert_allclose(t, expected, rtol=1e-12, atol=0)
-
-
 def test_depth_error_of_a_tessellated_sphere_is_below_the_chord_bound_and_of_second_order():
     center = np.array([5.0, 0.0, 0.0])
     errors, lengths = [], []

@@ -10,7 +10,7 @@ from PIL import Image
 
 from scenec.backends.model.bake import box_uv
 from scenec.backends.model.collect import _look, coarse_model, whole_model
-from scenec.backends.model.colors import colors_at, vertex_colors
+from scenec.backends.model.colors import colors_at
 from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Maps, Reading, RenderScene, Surface
@@ -151,17 +151,6 @@ def test_what_is_baked_are_the_colors_of_the_mixed_surface(scene):
     off = np.abs(picture[line, column].astype(int) - wanted).max(axis=1)
     assert np.median(off) <= 3
     assert wanted.std(axis=0).max() > 0 or off.max() <= 3
-
-
-def test_colors_without_pictures_are_mixed_by_weights(scene):
-    for mesh in scene.meshes:
-        if len(mesh.layers) < 2:
-            continue
-        colors = vertex_colors(scene, mesh)
-        assert colors.shape == mesh.points.shape
-        assert np.all((colors >= 0) & (colors <= 1))
-        return
-    pytest.fail("no mixed mesh in the scene")
 
 
 def test_texture_coordinates_of_a_box_keep_lengths_along_its_sides():

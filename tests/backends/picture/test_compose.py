@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from PIL import Image
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Radiance
@@ -18,7 +17,7 @@ from scenec.backends.picture.sky import Sky, combine, load_picture, lookup, texe
 from scenec.backends.stage.scene import Dome, RenderScene
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import StageError
-from scenec.schemas.picture import SHOULDER, develop, srgb_encode, tone_map, write_png
+from scenec.schemas.picture import SHOULDER, develop, srgb_encode, tone_map
 
 
 def only_sky(scene: RenderScene) -> NDArray:
@@ -132,16 +131,6 @@ def test_the_estimated_error_is_the_error_of_the_mean():
     assert picture.noise.relative_mse == pytest.approx(true**2 / 1.01, rel=0.1)
 
 
-def test_the_error_of_light_that_overflowed_is_unknown_and_not_none_at_all():
-    camera = ms.look_at((0, 0, 0), (1, 0, 0), 4, 1)
-    scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera])
-    halves = np.ones((2, 1, 4, 3), np.float32)
-    halves[0, 0, 0] = np.inf
-    picture = compose(Radiance(halves, np.ones((1, 4), np.float32), 2), scene, camera, 0)
-    assert picture.noise.relative_rms is None
-    assert picture.noise.relative_mse is None
-
-
 def test_a_denoised_picture_takes_the_place_of_the_mean_before_the_sky_and_keeps_the_estimate():
     camera = ms.look_at((0, 0, 0), (1, 0, 0), 4, 1)
     scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera], lights=[ms.dome(8.0)])
@@ -153,17 +142,6 @@ def test_a_denoised_picture_takes_the_place_of_the_mean_before_the_sky_and_keeps
     np.testing.assert_allclose(picture.rgb[0, :, 0], 5.0 + 8.0 * (1 - coverage[0]), rtol=1e-6)
     # |A - B| / 2 over the mean: 1 / 2.
     assert picture.noise.relative_rms == noisy.noise.relative_rms == pytest.approx(0.5)
-
-
-def test_a_picture_without_noise_has_an_unknown_error_and_not_none_at_all():
-    camera = ms.look_at((0, 0, 0), (1, 0, 0), 4, 1)
-    scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera])
-    halves = np.ones((2, 1, 4, 3), np.float32)
-    covered = np.ones((1, 4), np.float32)
-    picture = compose(Radiance(halves, covered, 1, stochastic=False), scene, camera, 0)
-    assert picture.noise.relative_rms is None
-    assert picture.noise.relative_mse is None
-    assert compose(Radiance(halves, covered, 2), scene, camera, 0).noise.relative_rms == 0.0
 
 
 def test_a_missing_or_broken_sky_picture_is_said_with_its_name(tmp_path: Path):
@@ -203,10 +181,3 @@ def test_srgb_has_its_published_values():
     assert round(255 * float(srgb_encode(np.array(0.18)))) == 118
     assert srgb_encode(np.array(0.0031308)) == pytest.approx(0.04045, abs=2e-5)
     assert srgb_encode(np.array(1.0)) == pytest.approx(1.0)
-
-
-def test_pictures_on_disk_are_what_was_developed(tmp_path: Path):
-    pixels = np.random.default_rng(4).integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    write_png(tmp_path / "a" / "p.png", pixels)
-    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a" / "p.png")), pixels)
-    assert [p.name for p in (tmp_path / "a").iterdir()] == ["p.png"]

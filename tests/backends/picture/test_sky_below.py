@@ -101,13 +101,6 @@ def test_without_it_the_sky_has_one_label_and_its_share_below_is_said(plain: Pat
     assert ATTR_SKY_LABEL_BELOW.format(level="").encode() not in text
 
 
-def test_frames_that_are_there_already_are_said_again(plain: Path) -> None:
-    frames(plain)
-    again = render(plain, "annotation")
-    assert again.rendered == 0
-    assert [line for line in again.warnings if "below the horizon" in line]
-
-
 def test_a_horizon_leaves_no_sky_below(tmp_path: Path) -> None:
     made = cfg()
     # Hills that rise from the border on: what they stand on does not count.

@@ -289,16 +289,6 @@ def test_what_shapes_or_links_a_light_is_named(tmp_path, name, kind, value):
     assert line.startswith(f"{name} of SphereLight is not followed")
 
 
-@pytest.mark.parametrize("name", ["portals", "light:filters", "collection:shadowLink:excludes"])
-def test_what_a_light_goes_through_is_named(tmp_path, name):
-    def build(stage):
-        dome = UsdLux.DomeLight.Define(stage, "/Root/it").GetPrim()
-        dome.CreateRelationship(name).AddTarget("/Root")
-
-    (line,) = opened(tmp_path, build).losses
-    assert line.startswith(f"{name} of DomeLight is not followed")
-
-
 def test_a_light_whose_color_comes_from_a_node_is_named(tmp_path):
     def build(stage):
         dome = UsdLux.DomeLight.Define(stage, "/Root/it")

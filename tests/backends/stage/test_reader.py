@@ -428,14 +428,6 @@ def test_an_instancer_inside_of_its_own_prototypes_is_refused(tmp_path):
         opened(tmp_path, build)
 
 
-def test_a_camera_without_perspective_is_refused(tmp_path):
-    def build(stage):
-        UsdGeom.Camera.Define(stage, "/Root/camera").CreateProjectionAttr("orthographic")
-
-    with pytest.raises(StageError, match="orthographic"):
-        opened(tmp_path, build)
-
-
 @pytest.mark.parametrize("unit", [0.0, -1.0])
 def test_units_of_no_length_are_refused(tmp_path, unit):
     with pytest.raises(StageError, match="metersPerUnit"):

@@ -30,25 +30,6 @@ def albedo(roughness: float, mu: float, nodes: int = 300) -> float:
     return float(np.where(there, g2 * along / (mu * cosine), 0.0).mean())
 
 
-def lost(roughness: float) -> float:
-    """What a white metal ball in a furnace loses: the mean over directions by their cosine."""
-    x, weight = np.polynomial.legendre.leggauss(24)
-    mu = 0.5 * (x + 1.0)
-    return 1.0 - float(sum(w * m * albedo(roughness, m) for m, w in zip(mu, weight, strict=True)))
-
-
-@pytest.mark.parametrize(
-    ("roughness", "share"), [(0.2, 0.01), (0.33, 0.03), (0.5, 0.12), (0.7, 0.29), (0.9, 0.50)]
-)
-def test_a_rough_white_metal_loses_what_the_page_says(roughness: float, share: float) -> None:
-    assert lost(roughness) == pytest.approx(share, abs=0.005)
-
-
-def test_from_the_front_it_is_less_at_half_and_more_at_full_roughness() -> None:
-    assert 1.0 - albedo(0.5, 0.999) == pytest.approx(0.08, abs=0.005)
-    assert 1.0 - albedo(0.9, 0.999) == pytest.approx(0.58, abs=0.005)
-
-
 @pytest.mark.parametrize("roughness", [0.1, 0.25, 0.5, 0.75, 1.0])
 @pytest.mark.parametrize("mu", [0.1, 0.2, 0.35, 0.6, 0.999])
 def test_the_definition_s_albedo_is_that(roughness: float, mu: float) -> None:
