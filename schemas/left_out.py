@@ -36,6 +36,8 @@ from scenec.schemas.files import write_json
 from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
 from scenec.schemas.shape import Each, natural, read_shaped
 
+#: What a step or a kind reports of its own for report.json: JSON.
+Facts = dict[str, Any]
 _FORMAT = 2
 #: Classes with fewer objects than one in so many numbers have their ids listed.
 _SPARSE = 4

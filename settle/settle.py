@@ -11,10 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
+from scenec.compiler.build import build_to
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
@@ -126,7 +127,9 @@ def settle(
     say(f"building {spec.cfg['name']}, {which}")
     started = time.perf_counter()
     plan = draw(spec, seed, batch, attempt)
-    surface, laid = _build(plan)
+    made = build_to(build_objects, plan)
+    # The ground with the fines about their feet, as it is meshed.
+    surface, laid = made["surface"], made["objects"]
     bodies = _dropped(plan, laid, chosen)
     _require_on_ground(bodies, surface)
     obstacles = [
@@ -217,15 +220,6 @@ def _files(out: Path, chosen: Sequence[str]) -> dict[str, Path]:
     for file in files.values():
         check_output(file)
     return files
-
-
-def _build(plan: Plan) -> tuple[Surface, tuple[Scatter | Placed, ...]]:
-    log = BuildLog()
-    surface = build_surface(plan, log)
-    rigs = stand_rigs(plan, surface, None, log)
-    built = stand_objects(plan, surface, rigs, None, log)
-    # The ground with the fines about their feet, as it is meshed.
-    return built.surface, built.objects
 
 
 def _dropped(plan: Plan, laid: Sequence[Scatter | Placed], chosen: Sequence[str]) -> list[Body]:

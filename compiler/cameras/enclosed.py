@@ -26,7 +26,7 @@ from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.geometry.poses import composed, cross
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.scene.ground import Ground
-from scenec.compiler.scene.objects import Placed, Prototype, Scatter
+from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
 from scenec.schemas.depth_camera import StereoDepth
 from scenec.schemas.errors import SceneError
@@ -85,16 +85,16 @@ class _Column(NamedTuple):
 
 
 def require_open(
-    plans: Sequence[RigPlan],
-    rigs: Sequence[Rig],
+    drawn_rigs: tuple[RigPlan, ...],
+    rigs: tuple[Rig, ...],
     ground: Ground,
-    objects: Sequence[Scatter | Placed],
+    objects: Objects,
     size_m: tuple[float, float],
 ) -> None:
     """Refuses sensors that are where no camera can be; rigs with ``allow_below`` may be anywhere.
 
     Args:
-        plans, rigs: The rigs as drawn and as built.
+        drawn_rigs, rigs: The rigs as drawn and as built.
         ground: The terrain, and the land around it.
         objects: All of them, before any is left out.
         size_m: The terrain's.
@@ -102,7 +102,9 @@ def require_open(
     Raises:
         SceneError: Names the first such sensors, their samples and places and the ground there.
     """
-    eyes = _eyes_of([rig for plan, rig in zip(plans, rigs, strict=True) if not plan.allow_below])
+    eyes = _eyes_of(
+        [rig for plan, rig in zip(drawn_rigs, rigs, strict=True) if not plan.allow_below]
+    )
     if not len(eyes.at):
         return
     order = np.argsort(eyes.at[:, 0], kind="stable")

@@ -13,15 +13,17 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import ImagingPlan, two_to
 from scenec.compiler.cameras.pairs import require_rectified
-from scenec.compiler.cameras.paths.motion import Around, Bodies
+from scenec.compiler.cameras.paths.motion import Around, Bodies, bodies_of
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.exposure import incident_exposure
+from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.left_out import Facts
 
 
 def build_rigs(
@@ -58,6 +60,34 @@ def build_rigs(
 
 #: ``build_rigs`` as a step of the cache.
 memoized_rigs = memoized("cameras")(build_rigs)
+
+
+def place_free_rigs(
+    drawn_rigs: tuple[RigPlan, ...], surface: Surface
+) -> tuple[tuple[Rig, ...] | None, Facts]:
+    """Builds the rigs that heed no objects; None where all are such.
+
+    Where some heed objects, all objects are placed once before, among the free rigs only. There
+    they stand in the end, unless a rig gets nearer to scattered ones than their clearance (these
+    then give way), or sees stones so near that fines are heaped about them (``fillet``; classes
+    after these then rise by the ramps).
+    """
+    free = tuple(rig for rig in drawn_rigs if not rig.pose.needs_objects)
+    if len(free) == len(drawn_rigs):
+        return None, {}
+    return build_rigs(free, surface, None, {})[0], {}
+
+
+def place_rigs(
+    drawn_rigs: tuple[RigPlan, ...],
+    surface: Surface,
+    irradiance: NDArray[np.float64] | None,
+    obstacles: Objects,
+) -> tuple[tuple[Rig, ...], Facts]:
+    """Builds the rigs in the cfg's order, among obstacles (``build_rigs``)."""
+    bodies = {one.name: bodies_of(one) for one in obstacles}
+    rigs, motion = memoized_rigs(drawn_rigs, surface, irradiance, bodies)
+    return rigs, {"motion": motion} if motion else {}
 
 
 def _exposed(plan: SensorPlan, irradiance: NDArray[np.float64] | None) -> Sensor:

@@ -10,15 +10,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
+from scenec.compiler.cameras.plan import RigPlan
+from scenec.compiler.cameras.rigs import expose
 from scenec.compiler.light.clear_sky import level_sun_irradiance
 from scenec.compiler.light.cloud_shadows import Land
 from scenec.compiler.light.clouds import add_clouds
+from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
+from scenec.compiler.mesh.plan import TerrainPlan
+from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.rig import Rig
+from scenec.compiler.views.needed import Needs
 from scenec.schemas.errors import SceneError
+from scenec.schemas.left_out import Facts, entry
 from scenec.schemas.plugins import named, plugin_name
+
+
+def light_sky(
+    drawn_light: LightPlan,
+    drawn_samples: int,
+    drawn_terrain: TerrainPlan,
+    surface: Surface,
+    needs: Needs,
+) -> tuple[Light, NDArray[np.float64] | None, Facts]:
+    """Builds suns and sky, and shadows of clouds on the ground; their irradiance with pictures."""
+    land = None
+    if drawn_light.clouds is not None:
+        field, horizon = surface.field, drawn_terrain.horizon
+        east, north = (0.5 * size for size in field.grid.size_m)
+        low, high = float(field.height.min()), float(field.height.max())
+        reach_m = 0.0 if horizon is None else horizon.reach_m
+        land = Land((-east, -north, low), (east, north, high), reach_m)
+    light = build_light(drawn_light, drawn_samples, needs.color, needs.labels, land)
+    return light, light.irradiance if needs.color else None, light.facts
+
+
+def light_lamps(
+    drawn_light: LightPlan, rigs: tuple[Rig, ...], surface: Surface, light: Light
+) -> tuple[Light, tuple[Lamp, ...], Facts]:
+    """Builds lamps, which rigs may carry; leaves out what is dark at every sample."""
+    lit, lamps, dark = without_dark(light, build_lamps(drawn_light.lamps, rigs, surface))
+    return lit, lamps, {"left_out": [entry("light", what, why) for what, why in dark]}
+
+
+def expose_rigs(
+    drawn_rigs: tuple[RigPlan, ...],
+    rigs: tuple[Rig, ...],
+    lamps: tuple[Lamp, ...],
+    surface: Surface,
+    light: Light,
+) -> tuple[tuple[Rig, ...], Facts]:
+    """Exposes sensors by all the light there is; those that make pictures get their imaging."""
+    if lamps:
+        rigs = meter_lamps(rigs, drawn_rigs, lamps, surface, light.irradiance)
+    return expose(rigs, drawn_rigs), {}
 
 
 @dataclass(frozen=True)

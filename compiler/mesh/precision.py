@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.compiler.mesh.plan import TerrainPlan
 from scenec.compiler.mesh.tiles import TILE_CELLS
+from scenec.compiler.scene.ground import Ground
+from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import HeightField
+from scenec.compiler.terrain.program import Relief
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
+from scenec.schemas.left_out import Facts
 
 #: Precision promised of a position: this part of the extent, the step of float32 (2**-24).
 FLOAT32_STEP = 6e-8
@@ -109,32 +111,56 @@ def refuse(
     )
 
 
-def precision(
-    bounds: NDArray[np.float64],
-    errors: Sequence[float],
-    pixels_per_m: NDArray[np.float64] | None,
-) -> dict[str, Any]:
-    """The precision of positions, for report.json.
+def find_precision(
+    drawn_terrain: TerrainPlan,
+    relief: Relief,
+    rigs: tuple[Rig, ...],
+    near: NDArray[np.float64] | None,
+    ground: Ground,
+    ground_error_m: float,
+    objects: Objects,
+    errors_m: tuple[float, ...],
+) -> tuple[NDArray[np.float64], Facts]:
+    """Finds the bounds of terrain and objects, float64 [2, 3], and how precise float32 is there.
+
+    Reported are the longest side of the bounds, the precision promised for it and the largest
+    error made, in meters, and in pixels where the ground is seen largest (None without cameras).
+    Vertices are held in tiles, which keeps the error far below the promise where there are many.
 
     Args:
-        bounds: Of all geometry, float64 [2, 3].
-        errors: The largest of positions in float32, of the ground and each class, meters.
-        pixels_per_m: See ``views.resolution``; None without cameras.
+        near: Pixels of a meter on the ground; None without cameras.
+        ground_error_m, errors_m: The largest of positions, of each class.
 
-    Returns:
-        The extent (the longest side of the bounds), the precision promised for it and the largest
-        error made, in meters, and in pixels where the ground is seen largest (None without
-        cameras). Vertices are held in tiles, which keeps the error far below the promise where
-        there are many.
+    Raises:
+        SceneError: Positions are off by more than ``REFUSE_PX``.
     """
+    bounds = _bounds(ground, objects)
     extent = float((bounds[1] - bounds[0]).max())
-    error = max(errors)
-    nearest = None if pixels_per_m is None else float(pixels_per_m.max(initial=0.0))
-    return {
-        "extent_m": extent,
-        "promised_m": FLOAT32_STEP * extent,
-        "float32_error_max_m": error,
-        "pixels_per_m_max": nearest,
-        "promised_px": None if nearest is None else FLOAT32_STEP * extent * nearest,
-        "float32_error_max_px": None if nearest is None else error * nearest,
+    error = max((ground_error_m, *errors_m))
+    nearest = None if near is None else float(near.max(initial=0.0))
+    if nearest is not None and error * nearest > REFUSE_PX:
+        what = f"over {extent:.6g} m up to {np.abs(bounds).max():.6g} m away"
+        refuse(rigs, relief.field, drawn_terrain.meshing.unseen, error, what)
+    return bounds, {
+        "precision": {
+            "extent_m": extent,
+            "promised_m": FLOAT32_STEP * extent,
+            "float32_error_max_m": error,
+            "pixels_per_m_max": nearest,
+            "promised_px": None if nearest is None else FLOAT32_STEP * extent * nearest,
+            "float32_error_max_px": None if nearest is None else error * nearest,
+        }
     }
+
+
+def _bounds(ground: Ground, objects: Objects) -> NDArray[np.float64]:
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for tile in ground.tiles:
+        low = np.minimum(low, tile.translate + tile.points.min(axis=0))
+        high = np.maximum(high, tile.translate + tile.points.max(axis=0))
+    for one in objects:
+        if one.count:
+            middles, radii = one.balls()
+            low = np.minimum(low, (middles - radii[:, None]).min(axis=0))
+            high = np.maximum(high, (middles + radii[:, None]).max(axis=0))
+    return np.stack([low, high])

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.model import Model, cached_model, require_near_origin
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.kinds.table import is_own
+from scenec.compiler.materials.plan import MaterialPlan
+from scenec.compiler.mesh.build import build_land
+from scenec.compiler.mesh.horizon import Land
+from scenec.compiler.mesh.plan import TerrainPlan
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.objects.coatings import coat
 from scenec.compiler.objects.feet import heap
@@ -26,50 +30,96 @@ from scenec.compiler.objects.prototypes import Looks, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
 from scenec.compiler.objects.scatter import scatter
 from scenec.compiler.objects.surroundings import Surroundings, footprints
-from scenec.compiler.scene.objects import Placed, Prototype, Scatter
-from scenec.compiler.views.resolution import Views
+from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
+from scenec.compiler.scene.rig import Rig, sample_times
+from scenec.compiler.views.needed import Needs
+from scenec.compiler.views.resolution import Views, views_of
+from scenec.schemas.left_out import Facts
 
+Plans = tuple[ScatterPlan | PlacedPlan, ...]
 Timed = Callable[[str], AbstractContextManager[None]]
 
 
-class Built(NamedTuple):
-    """The objects of a batch, in the plans' order.
-
-    Attributes:
-        surface: The ground with the fines that are heaped about their feet.
-        facts: For report.json: of each class, and of the budget, if there is one.
-    """
-
-    objects: tuple[Scatter | Placed, ...]
-    surface: Surface
-    facts: dict[str, Any]
-
-    def float32_errors(self) -> list[float]:
-        """Of each class, the largest error of its positions in float32, meters."""
-        return [float(own["float32_error_max_m"]) for own in self.facts["objects"].values()]
+def place_obstacles(
+    free_rigs: tuple[Rig, ...] | None,
+    drawn_objects: Plans,
+    drawn_terrain: TerrainPlan,
+    drawn_samples: int,
+    drawn_object_triangles: int | None,
+    surface: Surface,
+) -> tuple[Objects, Facts]:
+    """Builds the objects among the free rigs alone; none where all rigs are free."""
+    if free_rigs is None:
+        return (), {}
+    beyond = any(isinstance(plan, ScatterPlan) and plan.beyond_m for plan in drawn_objects)
+    land = build_land(drawn_terrain, surface)[0] if beyond else None
+    objects, *_ = build_objects(
+        drawn_objects, drawn_terrain, {}, drawn_samples, drawn_object_triangles, surface,
+        free_rigs, land, Needs(False, False, False), lambda _name: nullcontext(),
+    )  # fmt: skip
+    return objects, {}
 
 
 def build_objects(
-    plans: Sequence[ScatterPlan | PlacedPlan],
+    drawn_objects: Plans,
+    drawn_terrain: TerrainPlan,
+    drawn_materials: dict[str, MaterialPlan],
+    drawn_samples: int,
+    drawn_object_triangles: int | None,
+    surface: Surface,
+    rigs: tuple[Rig, ...],
+    land: Land | None,
+    needs: Needs,
+    timed: Timed,
+) -> tuple[Objects, Surface, dict[str, MaterialPlan], tuple[float, ...], tuple[str, ...], Facts]:
+    """Builds the objects on the ground and on the land around it, in the cfg's order.
+
+    Returns:
+        The objects; the ground with the fines about their feet; materials, with those of models; of
+        each class, the largest error of positions in float32, meters; classes with fines.
+
+    Raises:
+        SceneError: Something cannot be built or placed, or the budget cannot be kept.
+    """
+    views, meshing = views_of(rigs), drawn_terrain.meshing
+    around = Surroundings(surface, views.eye, views, meshing.unseen, meshing.tolerance_px)
+    for plan in drawn_objects:
+        beyond_m = plan.beyond_m if isinstance(plan, ScatterPlan) else 0.0
+        if not beyond_m or beyond_m in around.beyond:
+            continue
+        assert land is not None
+        near = Surroundings(land.near(beyond_m), views.eye, views, meshing.unseen)
+        around.beyond[beyond_m] = near
+    looks = Looks(dict(drawn_materials))
+    times, most = sample_times(rigs, drawn_samples), drawn_object_triangles
+    objects, surface, facts = place_classes(
+        drawn_objects, around, times, looks if needs.color else None, most, timed
+    )
+    own = facts["objects"]
+    for plan, one in zip(drawn_objects, objects, strict=True):
+        if land and isinstance(plan, ScatterPlan) and isinstance(one, Scatter) and plan.beyond_m:
+            off_m = land.off_m(around.beyond[plan.beyond_m].surface, one.positions)
+            own[plan.name]["land_error_max_m"] = off_m
+    errors_m = tuple(float(of["float32_error_max_m"]) for of in own.values())
+    filleted = tuple(name for name, of in own.items() if "fillets" in of)
+    return objects, surface, looks.materials, errors_m, filleted, facts
+
+
+def place_classes(
+    plans: Plans,
     around: Surroundings,
-    views: Views,
-    unseen: float,
     times: NDArray[np.float64],
     looks: Looks | None,
     max_triangles: int | None,
     timed: Timed,
-) -> Built:
-    """The objects, in the plans' order; each class sees those before it.
+) -> tuple[Objects, Surface, Facts]:
+    """Places all classes, in the plans' order; each sees those before it.
 
     Args:
-        around: Ground and cameras; receives what is laid.
-        unseen: Part that a pixel counts where no view shows an instance.
+        around: Ground and cameras; receives what is placed.
         looks: Receives the materials of models; None where no color is asked for.
         max_triangles: Most triangles of all objects together, or None.
         timed: Measures how long a class takes, in a ``with`` block.
-
-    Raises:
-        SceneError: Something cannot be built or placed, or the budget cannot be kept.
     """
     found: list[Levels | Placed] = []
     facts: dict[str, dict[str, Any]] = {}
@@ -87,7 +137,9 @@ def build_objects(
                 chains = _chains(plan, looks, own)
                 # All that a class can see of others is what its plan names.
                 near = around.only(_others(plan, around.objects), plan.beyond_m)
-                levels, facts_of_it = _scattered(_without_files(plan), chains, near, views, unseen)
+                levels, facts_of_it = _scattered(
+                    _without_files(plan), chains, near, around.views, around.unseen
+                )
                 own |= facts_of_it
                 own["float32_error_max_m"] += _rounding_m(levels.scatter)
                 found.append(levels)
@@ -109,7 +161,7 @@ def build_objects(
             scatter, chosen = choose_levels(one, factor)
             facts[scatter.name] |= chosen
             objects.append(scatter)
-    return Built(tuple(objects), around.surface, told)
+    return tuple(objects), around.surface, told
 
 
 def _scattered(

@@ -151,3 +151,7 @@ class Placed(ObjectClass):
         columns = self.to_world[:, :, :, :3]
         stretch = np.sqrt((columns * columns).sum(axis=2)).max(axis=2, initial=0.0)
         return self.to_world[:, :, :, 3].reshape(-1, 3), (of_prototype[:, None] * stretch).ravel()
+
+
+#: All classes of a batch.
+Objects = tuple[Scatter | Placed, ...]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,3 +155,11 @@ class Rig:
     times: NDArray[np.float64] | None = None
     lidars: tuple[Lidar, ...] = ()
     between: Between | None = None
+
+
+def sample_times(rigs: Sequence[Rig], samples: int) -> NDArray[np.float64]:
+    """Returns the samples' seconds: those of the first rig that has its own; else their numbers."""
+    for rig in rigs:
+        if rig.times is not None:
+            return rig.times
+    return np.arange(samples, dtype=np.float64)

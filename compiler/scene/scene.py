@@ -7,6 +7,8 @@ data; nothing here draws, reads files or knows of USD.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,9 @@ from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.labels import Labels
 from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
 from scenec.compiler.scene.material import Material
-from scenec.compiler.scene.objects import Placed, Scatter
+from scenec.compiler.scene.objects import Objects, Placed
 from scenec.compiler.scene.rig import Rig
+from scenec.schemas.errors import SceneError
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Scene:
     sky_labels: Labels
     materials: dict[str, Material]
     ground: Ground
-    objects: tuple[Scatter | Placed, ...]
+    objects: Objects
     sun: SunLight | None
     sky: SkyLight | None
     rigs: tuple[Rig, ...]
@@ -81,3 +84,26 @@ class Scene:
         tile = self.ground.horizon.tile
         low, high = (tile.translate + pick(tile.points, axis=0) for pick in (np.min, np.max))
         return np.stack([np.minimum(self.bounds[0], low), np.maximum(self.bounds[1], high)])
+
+
+def require_finite(scene: Scene) -> None:
+    """Refuses numbers that are in range each and multiply to what float32 cannot hold.
+
+    Raises:
+        SceneError: There are some.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for one in scene.objects:
+        if isinstance(one, Placed):
+            arrays[f"objects/{one.name}: poses"] = one.to_world
+            continue
+        arrays[f"objects/{one.name}: positions"] = one.positions
+        arrays[f"objects/{one.name}: sizes"] = one.scales
+    for name, picture in scene.sky.pictures.items() if scene.sky else ():
+        if not isinstance(picture, Path):
+            arrays[f"light/sky: {name}"] = picture
+    for rig in scene.rigs:
+        arrays[f"rigs/{rig.name}: poses"] = rig.to_world
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise SceneError(f"{name} overflow; use smaller numbers")

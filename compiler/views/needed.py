@@ -28,7 +28,7 @@ import numpy as np
 
 from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.scene.material import Material
-from scenec.compiler.scene.objects import Placed, Prototype, Scatter
+from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
 from scenec.schemas.left_out import entry
 from scenec.schemas.passes import BUILT_IN
@@ -111,7 +111,7 @@ class Used[Kind]:
 
     materials: dict[str, Kind]
     ground: Ground
-    objects: tuple[Scatter | Placed, ...]
+    objects: Objects
     left_out: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -143,13 +143,6 @@ def without_unused[Kind](
         tuple(kept),
         left_out,
     )
-
-
-def without_ids(objects: Sequence[Scatter | Placed], needs: Needs) -> tuple[Scatter | Placed, ...]:
-    """The classes; none has ids where no output shows them."""
-    if needs.ids:
-        return tuple(objects)
-    return tuple(replace(one, instances=False) for one in objects)
 
 
 def _without_unused_prototypes(

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.cache.memo import memoized
 from scenec.compiler.scene.ground import Ground, Tile
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.scene import Scene
@@ -105,6 +106,7 @@ class _Balls:
         self.reason[np.flatnonzero(which)[stays]] = _CODE[why]
 
 
+@memoized("prune")
 def prune(
     scene: Scene,
     needs: Needs,

@@ -23,7 +23,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.lab.runner import CONFIGS, Cell, Study, run
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import read_frame
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 
 CFGS = ("jacksboro", "jacksboro_hdri", "lunar_mare", "mars_yard", "volcanic_desert", "landing_site")
 
@@ -67,7 +67,7 @@ def _row(study: Study, name: str) -> list[Cell]:
 def _seen(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Luminance of a frame's pixels: those that surfaces fill, the others."""
     passes = read_frame(path).passes
-    values = passes["rgb"].astype(np.float64) @ LUMINANCE
+    values = luminance(passes["rgb"].astype(np.float64))
     filled = np.isfinite(passes["depth"])
     return values[filled], values[~filled]
 

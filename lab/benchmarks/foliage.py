@@ -22,7 +22,7 @@ from scenec.backends.run.render import render
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import Cell, Study, run
 from scenec.schemas.frames import read_frame
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 
 MODELS = ("oak", "birch_old", "spruce_old", "pine_old", "grass_tall", "fern")
 RUNGS = (0.5, 1.0, 2.0, 4.0)
@@ -84,7 +84,7 @@ def _seen(
     drawn = render(batch.parent, "mitsuba", spp=spp, noise_seed=seed, replace=True)
     passes = read_frame(drawn.frames[0]).passes
     report = json.loads((batch / "report.json").read_text(encoding="utf-8"))
-    light = (passes["rgb"].astype(np.float64) * LUMINANCE).sum(axis=-1)
+    light = luminance(passes["rgb"].astype(np.float64))
     return (passes["label.class"] == 3, light), int(report["objects"]["plants"]["triangles"])
 
 

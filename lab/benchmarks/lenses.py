@@ -91,7 +91,7 @@ def pictures(study: Study, backends: tuple[str, ...]) -> Iterator[list[Cell]]:
         backend.load(world)
         plain = 0.0
         for lens, camera in cameras.items():
-            ways = ["rays"] if getattr(backend, "follows_lenses", False) else []
+            ways = ["rays"] if backend.follows_lenses else []
             for way in ["pinhole"] if camera.lens is None else [*ways, "resampled"]:
                 views = None if way != "resampled" else resample.plan_views(camera)
 

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scenec.compiler.build import BuildLog, build_surface, stand_rigs
+from scenec.compiler.build import BuildLog, build_to
+from scenec.compiler.cameras.rigs import place_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.se3 import METHODS, interpolate
+from scenec.compiler.mesh.build import build_surface
 from scenec.lab.benchmarks.tracks import motion, quaternions
 from scenec.lab.runner import Page, run, table
 from scenec.testing.small import small_cfg
@@ -44,9 +46,9 @@ def made(page: Page) -> str:
         cfg["rigs"][kind] = {"pose": {"type": kind, **keys}, "sensors": sensors}
     plan = draw(load(page.cfg(cfg)), 7, 0)
     log = BuildLog()
-    surface = build_surface(plan, log)
-    seconds = page.timed(lambda: stand_rigs(plan, surface, None, BuildLog()), 1)
-    rigs = stand_rigs(plan, surface, None, log)
+    surface = build_to(build_surface, plan)["surface"]
+    seconds = page.timed(lambda: build_to(place_rigs, plan, surface=surface), 1)
+    rigs = build_to(place_rigs, plan, log=log, surface=surface)["rigs"]
     figure, axes = plt.subplots(3, len(rigs), figsize=(16, 8), constrained_layout=True)
     half = 0.5 * np.array(plan.terrain.size_m)
     rows = []

@@ -24,7 +24,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.lab.runner import CONFIGS, Page, cell, names, run, table
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import Frame, read_frame
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 from scenec.testing.ground_statistics import (
     FITTED_CYCLES_PX,
     GLARE,
@@ -92,11 +92,11 @@ def _frames(out: Path, noise_seed: int, spp: int) -> list[Frame]:
 
 
 def _view(one: Frame, other: Frame) -> View:
-    names_of = one.sidecar["labels"]["class"]
+    names_of = one.sidecar.labels["class"]
     away = [0, *(int(number) for number, name in names_of.items() if name in _NO_GROUND)]
     ground = ~np.isin(one.passes["label.class"], away)
-    halves = [np.asarray(f.passes["rgb"], np.float64) @ LUMINANCE for f in (one, other)]
-    return in_angles(halves, ground, one.sidecar["intrinsics"])
+    halves = [luminance(np.asarray(f.passes["rgb"], np.float64)) for f in (one, other)]
+    return in_angles(halves, ground, one.sidecar.intrinsics)
 
 
 def text(figures: dict[str, dict[str, Any]]) -> str:

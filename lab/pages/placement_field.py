@@ -12,17 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.build import BuildLog, build_surface, stand_objects
+from scenec.compiler.build import BuildLog, build_to
 from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cfg.check_numbers import check_number, read_number
 from scenec.compiler.cfg.load import load
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.draw import draw
 from scenec.compiler.kinds.schema import Field
+from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
+from scenec.schemas.quaternions import rotation_entries
 
 #: Extent of the terrain where nothing else is said, meters.
 SIZE = (40.0, 32.0)
@@ -112,10 +115,11 @@ def stand(content: dict[str, Any], folder: Path | None = None, seed: int = 4) ->
         start = time.perf_counter()
         plan = draw(spec, seed, 0)
         seconds = time.perf_counter() - start
-        surface = build_surface(plan, log)
+        surface = build_to(build_surface, plan)["surface"]
         rigs, _ = build_rigs(plan.rigs, surface, None, {})
         start = time.perf_counter()
-        objects = stand_objects(plan, surface, rigs, None, log).objects
+        given = {"surface": surface, "rigs": rigs}
+        objects = build_to(build_objects, plan, log=log, **given)["objects"]
         seconds += time.perf_counter() - start
     return Stood(objects, log.facts["objects"], seconds, surface, plan, rigs)
 
@@ -137,18 +141,6 @@ def number(value: dict[str, Any]) -> Distribution:
     return read
 
 
-def rotations(q: NDArray) -> NDArray[np.float64]:
-    """Matrices of quaternions (x, y, z, w) of any length, [n, 3, 3]."""
-    x, y, z, w = q.astype(np.float64).T
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    rows = [
-        1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
-        s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w),
-        s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y),
-    ]  # fmt: skip
-    return np.stack(rows, axis=1).reshape(-1, 3, 3)
-
-
 def gaps(
     surface: Surface,
     prototypes: tuple[Prototype, ...],
@@ -162,7 +154,9 @@ def gaps(
 
     Objects one by one over ``surface``; below 0 where one is too deep.
     """
-    turns = rotations(orientation)
+    x, y, z, w = orientation.astype(np.float64).T
+    entries = rotation_entries(x, y, z, w, 2.0 / (x * x + y * y + z * z + w * w))
+    turns = np.stack(entries, axis=1).reshape(-1, 3, 3)
     points, starts, heights, total = [], [], [], 0
     for n in range(len(prototype)):
         turned = prototypes[prototype[n]].points.astype(np.float64) @ turns[n].T * float(size[n])

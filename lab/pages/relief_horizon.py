@@ -7,13 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from scenec.compiler.build import BuildLog, build, build_surface
+from scenec.compiler.build import BuildLog, build, build_to
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
-from scenec.compiler.mesh.horizon import Land
-from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.program import run
+from scenec.compiler.mesh.build import build_land
 from scenec.compiler.views.resolution import pixels_of_balls, views_of
 from scenec.lab.runner import Page, table
 from scenec.testing.small import small_cfg, write_cfg
@@ -46,12 +43,7 @@ def horizon(page: Page) -> str:
     for sensor in cfg["rigs"]["rover"]["sensors"].values():
         sensor |= {"resolution": [640, 480], "fov_deg": 60}
     plan = draw(load(write_cfg(page.scratch, cfg)), 1, 0)
-    far = plan.terrain.horizon
-    assert far is not None
-    size = (plan.terrain.size_m[0] + 2 * far.reach_m, plan.terrain.size_m[1] + 2 * far.reach_m)
-    relief = run(far.relief, Grid.with_spacing(size, far.spacing_m))
-    terrain = build_surface(plan, BuildLog())
-    land = Land.around(terrain, Surface(relief.field, details=relief.details), far.blend_m)
+    land = build_to(build_land, plan)["land"]
     rows = []
     for tolerance in (0.25, 0.5, 1.0, 2.0):
         meshing = replace(plan.terrain.meshing, tolerance_px=tolerance)

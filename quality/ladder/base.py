@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.build import (
-    BuildLog,
-    build_surface,
-    stand_objects,
-    stand_rigs,
-)
+from scenec.compiler.build import State, build_to
+from scenec.compiler.cameras.rigs import place_rigs
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.draw import draw
+from scenec.compiler.mesh.build import build_surface, see_ground
 from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.build import Built
+from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.plan import ScatterPlan
-from scenec.compiler.objects.prototypes import Looks
 from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
 from scenec.compiler.scene.ground import Tile
-from scenec.compiler.scene.objects import Placed, Scatter
+from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig
-from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
-from scenec.compiler.views.needed import Keep, with_color
-from scenec.compiler.views.resolution import Views, pixels_of_balls, pixels_per_meter, views_of
+from scenec.compiler.views.needed import Keep
+from scenec.compiler.views.resolution import Views, pixels_of_balls, views_of
 from scenec.quality.ladder.eyes import Eye, eyes_of
 
 #: As near as errors on the ground are looked at, meters.
@@ -57,18 +54,20 @@ class Base:
         self.plan: Plan = seen_everywhere(plan) if keep is Keep.ALL else plan
         self.seed, self.keep = seed, keep
         self.tiles: tuple[Tile, ...] | None = None
-        needs = needs_of_plan(self.plan, keep)
-        self.color, self.labels = needs.color, needs.labels
+        self.needs = needs_of_plan(self.plan, keep)
+        self.color, self.labels = self.needs.color, self.needs.labels
 
     @cached_property
     def surface(self) -> Surface:
         """The ground before it is meshed, and before anything stands on it."""
-        return build_surface(self.plan, BuildLog())
+        surface: Surface = build_to(build_surface, self.plan)["surface"]
+        return surface
 
     @cached_property
     def rigs(self) -> tuple[Rig, ...]:
         """The cameras; their exposures are of no meaning."""
-        return stand_rigs(self.plan, self.surface, None, BuildLog())
+        rigs: tuple[Rig, ...] = build_to(place_rigs, self.plan, surface=self.surface)["rigs"]
+        return rigs
 
     @cached_property
     def eyes(self) -> tuple[Eye, ...]:
@@ -76,26 +75,30 @@ class Base:
         return eyes_of(self.rigs)
 
     @cached_property
+    def _seen(self) -> State:
+        return self._to(see_ground, self.plan)
+
+    def _to(self, step: Callable[..., Any], plan: Plan) -> State:
+        known = {"surface": self.surface, "rigs": self.rigs, "needs": self.needs, "keep": self.keep}
+        return build_to(step, plan, **known)
+
+    @property
     def views(self) -> Views:
         """The views of the ground, which may hide behind hills."""
-        terrain = self.surface.field
-        hills = None if isinstance(terrain, MeshSurface) else terrain
-        return views_of(self.rigs, hills, self.surface.amplitude_m())
+        views: Views = self._seen["views"]
+        return views
 
-    @cached_property
+    @property
     def picture_views(self) -> tuple[Views, Views] | None:
-        """The views of ground and of objects that say how fine pictures are; None: nothing does.
+        """The views of ground and of objects that say how fine pictures are; None: nothing does."""
+        views: tuple[Views, Views] | None = self._seen["color_views"]
+        return views
 
-        Those of cameras that show color alone.
-        """
-        shown_to = () if self.keep is Keep.ALL else with_color(self.rigs, self.keep)
-        if not shown_to:
-            return None
-        if shown_to is self.rigs:
-            return self.views, self.object_views
-        terrain = self.surface.field
-        hills = None if isinstance(terrain, MeshSurface) else terrain
-        return views_of(shown_to, hills, self.surface.amplitude_m()), views_of(shown_to)
+    @property
+    def near(self) -> NDArray[np.float64] | None:
+        """Pixels of a meter at each sample of the grid; None without cameras."""
+        near: NDArray[np.float64] | None = self._seen["near"]
+        return near
 
     @cached_property
     def object_views(self) -> Views:
@@ -107,13 +110,6 @@ class Base:
         """Part that a pixel counts out of view."""
         return self.plan.terrain.meshing.unseen
 
-    @cached_property
-    def near(self) -> NDArray[np.float64] | None:
-        """Pixels of a meter at each sample of the grid; None without cameras."""
-        if not self.rigs:
-            return None
-        return pixels_per_meter(self.surface.field, self.views, self.unseen)
-
     def pixels(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels of a meter at points on the ground, [n, 3], in the view that shows them largest.
 
@@ -123,24 +119,20 @@ class Base:
         return pixels_of_balls(self.views, at, np.zeros(len(at)), self.unseen, nearest)
 
     @cached_property
-    def looks(self) -> Looks | None:
-        """The materials; those of models once objects are there."""
-        return Looks(dict(self.plan.materials)) if self.color else None
-
-    @cached_property
-    def built(self) -> Built:
+    def built(self) -> State:
         """All objects where they stand, as the stage has them before anything is left out.
 
-        And the ground that is meshed, with the fines about their feet.
+        And the ground that is meshed, with the fines about their feet; and plans of materials.
         """
-        return stand_objects(self.plan, self.surface, self.rigs, self.looks, BuildLog())
+        return self._to(build_objects, self.plan)
 
     @cached_property
-    def finest_objects(self) -> tuple[Scatter | Placed, ...]:
+    def finest_objects(self) -> Objects:
         """All objects where they stand, at their finest levels."""
         finest = tuple(
             replace(one, lod_px=0.0) if isinstance(one, ScatterPlan) else one
             for one in self.plan.objects
         )
         plan = replace(self.plan, objects=finest, object_triangles=None)
-        return stand_objects(plan, self.surface, self.rigs, self.looks, BuildLog()).objects
+        objects: Objects = self._to(build_objects, plan)["objects"]
+        return objects

@@ -172,7 +172,7 @@ def _measure(
 ) -> Rung:
     """Errors of chosen levels, and what they take in the stage; in meters without cameras."""
     table = base.plan.label_table if base.labels else {}
-    drawn = base.looks.materials if base.looks is not None else {}
+    drawn = base.built["material_plans"] if base.color else {}
     looks = {name: one.material for name, one in drawn.items()}
 
     def write(folder: Path) -> None:

@@ -49,7 +49,7 @@ def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
         return "without cameras the whole grid is kept, and its triangles are the ground"
     if meshing.tolerance_px is None:
         return "tolerance_px is 0: the whole grid is kept, and its triangles are the ground"
-    truth = Truth.of(base.built.surface, base.eyes)
+    truth = Truth.of(base.built["surface"], base.eyes)
     index = Index(truth.x, truth.y)
     at = np.stack([truth.x, truth.y, truth.z], axis=1)
     pixels = base.pixels(at[: truth.checked])
@@ -86,7 +86,7 @@ def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
 def _tiles(base: Base, tolerance_px: float) -> tuple[tuple[Tile, ...], dict[str, Any]]:
     terrain = base.plan.terrain
     return build_tiles(
-        base.built.surface,
+        base.built["surface"],
         terrain.variation_key,
         replace(terrain.meshing, tolerance_px=tolerance_px),
         base.near,

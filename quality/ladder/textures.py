@@ -59,12 +59,12 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
         base: The scene.
         rungs: How many.
     """
-    if base.looks is None:
+    if not base.color:
         return "no output shows color, so there are no pictures"
-    objects = base.built.objects
+    objects = base.built["objects"]
     pictured = {
         name: drawn
-        for name, drawn in base.looks.materials.items()
+        for name, drawn in base.built["material_plans"].items()
         if drawn.material.maps is not None
     }
     if not pictured:
@@ -115,7 +115,7 @@ def _tiles(base: Base) -> tuple[Tile, ...]:
     if base.tiles is None:
         terrain = base.plan.terrain
         base.tiles, _ = build_tiles(
-            base.built.surface, terrain.variation_key, terrain.meshing, base.near, base.views,
+            base.built["surface"], terrain.variation_key, terrain.meshing, base.near, base.views,
             color=base.color, cut_labels=base.labels,
         )  # fmt: skip
     return base.tiles

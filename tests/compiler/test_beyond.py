@@ -11,11 +11,12 @@ from pxr import Usd, UsdGeom
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.stage.read import read_stage
-from scenec.compiler.build import BuildLog, build, build_land, build_surface
+from scenec.compiler.build import BuildLog, build, build_to
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.estimate import needs_of
+from scenec.compiler.mesh.build import build_land
 from scenec.compiler.objects.conditions import OffTerrain
 from scenec.compiler.objects.lattice import Lattice
 from scenec.compiler.objects.scattered import LEAST_BEYOND
@@ -91,7 +92,7 @@ def test_on_level_land_a_quarter_of_each_is_below_it(level):
 
 def test_on_hills_cells_are_near_the_land(tmp_path):
     plan = draw(load(write_cfg(tmp_path, scene_cfg(HILLS, HILLS))), 1, 0)
-    land = build_land(plan, build_surface(plan, BuildLog()), BuildLog())
+    land = build_to(build_land, plan)["land"]
     surface = land.near(BEYOND)
     rng = np.random.default_rng(2)
     x, y = (rng.uniform(-half - BEYOND, half + BEYOND, 20_000) for half in HALF)
@@ -109,7 +110,7 @@ def test_the_report_states_how_far_the_land_is_from_what_they_are_seated_on(
     log = BuildLog()
     plan = draw(load(write_cfg(tmp_path, scene_cfg(relief, relief))), 1, 0)
     far = build(plan, log, Keep.ALL).objects[1]
-    land = build_land(plan, build_surface(plan, BuildLog()), BuildLog())
+    land = build_to(build_land, plan)["land"]
     x, y = np.ascontiguousarray(far.positions[:, :2].T, np.float64)
     off = np.abs(land.height_at(x, y) - land.near(BEYOND).height_at(x, y)).max()
     stated = {n: own.get("land_error_max_m") for n, own in log.facts["objects"].items()}
@@ -120,7 +121,7 @@ def test_the_report_states_how_far_the_land_is_from_what_they_are_seated_on(
 def test_the_narrowest_land_is_eight_whole_cells_wide(tmp_path):
     narrow = LEAST_BEYOND * 2.0 * HALF.max()
     plan = draw(load(write_cfg(tmp_path, scene_cfg(LEVEL, LEVEL, beyond_m=narrow * 1.001))), 1, 0)
-    land = build_land(plan, build_surface(plan, BuildLog()), BuildLog())
+    land = build_to(build_land, plan)["land"]
     lattice = Lattice.over(land.near(narrow * 1.001).field.grid)
     off = OffTerrain(tuple(HALF)).weight(lattice, None) > 0.0
     assert [row.tolist() for row in np.argwhere(~off)[[0, -1]]] == [

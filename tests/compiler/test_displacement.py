@@ -15,7 +15,7 @@ from PIL import Image
 from scenec.backends.stage.scene import Cells as ShownCells
 from scenec.backends.stage.scene import Maps
 from scenec.backends.surface.pictures import Point, values_at
-from scenec.compiler.build import BuildLog, build_surface
+from scenec.compiler.build import build_to
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.materials.displacement import Displacement, displacement_of, octaves_of
@@ -24,6 +24,7 @@ from scenec.compiler.materials.grounds import Gravel
 from scenec.compiler.materials.heights import gray, surface_relief
 from scenec.compiler.materials.plan import MaterialPlan, Sources
 from scenec.compiler.materials.values import normal_picture, normals, unit
+from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.scene.material import Cells, Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.exr import write_rgb
@@ -168,7 +169,7 @@ def test_the_ground_is_displaced_by_its_layers_weights(tmp_path):
     kind = {"type": "gravel", "displacement": True, "resolution": 64, "relief_m": 0.01}
     cfg["materials"]["gravel"]["maps"] = {"procedural": kind}
     plan = draw(load(write_cfg(tmp_path, cfg)), 1, 0)
-    surface = build_surface(plan, BuildLog())
+    surface = build_to(build_surface, plan)["surface"]
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(-9, 9, 60), np.linspace(-7, 7, 60)))
     lift = surface.lift_at(x, y)
     relief = plan.terrain.displacements[1].at(x, y)
@@ -188,6 +189,7 @@ from pathlib import Path
 from scenec.compiler.scene.material import Cells, Material, MaterialMaps
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.materials.grounds import MudCracks
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import pytest
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.run.session import Session
 from scenec.cli.main import main
+from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.precision import FLOAT32_STEP
-from scenec.compiler.mesh.precision import precision as find_precision
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.testing.small import scaled, small_cfg, write_cfg
 
@@ -26,7 +27,7 @@ PASSES = ("depth", "label", "instance", "face", "normal")
 def seen(stage: Path) -> tuple[dict[str, np.ndarray], Any]:
     session = Session.open(stage, "reference")
     camera = session.scene.cameras[0][0]
-    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1)[0], camera
+    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1).arrays, camera
 
 
 def compiled(folder: Path, cfg: dict) -> tuple[Path, dict]:
@@ -97,9 +98,10 @@ def test_the_precision_reported_is_that_of_the_positions(tmp_path):
     intrinsics = 96 / 2 / np.tan(np.deg2rad(35))
     assert intrinsics / 8 < precision["pixels_per_m_max"] < intrinsics / 1.5 * 1.2
     # Without cameras there are no pixels.
-    bounds = np.array([[0.0, 0.0, 0.0], [20.0, 16.0, 40.0]])
-    unseen = find_precision(bounds, [1e-7], None)
-    assert (unseen["extent_m"], unseen["float32_error_max_m"]) == (40.0, 1e-7)
+    log = BuildLog()
+    build(replace(draw(load(write_cfg(tmp_path, cfg)), 3, 0), rigs=()), log)
+    unseen = log.facts["precision"]
+    assert unseen["promised_m"] == FLOAT32_STEP * unseen["extent_m"] > 0
     assert unseen["promised_px"] is unseen["float32_error_max_px"] is None
 
 

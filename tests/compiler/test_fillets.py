@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.objects.build import build_objects
+from scenec.compiler.objects.build import place_classes
 from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -78,17 +80,11 @@ def among(surface: Surface, eye=(0.0, -15.0), tolerance_px: float | None = 0.2) 
     return Surroundings(surface, np.zeros((0, 3)), views, 0.125, tolerance_px)
 
 
-class _Untimed:
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-
 def built(around: Surroundings, *plans):
-    no_times = np.zeros(1)
-    return build_objects(
-        plans, around, around.views, around.unseen, no_times, None, None, lambda _: _Untimed()
+    objects, surface, facts = place_classes(
+        plans, around, np.zeros(1), None, None, lambda _: nullcontext()
     )
+    return SimpleNamespace(objects=objects, surface=surface, facts=facts)
 
 
 STONES = {
@@ -318,7 +314,7 @@ def test_ladders_are_of_the_ground_that_is_meshed(tmp_path):
     (own,), ground = ladder.rungs, log.facts["ground"]
     assert own.triangles == ground["faces"]
     found = ground["mesh"]["finer"]["surface_error_found_px"]
-    assert own.details["found_px"] == max(found, ground["mesh"]["height_error_max_px"])
+    assert own.record.found_px == max(found, ground["mesh"]["height_error_max_px"])
 
 
 def test_annotation_is_the_same_pruned_or_not(tmp_path, workers_here):

@@ -12,11 +12,12 @@ from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.model.collect import coarse_model
 from scenec.backends.stage.ground import relief
 from scenec.backends.stage.read import read_stage
-from scenec.compiler.build import BuildLog, build, build_surface
+from scenec.compiler.build import BuildLog, build, build_to
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
+from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.mesh.horizon import Land
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.terrain.grid import Grid
@@ -78,7 +79,7 @@ def stage(built, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def land(plan):
-    terrain = build_surface(plan, BuildLog())
+    terrain = build_to(build_surface, plan)["surface"]
     horizon = plan.terrain.horizon
     size = tuple(side + 2.0 * REACH for side in plan.terrain.size_m)
     far = run(horizon.relief, Grid.with_spacing(size, horizon.spacing_m))
@@ -125,7 +126,7 @@ def test_its_mesh_is_near_the_land_in_what_is_seen_and_small(built, land):
 
 
 def test_land_begins_as_the_border_and_becomes_its_own_relief(plan, land):
-    terrain = build_surface(plan, BuildLog())
+    terrain = build_to(build_surface, plan)["surface"]
     t = np.linspace(-0.99, 0.99, 50)
     for x, y in ((10.0 + 0 * t, 8.0 * t), (-10.0 + 0 * t, 8.0 * t), (10.0 * t, 8.0 + 0 * t)):
         off = land.height_at(x, y) - terrain.field.height_at(x, y)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scenec.backends.run.session import Session
-from scenec.backends.run.units import Opening, open_stage
+from scenec.backends.run.units import Opening, OpenStage
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
@@ -29,13 +29,13 @@ def colored(tmp_path_factory: pytest.TempPathFactory) -> RenderScene:
 
 def annotated(scene: RenderScene) -> dict:
     session, camera = Session(scene, None), scene.cameras[0][0]
-    return session.render(camera, 0, session.passes(PASSES, camera), 1, 0)[0]
+    return session.render(camera, 0, session.passes(PASSES, camera), 1, 0).arrays
 
 
 @pytest.mark.parametrize(("passes", "pictures"), [(["depth"], False), (["rgb", "depth"], True)])
 def test_a_worker_starts_a_renderer_only_where_there_will_be_pictures(colored, passes, pictures):
     opening, keeper = Opening(str(colored.source), "mitsuba", passes=tuple(passes)), Keeper()
-    told = open_stage(opening).run(keeper)
+    told = OpenStage(opening).run(keeper)
     assert (opening.session(keeper).backend is not None) is pictures
     assert told.backend == ("mitsuba" if pictures else "annotation")
 

@@ -13,11 +13,13 @@ import pytest
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
-from scenec.compiler.build import BuildLog, build_surface, stand_objects, stand_rigs
+from scenec.compiler.build import build_to
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.poses import from_quaternion
+from scenec.compiler.mesh.build import build_surface
+from scenec.compiler.objects.build import build_objects
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, ScenecError
@@ -137,9 +139,7 @@ def test_a_box_beside_a_stone_rests_on_the_fines_about_its_foot(tmp_path):
     cfg = cfg_with(tmp_path, {"stone": stone, "b": box})
     table, report = dropped(tmp_path, cfg)
     assert report.unsettled == 0
-    plan, log = draw(load(cfg), 1, 0), BuildLog()
-    surface = build_surface(plan, log)
-    ground = stand_objects(plan, surface, stand_rigs(plan, surface, None, log), None, log).surface
+    ground = build_to(build_objects, draw(load(cfg), 1, 0))["surface"]
     x, y, z = np.ascontiguousarray(table.position_m[:1].T)
     assert ground.height_at(x, y)[0] > 0.1
     assert z[0] == pytest.approx(ground.height_at(x, y)[0] + 0.05, abs=0.01)
@@ -152,7 +152,7 @@ def test_a_table_on_rough_ground_neither_floats_nor_sinks(tmp_path):
         tmp_path, {"b": placed({"x_m": 1, "y_m": -2}, models=models)}, rough, spacing=0.1
     )
     table, report = dropped(tmp_path, cfg, cells=16)
-    surface = build_surface(draw(load(cfg), 1, 0), BuildLog())
+    surface = build_to(build_surface, draw(load(cfg), 1, 0))["surface"]
     turn = from_quaternion(np.zeros(3), table.quaternion[0])[:3, :3]
     boxes = [np.array(m) + CORNERS * np.array(h) for m, h in TABLE]
     feet = []
@@ -175,7 +175,7 @@ def test_a_batch_that_was_drawn_again_has_the_ground_of_that_attempt(tmp_path):
     corners = corners_of(read_poses(tmp_path / "poses.csv"), 0)
     gaps = []
     for attempt in (0, 2):
-        surface = build_surface(draw(load(cfg), 1, 0, attempt), BuildLog())
+        surface = build_to(build_surface, draw(load(cfg), 1, 0, attempt))["surface"]
         gap = corners[:, 2] - surface.height_at(*np.ascontiguousarray(corners[:, :2].T))
         gaps.append(abs(gap.min()))
     assert gaps[1] < 0.1 < gaps[0]

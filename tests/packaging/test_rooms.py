@@ -43,7 +43,7 @@ FLOORS = {
     ),
     "backends": (
         ("stage",),
-        ("contract", "registry"),
+        ("contract", "noise_seeds", "registry"),
         ("camera",),
         ("surface",),
         ("model",),

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from scenec.backends.annotation.instances import Instances
-from scenec.backends.annotation.poses import quaternions
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.render import render
@@ -28,6 +27,7 @@ from scenec.schemas.instances import (
     write_frame_table,
     write_table,
 )
+from scenec.schemas.quaternions import quaternions
 from scenec.testing import scenes
 
 pytestmark = pytest.mark.usefixtures("workers_here")

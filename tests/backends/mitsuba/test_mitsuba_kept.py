@@ -90,6 +90,9 @@ def test_a_witness_of_kept_instances_names_their_rows_and_faces():
     np.testing.assert_array_equal(seen.row, row)
     np.testing.assert_array_equal(seen.face, face)
     assert len(np.unique(row)) > 60
+    # They are the caster's own, which bears out nothing.
+    assert not seen.independent
+    assert loaded(scene, np.inf).witness(rays, 0).independent
 
 
 def test_what_moves_is_drawn_where_it_is_at_the_sample():
@@ -169,3 +172,33 @@ def test_sixty_thousand_instances_of_77_million_triangles_take_little():
     assert after is not None
     assert after - before < 0.25e9
     assert backend.load_cost.of(scene)[0] < 0.25e9
+
+
+def test_guides_are_the_surfaces_own_colors_and_normals():
+    scene = ms.scene(
+        [ms.mesh(*ms.plane(8.0))],
+        [ms.surface((0.5, 0.4, 0.3), specular=0.2, roughness=0.5)],
+        cameras=[ms.look_at((0, -6, 3.0), (0, 0, 0.0), 16, 12, 120)],
+        lights=[ms.sun(40, 20, 500, 3.0)],
+    )
+    view = scene.cameras[0][0]
+    backend = loaded(scene, np.inf)
+    albedo, normal = backend._guides(view, 3)
+    ground = backend.radiance(view, 0, 64, 1).coverage
+    assert (ground == 1.0).any()
+    assert (ground == 0.0).any()
+    # A fifth of the light goes to white gloss.
+    expected = np.broadcast_to([0.6, 0.52, 0.44], albedo[ground == 1.0].shape)
+    np.testing.assert_allclose(albedo[ground == 1.0], expected, 1e-5)
+    np.testing.assert_allclose(normal[ground == 1.0][:, 2], 1.0, atol=1e-5)
+    assert not albedo[ground == 0.0].any()
+    assert not normal[ground == 0.0].any()
+
+
+def test_kept_instances_guide_as_written_ones_do():
+    scene = field()
+    view = scene.cameras[0][0]
+    written, kept = (loaded(scene, most)._guides(view, 3) for most in (np.inf, 0.0))
+    for ours, theirs in zip(kept, written, strict=True):
+        # The same rays. Normals are mixed before they are made unit vectors, or after.
+        assert (np.abs(ours - theirs).max(axis=-1) > 0.01).mean() < 0.01
