@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pxr import Usd, UsdGeom
+from pxr import UsdGeom
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
@@ -32,6 +32,7 @@ from scenec.schemas.correspondence import (
 )
 from scenec.schemas.errors import BackendError, CfgError, SceneError
 from scenec.testing.examples import examples
+from scenec.testing.foreign_stages import new_stage
 from scenec.testing.scenes import icosphere
 from scenec.testing.small import small_cfg
 
@@ -86,10 +87,7 @@ def render(scene: RenderScene, sample: int, index: int = 0, passes=MONO) -> dict
 def bumps(tmp_path_factory) -> RenderScene:
     """A plane with balls on it, nothing moves."""
     rng = np.random.default_rng(5)
-    stage = Usd.Stage.CreateNew(str(tmp_path_factory.mktemp("bumps") / "stage.usda"))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    stage = new_stage(tmp_path_factory.mktemp("bumps") / "stage.usda", "/World")
     corners = np.array([[-30, -30, 0], [30, -30, 0], [30, 30, 0], [-30, 30, 0]])
     ms.add_mesh(stage, "/World/Plane", corners, [[0, 1, 2], [0, 2, 3]])
     points, faces = icosphere(2)
@@ -238,12 +236,7 @@ def test_what_moves_takes_its_points_along(tmp_path):
     path = np.array([[5.0, -1.0, 1.0], [5.5, 0.2, 1.3], [7.0, 0.9, 1.0]])
     turns = (0.0, 35.0, 100.0)
     points, faces = icosphere(2)
-    stage = Usd.Stage.CreateNew(str(tmp_path / "stage.usda"))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(2)
+    stage = new_stage(tmp_path / "stage.usda", "/World", samples=3)
     ball = ms.add_mesh(stage, "/World/Ball", points, faces)
     op = UsdGeom.Xformable(ball).AddTransformOp()
     for sample, (place, turn) in enumerate(zip(path, turns, strict=True)):
@@ -303,10 +296,7 @@ def test_first_and_last_samples_have_nothing_before_and_after(bumps):
 @pytest.mark.parametrize("far", [1.0, 1e3, 1e6])
 def test_flow_holds_near_and_far(tmp_path, far):
     """A plane at 1 cm to 1e6 m: flow is focal length times step over depth."""
-    stage = Usd.Stage.CreateNew(str(tmp_path / "stage.usda"))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    stage = new_stage(tmp_path / "stage.usda", "/World")
     depth = 0.01 * far
     wall = np.array([[depth, -9 * far, -9 * far], [depth, 9 * far, -9 * far], [depth, 0, 9 * far]])
     ms.add_mesh(stage, "/World/Wall", wall, [[0, 1, 2]])

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from pxr import Usd, UsdGeom
 
 from scenec.backends.annotation.depth_camera import measure_stereo, measure_time_of_flight
 from scenec.backends.run.session import Session
@@ -27,6 +26,7 @@ from scenec.schemas.depth_camera import (
 )
 from scenec.schemas.errors import BackendError, CfgError
 from scenec.testing.examples import examples
+from scenec.testing.foreign_stages import new_stage
 from scenec.testing.small import small_cfg
 
 K = np.array([[100.0, 0, 32], [0, 100, 24], [0, 0, 1]])
@@ -107,10 +107,7 @@ def test_at_an_edge_time_of_flight_has_ranges_between_the_two():
 @pytest.fixture(scope="module")
 def step_scene(tmp_path_factory):
     """A wall at 4 m, and a board at 2 m before its middle."""
-    stage = Usd.Stage.CreateNew(str(tmp_path_factory.mktemp("depth") / "stage.usda"))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    stage = new_stage(tmp_path_factory.mktemp("depth") / "stage.usda", "/World")
     for name, x, size in (("Wall", 4.0, 9.0), ("Board", 2.0, 0.2)):
         corners = size * np.array([[0.0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
         ms.add_mesh(stage, f"/World/{name}", corners + np.array([x, 0, 0]), [[0, 1, 2], [0, 2, 3]])

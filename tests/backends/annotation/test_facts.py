@@ -19,6 +19,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.merge import label_index
+from scenec.testing.foreign_stages import polygons
 from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -140,10 +141,13 @@ def plane_stage(path: Path) -> Path:
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    mesh = UsdGeom.Mesh.Define(stage, "/plane")
-    mesh.CreatePointsAttr([(-64, -64, -16), (64, -64, -16), (64, 64, 16), (-64, 64, 16)])
-    mesh.CreateFaceVertexCountsAttr([4])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    mesh = polygons(
+        stage,
+        "/plane",
+        [(-64, -64, -16), (64, -64, -16), (64, 64, 16), (-64, 64, 16)],
+        [4],
+        [0, 1, 2, 3],
+    )
     camera = UsdGeom.Camera.Define(stage, "/camera")
     camera.AddTransformOp().Set(Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(0, 0, 8)))
     camera.CreateFocalLengthAttr(0.5)

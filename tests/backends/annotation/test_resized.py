@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foreign_stages import label, written
 from pxr import Gf, UsdGeom
 
 from scenec.backends.annotation.instances import Instances
@@ -14,6 +13,7 @@ from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.schemas import instances
 from scenec.schemas.instances import read_frame_table, read_table, write_table
+from scenec.testing.foreign_stages import label, written
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 

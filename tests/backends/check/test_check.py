@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_stages import opened, square
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from scenec.backends.check.files import check_files
@@ -17,6 +16,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.manifest import read_manifest
+from scenec.testing.foreign_stages import opened, square
 from scenec.testing.small import write_cfg
 
 ROCKS = "/World/Objects/rocks"

@@ -37,6 +37,7 @@ from scenec.schemas.lens import Lens
 from scenec.schemas.picture import LUMINANCE, develop, fault, tally
 from scenec.schemas.records import ExposureRecord
 from scenec.testing.examples import examples
+from scenec.testing.foreign_stages import new_stage
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -327,12 +328,7 @@ def test_what_a_meter_sees_is_what_mitsuba_renders() -> None:
 
 def foreign(path: Path, light=None, samples: int = 1, camera=None) -> Path:
     """Someone else's stage: a gray plane, one camera, what ``light`` adds."""
-    made = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(made, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(made, 1.0)
-    made.SetStartTimeCode(0)
-    made.SetEndTimeCode(samples - 1)
-    made.SetDefaultPrim(UsdGeom.Xform.Define(made, "/World").GetPrim())
+    made = new_stage(path, "/World", samples=samples)
     plate = UsdGeom.Mesh.Define(made, "/World/Plate")
     corners = [(-50, -50, 0), (50, -50, 0), (50, 50, 0), (-50, 50, 0)]
     plate.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*c) for c in corners]))

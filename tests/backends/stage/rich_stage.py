@@ -12,6 +12,7 @@ from scenec.schemas import imaging
 from scenec.schemas import stage as names
 from scenec.schemas.picture import write_png
 from scenec.testing.damaged_stages import over
+from scenec.testing.foreign_stages import polygons
 from scenec.testing.small import small_cfg, write_cfg
 
 _T = Sdf.ValueTypeNames
@@ -138,10 +139,13 @@ def _sky(stage: Usd.Stage) -> None:
 
 
 def _others(stage: Usd.Stage) -> None:
-    mesh = UsdGeom.Mesh.Define(stage, "/World/Thing/Quad")
-    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
-    mesh.CreateFaceVertexCountsAttr([4, 3])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3, 0, 1, 2])
+    mesh = polygons(
+        stage,
+        "/World/Thing/Quad",
+        [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)],
+        [4, 3],
+        [0, 1, 2, 3, 0, 1, 2],
+    )
     mesh.CreateHoleIndicesAttr([1])
     mesh.CreateOrientationAttr("leftHanded")
     mesh.CreateVisibilityAttr().Set("invisible", 1)

@@ -6,13 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from foreign_stages import bind, label, opened
 from pxr import Sdf, UsdGeom, UsdShade
 
 from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
+from scenec.testing.foreign_stages import bind, label, opened
 
 #: A C that opens to the right, 2 m by 2 m, from a corner where a fan is wrong.
 C = [(1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2), (-1, 0)]

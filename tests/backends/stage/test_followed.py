@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign_stages import bind, opened
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, Vt
 
 from scenec.backends.stage.followed import FOLLOWED, SURFACE, WITHOUT_EFFECT
 from scenec.backends.stage.implicit import LENGTHS
 from scenec.backends.stage.scene import RenderScene
+from scenec.testing.foreign_stages import bind, opened
 
 TYPES = Sdf.ValueTypeNames
 LIGHT = {

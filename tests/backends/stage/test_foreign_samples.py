@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foreign_stages import label, opened, square, written
 from pxr import Gf, Sdf, Ts, UsdGeom, UsdLux, Vt
 
 from scenec.backends.check.scene import check_scene
 from scenec.backends.stage.read import read_stage
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import label, opened, square, written
 
 TYPES = Sdf.ValueTypeNames
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foreign_stages import bind, label, opened, square
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.implicit import ERROR, LENGTHS, dimensions, tessellate
 from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import bind, label, opened, square
 
 PI = np.pi
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from foreign_stages import label, opened, square
 from pxr import Kind, Sdf, Usd, UsdGeom
 
 from scenec.backends.stage.labels import labeled_instances, read_table
@@ -13,6 +12,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
+from scenec.testing.foreign_stages import label, opened, square
 from scenec.testing.small import write_cfg
 
 TYPES = Sdf.ValueTypeNames

@@ -24,6 +24,7 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.manifest import find_batches, read_manifest, stage_digest
+from scenec.testing.foreign_stages import polygons
 from scenec.testing.small import small_cfg, write_cfg
 
 ANNOTATION = ("depth", "instance")
@@ -261,11 +262,7 @@ def foreign(folder: Path) -> Usd.Stage:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
     UsdGeom.Camera.Define(stage, "/World/Camera")
-    mesh = UsdGeom.Mesh.Define(stage, "/World/Floor")
-    mesh.CreateSubdivisionSchemeAttr("none")
-    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
-    mesh.CreateFaceVertexCountsAttr([3])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    polygons(stage, "/World/Floor", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [3], [0, 1, 2])
     return stage
 
 

@@ -12,6 +12,7 @@ from scenec.backends.stage.scene import Cells
 from scenec.backends.surface import maps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import new_stage, polygons
 
 TYPES = Sdf.ValueTypeNames
 #: Attribute, its type, and what it says, on the material or on the mesh.
@@ -28,14 +29,8 @@ def opened(folder, **changes):
     """A mesh of two layers, one with everything, in centimeters; attributes changed or left out."""
     Image.new("L", (2, 2), 51).save(folder / "height.png")
     Image.new("RGB", (2, 2), (255, 128, 0)).save(folder / "color.png")
-    stage = Usd.Stage.CreateNew(str(folder / "stage.usda"))
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
-    mesh = UsdGeom.Mesh.Define(stage, "/Root/Mesh")
-    mesh.CreatePointsAttr([(0, 0, 0), (100, 0, 0), (0, 100, 0)])
-    mesh.CreateFaceVertexCountsAttr([3])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    stage = new_stage(folder / "stage.usda", "/Root", unit=0.01)
+    mesh = polygons(stage, "/Root/Mesh", [(0, 0, 0), (100, 0, 0), (0, 100, 0)], [3], [0, 1, 2])
     materials = [UsdShade.Material.Define(stage, f"/Root/{name}") for name in "AB"]
     for material in materials:
         prim = material.GetPrim()
@@ -129,10 +124,7 @@ def test_emissive_colors_of_foreign_surfaces_are_read(tmp_path, textured):
     Image.new("RGB", (2, 2), (255, 0, 255)).save(tmp_path / "glow.png")
     stage = Usd.Stage.CreateNew(str(tmp_path / "stage.usda"))
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
-    mesh = UsdGeom.Mesh.Define(stage, "/Root/Mesh")
-    mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
-    mesh.CreateFaceVertexCountsAttr([3])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    mesh = polygons(stage, "/Root/Mesh", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [3], [0, 1, 2])
     UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.vertex).Set(
         Vt.Vec2fArray([Gf.Vec2f(0, 0), Gf.Vec2f(1, 0), Gf.Vec2f(0, 1)])
     )

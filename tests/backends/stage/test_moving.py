@@ -20,6 +20,7 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.testing import scenes
 from scenec.testing.blur_scenes import Flat
+from scenec.testing.foreign_stages import new_stage
 
 PASSES = ("depth", "label.class", "instance", "normal", "position", "face")
 #: Every sample from another one, and one of them twice.
@@ -51,12 +52,7 @@ def same(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def written(tmp_path: Path, build, samples: int = 3) -> RenderScene:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "stage.usda"))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(samples - 1)
+    stage = new_stage(tmp_path / "stage.usda", "/World", samples=samples)
     build(stage)
     stage.Save()
     return read_stage(tmp_path / "stage.usda")

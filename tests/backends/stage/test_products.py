@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from foreign_stages import opened, square, written
 from pxr import Gf, Sdf, UsdGeom, UsdRender
 
 from scenec.backends.check.scene import check_scene
@@ -15,6 +14,7 @@ from scenec.backends.stage.products import POLICIES
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.exr import read_exr
+from scenec.testing.foreign_stages import opened, square, written
 
 FOCAL = 24.0
 SIZE = (1280, 720)

@@ -17,27 +17,8 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import opened, polygons, square
 from scenec.testing.small import write_cfg
-
-SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
-
-
-def square(stage: Usd.Stage, path: str) -> UsdGeom.Mesh:
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    mesh.CreatePointsAttr(SQUARE)
-    mesh.CreateFaceVertexCountsAttr([4])
-    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
-    return mesh
-
-
-def opened(tmp_path: Path, build, **layout) -> RenderScene:
-    stage = Usd.Stage.CreateNew(str(tmp_path / "foreign.usda"))
-    UsdGeom.SetStageMetersPerUnit(stage, layout.get("unit", 1.0))
-    UsdGeom.SetStageUpAxis(stage, layout.get("up", UsdGeom.Tokens.z))
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
-    build(stage)
-    stage.Save()
-    return read_stage(tmp_path / "foreign.usda")
 
 
 def world_points(scene: RenderScene, row: int) -> np.ndarray:
@@ -209,10 +190,7 @@ def test_convex_polygons_become_fans_with_a_way_back(tmp_path):
         turn = np.linspace(0.0, 2.0 * np.pi, 17, endpoint=False)
         ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
         for name, orientation in (("right", "rightHanded"), ("left", "leftHanded")):
-            mesh = UsdGeom.Mesh.Define(stage, f"/Root/{name}")
-            mesh.CreatePointsAttr(ring.tolist())
-            mesh.CreateFaceVertexCountsAttr([4, 3, 5, 2, 3])
-            mesh.CreateFaceVertexIndicesAttr(list(range(17)))
+            mesh = polygons(stage, f"/Root/{name}", ring.tolist(), [4, 3, 5, 2, 3], list(range(17)))
             mesh.CreateHoleIndicesAttr([4])
             mesh.CreateOrientationAttr(orientation)
             mesh.CreateSubdivisionSchemeAttr("none")

@@ -16,6 +16,7 @@ from scenec.compiler.emit.looks import look_path, write_look
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import new_stage, polygons
 
 TYPES = Sdf.ValueTypeNames
 POINTS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0), (2, 1, 0)]
@@ -32,10 +33,7 @@ def pictures(folder: Path) -> None:
 
 
 def shape(stage: Usd.Stage, path: str, interpolation: str | None, count: int = 7) -> UsdGeom.Mesh:
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    mesh.CreatePointsAttr(POINTS)
-    mesh.CreateFaceVertexCountsAttr(COUNTS)
-    mesh.CreateFaceVertexIndicesAttr(INDICES)
+    mesh = polygons(stage, path, POINTS, COUNTS, INDICES)
     if interpolation is not None:
         values = np.stack([np.arange(count), 10.0 + np.arange(count)], 1).astype(np.float32)
         UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, interpolation).Set(
@@ -74,10 +72,7 @@ def foreign(stage: Usd.Stage, mesh: UsdGeom.Mesh, varname: str = "st") -> UsdSha
 
 def opened(folder: Path, build) -> RenderScene:
     pictures(folder)
-    stage = Usd.Stage.CreateNew(str(folder / "stage.usda"))
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+    stage = new_stage(folder / "stage.usda", "/Root")
     build(stage)
     stage.Save()
     return read_stage(folder / "stage.usda")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foreign_stages import opened, square
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, Vt
 
@@ -13,6 +12,7 @@ from scenec.backends.stage.frame import StageFrame
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.stage import HALF_TURN
+from scenec.testing.foreign_stages import opened, square
 
 #: By what a camera's parent does to it: its rows, as USD writes them.
 PARENTS = {

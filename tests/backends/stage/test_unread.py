@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_stages import bind, label, opened, square, written
 from pxr import Gf, Plug, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdRender, UsdShade, UsdSkel, Vt
 
 from scenec.backends.check.scene import check_scene
@@ -17,6 +16,7 @@ from scenec.backends.stage.unread import HARMLESS, KNOWN, LOST, READ, TESSELLATE
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import read_frame
+from scenec.testing.foreign_stages import bind, label, opened, square, written
 from scenec.testing.small import write_cfg
 
 TYPES = Sdf.ValueTypeNames

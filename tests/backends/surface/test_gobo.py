@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from foreign_stages import opened
 from PIL import Image
 from pxr import Gf, Sdf, UsdGeom, UsdLux
 
@@ -24,6 +23,7 @@ from scenec.backends.testing import lights
 from scenec.backends.testing.scenes import look_at, sun, with_lights
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import opened
 
 TYPES = Sdf.ValueTypeNames
 #: From the world's x and y as they are to the picture's: rows go down.
