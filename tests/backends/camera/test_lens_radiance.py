@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import TOLERANCE_PX, ray_table
 from scenec.backends.camera.rays import camera_rays, subpixel_directions
-from scenec.backends.contract import Radiance, Rays, completed
+from scenec.backends.contract import Backend, Radiance, Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.picture import resample
@@ -282,27 +282,18 @@ def sine(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b))
 
 
-class Pinholes:
-    """A backend of another maker, that knows nothing of lenses, nor says so."""
+class Pinholes(Backend):
+    """A backend that follows no lenses."""
 
     name = "pinholes"
-    device = "cpu"
-    denoiser = None
 
     def __init__(self) -> None:
+        self.device = "cpu"
         self.seen: list[Camera | None] = []
-
-    def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """Nothing."""
-        return ()
 
     def version(self) -> str:
         """One."""
         return "1"
-
-    def warning(self) -> str | None:
-        """Nothing."""
-        return None
 
     def load(self, scene: RenderScene) -> None:
         """Nothing to do."""
@@ -324,7 +315,7 @@ def test_a_backend_that_knows_pinholes_alone_draws_lenses_and_the_sidecar_says_h
     """It is never shown a lens; annotation is cast."""
     camera = CAMERAS["kannala_brandt"]
     world = scene([mesh(*plane())], [surface()], cameras=[camera])
-    backend: Any = completed(Pinholes)()
+    backend: Any = Pinholes()
     session = Session(world, backend)
     result = session.render(camera, 0, ["rgb", "depth"], 4, 1)
     arrays, record = result.arrays, result.record

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cell_scenes as cs
-import mitsuba_scenes as ms
 import numpy as np
-import projection_scenes as ps
 import pytest
 import surface_oracle as oracle
 from numpy.typing import NDArray
@@ -24,6 +22,9 @@ from scenec.backends.surface.lobes import MIN_ALPHA
 from scenec.backends.surface.merges import FLAT
 from scenec.backends.surface.pictures import has_maps
 from scenec.backends.surface.projections import GRAZING
+from scenec.backends.testing import looks
+from scenec.backends.testing import reference as definition
+from scenec.backends.testing import scenes as ms
 
 HAPKE = Reflectance("hapke", 0.25, 0.2, 1.5, 0.06, math.radians(20.0))
 #: Directions that each point is asked about.
@@ -37,26 +38,52 @@ def gray_picture(folder: Path, name: str) -> Path:
     return file
 
 
+def board(folder: Path, boards: Callable[[Path], dict[str, Any]], name: str) -> RenderScene:
+    """One of the boards of ``scenec.backends.testing.looks``."""
+    looks.write_pictures(folder)
+    return looks.boards({name: boards(folder)[name]})
+
+
+def waves(height: float) -> tuple[Mesh, NDArray[np.float32]]:
+    """Smooth low ground, and weights of two merges on it."""
+    points, faces = ms.plane(8.0, cells=6)
+    x, y = points[:, 0], points[:, 1]
+    points[:, 2] = height * np.sin(0.5 * x) * np.cos(0.4 * y)
+    slope_x = 0.5 * height * np.cos(0.5 * x) * np.cos(0.4 * y)
+    slope_y = -0.4 * height * np.sin(0.5 * x) * np.sin(0.4 * y)
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    weights = np.stack([np.clip(0.5 + 0.12 * x, 0, 1), np.clip(0.3 - 0.1 * y, 0, 1)])
+    return ms.mesh(points, faces, normals=normals), weights.astype(np.float32)
+
+
+def differences(got: NDArray, made: RenderScene) -> tuple[float, float, int]:
+    """Root mean square and mean of (got / expected - 1) over sound pixels, and their number."""
+    expected = definition.picture(made)
+    off = got[expected.sound] / expected.radiance[expected.sound] - 1.0
+    return float(np.sqrt(np.mean(off**2))), float(np.mean(off)), int(expected.sound.sum())
+
+
 def everything(folder: Path) -> RenderScene:
     """Four layers of all kinds, two of whose merges heed heights.
 
     No normals from three sides: ``test_mitsuba_projections`` has them.
     """
-    colors, normals = (cs.write_picture(folder, kind) for kind in ("color", "normal"))
+    colors, normals = (looks.write_picture(folder, kind) for kind in ("base_color", "normal"))
     rough, metal = gray_picture(folder, "rough"), gray_picture(folder, "metallic")
-    height = cs.write_picture(folder, "height")
+    height = looks.write_picture(folder, "height")
     layers = [
-        Surface("/A", cs.COLOR, 0.2, 0.5, 0.3, 0.0,
-                Maps(cs.SIZE, colors, rough, None, normals, height=height, cells=cs.CELLS),
+        Surface("/A", looks.COLOR, 0.2, 0.5, 0.3, 0.0,
+                Maps(looks.SIZE, colors, rough, None, normals, height=height, cells=looks.CELLS),
                 roughness_variation=0.2),
         Surface("/B", (0.4, 0.3, 0.2), 0.0, 0.5, 0.5, 0.0,
-                Maps(2.0, colors, height=height, far=cs.FAR), reflectance=HAPKE),
+                Maps(2.0, colors, height=height, far=looks.FAR), reflectance=HAPKE),
         Surface("/C", (0.8, 0.7, 0.6), 0.3, 0.5, 0.2, 0.0,
                 Maps(1.7, colors, rough, metal, projection="triplanar")),
         Surface("/D", (0.5, 0.1, 0.1), 0.1, 0.4, 0.0, 0.5,
                 Maps(1.0, None, None, None, normals, projection="uv")),
     ]  # fmt: skip
-    mesh, weights = cs.waves(0.4)
+    mesh, weights = waves(0.4)
     third = np.clip(0.25 + 0.1 * mesh.points[:, :1].T, 0.0, 1.0)
     uv = (mesh.points[mesh.faces][..., :2] * 0.2).astype(np.float32)
     mesh = dataclasses.replace(
@@ -67,8 +94,8 @@ def everything(folder: Path) -> RenderScene:
         uv=uv,
         height_blends=(0.3, 0.5, 0.0),
     )
-    placed = np.concatenate([np.eye(3), cs.OFFSET[:, None]], axis=1)
-    camera = ms.look_at(cs.OFFSET + np.array([3.0, -4.0, 7.0]), cs.OFFSET, 16, 12, 45.0)
+    placed = np.concatenate([np.eye(3), looks.ORIGIN[:, None]], axis=1)
+    camera = ms.look_at(looks.ORIGIN + np.array([3.0, -4.0, 7.0]), looks.ORIGIN, 16, 12, 45.0)
     lights = [ms.sun(55.0, -20.0)]
     return ms.scene(
         [mesh], layers, rows=[(0, placed)], cameras=[camera], lights=lights, row_variation=[0.3]
@@ -84,7 +111,7 @@ def hits(backend: Mitsuba, scene: RenderScene) -> Any:
     lean = np.repeat(rng.uniform(-0.9, 0.9, (2, 60)), ASKED, axis=1)
     direction = np.stack([*lean, -np.ones(xy.shape[1])]) * up
     direction /= np.linalg.norm(direction, axis=0)
-    middle = cs.OFFSET - backend._center
+    middle = looks.ORIGIN - backend._center
     origin = np.stack([xy[0], xy[1], np.zeros(xy.shape[1])]) + middle[:, None] - 9.0 * direction
     ray = mi.Ray3f(mi.Point3f(origin.astype(np.float32)), mi.Vector3f(direction.astype(np.float32)))
     return backend._scene.ray_intersect(ray)
@@ -157,7 +184,7 @@ def defined(scene: RenderScene, si: Any, center: NDArray, wi: NDArray, wo: NDArr
     frame = np.moveaxis(frame, 0, 1).astype(float)
     n, flat = frame[:, 2], np.array(si.n).T.astype(float)
     p, face = np.array(si.p).T.astype(float) + center, np.array(si.prim_index)
-    corners = mesh.points[mesh.faces[face]].astype(float) + cs.OFFSET
+    corners = mesh.points[mesh.faces[face]].astype(float) + looks.ORIGIN
     edges = corners[:, 1:] - corners[:, :1]
     bary = np.array([np.linalg.lstsq(e.T, at, rcond=None)[0]
                      for e, at in zip(edges, p - corners[:, 0], strict=True)])  # fmt: skip
@@ -265,14 +292,14 @@ def test_what_is_drawn_is_weighed_by_what_is_seen(tmp_path):
 
 def test_colors_from_three_sides_are_mixed_by_the_normal_that_no_map_leans(tmp_path):
     backend = Mitsuba(device="cpu")
-    scene = ps.scene(tmp_path, "triplanar", "base_color")
+    scene = board(tmp_path, looks.projected, "triplanar color, plain")
     (own,) = scene.surfaces
     assert own.maps is not None
-    both = dataclasses.replace(own.maps, normal=ps.write_picture(tmp_path, "normal"))
+    both = dataclasses.replace(own.maps, normal=looks.write_picture(tmp_path, "normal"))
     scene = dataclasses.replace(scene, surfaces=(dataclasses.replace(own, maps=both),))
     backend.load(scene)
     light = backend.radiance(scene.cameras[0][0], 0, 256, 2).halves.astype(float)
-    spread, offset, pixels = ps.differences(light.mean(axis=0), scene)
+    spread, offset, pixels = differences(light.mean(axis=0), scene)
     assert pixels > 80
     assert spread < 0.01
     assert abs(offset) < 1.5e-3
@@ -291,7 +318,7 @@ def test_each_layer_is_looked_up_once_a_bounce(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Pictures, "look_up", counted)
     backend = Mitsuba(device="cpu", bounces=3)
-    scene = cs.scene(tmp_path, "heights")
+    scene = board(tmp_path, looks.mapped, "heights")
     backend.load(scene)
     stack = type(backend._meshes[0].bsdf())
     drawn: list[Any] = []
@@ -313,7 +340,7 @@ def test_one_kernel_serves_pictures_of_any_size_and_number_of_samples(tmp_path):
     backend = Mitsuba(device="cpu")
     import drjit as dr
 
-    scene = ps.scene(tmp_path, "triplanar", "base_color")
+    scene = board(tmp_path, looks.projected, "triplanar color, plain")
     backend.load(scene)
     camera = scene.cameras[0][0]
     kernels = set()

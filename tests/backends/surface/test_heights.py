@@ -7,6 +7,7 @@ import pytest
 
 from scenec.backends.surface import merges
 from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.merges import needed
 
 DEPTHS = (1e-9, 1e-3, 0.05, 0.3, 1.0, 40.0)
 HEIGHTS = np.linspace(0.0, 1.0, 11)
@@ -71,3 +72,10 @@ def test_merges_go_by_the_height_of_what_is_seen_below():
     mixed = heeded_weights([np.array(0.5), np.array(0.5)], (0.0, 0.04), heights[:3])
     assert mixed[0] == 0.5
     assert mixed[1] == 1.0
+
+
+def test_heights_matter_up_to_the_last_merge_with_a_depth():
+    assert needed(()) == 0
+    assert needed((0.0, 0.0)) == 0
+    assert needed((0.2,)) == 2
+    assert needed((0.0, 0.2, 0.0)) == 3
