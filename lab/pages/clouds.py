@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scenec.backends.picture.exposure import expose
-from scenec.backends.picture.metering import Seen
+from scenec.backends.picture.metering import Metering
 from scenec.backends.picture.sky import Sky, lookup
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.read import read_stage
@@ -138,7 +138,7 @@ def pictures(page: Page) -> None:
         to = ways(bearing, up, SIZE, FOV_DEG)
         seen = lookup(sky, np.ascontiguousarray(to.reshape(-1, 3))).reshape(to.shape)
         level = luminance(seen).astype(np.float64).ravel()
-        shown = develop(seen, expose(Seen(np.zeros(0), level), 1).ev + 1.0)
+        shown = develop(seen, expose(Metering(np.zeros(0), level), 1).ev + 1.0)
         tiles.append((name, Image.fromarray(shown)))
     save(sheet([tiles[k : k + 2] for k in (0, 2, 4)], SIZE[0]), page.picture("looks"))
 

@@ -112,7 +112,7 @@ class Package:
         shutil.rmtree(self.file.parent / "__pycache__", ignore_errors=True)
         self._patch.setattr(plugins, "_codes", {})
         plugins.load_kind.cache_clear()
-        schema.own_schema.cache_clear()
+        schema.kind_schema.cache_clear()
 
     def edit(self, old: str, new: str) -> None:
         """Its code with another part."""

@@ -333,7 +333,7 @@ def offer(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *points:
     (tmp_path / "site" / "odd.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     monkeypatch.delitem(sys.modules, "odd", raising=False)
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
 
 
@@ -413,14 +413,14 @@ def test_what_does_not_derive_from_its_groups_class_is_told_so(
         with pytest.raises(
             ScenecError, match=rf"odd:Odd of odd\): expected a subclass .*\.{base}$"
         ):
-            schema.own_schema(f"scenec.{group}", "odd")
+            schema.kind_schema(f"scenec.{group}", "odd")
 
 
 @pytest.mark.parametrize(
     ("group", "kind", "told"),
     [
-        ("poses", "Odd:\n    def built(self, around): ...", "an attribute needs_objects"),
-        ("poses", "Odd:\n    needs_objects = False", "a method built(around)"),
+        ("poses", "Odd:\n    def built(self, context): ...", "an attribute needs_objects"),
+        ("poses", "Odd:\n    needs_objects = False", "a method built(context)"),
         ("effects", "Odd:\n    def apply(self, picture): ...", "a method apply(picture, random)"),
         ("surfaces", "Odd(Surface):\n    def paint(self, tile): ...", "an attribute SIZE_M"),
         ("skies", "Odd(Sky):\n    def build(self, sun): ...", "a method build(sun, samples)"),
@@ -441,7 +441,7 @@ def test_what_a_kind_lacks_of_its_group_is_told(
     )
     offer(source, tmp_path, monkeypatch, f"[scenec.{group}]", "odd = odd:Odd")
     with pytest.raises(ScenecError, match=rf"odd:Odd of odd\): expected {re.escape(told)}$"):
-        schema.own_schema(f"scenec.{group}", "odd")
+        schema.kind_schema(f"scenec.{group}", "odd")
 
 
 def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(
@@ -495,10 +495,10 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[s
     eye["effects"] = [{"type": "dim"}]
     document["rigs"]["drone"]["lidars"] = {"top": {"pattern": {"type": "fan", "tilt_deg": uniform}}}
     # Other tests' packages may have kinds of these names.
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
     yield document
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
 
 
@@ -608,7 +608,7 @@ def test_the_schema_for_editors_and_the_two_forms_say_the_same(there: Path) -> N
 
     length = {"$ref": "forms.schema.json#/$defs/length_per_batch", "exclusiveMinimum": 0}
     for group, kind, first in (("relief", Furrows, "spacing_m"), ("poses", Spiral, "radius_m")):
-        made = schema.own_schema(f"scenec.{group}", kind.__name__.lower())
+        made = schema.kind_schema(f"scenec.{group}", kind.__name__.lower())
         keys = made["properties"]
         said = {"description": keys[first]["description"], "default": keys[first]["default"]}
         assert keys[first] == with_forms({**length, **said})

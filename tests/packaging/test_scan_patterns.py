@@ -47,10 +47,10 @@ def _package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     (info / "entry_points.txt").write_text("[scenec.scans]\nrosette = scenec_farmland:Rosette\n")
     monkeypatch.syspath_prepend(str(EXAMPLE))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
     yield
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
 
 
