@@ -7,7 +7,6 @@ import re
 import shutil
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -38,7 +37,7 @@ NUMBER = re.compile(r"(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("explained")
     cfg = small_cfg(samples=2, outputs=["label", "instance", "depth"])
     cfg["terrain"] |= {"size_m": [60, 60], "spacing_m": 1.0}

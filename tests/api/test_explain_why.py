@@ -35,7 +35,7 @@ def made(folder: Path, outputs: list[str], keep: Keep = Keep.SEEN) -> Path:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     return made(tmp_path_factory.mktemp("why") / "a", ["label", "instance", "depth"])
 
 
@@ -231,7 +231,7 @@ def test_a_stage_and_a_record_that_differ_are_said(output, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def emptied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def emptied(tmp_path_factory):
     """Two classes of rocks, and a camera that looks up: nothing of either is in the stage."""
     folder = tmp_path_factory.mktemp("emptied")
     cfg = small_cfg(samples=1, batches=1, outputs=["label", "instance", "depth"])

@@ -9,7 +9,6 @@ import resource
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -26,7 +25,7 @@ def small_and_fast() -> dict:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
     cfg = write_cfg(folder, small_and_fast())
     arguments = ["run", str(cfg), "--seed", "5", "-o", str(folder / "out"), "--spp", "4"]

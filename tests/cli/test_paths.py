@@ -28,7 +28,7 @@ ODD = ["50% #1?[2]", 'it\'s "q"', "file:", "a@b", " lead", "höhle", "-o", "~"]
 
 
 @pytest.fixture(scope="module")
-def cfg(tmp_path_factory) -> Path:
+def cfg(tmp_path_factory):
     made = small_cfg(samples=1, outputs=["depth", "instance"])
     made["terrain"]["spacing_m"] = 1.0
     made["objects"]["rocks"]["count"] = 10
@@ -98,7 +98,7 @@ def test_letters_beyond_ascii_work_where_the_locale_has_none(cfg, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def called(cfg, tmp_path_factory) -> dict[str, str]:
+def called(cfg, tmp_path_factory):
     """Digests of what Python calls make in a folder with a plain name."""
     out = compile_cfg(cfg, seed=1, out=tmp_path_factory.mktemp("called") / "out").out
     render(out, "reference", executor=LocalExecutor())

@@ -78,7 +78,7 @@ def with_site(folder: Path, code: str) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("crash")
     cfg = small_cfg(samples=1, outputs=["depth", "instance"])
     cfg["terrain"]["spacing_m"] = 1.0

@@ -38,7 +38,7 @@ def shutter_of(told: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     """One camera with a rolling shutter and a sensor, one with neither."""
     out = make_output(tmp_path_factory.mktemp("blocks") / "out", small_ids, batches=1)
     add_sensor(out, [ROLLS])

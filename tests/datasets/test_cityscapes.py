@@ -25,7 +25,7 @@ CORE = "all/batch0000/batch0000_000001_000001"
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("cityscapes") / "out")
 
 
@@ -37,7 +37,7 @@ def read(path: Path) -> np.ndarray:
     return np.array(Image.open(path))
 
 
-def test_cityscapes_reader_counts_the_same_instances_and_pixels(out: Path, tmp_path: Path):
+def test_cityscapes_reader_counts_the_same_instances_and_pixels(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     number = 3  # batch 0, second camera, second sample
     made = some_passes(number)
@@ -57,7 +57,7 @@ def test_cityscapes_reader_counts_the_same_instances_and_pixels(out: Path, tmp_p
     assert {s["instID"] for s in found[id2label[3].name]} == {int(v) for v in named}
 
 
-def test_cityscapes_helpers_understand_the_names(out: Path, tmp_path: Path):
+def test_cityscapes_helpers_understand_the_names(out, tmp_path):
     folder = exported(out, tmp_path / "d", depth="depth")
     pictures = [p for p in folder.rglob("*") if p.suffix in (".png", ".json") and "_" in p.name]
     assert len(pictures) == 8 * 7
@@ -70,9 +70,7 @@ def test_cityscapes_helpers_understand_the_names(out: Path, tmp_path: Path):
     assert cameras == {"rover_left": 0, "rover_right": 1}
 
 
-def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(
-    out: Path, tmp_path: Path
-):
+def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(out, tmp_path):
     folder = exported(out, tmp_path / "d", levels="all", ids="frame")
     made = some_passes(3)
     small = read(folder / f"gtFine/{CORE}_gtFine_labelIds.png")
@@ -85,7 +83,7 @@ def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(
     assert (four @ np.array([1, 256, 65536, 16777216]) == made["instance"]).all()
 
 
-def test_colors_are_those_of_the_table(out: Path, tmp_path: Path):
+def test_colors_are_those_of_the_table(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     table = json.loads((folder / "labels.json").read_text(encoding="utf-8"))
     assert [(e["id"], e["name"]) for e in table["labels"]["class"]] == list(LABELS["class"].items())
@@ -101,7 +99,7 @@ def test_colors_are_those_of_the_table(out: Path, tmp_path: Path):
         np.uint32, (5, 6), elements=st.sampled_from([0, 1, 2, 65_536, 2**31, 2**32 - 1])
     ),
 )
-def test_values_say_label_and_instance_of_every_pixel(labels: np.ndarray, ids: np.ndarray):
+def test_values_say_label_and_instance_of_every_pixel(labels, ids):
     values, named, over = instance_values(labels, ids)
     assert not over
     assert (np.where(values < 1000, values, values // 1000) == labels).all()
@@ -127,7 +125,7 @@ def crowd(number: int) -> dict:
     }
 
 
-def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_path: Path):
+def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_path):
     out = make_output(tmp_path / "out", crowd, batches=1, cameras=("c",), samples=1)
     with pytest.raises(OutputError, match=r"1100 instances of label 3.*overflow=group.*ids=frame"):
         exported(out, tmp_path / "a")
@@ -140,13 +138,13 @@ def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_
     assert len(json.loads(Path(f"{stem}_instances.json").read_text())) == 1000
 
 
-def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(out: Path, tmp_path: Path):
+def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(out, tmp_path):
     choice = Choice(level="surface")
     with pytest.raises(OutputError, match="no room for instances of a label above 65"):
         export(out, "cityscapes", tmp_path / "d", choice)
 
 
-def test_instances_that_a_filter_ignores_get_the_plain_label(out: Path, tmp_path: Path):
+def test_instances_that_a_filter_ignores_get_the_plain_label(out, tmp_path):
     choice = Choice(filters=make_filters(["id=5"], "ignore"))
     folder = export(out, "cityscapes", tmp_path / "d", choice).folder
     made = some_passes(3)
@@ -155,7 +153,7 @@ def test_instances_that_a_filter_ignores_get_the_plain_label(out: Path, tmp_path
     assert (values[made["instance"] == 5] == 3000).all()
 
 
-def test_cameras_say_where_they_are(out: Path, tmp_path: Path):
+def test_cameras_say_where_they_are(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     camera = json.loads((folder / f"camera/{CORE}_camera.json").read_text(encoding="utf-8"))
     pose = pose_of("rover_right", 1)
@@ -178,9 +176,7 @@ def turn(axis: int, angle: float) -> np.ndarray:
     return m
 
 
-def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(tmp_path, monkeypatch):
     body = turn(2, 2.0) @ turn(1, -0.4) @ turn(0, 0.7)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1)
@@ -192,7 +188,7 @@ def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(
     assert [outer[k] for k in ("yaw", "pitch", "roll")] == pytest.approx([2.0, -0.4, 0.7])
 
 
-def test_depth_and_disparity_are_within_half_a_step(out: Path, tmp_path: Path):
+def test_depth_and_disparity_are_within_half_a_step(out, tmp_path):
     depth = some_passes(3)["depth"]
     hit = np.isfinite(depth)
     folder = exported(out, tmp_path / "a", depth="depth")
@@ -207,7 +203,7 @@ def test_depth_and_disparity_are_within_half_a_step(out: Path, tmp_path: Path):
     assert np.abs((values[hit] - 1.0) / 256.0 - exact).max() <= 0.5 / 256.0
 
 
-def test_depth_beyond_sixteen_bits_is_none_and_counted(out: Path, tmp_path: Path):
+def test_depth_beyond_sixteen_bits_is_none_and_counted(out, tmp_path):
     folder = exported(out, tmp_path / "d", depth="depth", depth_scale="2000")
     depth = some_passes(3)["depth"]
     far = np.isfinite(depth) & (np.rint(depth * 2000.0) > 65535)
@@ -218,7 +214,7 @@ def test_depth_beyond_sixteen_bits_is_none_and_counted(out: Path, tmp_path: Path
     assert camera["depth"]["beyond"] == int(far.sum())
 
 
-def test_frames_without_instances_or_pictures_have_labels(tmp_path: Path):
+def test_frames_without_instances_or_pictures_have_labels(tmp_path):
     def bare(number: int) -> dict:
         return {"label.class": np.full((1, 1), 2, np.uint32)}
 

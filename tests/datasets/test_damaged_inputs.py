@@ -6,7 +6,6 @@ The study itself (``lab/robustness/fuzz.py --kinds export``) makes hundreds of e
 from __future__ import annotations
 
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from scenec.testing import exports
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sound(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sound")
     exports.write(folder)
     return folder / "out"

@@ -29,13 +29,13 @@ pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:Depreca
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("instances")
     return make_output(folder / "out", lambda n: some_passes(n, 96, 64))
 
 
 @pytest.fixture(scope="module")
-def dataset(output: Path) -> Path:
+def dataset(output):
     export(output, "coco", output.parent / "set", Choice())
     return output.parent / "set"
 

@@ -23,7 +23,7 @@ from scenec.testing.made_output import make_output, some_passes
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("maps") / "out", batches=1, samples=2)
 
 

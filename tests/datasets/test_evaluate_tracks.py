@@ -24,12 +24,12 @@ SAMPLES = 9
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_out(tmp_path_factory.mktemp("tracks") / "out", (LEFT,), SAMPLES).out
 
 
 @pytest.fixture(scope="module")
-def truth(out: Path) -> Path:
+def truth(out):
     export(out, "tum", out / "tum")
     return out / "tum/all/batch_0000_rover_left/groundtruth.txt"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def test_a_file_cut_short_or_changed_anywhere_ends_in_one_error_or_is_read(tmp_p
         read_exr(cut, ("rgb",))
 
 
-def test_any_byte_of_header_and_tables_may_be_changed(tmp_path: Path):
+def test_any_byte_of_header_and_tables_may_be_changed(tmp_path):
     path = tmp_path / "a.exr"
     write_exr(path, passes_of(("rgb", "instance"), 20, 6))
     whole = path.read_bytes()
@@ -106,7 +105,7 @@ def test_any_byte_of_header_and_tables_may_be_changed(tmp_path: Path):
 
 
 @pytest.mark.parametrize("data", [b"", b"v/1", b"no picture at all", b"v/1\x01\x02\x02\0\0"])
-def test_what_is_no_such_file_is_refused(tmp_path: Path, data: bytes):
+def test_what_is_no_such_file_is_refused(tmp_path, data):
     with pytest.raises(ValueError, match="OpenEXR"):
         without_parts(data, ("rgb",))
     path = tmp_path / "a.exr"

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from scenec.backends.run.executors import Processes
@@ -14,21 +11,19 @@ from scenec.testing.made_frames import LEFT, RIGHT, make_out
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_out(tmp_path_factory.mktemp("out") / "made", (LEFT, RIGHT), 3, batches=2).out
 
 
 @pytest.fixture(scope="module")
-def two() -> Iterator[Processes]:
+def two():
     with Processes(2) as executor:
         yield executor
 
 
 # Not of Sintel, which needs flow: these frames have none.
 @pytest.mark.parametrize("name", sorted({*format_names()} - {"sintel"}))
-def test_the_same_frames_give_the_same_bytes(
-    out: Path, two: Processes, tmp_path: Path, name: str
-) -> None:
+def test_the_same_frames_give_the_same_bytes(out, two, tmp_path, name):
     export(out, name, tmp_path / "one")
     export(out, name, tmp_path / "ä b" / "two", executor=two)
     sums = [(tmp_path / place / "SHA256SUMS").read_text() for place in ("one", "ä b/two")]

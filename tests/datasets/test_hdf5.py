@@ -31,7 +31,7 @@ from scenec.testing.made_output import (
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("hdf5") / "out")
 
 
@@ -40,7 +40,7 @@ def exported(out: Path, folder: Path, **options: str) -> Path:
 
 
 @pytest.mark.parametrize("compression", ["none", "lzf", "gzip"])
-def test_every_pass_comes_back_bit_for_bit(out: Path, tmp_path: Path, compression: str):
+def test_every_pass_comes_back_bit_for_bit(out, tmp_path, compression):
     folder = exported(out, tmp_path / "d", compression=compression)
     with h5py.File(folder / "all_12x8.h5") as file:
         for number in range(8):
@@ -54,7 +54,7 @@ def test_every_pass_comes_back_bit_for_bit(out: Path, tmp_path: Path, compressio
         assert file["rgb"].compression == (None if compression == "none" else compression)
 
 
-def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out: Path, tmp_path: Path):
+def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out, tmp_path):
     with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
         assert file["label.class"].dtype == np.uint8
         assert file["label.surface"].dtype == np.uint16
@@ -66,7 +66,7 @@ def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out: Path, 
             assert list(attributes["label_ids"]) == list(names)
 
 
-def test_the_tables_of_instances_are_concatenated_with_offsets(out: Path, tmp_path: Path):
+def test_the_tables_of_instances_are_concatenated_with_offsets(out, tmp_path):
     with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
         group = file["instances"]
         assert len(group["offsets"]) == 9
@@ -89,7 +89,7 @@ def test_the_tables_of_instances_are_concatenated_with_offsets(out: Path, tmp_pa
             assert (np.sort(group["id"][start:end]) == shown[shown > 0]).all()
 
 
-def test_cameras_come_back_exactly(out: Path, tmp_path: Path):
+def test_cameras_come_back_exactly(out, tmp_path):
     with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
         cameras = file["camera"].asstr()[:]
         for number in range(8):
@@ -101,7 +101,7 @@ def test_cameras_come_back_exactly(out: Path, tmp_path: Path):
             assert file["frame"].asstr()[number] == name
 
 
-def test_everything_says_what_it_is(out: Path, tmp_path: Path):
+def test_everything_says_what_it_is(out, tmp_path):
     with h5py.File(exported(out, tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
         silent: list[str] = []
 
@@ -116,7 +116,7 @@ def test_everything_says_what_it_is(out: Path, tmp_path: Path):
         assert "OpenCV" in file["camera_to_world"].attrs["convention"]
 
 
-def test_the_picture_is_the_one_beside_the_frame(out: Path, tmp_path: Path):
+def test_the_picture_is_the_one_beside_the_frame(out, tmp_path):
     with h5py.File(exported(out, tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
         assert "rgb" not in file
         picture = Image.open(out / "batch_0000/frames/annotation/rover_left/000001.png")
@@ -125,7 +125,7 @@ def test_the_picture_is_the_one_beside_the_frame(out: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_files_are_the_same_bytes_whatever_the_workers(out: Path, tmp_path: Path):
+def test_files_are_the_same_bytes_whatever_the_workers(out, tmp_path):
     a = export(out, "hdf5", tmp_path / "a", Choice(options={"shard": "3"})).folder
     with Processes(2) as executor:
         choice = Choice(options={"shard": "3"})
@@ -136,7 +136,7 @@ def test_files_are_the_same_bytes_whatever_the_workers(out: Path, tmp_path: Path
         assert sha256(a / name) == sha256(b / name)
 
 
-def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path: Path):
+def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path):
     wide = {0: 12, 1: 12, 2: 20, 3: 20}
     out = make_output(tmp_path / "out", lambda n: some_passes(n, wide[n % 4], rgb=False), batches=2)
     folder = exported(out, tmp_path / "a")
@@ -149,7 +149,7 @@ def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path: Path):
         assert file["depth"].shape == (4, 8, 20)
 
 
-def test_frames_that_are_left_out_leave_no_gap(tmp_path: Path):
+def test_frames_that_are_left_out_leave_no_gap(tmp_path):
     out = make_output(tmp_path / "out", batches=1)
     (out / "batch_0000/frames/annotation/rover_left/000001.exr").write_bytes(b"torn")
     report = export(out, "hdf5", tmp_path / "d", Choice(faults="skip"))
@@ -160,7 +160,7 @@ def test_frames_that_are_left_out_leave_no_gap(tmp_path: Path):
             assert (file["depth"][at] == some_passes(number)["depth"]).all()
 
 
-def test_one_pixel_without_instances_or_rgb_is_a_file(tmp_path: Path):
+def test_one_pixel_without_instances_or_rgb_is_a_file(tmp_path):
     def passes(number: int) -> dict:
         ids = np.zeros((1, 1), np.uint32)
         return {"label.class": ids + 2, "instance": ids, "depth": np.full((1, 1), np.inf)}
@@ -172,7 +172,7 @@ def test_one_pixel_without_instances_or_rgb_is_a_file(tmp_path: Path):
         assert len(file["instances/id"]) == 0
 
 
-def test_an_id_without_a_name_is_never_cut_to_fit(tmp_path: Path):
+def test_an_id_without_a_name_is_never_cut_to_fit(tmp_path):
     def passes(number: int) -> dict:
         return some_passes(number) | {"label.class": np.full((8, 12), 999, np.uint32)}
 
@@ -182,7 +182,7 @@ def test_an_id_without_a_name_is_never_cut_to_fit(tmp_path: Path):
     assert not (tmp_path / "d").exists()
 
 
-def test_frames_of_other_passes_are_refused_by_name(tmp_path: Path):
+def test_frames_of_other_passes_are_refused_by_name(tmp_path):
     def passes(number: int) -> dict:
         found = some_passes(number)
         return found if number < 3 else {k: v for k, v in found.items() if k != "depth"}
@@ -195,12 +195,12 @@ def test_frames_of_other_passes_are_refused_by_name(tmp_path: Path):
 
 
 @pytest.mark.parametrize("value", ["-1", "many", "1.5"])
-def test_a_shard_of_no_number_is_refused(out: Path, tmp_path: Path, value: str):
+def test_a_shard_of_no_number_is_refused(out, tmp_path, value):
     with pytest.raises(OutputError, match=f"option shard: expected a whole number.*{value}"):
         exported(out, tmp_path / "d", shard=value)
 
 
-def test_columns_longer_than_their_blocks_come_back_whole(tmp_path: Path):
+def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
     # 6 frames of 3000 instances are more lines than are held back at a time.
     def passes(number: int) -> dict:
         ids = np.arange(1, 3001, dtype=np.uint32).reshape(30, 100) + np.uint32(number)
@@ -213,14 +213,14 @@ def test_columns_longer_than_their_blocks_come_back_whole(tmp_path: Path):
         assert (np.diff(file["instances/offsets"][:].astype(int)) == 3000).all()
 
 
-def test_the_card_says_how_to_read_it(out: Path, tmp_path: Path):
+def test_the_card_says_how_to_read_it(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     assert json.loads((folder / "export.json").read_text())["frames"] == 8
     assert "h5py.File" in (folder / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["hdf5", "webdataset"])
-def test_no_more_than_two_frames_are_in_memory_at_a_time(out: Path, tmp_path: Path, name: str):
+def test_no_more_than_two_frames_are_in_memory_at_a_time(out, tmp_path, name):
     source = Source(out)
     alive: list[weakref.ref[LoadedFrame]] = []
     most = 0

@@ -34,7 +34,7 @@ def made_with(folder: Path, lens: dict[str, Any], skew: float = 0.0) -> Path:
     return out
 
 
-def test_a_loaded_frame_has_its_lens(tmp_path: Path) -> None:
+def test_a_loaded_frame_has_its_lens(tmp_path):
     """As ``schemas.lens`` has it."""
     source = Source(made_with(tmp_path, FISHEYE))
     frame = source.load(source.frames[0])
@@ -45,9 +45,7 @@ def test_a_loaded_frame_has_its_lens(tmp_path: Path) -> None:
     ("lens", "model", "count"),
     [(BROWN, "radial-tangential", 4), (FISHEYE, "equidistant", 4)],
 )
-def test_euroc_has_the_distortion(
-    tmp_path: Path, lens: dict[str, Any], model: str, count: int
-) -> None:
+def test_euroc_has_the_distortion(tmp_path, lens, model, count):
     """In sensor.yaml, k1, k2, p1, p2 or Kannala and Brandt's four."""
     folder = Path(export(made_with(tmp_path, lens), "euroc").folder)
     (path,) = folder.rglob("cam0/sensor.yaml")
@@ -65,9 +63,7 @@ def test_euroc_has_the_distortion(
         (FISHEYE, "equidistant", 4),
     ],
 )
-def test_a_bags_camera_info_has_the_distortion(
-    tmp_path: Path, lens: dict[str, Any], model: str, count: int
-) -> None:
+def test_a_bags_camera_info_has_the_distortion(tmp_path, lens, model, count):
     """Read by rosbags: model and coefficients as image_geometry takes them."""
     from rosbags.highlevel import AnyReader
 
@@ -93,9 +89,7 @@ def test_a_bags_camera_info_has_the_distortion(
         ("rosbag2", PANORAMA, "has the lens equirectangular of 0 coefficients"),
     ],
 )
-def test_what_a_format_cannot_hold_is_one_line(
-    tmp_path: Path, form: str, lens: dict[str, Any], said: str
-) -> None:
+def test_what_a_format_cannot_hold_is_one_line(tmp_path, form, lens, said):
     """With the frame, the camera, and how to leave it out."""
     with pytest.raises(OutputError) as error:
         export(made_with(tmp_path, lens), form)
@@ -104,13 +98,13 @@ def test_what_a_format_cannot_hold_is_one_line(
     assert "--cameras" in str(error.value)
 
 
-def test_a_lens_and_a_skew_are_too_much_for_a_bag(tmp_path: Path) -> None:
+def test_a_lens_and_a_skew_are_too_much_for_a_bag(tmp_path):
     """Its readers drop the skew."""
     with pytest.raises(OutputError, match="has a lens and a skew"):
         export(made_with(tmp_path, BROWN, 0.5), "rosbag2")
 
 
-def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path: Path) -> None:
+def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path):
     """Beside the intrinsics; in an attribute of the file."""
     import h5py
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,7 +128,7 @@ def test_raw_numbers_come_back_exactly():
     assert layer.facts["top"] == numbers.max()
 
 
-def test_the_sheet_has_a_column_for_each_and_takes_the_sensors_picture(tmp_path: Path):
+def test_the_sheet_has_a_column_for_each_and_takes_the_sensors_picture(tmp_path):
     shape = (20, 30)
     flow = np.zeros((*shape, 2), np.float32)
     flow[..., 0] = 5.0

@@ -7,7 +7,6 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -101,7 +100,7 @@ RELAXED = examples(
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("mutated") / "out", batches=1, cameras=("left",))
 
 
@@ -219,7 +218,7 @@ def test_a_record_of_what_was_left_out_is_taken_or_refused_in_one_line(tmp_path,
 
 
 @pytest.fixture(scope="module")
-def dataset(output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(output, tmp_path_factory):
     return export(output, "tum", tmp_path_factory.mktemp("dataset") / "ds").folder
 
 

@@ -29,7 +29,7 @@ from scenec.testing.made_output import (
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("parquet") / "out")
 
 
@@ -48,7 +48,7 @@ def pixels(cell: dict[str, Any]) -> np.ndarray:
     return np.array(Image.open(io.BytesIO(cell["bytes"])))
 
 
-def test_pyarrow_reads_every_frame_with_the_same_values(out: Path, tmp_path: Path):
+def test_pyarrow_reads_every_frame_with_the_same_values(out, tmp_path):
     folder = exported(out, tmp_path / "d", shard="3")
     names = [path.name for path in sorted((folder / "data").iterdir())]
     assert names == [f"train-{i:05d}-of-00003.parquet" for i in range(3)]
@@ -67,7 +67,7 @@ def test_pyarrow_reads_every_frame_with_the_same_values(out: Path, tmp_path: Pat
         assert row["frame"] == f"batch_{row['batch']:04d}/{row['camera']}/{row['sample']:06d}"
 
 
-def test_objects_are_those_of_the_frame(out: Path, tmp_path: Path):
+def test_objects_are_those_of_the_frame(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     names = list(LABELS["class"].values())
     for number, row in enumerate(rows(folder)):
@@ -90,7 +90,7 @@ def test_objects_are_those_of_the_frame(out: Path, tmp_path: Path):
             assert inside[:, -1].any()
 
 
-def test_depth_in_sixteen_bits_is_within_half_a_step(out: Path, tmp_path: Path):
+def test_depth_in_sixteen_bits_is_within_half_a_step(out, tmp_path):
     folder = exported(out, tmp_path / "d", depth="png", depth_scale="500")
     for number, row in enumerate(rows(folder)):
         depth = some_passes(number)["depth"]
@@ -100,7 +100,7 @@ def test_depth_in_sixteen_bits_is_within_half_a_step(out: Path, tmp_path: Path):
         assert np.abs(values[hit] / 500.0 - depth[hit]).max() <= 0.5 / 500.0
 
 
-def test_the_schema_names_the_features(out: Path, tmp_path: Path):
+def test_the_schema_names_the_features(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     schema = pq.read_schema(next((folder / "data").iterdir()))
     features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
@@ -134,7 +134,7 @@ print(json.dumps(told))
 """
 
 
-def test_hugging_face_datasets_shows_pictures_and_names(out: Path, tmp_path: Path):
+def test_hugging_face_datasets_shows_pictures_and_names(out, tmp_path):
     # In a process elsewhere: here, `datasets` is this repository's folder.
     def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -163,7 +163,7 @@ def test_hugging_face_datasets_shows_pictures_and_names(out: Path, tmp_path: Pat
         assert [row["names"][c] for c in row["objects"]["category"]] == ["rock"] * len(table["id"])
 
 
-def test_files_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
+def test_files_are_the_same_bytes_every_time(out, tmp_path):
     choice = Choice(options={"shard": "3"})
     a = export(out, "parquet", tmp_path / "a", choice).folder
     b = export(out, "parquet", tmp_path / "b", choice).folder
@@ -171,7 +171,7 @@ def test_files_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
         assert sha256(path) == sha256(b / "data" / path.name)
 
 
-def test_splits_are_files_of_their_own(out: Path, tmp_path: Path):
+def test_splits_are_files_of_their_own(out, tmp_path):
     choice = Choice(splits={"train": range(0, 1), "val": range(1, 2)})
     folder = export(out, "parquet", tmp_path / "d", choice).folder
     train = pq.read_table(folder / "data/train-00000-of-00001.parquet")
@@ -180,7 +180,7 @@ def test_splits_are_files_of_their_own(out: Path, tmp_path: Path):
     assert set(val["batch"].to_pylist()) == {1}
 
 
-def test_frames_without_pictures_or_instances_are_rows(tmp_path: Path):
+def test_frames_without_pictures_or_instances_are_rows(tmp_path):
     def bare(number: int) -> dict:
         return {"label.class": np.full((1, 1), 2, np.uint32), "depth": np.full((1, 1), np.inf)}
 
@@ -192,7 +192,7 @@ def test_frames_without_pictures_or_instances_are_rows(tmp_path: Path):
     assert "objects" not in row
 
 
-def test_frames_that_show_no_instance_have_empty_lists(tmp_path: Path):
+def test_frames_that_show_no_instance_have_empty_lists(tmp_path):
     def empty(number: int) -> dict:
         made = some_passes(number)
         return made | {"instance": np.zeros_like(made["instance"])}
@@ -202,7 +202,7 @@ def test_frames_that_show_no_instance_have_empty_lists(tmp_path: Path):
     assert set(map(len, row["objects"].values())) == {0}
 
 
-def test_label_ids_beyond_sixteen_bits_are_refused(tmp_path: Path):
+def test_label_ids_beyond_sixteen_bits_are_refused(tmp_path):
     labels = {"class": {1: "sky", 2: "ground", 3: "rock"}, "surface": {70_000: "stone"}}
     out = make_output(tmp_path / "out", batches=1, labels=labels)
     with pytest.raises(OutputError, match="label 'stone' of level 'surface' has id 70000"):

@@ -36,7 +36,7 @@ def small_ids(number: int) -> Passes:
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     out = make_output(tmp_path_factory.mktemp("sensor") / "out", small_ids, batches=1)
     add_sensor(out)
     return out

@@ -29,7 +29,7 @@ def pixels(path: Path) -> np.ndarray:
     return np.asarray(Image.open(path).convert("RGB"))[34:]
 
 
-def test_a_frame_of_another_stage_is_left_out_and_said(tmp_path: Path):
+def test_a_frame_of_another_stage_is_left_out_and_said(tmp_path):
     out = marked(tmp_path / "out", stage_digest="0" * 64)
     sheet = write_sheet(out, tmp_path / "a.png", count=2)
     (line,) = sheet.left_out
@@ -41,7 +41,7 @@ def test_a_frame_of_another_stage_is_left_out_and_said(tmp_path: Path):
     assert np.array_equal(pixels(sheet.path), pixels(rest.path))
 
 
-def test_a_stray_is_left_out_and_said(tmp_path: Path):
+def test_a_stray_is_left_out_and_said(tmp_path):
     out = make_output(tmp_path / "out", batches=1, cameras=("a",), samples=2)
     for path in sorted((out / CAMERA).glob("000001.*")):
         shutil.copy(path, path.with_name(path.name.replace("000001", "000007")))
@@ -52,7 +52,7 @@ def test_a_stray_is_left_out_and_said(tmp_path: Path):
     assert pixels(sheet.path).shape == pixels(other.path).shape
 
 
-def test_an_output_of_foreign_frames_alone_is_an_error(tmp_path: Path):
+def test_an_output_of_foreign_frames_alone_is_an_error(tmp_path):
     out = make_output(tmp_path / "out", lambda n: some_passes(n, 4, 2), batches=1, samples=1)
     for path in sorted(out.rglob("00*.json")):
         told = json.loads(path.read_bytes()) | {"stage_digest": "0" * 64}

@@ -15,7 +15,6 @@ import trimesh
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 
 from scenec.backends.stage.read import read_stage
-from scenec.backends.stage.scene import RenderScene
 from scenec.cli.main import main
 from scenec.datasets.models.gltf import decomposed
 from scenec.schemas.quaternions import quaternions
@@ -25,7 +24,7 @@ TEXELS = "texels=16384"
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory) -> Path:
+def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
     asked = small_cfg(samples=2)
     asked["materials"]["stone"]["diffuse_transmission"] = 0.3
@@ -35,18 +34,18 @@ def out(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def scene(out: Path) -> RenderScene:
+def scene(out):
     return read_stage(out / "batch_0000" / "stage.usda")
 
 
 @pytest.fixture(scope="module")
-def glb(out: Path) -> Path:
+def glb(out):
     assert main(["export", str(out), "--format", "gltf", "--set", TEXELS]) == 0
     return out / "datasets" / "gltf" / "batch_0000.glb"
 
 
 @pytest.fixture(scope="module")
-def usdz(out: Path) -> Path:
+def usdz(out):
     assert main(["export", str(out), "--format", "usdz", "--set", TEXELS]) == 0
     return out / "datasets" / "usdz" / "batch_0000.usdz"
 
@@ -326,7 +325,7 @@ def test_options_that_make_no_sense_are_refused(out, capsys, words, message):
     assert not (out / "x").exists()
 
 
-def test_check_knows_folders_of_models(glb: Path, tmp_path: Path, capsys) -> None:
+def test_check_knows_folders_of_models(glb, tmp_path, capsys):
     folder = tmp_path / "gltf"
     shutil.copytree(glb.parent, folder)
     assert main(["check", str(folder)]) == 0

@@ -434,7 +434,7 @@ def calm(width: int, height: int):
 
 
 @pytest.fixture(scope="module")
-def many(tmp_path_factory) -> Path:
+def many(tmp_path_factory):
     """2,400 frames that share the files of eight (as links), each at its own place."""
     folder = tmp_path_factory.mktemp("many")
     return many_frames(folder, batches=4, samples=300)

@@ -21,7 +21,7 @@ from scenec.testing.made_output import EXPOSURE_EV, frame_table, make_output, po
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("webdataset") / "out")
 
 
@@ -35,9 +35,7 @@ def samples(folder: Path, decode: str = "rgb8") -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("arrays", ["npy", "npz"])
-def test_webdataset_reads_every_frame_in_order_with_the_same_values(
-    out: Path, tmp_path: Path, arrays: str
-):
+def test_webdataset_reads_every_frame_in_order_with_the_same_values(out, tmp_path, arrays):
     folder = exported(out, tmp_path / "d", shard="3", arrays=arrays, radiance="yes")
     assert len(list(folder.glob("*.tar"))) == 3
     found = samples(folder)
@@ -59,14 +57,14 @@ def test_webdataset_reads_every_frame_in_order_with_the_same_values(
         assert not any(line["ignored"] for line in told["instances"])
 
 
-def test_labels_take_the_smallest_type(out: Path, tmp_path: Path):
+def test_labels_take_the_smallest_type(out, tmp_path):
     sample = samples(exported(out, tmp_path / "d"))[0]
     assert sample["label.class.npy"].dtype == np.uint8
     assert sample["label.surface.npy"].dtype == np.uint16
     assert sample["instance.npy"].dtype == np.uint32
 
 
-def test_members_are_sorted_and_have_neither_time_nor_owner(out: Path, tmp_path: Path):
+def test_members_are_sorted_and_have_neither_time_nor_owner(out, tmp_path):
     folder = exported(out, tmp_path / "d")
     with tarfile.open(folder / "all-000000.tar") as tar:
         members = tar.getmembers()
@@ -81,7 +79,7 @@ def test_members_are_sorted_and_have_neither_time_nor_owner(out: Path, tmp_path:
         assert names[first : first + len(mine)] == mine
 
 
-def test_shards_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
+def test_shards_are_the_same_bytes_every_time(out, tmp_path):
     choice = Choice(options={"shard": "3"})
     a = export(out, "webdataset", tmp_path / "a", choice).folder
     b = export(out, "webdataset", tmp_path / "b", choice).folder
@@ -89,7 +87,7 @@ def test_shards_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
         assert sha256(path) == sha256(b / path.name)
 
 
-def test_shards_stay_below_their_size(tmp_path: Path):
+def test_shards_stay_below_their_size(tmp_path):
     made = some_passes(0, 400, 300)
     out = make_output(tmp_path / "out", lambda n: made, batches=1, samples=3)
     folder = exported(out, tmp_path / "d", shard_mb="4")
@@ -99,7 +97,7 @@ def test_shards_stay_below_their_size(tmp_path: Path):
     assert len(samples(folder)) == 6
 
 
-def test_the_index_says_which_shards_there_are(out: Path, tmp_path: Path):
+def test_the_index_says_which_shards_there_are(out, tmp_path):
     choice = Choice(options={"shard": "3"}, splits={"train": range(0, 1), "val": range(1, 2)})
     folder = export(out, "webdataset", tmp_path / "d", choice).folder
     index = json.loads((folder / "shards.json").read_text(encoding="utf-8"))
@@ -112,7 +110,7 @@ def test_the_index_says_which_shards_there_are(out: Path, tmp_path: Path):
     assert batches == [0] * 4 + [1] * 4
 
 
-def test_jpeg_is_near_the_picture(tmp_path: Path):
+def test_jpeg_is_near_the_picture(tmp_path):
     smooth = np.broadcast_to(
         np.linspace(0.0, 2.0, 64, dtype=np.float32)[None, :, None], (48, 64, 3)
     )
@@ -127,7 +125,7 @@ def test_jpeg_is_near_the_picture(tmp_path: Path):
     assert samples(folder)[0]["rgb.jpg"].shape == (48, 64, 3)
 
 
-def test_frames_without_pictures_or_instances_are_samples(tmp_path: Path):
+def test_frames_without_pictures_or_instances_are_samples(tmp_path):
     def bare(number: int) -> dict:
         return {"label.class": np.full((1, 1), 2, np.uint32), "depth": np.full((1, 1), np.inf)}
 
@@ -138,7 +136,7 @@ def test_frames_without_pictures_or_instances_are_samples(tmp_path: Path):
     assert sample["json"]["instances"] == []
 
 
-def test_levels_that_the_reader_would_take_for_one_are_refused(tmp_path: Path):
+def test_levels_that_the_reader_would_take_for_one_are_refused(tmp_path):
     labels = {"class": {2: "ground"}, "Class": {1: "x"}}
 
     def bare(number: int) -> dict:
@@ -150,6 +148,6 @@ def test_levels_that_the_reader_would_take_for_one_are_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("option", "value"), [("shard", "0"), ("shard_mb", "-1"), ("shard", "x")])
-def test_sizes_that_make_no_sense_are_refused(out: Path, tmp_path: Path, option: str, value: str):
+def test_sizes_that_make_no_sense_are_refused(out, tmp_path, option, value):
     with pytest.raises(OutputError, match=f"option {option}: expected a whole number from"):
         exported(out, tmp_path / "d", **{option: value})

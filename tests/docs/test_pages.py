@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from blocks import ROOT, blocks
@@ -72,5 +71,5 @@ def test_the_cfg_that_is_explained_line_by_line_is_valid(coarse, tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "configs").glob("*.json")), ids=lambda p: p.stem)
-def test_every_cfg_that_ships_is_valid(path: Path):
+def test_every_cfg_that_ships_is_valid(path):
     assert load(path).cfg["name"] == path.stem

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -214,9 +213,7 @@ def differing(theirs: Pixels, ours: Pixels) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("y_up", [False, True], ids=["meters, z up", "centimeters, y up"])
 @pytest.mark.parametrize("build", [gprims, copies, mirrored, parts, motion])
-def test_the_import_of_a_stage_shows_what_the_stage_shows(
-    tmp_path: Path, build: Callable[[Usd.Stage], None], y_up: bool
-) -> None:
+def test_the_import_of_a_stage_shows_what_the_stage_shows(tmp_path, build, y_up):
     samples = 3 if build is motion else 1
     stage = opened(tmp_path / "stage.usda", y_up=y_up, samples=samples)
     label(floor(stage), "floor")
@@ -354,9 +351,7 @@ def radiance(scene: RenderScene, camera: Camera) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("build", [suns, plain_dome, tinted_domes, lamps, glow])
-def test_the_import_of_a_stage_is_lit_as_the_stage_is(
-    tmp_path: Path, build: Callable[[Usd.Stage], None]
-) -> None:
+def test_the_import_of_a_stage_is_lit_as_the_stage_is(tmp_path, build):
     stage = opened(tmp_path / "stage.usda", y_up=build in (lamps, tinted_domes))
     floor(stage)
     camera(stage, "/World/eye", (1, -7, 4), (0, 1, 0.5))

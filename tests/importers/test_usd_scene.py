@@ -41,12 +41,12 @@ def heights(scene: RenderScene, places: list[tuple[float, float]]) -> list[float
     return [float(50.0 - t) for t in ExactCaster(scene).cast(rays)[2]]
 
 
-def test_the_command_line_knows_what_can_be_kept() -> None:
+def test_the_command_line_knows_what_can_be_kept():
     assert import_arguments.KEEP == KEEP
 
 
 @pytest.mark.slow
-def test_what_the_stage_has_is_where_it_was(tmp_path: Path) -> None:
+def test_what_the_stage_has_is_where_it_was(tmp_path):
     made = imported(make_stage(tmp_path), keep=KEEP)
     assert write(made) == []
     out = tmp_path / "out"
@@ -74,7 +74,7 @@ def test_what_the_stage_has_is_where_it_was(tmp_path: Path) -> None:
     assert np.array(places) == pytest.approx(np.array([(-1, -6, 1.5), (0, -6, 1.5), (1, -6, 1.5)]))
 
 
-def test_light_is_taken_over_or_varied(tmp_path: Path) -> None:
+def test_light_is_taken_over_or_varied(tmp_path):
     file = make_stage(tmp_path)
     sun = imported(file, keep=["light"]).cfg["light"]["sun"]
     # Turned by -30 degrees about x, it comes from above and from +z, which is south.
@@ -87,13 +87,13 @@ def test_light_is_taken_over_or_varied(tmp_path: Path) -> None:
     )
 
 
-def test_what_has_no_counterpart_is_said(tmp_path: Path) -> None:
+def test_what_has_no_counterpart_is_said(tmp_path):
     made = imported(make_stage(tmp_path))
     assert "render draws others" in notes(made, DROPPED)["/World/spare"]
     assert not any("hidden" in entry.pointer for entry in made.report.entries)
 
 
-def test_varied_cameras_look_about_where_they_looked(tmp_path: Path) -> None:
+def test_varied_cameras_look_about_where_they_looked(tmp_path):
     pose = imported(make_stage(tmp_path)).cfg["rigs"]["still"]["pose"]
     assert pose["type"] == "random"
     low, high = np.array(pose["region_m"])
@@ -106,7 +106,7 @@ def test_varied_cameras_look_about_where_they_looked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("roll", [-40.0, 0.0, 25.0])
-def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll: float) -> None:
+def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll):
     # Level, looking north: right is east, down is down; rolled clockwise, right goes down.
     c, s = np.cos(np.radians(roll)), np.sin(np.radians(roll))
     pose = np.eye(4)
@@ -114,7 +114,7 @@ def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll: float) -> None:
     assert varied_pose(pose, 10.0).get("roll_deg", 0.0) == pytest.approx(roll)
 
 
-def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path: Path) -> None:
+def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path):
     file = tmp_path / "one.usda"
     stage = Usd.Stage.CreateNew(str(file))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -130,7 +130,7 @@ def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path: Path) -> 
     write(made)
 
 
-def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path: Path) -> None:
+def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path):
     file = tmp_path / "post.usda"
     stage = Usd.Stage.CreateNew(str(file))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -147,7 +147,7 @@ def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path: Path) -> None:
     write(made)
 
 
-def test_ground_is_chosen_by_name(tmp_path: Path) -> None:
+def test_ground_is_chosen_by_name(tmp_path):
     file = make_stage(tmp_path)
     assert imported(file, ground="body").cfg["terrain"]["relief"][0]["part"] == "/body_model"
     assert "floor" in imported(file, ground="body").cfg["objects"]
@@ -155,9 +155,7 @@ def test_ground_is_chosen_by_name(tmp_path: Path) -> None:
         imported(file, ground="flor")
 
 
-def test_a_damaged_stage_is_a_fault_in_words(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_stage_is_a_fault_in_words(tmp_path, capsys):
     file, out = tmp_path / "bad.usda", tmp_path / "ours.json"
     file.write_text("#usda 1.0\ndef Xform {")
     assert main(["import", "usd", str(file), "-o", str(out)]) == 2
@@ -167,9 +165,7 @@ def test_a_damaged_stage_is_a_fault_in_words(
     assert not out.exists()
 
 
-def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(
-    tmp_path: Path,
-) -> None:
+def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(tmp_path):
     file = make_stage(tmp_path)
     stage = Usd.Stage.Open(str(file))
     posts = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/posts"))
@@ -186,16 +182,14 @@ def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(
     assert float(lines[8].split(",")[7]) == pytest.approx(2.0)
 
 
-def test_the_report_of_a_stage_can_be_read_by_scripts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_of_a_stage_can_be_read_by_scripts(tmp_path, capsys):
     words = ["import", "usd", str(make_stage(tmp_path)), "-o", str(tmp_path / "a" / "ours.json")]
     assert main([*words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert {"fate", "pointer", "to", "note"} <= set(told["values"][0])
 
 
-def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path: Path) -> None:
+def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path):
     file = make_stage(tmp_path)
     stage = Usd.Stage.Open(str(file))
     UsdGeom.BasisCurves.Define(stage, "/World/hair")
@@ -216,7 +210,7 @@ def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path: Path) ->
     assert set(losses) <= told
 
 
-def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path: Path) -> None:
+def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path):
     file = make_stage(tmp_path)
     stage = Usd.Stage.Open(str(file))
     UsdGeom.Imageable(stage.GetPrimAtPath("/World/sun")).MakeInvisible()
@@ -232,7 +226,7 @@ def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path: Path) -> 
     )
 
 
-def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_path: Path) -> None:
+def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_path):
     file = tmp_path / "labeled.usda"
     stage = Usd.Stage.CreateNew(str(file))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -268,14 +262,7 @@ def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_pa
         ("", "metersPerUnit", 1e307, ""),
     ],
 )
-def test_a_value_that_cannot_be_is_a_fault_of_one_line(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    path: str,
-    name: str,
-    value: object,
-    told: str,
-) -> None:
+def test_a_value_that_cannot_be_is_a_fault_of_one_line(tmp_path, capsys, path, name, value, told):
     file, out = make_stage(tmp_path), tmp_path / "ours.json"
     stage = Usd.Stage.Open(str(file))
     if path:
@@ -291,7 +278,7 @@ def test_a_value_that_cannot_be_is_a_fault_of_one_line(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_what_is_scaled_to_nothing_is_said(tmp_path: Path) -> None:
+def test_what_is_scaled_to_nothing_is_said(tmp_path):
     file = make_stage(tmp_path)
     stage = Usd.Stage.Open(str(file))
     UsdGeom.Xformable(stage.GetPrimAtPath("/World/crate")).AddScaleOp().Set((0, 0, 0))
@@ -307,9 +294,7 @@ def test_what_is_scaled_to_nothing_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("ior", "specular"), [(1.5, 0.04), (-1.0, 1.0), (0.0, 1.0)])
-def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(
-    tmp_path: Path, ior: float, specular: float
-) -> None:
+def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(tmp_path, ior, specular):
     file = make_stage(tmp_path)
     stage = Usd.Stage.Open(str(file))
     material = UsdShade.Material.Define(stage, "/World/glass")

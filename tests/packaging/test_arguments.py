@@ -28,7 +28,7 @@ def too_many(source: str) -> Iterator[tuple[str, int]]:
             yield node.name, count
 
 
-def test_functions_take_ten_arguments_at_most_and_kernels_eight() -> None:
+def test_functions_take_ten_arguments_at_most_and_kernels_eight():
     found = {
         f"{path.relative_to(ROOT)}:{name}": count
         for room in ROOMS

@@ -17,7 +17,7 @@ print("\\nLOADED", *sorted({name.partition(".")[0] for name in sys.modules}))
 """
 
 
-def test_help_imports_no_heavy_package() -> None:
+def test_help_imports_no_heavy_package():
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False
     )

@@ -59,7 +59,7 @@ def imported(tmp_path: Path, *words: str) -> list[set[str]]:
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[set[str]]]:
+def compiled(tmp_path_factory):
     """An output, and what each process that compiled it had imported."""
     folder = tmp_path_factory.mktemp("compiled")
     cfg = small_cfg(samples=1, outputs=["rgb", "depth", "instance"])

@@ -39,7 +39,7 @@ def banned_lines(file: str, lines: list[str]) -> set[int]:
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_ruff_lets_a_layer_import_only_the_layers_under_it(layer: str) -> None:
+def test_ruff_lets_a_layer_import_only_the_layers_under_it(layer):
     others = [other for other in LAYERS if other != layer]
     lines = [f"import scenec.{other}.anything" for other in others]
     lines += [f"from scenec.{other} import anything" for other in others]
@@ -50,7 +50,7 @@ def test_ruff_lets_a_layer_import_only_the_layers_under_it(layer: str) -> None:
     assert banned_lines(f"{layer}/deeper/scratch.py", lines) == expected
 
 
-def test_ruff_lets_an_importer_import_of_the_backends_the_reader_of_stages_alone() -> None:
+def test_ruff_lets_an_importer_import_of_the_backends_the_reader_of_stages_alone():
     inside = [p for p in (ROOT / "backends").iterdir() if p.is_dir() or p.suffix == ".py"]
     others = sorted({p.stem for p in inside if p.name[0] not in "_."} - {"stage"})
     assert len(others) > 10
@@ -63,14 +63,14 @@ def test_ruff_lets_an_importer_import_of_the_backends_the_reader_of_stages_alone
 
 
 @pytest.mark.parametrize("folder", [*LAYERS, "tests"])
-def test_ruff_refuses_a_second_copy_of_a_module(folder: str) -> None:
+def test_ruff_refuses_a_second_copy_of_a_module(folder):
     lines = [f"import {layer}" for layer in LAYERS]
     lines += [f"from {layer}.anything import other" for layer in LAYERS]
     lines += ["from . import anything", "from ..schemas import errors"]
     assert banned_lines(f"{folder}/scratch.py", lines) == set(range(1, len(lines) + 1))
 
 
-def test_ruff_refuses_machine_dependent_functions_in_the_compiler() -> None:
+def test_ruff_refuses_machine_dependent_functions_in_the_compiler():
     lines = ["import math", "import time", "import numpy as np"]
     harmless = len(lines)
     lines += ["import random", "from datetime import datetime", "from math import sin"]
@@ -90,11 +90,11 @@ def test_ruff_refuses_machine_dependent_functions_in_the_compiler() -> None:
     assert banned_lines("backends/scratch.py", lines) == set()
 
 
-def test_every_layer_has_its_bans() -> None:
+def test_every_layer_has_its_bans():
     assert {layer for layer in LAYERS if (ROOT / layer / "ruff.toml").exists()} == set(LAYERS)
 
 
-def test_ruff_refuses_the_lab_in_a_test() -> None:
+def test_ruff_refuses_the_lab_in_a_test():
     lines = ["import scenec.lab.runner", "from scenec.lab import runner", "from scenec import lab"]
     lines += ["import scenec.testing.small"]
     assert banned_lines("tests/scratch.py", lines) == {1, 2, 3}
@@ -133,7 +133,7 @@ def test_ruff_refuses_the_lab_in_a_test() -> None:
         "print(*set(a))",
     ],
 )
-def test_a_machine_dependent_construction_is_found(line: str) -> None:
+def test_a_machine_dependent_construction_is_found(line):
     source = f"import numpy as np\n{line}\n"
     assert [v.line for v in determinism_violations(source, "scratch.py")] == [2]
 
@@ -159,11 +159,11 @@ def test_a_machine_dependent_construction_is_found(line: str) -> None:
         "len(set(a))",
     ],
 )
-def test_a_harmless_construction_is_let_through(line: str) -> None:
+def test_a_harmless_construction_is_let_through(line):
     assert determinism_violations(f"import numpy as np\n{line}\n", "scratch.py") == []
 
 
-def test_a_random_source_apart_from_philox_is_found() -> None:
+def test_a_random_source_apart_from_philox_is_found():
     source = (
         "import numpy as np\nimport random\nfrom numpy.random import Philox, default_rng\n"
         "Philox(key=1)\nnp.random.Philox(key=1)\n"
@@ -176,7 +176,7 @@ def test_a_random_source_apart_from_philox_is_found() -> None:
 _HARMLESS = {("compiler/cache/known.py", "id() depends on the memory layout")}
 
 
-def test_the_compiler_holds_no_machine_dependent_construction() -> None:
+def test_the_compiler_holds_no_machine_dependent_construction():
     files = list(python_files(ROOT / "compiler"))
     assert len(files) > 10
     found = [
@@ -189,7 +189,7 @@ def test_the_compiler_holds_no_machine_dependent_construction() -> None:
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_only_the_module_of_kernels_imports_numba(layer: str) -> None:
+def test_only_the_module_of_kernels_imports_numba(layer):
     lines = ["import numba", "from numba import njit", "from numba.core import config"]
     expected = set() if layer in ("quality", "cli", "testing", "lab") else {1, 2, 3}
     assert banned_lines(f"{layer}/scratch.py", lines) == expected
@@ -208,12 +208,12 @@ def test_only_the_module_of_kernels_imports_numba(layer: str) -> None:
         "page.wait_for_timeout(300)",
     ],
 )
-def test_what_a_slow_moment_would_fail_is_found(line: str) -> None:
+def test_what_a_slow_moment_would_fail_is_found(line):
     source = f"import subprocess, time\nfrom time import perf_counter\n{line}\n"
     assert [v.line for v in wait_violations(source, "scratch.py")] == [3]
 
 
-def test_no_test_fails_for_a_slow_moment() -> None:
+def test_no_test_fails_for_a_slow_moment():
     files = [*python_files(ROOT / "tests"), *python_files(ROOT / "lab" / "tests")]
     assert len(files) > 200
     found = [
@@ -226,7 +226,7 @@ def test_no_test_fails_for_a_slow_moment() -> None:
     assert settings().deadline is None
 
 
-def test_streams_take_nothing_from_numpy_random_but_philox() -> None:
+def test_streams_take_nothing_from_numpy_random_but_philox():
     found = random_violations(STREAMS.read_text(), "compiler/distributions/streams.py")
     assert not found, "\n".join(str(violation) for violation in found)
     assert "Philox" in STREAMS.read_text()

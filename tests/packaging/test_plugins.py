@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +100,7 @@ def cfg() -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """The package, installed by pip."""
     folder = tmp_path_factory.mktemp("site")
     source = shutil.copytree(EXAMPLE, folder / "source")
@@ -112,7 +111,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def there(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def there(site, monkeypatch):
     """The package, importable here."""
     monkeypatch.syspath_prepend(str(site))
     return site
@@ -133,7 +132,7 @@ def faults(path: Path, document: dict[str, Any]) -> list[tuple[str, str]]:
     return [(fault.pointer, fault.message) for fault in info.value.faults]
 
 
-def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path: Path) -> None:
+def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site, tmp_path):
     path = tmp_path / "farm.json"
     document = cfg()
     document["rigs"]["drone"]["lidars"] = {"scanner": {"pattern": {"type": "rosette"}}}
@@ -160,7 +159,7 @@ def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path:
     assert sidecar["effects"][0]["from"] == package
 
 
-def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) -> None:
+def test_effects_repeat_and_are_of_the_version_that_was_compiled(there):
     package = plugins.origin("scenec.effects", "banding")
     effect = {"type": "banding", "from": package, "key": 5, "strength": 20.0}
     picture = np.full((8, 4, 3), 100, np.uint8)
@@ -178,9 +177,7 @@ def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) ->
         apply(picture, [older], 0)
 
 
-def test_masks_and_distributions_reach_another_packages_operator(
-    there: Path, tmp_path: Path
-) -> None:
+def test_masks_and_distributions_reach_another_packages_operator(there, tmp_path):
     path = tmp_path / "farm.json"
     path.write_text(json.dumps(cfg()))
     masked = draw(load(path), 3, 0).terrain.relief[1]
@@ -194,7 +191,7 @@ def test_masks_and_distributions_reach_another_packages_operator(
     assert np.abs(height).max() == pytest.approx(0.5 * depth, rel=1e-3)
 
 
-def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path: Path) -> None:
+def test_a_sky_of_another_package_is_built_at_every_sample(there, tmp_path):
     from scenec.compiler.draw import draw
     from scenec.compiler.light.build import build_light
 
@@ -222,7 +219,7 @@ def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path
     assert "clouds need a sky" in dict(faults(path, document))["/light/clouds"]
 
 
-def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path: Path) -> None:
+def test_clouds_of_another_package_dim_the_sun_before_ours(there, tmp_path):
     from scenec.compiler.draw import draw
     from scenec.compiler.light.build import build_light
 
@@ -246,7 +243,7 @@ def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path
     assert 'did you mean "veil"' in dict(faults(path, document))["/light/clouds/more/0/type"]
 
 
-def test_keys_of_another_package_are_checked_like_our_own(there: Path, tmp_path: Path) -> None:
+def test_keys_of_another_package_are_checked_like_our_own(there, tmp_path):
     document = cfg()
     document["terrain"]["relief"][1] = {"type": "furrows", "deph_m": 0.1, "spacing_m": -1}
     document["rigs"]["drone"]["pose"]["type"] = "spirale"
@@ -257,7 +254,7 @@ def test_keys_of_another_package_are_checked_like_our_own(there: Path, tmp_path:
     assert 'did you mean "spiral"?' in found["/rigs/drone/pose/type"]
 
 
-def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
+def test_without_the_package_its_names_are_told(tmp_path):
     found = dict(faults(tmp_path / "farm.json", cfg()))
     assert "expected one of plane, dem" in found["/terrain/relief/1/type"]
     effect = "/rigs/drone/sensors/eye/effects/0/type"
@@ -301,9 +298,7 @@ def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_broken_package_is_named_at_its_place_in_the_cfg(
-    source: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_package_is_named_at_its_place_in_the_cfg(source, told, tmp_path, monkeypatch):
     if source.startswith("SCHEMA"):
         source = (
             "from dataclasses import dataclass\nfrom typing import ClassVar\n@dataclass\n"
@@ -360,9 +355,7 @@ class Odd:
         ("return [node.fault(f'{node.span(\"a\")}')]", "(1.0, 1.0)"),
     ],
 )
-def test_a_check_that_fails_is_a_fault_at_its_place(
-    body: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_that_fails_is_a_fault_at_its_place(body, told, tmp_path, monkeypatch):
     check = f"    @staticmethod\n    def check(node):\n        {body}\n"
     offer(OPERATOR + check, tmp_path, monkeypatch)
     document = cfg()
@@ -371,9 +364,7 @@ def test_a_check_that_fails_is_a_fault_at_its_place(
     assert found["/terrain/relief/1"].endswith(told)
 
 
-def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(tmp_path, monkeypatch):
     check = "    @staticmethod\n    def check(node):\n        yield node.fault('odd', 'a')\n"
     offer(OPERATOR + check, tmp_path, monkeypatch)
     document = cfg()
@@ -388,9 +379,7 @@ def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(
 
 
 @pytest.mark.parametrize("made", ["None", "3"])
-def test_what_an_operator_draws_is_held_against_its_group(
-    made: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_an_operator_draws_is_held_against_its_group(made, tmp_path, monkeypatch):
     drawn = f"    def draw(self, context):\n        return {made}\n"
     offer(OPERATOR + drawn, tmp_path, monkeypatch)
     path = tmp_path / "small.json"
@@ -403,9 +392,7 @@ def test_what_an_operator_draws_is_held_against_its_group(
         draw(spec, 3, 0)
 
 
-def test_what_does_not_derive_from_its_groups_class_is_told_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_derive_from_its_groups_class_is_told_so(tmp_path, monkeypatch):
     groups = ("conditions", "densities", "surfaces", "skies", "rocks")
     points = [line for of in groups for line in (f"[scenec.{of}]", "odd = odd:Odd")]
     offer(OPERATOR, tmp_path, monkeypatch, *points)
@@ -428,9 +415,7 @@ def test_what_does_not_derive_from_its_groups_class_is_told_so(
         ("scans", "Odd(ScanPattern):\n    def rays(self, n): ...", "a method rays()"),
     ],
 )
-def test_what_a_kind_lacks_of_its_group_is_told(
-    group: str, kind: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_kind_lacks_of_its_group_is_told(group, kind, told, tmp_path, monkeypatch):
     source = (
         "from dataclasses import dataclass\n"
         "from scenec.compiler.cameras.ranging import ScanPattern\n"
@@ -444,9 +429,7 @@ def test_what_a_kind_lacks_of_its_group_is_told(
         schema.own_schema(f"scenec.{group}", "odd")
 
 
-def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(tmp_path, monkeypatch):
     offer(OPERATOR, tmp_path, monkeypatch, "[scenec.relief]", "smooth = odd:Odd")
     path = tmp_path / "small.json"
     path.write_text(json.dumps(small_cfg()))
@@ -465,7 +448,7 @@ def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(
 
 
 @pytest.fixture
-def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
+def declared(tmp_path, monkeypatch):
     """A package whose kinds declare their keys, installed, and a cfg that names all of them."""
     info = tmp_path / "site" / "declared-1.0.dist-info"
     info.mkdir(parents=True)
@@ -502,9 +485,7 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[s
         found.cache_clear()
 
 
-def test_kinds_of_all_groups_can_declare_their_keys(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_kinds_of_all_groups_can_declare_their_keys(declared, tmp_path):
     path = tmp_path / "farm.json"
     path.write_text(json.dumps(declared))
     spec = load(path)
@@ -537,7 +518,7 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     assert (apply(picture, rig.sensors[0].effects, 0) == 50).all()
 
 
-def test_skies_and_clouds_can_declare_their_keys(declared: dict[str, Any], tmp_path: Path) -> None:
+def test_skies_and_clouds_can_declare_their_keys(declared, tmp_path):
     from scenec.compiler.light.build import build_light
 
     light = declared["light"]
@@ -557,18 +538,14 @@ def test_skies_and_clouds_can_declare_their_keys(declared: dict[str, Any], tmp_p
     assert built.sun.irradiance.tolist() == [500.0, 500.0]
 
 
-def test_what_is_no_sky_is_told_where_the_cfg_names_it(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_what_is_no_sky_is_told_where_the_cfg_names_it(declared, tmp_path):
     declared["light"] |= {"sky": {"type": "bare"}, "clouds": {"cumulus": {}}}
     found = dict(faults(tmp_path / "farm.json", declared))
     assert list(found) == ["/light/sky"]
     assert found["/light/sky"].endswith("expected a subclass of scenec.compiler.light.sky.Sky")
 
 
-def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(declared, tmp_path):
     declared["objects"]["clods"]["density"] = {"type": "west"}
     path = tmp_path / "farm.json"
     path.write_text(json.dumps(declared))
@@ -576,9 +553,7 @@ def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(
     assert (clods.positions[:, 0] < 0.0).all()
 
 
-def test_a_check_that_returns_nothing_finds_nothing(
-    declared: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_that_returns_nothing_finds_nothing(declared, tmp_path, monkeypatch):
     kind = plugins.load_kind("scenec.relief", "lift")
     monkeypatch.setattr(kind, "check", staticmethod(lambda node: None))
     path = tmp_path / "farm.json"
@@ -586,9 +561,7 @@ def test_a_check_that_returns_nothing_finds_nothing(
     assert load(path).cfg["terrain"]["relief"][1]["type"] == "lift"
 
 
-def test_faults_of_declared_keys_read_as_those_of_our_own(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_faults_of_declared_keys_read_as_those_of_our_own(declared, tmp_path):
     relief = declared["terrain"]["relief"]
     relief[1] = {"type": "lift", "lowm": 1, "mode": "ruogh"}
     relief.append({"type": "lift", "low_m": 2, "high_m": {"type": "uniform", "min": 1, "max": 3}})
@@ -603,7 +576,7 @@ def test_faults_of_declared_keys_read_as_those_of_our_own(
     assert "expected times that rise" in found["/rigs/drone/pose/sampling/times_s/1"]
 
 
-def test_the_schema_for_editors_and_the_two_forms_say_the_same(there: Path) -> None:
+def test_the_schema_for_editors_and_the_two_forms_say_the_same(there):
     from scenec_farmland import Furrows, Spiral
 
     length = {"$ref": "forms.schema.json#/$defs/length_per_batch", "exclusiveMinimum": 0}

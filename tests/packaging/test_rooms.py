@@ -154,13 +154,13 @@ def above(folder: str) -> set[str]:
     return set(chain(*HOUSE[own:])) - {folder} | CLOSED.get(folder, set())
 
 
-def test_every_folder_with_modules_of_the_package_has_its_floor() -> None:
+def test_every_folder_with_modules_of_the_package_has_its_floor():
     folders = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     assert folders - {"tests"} == set(chain(*HOUSE)) == FLOORS.keys() | FLAT
 
 
 @pytest.mark.parametrize("layer", FLOORS)
-def test_every_room_has_its_floor(layer: str) -> None:
+def test_every_room_has_its_floor(layer):
     folder = ROOT / layer
     rooms = {path.parent.name for path in folder.glob("*/*.py")}
     loose = {path.stem for path in folder.glob("*.py")} - {"__init__"}
@@ -168,7 +168,7 @@ def test_every_room_has_its_floor(layer: str) -> None:
 
 
 @pytest.mark.parametrize("layer", FLOORS)
-def test_imports_go_down(layer: str) -> None:
+def test_imports_go_down(layer):
     up = [
         f"{name} imports {other}"
         for name, others in imports(layer).items()
@@ -179,7 +179,7 @@ def test_imports_go_down(layer: str) -> None:
     assert up == []
 
 
-def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_them() -> None:
+def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_them():
     names = set(modules("backends"))
     found = {
         room(other)
@@ -189,7 +189,7 @@ def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_t
     assert found == {"stage"}
 
 
-def test_tests_and_the_lab_import_nothing_of_each_other() -> None:
+def test_tests_and_the_lab_import_nothing_of_each_other():
     tests = {file.stem for file in (ROOT / "tests").rglob("*.py")}
     names = set(modules("lab"))
     wrong = []
@@ -207,7 +207,7 @@ def test_tests_and_the_lab_import_nothing_of_each_other() -> None:
 
 
 @pytest.mark.parametrize("layer", sorted([*FLOORS, *FLAT]))
-def test_no_files_import_in_a_ring(layer: str) -> None:
+def test_no_files_import_in_a_ring(layer):
     try:
         TopologicalSorter(imports(layer)).prepare()
     except CycleError as error:
@@ -228,7 +228,7 @@ def test_no_files_import_in_a_ring(layer: str) -> None:
         ("compiler", "scene", "if TYPE_CHECKING:\n    from scenec.compiler.plan import Plan", True),
     ],
 )
-def test_a_wrong_import_is_seen(layer: str, of: str, line: str, wrong: bool) -> None:
+def test_a_wrong_import_is_seen(layer, of, line, wrong):
     others = imported(line, layer, set(modules(layer)))
     assert len(others) == 1
     assert any(refused(layer, of, room(other)) for other in others) == wrong
