@@ -21,7 +21,7 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.splits import parse_splits
-from scenec.testing.made_output import make_output
+from scenec.testing.made_output import edit, make_output
 
 CFG = '{\n "name": "ä ``` | box",\n "version": 1\n}\n'
 FLINT = {
@@ -48,28 +48,15 @@ def output(tmp_path_factory):
     (out / "cfg.json").write_text(CFG, encoding="utf-8")
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
     manifest["files"]["cfg.json"] = {"sha256": hashlib.sha256(CFG.encode()).hexdigest()}
-    manifest |= {
-        "seed": 7,
-        "scenec": "9.9",
-        "libraries": {"numpy": "2.0"},
-        "cfg": {
-            "sha256": "c" * 64,
-            "inputs": {"objects/rocks/models/0/file": "a" * 64, "terrain/relief/0/file": "b" * 64},
-            "licenses": {"objects/rocks/models/0/file": FLINT},
-        },
-    }
-    (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    inputs = {"objects/rocks/models/0/file": "a" * 64, "terrain/relief/0/file": "b" * 64}
+    licenses = {"objects/rocks/models/0/file": FLINT}
+    cfg = {"sha256": "c" * 64, "inputs": inputs, "licenses": licenses}
+    edit(out / "manifest.json", files=manifest["files"], seed=7, scenec="9.9",
+         libraries={"numpy": "2.0"}, cfg=cfg)  # fmt: skip
     for path in out.glob("batch_*/frames/annotation/*/*.json"):
-        sidecar = json.loads(path.read_text(encoding="utf-8"))
-        sidecar |= {
-            "backend_version": "annotation 1",
-            "spp": 16,
-            "noise_seed": 3,
-            "sun": {"elevation_deg": 30.0, "azimuth_deg": 100.0, "irradiance": [1, 1, 1]},
-            "height_above_surface_m": 1.5,
-            "estimated_error": {"relative_rms": 0.125},
-        }
-        path.write_text(json.dumps(sidecar), encoding="utf-8")
+        sun = {"elevation_deg": 30.0, "azimuth_deg": 100.0, "irradiance": [1, 1, 1]}
+        edit(path, backend_version="annotation 1", spp=16, noise_seed=3, sun=sun,
+             height_above_surface_m=1.5, estimated_error={"relative_rms": 0.125})  # fmt: skip
     return out
 
 

@@ -33,7 +33,7 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.rle import encode_ids
 from scenec.testing.examples import examples
-from scenec.testing.made_output import LABELS, make_output, same_tree, some_passes
+from scenec.testing.made_output import LABELS, edit, make_output, same_tree, some_passes
 from scenec.testing.processes import until
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -404,9 +404,7 @@ def test_a_table_that_was_changed_since_is_damage(tmp_path):
     passes["instance"][1, 1] = 4
     out = make_output(tmp_path / "out", lambda _: passes, batches=1, cameras=("cam",), samples=1)
     (sidecar,) = out.rglob("cam/000000.json")
-    values = json.loads(sidecar.read_text(encoding="utf-8"))
-    values["instance_table"] = {"bytes": 1, "sha256": "0" * 64}
-    sidecar.write_text(json.dumps(values), encoding="utf-8")
+    edit(sidecar, instance_table={"bytes": 1, "sha256": "0" * 64})
     with pytest.raises(FrameError, match=r"instances\.csv.*changed since"):
         export(out, "coco", tmp_path / "set")
 

@@ -19,7 +19,7 @@ from scenec.datasets.evaluate.labels import evaluate_labels, iou
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.testing.made_frames import LEFT, make_out
-from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.made_output import edit, make_output, some_passes
 
 
 @pytest.fixture(scope="module")
@@ -229,9 +229,7 @@ def test_light_is_that_of_the_frame(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 2).out
     for sample, angle in ((0, 4.0), (1, 33.0)):
         path = out / f"batch_0000/frames/mitsuba/rover_left/{sample:06d}.json"
-        sidecar = json.loads(path.read_text())
-        sidecar["sun"] = {"elevation_deg": angle, "azimuth_deg": 0.0, "irradiance": [1.0] * 3}
-        path.write_text(json.dumps(sidecar))
+        edit(path, sun={"elevation_deg": angle, "azimuth_deg": 0.0, "irradiance": [1.0] * 3})
     folder = tmp_path / "p"
     folder.mkdir()
     for ref in (source := Source(out)).frames:

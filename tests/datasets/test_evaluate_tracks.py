@@ -19,6 +19,7 @@ from scenec.datasets.export import export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.testing.made_frames import LEFT, RIGHT, make_out
+from scenec.testing.made_output import edit
 
 SAMPLES = 9
 
@@ -127,9 +128,8 @@ def test_errors_stand_by_light_and_by_pose(truth, tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), SAMPLES).out
     for sample in range(SAMPLES):
         path = out / f"batch_0000/frames/mitsuba/rover_left/{sample:06d}.json"
-        sidecar = json.loads(path.read_text())
         sun = {"elevation_deg": 8.0 + 2.0 * sample, "azimuth_deg": 0.0, "irradiance": [1.0] * 3}
-        path.write_text(json.dumps(sidecar | {"sun": sun}))
+        edit(path, sun=sun)
     estimate = read_tum(changed(tmp_path / "e.txt", truth, shaken))
     found = evaluate_track(estimate, track_of(Source(out)), ATTRIBUTES)
     sun = next(table for table in found.tables if table.name == "sun")

@@ -24,7 +24,7 @@ from scenec.datasets.splits import parse_splits
 from scenec.datasets.verify import verify
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.lock import LOCK, Lock
-from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.made_output import edit, make_output, some_passes
 
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """
@@ -108,9 +108,7 @@ def test_the_same_frames_give_the_same_bytes_with_any_number_of_workers(output, 
 
 def test_what_making_a_frame_cost_is_no_part_of_the_dataset(copy, dataset, tmp_path):
     for path in copy.glob("batch_*/frames/annotation/*/*.json"):
-        sidecar = json.loads(path.read_text(encoding="utf-8"))
-        sidecar |= {"seconds": {"load": 1.5}, "peak_memory_gb": 0.5, "device": "cpu"}
-        path.write_text(json.dumps(sidecar), encoding="utf-8")
+        edit(path, seconds={"load": 1.5}, peak_memory_gb=0.5, device="cpu")
     export(copy, "tiny", tmp_path / "ds")
     assert contents(tmp_path / "ds") == contents(dataset)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import weakref
 from collections.abc import Iterator
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -23,6 +22,7 @@ from scenec.schemas.picture import develop
 from scenec.testing.made_output import (
     EXPOSURE_EV,
     LABELS,
+    exported,
     frame_table,
     make_output,
     pose_of,
@@ -35,13 +35,9 @@ def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("hdf5") / "out")
 
 
-def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "hdf5", folder, Choice(options=options)).folder
-
-
 @pytest.mark.parametrize("compression", ["none", "lzf", "gzip"])
 def test_every_pass_comes_back_bit_for_bit(out, tmp_path, compression):
-    folder = exported(out, tmp_path / "d", compression=compression)
+    folder = exported(out, "hdf5", tmp_path / "d", compression=compression)
     with h5py.File(folder / "all_12x8.h5") as file:
         for number in range(8):
             for name, array in some_passes(number).items():
@@ -55,7 +51,7 @@ def test_every_pass_comes_back_bit_for_bit(out, tmp_path, compression):
 
 
 def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out, tmp_path):
-    with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         assert file["label.class"].dtype == np.uint8
         assert file["label.surface"].dtype == np.uint16
         for level, names in LABELS.items():
@@ -67,7 +63,7 @@ def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out, tmp_pa
 
 
 def test_the_tables_of_instances_are_concatenated_with_offsets(out, tmp_path):
-    with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         group = file["instances"]
         assert len(group["offsets"]) == 9
         assert group["offsets"][0] == 0
@@ -90,7 +86,7 @@ def test_the_tables_of_instances_are_concatenated_with_offsets(out, tmp_path):
 
 
 def test_cameras_come_back_exactly(out, tmp_path):
-    with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         cameras = file["camera"].asstr()[:]
         for number in range(8):
             sample = int(file["sample"][number])
@@ -102,7 +98,7 @@ def test_cameras_come_back_exactly(out, tmp_path):
 
 
 def test_everything_says_what_it_is(out, tmp_path):
-    with h5py.File(exported(out, tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
         silent: list[str] = []
 
         def look(name: str, node: h5py.Dataset | h5py.Group) -> None:
@@ -117,7 +113,7 @@ def test_everything_says_what_it_is(out, tmp_path):
 
 
 def test_the_picture_is_the_one_beside_the_frame(out, tmp_path):
-    with h5py.File(exported(out, tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
         assert "rgb" not in file
         picture = Image.open(out / "batch_0000/frames/annotation/rover_left/000001.png")
         assert (file["rgb8"][1] == np.array(picture)).all()
@@ -139,9 +135,9 @@ def test_files_are_the_same_bytes_whatever_the_workers(out, tmp_path):
 def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path):
     wide = {0: 12, 1: 12, 2: 20, 3: 20}
     out = make_output(tmp_path / "out", lambda n: some_passes(n, wide[n % 4], rgb=False), batches=2)
-    folder = exported(out, tmp_path / "a")
+    folder = exported(out, "hdf5", tmp_path / "a")
     assert sorted(p.name for p in folder.glob("*.h5")) == ["all_12x8.h5", "all_20x8.h5"]
-    folder = exported(out, tmp_path / "b", by="camera")
+    folder = exported(out, "hdf5", tmp_path / "b", by="camera")
     names = ["all_rover_left_12x8.h5", "all_rover_right_20x8.h5"]
     assert sorted(p.name for p in folder.glob("*.h5")) == names
     with h5py.File(folder / names[1]) as file:
@@ -166,7 +162,7 @@ def test_one_pixel_without_instances_or_rgb_is_a_file(tmp_path):
         return {"label.class": ids + 2, "instance": ids, "depth": np.full((1, 1), np.inf)}
 
     out = make_output(tmp_path / "out", passes, batches=1, samples=1)
-    with h5py.File(exported(out, tmp_path / "d", shuffle="no") / "all_1x1.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d", shuffle="no") / "all_1x1.h5") as file:
         assert file["depth"].shape == (2, 1, 1)
         assert file["instances/offsets"][:].tolist() == [0, 0, 0]
         assert len(file["instances/id"]) == 0
@@ -178,7 +174,7 @@ def test_an_id_without_a_name_is_never_cut_to_fit(tmp_path):
 
     out = make_output(tmp_path / "out", passes, batches=1)
     with pytest.raises(FrameError, match=r"000000\.exr: label.class holds ids \[999\] that"):
-        exported(out, tmp_path / "d")
+        exported(out, "hdf5", tmp_path / "d")
     assert not (tmp_path / "d").exists()
 
 
@@ -191,13 +187,13 @@ def test_frames_of_other_passes_are_refused_by_name(tmp_path):
     with pytest.raises(
         FrameError, match=r"rover_right.000001\.exr: holds rgb, .*the frames before"
     ):
-        exported(out, tmp_path / "d")
+        exported(out, "hdf5", tmp_path / "d")
 
 
 @pytest.mark.parametrize("value", ["-1", "many", "1.5"])
 def test_a_shard_of_no_number_is_refused(out, tmp_path, value):
     with pytest.raises(OutputError, match=f"option shard: expected a whole number.*{value}"):
-        exported(out, tmp_path / "d", shard=value)
+        exported(out, "hdf5", tmp_path / "d", shard=value)
 
 
 def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
@@ -207,14 +203,14 @@ def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
         return {"label.class": np.full((30, 100), 3, np.uint32), "instance": ids}
 
     out = make_output(tmp_path / "out", passes, batches=1, cameras=("c",), samples=6)
-    with h5py.File(exported(out, tmp_path / "d") / "all_100x30.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_100x30.h5") as file:
         expected = np.concatenate([np.arange(1, 3001) + n for n in range(6)])
         assert (file["instances/id"][:] == expected).all()
         assert (np.diff(file["instances/offsets"][:].astype(int)) == 3000).all()
 
 
 def test_the_card_says_how_to_read_it(out, tmp_path):
-    folder = exported(out, tmp_path / "d")
+    folder = exported(out, "hdf5", tmp_path / "d")
     assert json.loads((folder / "export.json").read_text())["frames"] == 8
     assert "h5py.File" in (folder / "README.md").read_text(encoding="utf-8")
 

@@ -28,6 +28,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.frames import FrameKey
 from scenec.testing.examples import examples
 from scenec.testing.made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
+from scenec.testing.made_output import edit
 
 BASELINE = RIGHT.offset[0]
 ASTRAY = "pictures of flow that does not lead to the next picture here: written without any"
@@ -75,8 +76,7 @@ def partners(out: Path, **names: str) -> None:
     """Has sidecars of cameras say to which other one their disparity goes."""
     for camera, partner in names.items():
         for path in sorted(out.glob(f"batch_*/frames/*/{camera}/*.json")):
-            told = json.loads(path.read_bytes()) | {"partner": partner}
-            path.write_text(json.dumps(told), encoding="utf-8")
+            edit(path, partner=partner)
 
 
 def small(name: str, x: float = 0.0) -> Sensor:

@@ -15,6 +15,7 @@ from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
 from scenec.schemas.lens import Lens
 from scenec.testing.made_frames import LEFT, make_out
+from scenec.testing.made_output import edit
 
 BROWN = {"model": "brown_conrady", "coefficients": [-0.2, 0.05, 1e-3, -2e-3, 0, 0, 0, 0]}
 THIRD = {"model": "brown_conrady", "coefficients": [-0.2, 0.05, 1e-3, -2e-3, 0.01, 0, 0, 0]}
@@ -27,10 +28,8 @@ def made_with(folder: Path, lens: dict[str, Any], skew: float = 0.0) -> Path:
     """An output whose one camera has a lens."""
     out = make_out(folder / "out", (LEFT,), 2).out
     for path in sorted((out / "batch_0000/frames/mitsuba/rover_left").glob("00000?.json")):
-        sidecar = json.loads(path.read_text())
-        sidecar["lens"] = lens
-        sidecar["intrinsics"][0][1] = skew
-        path.write_text(json.dumps(sidecar))
+        k = json.loads(path.read_bytes())["intrinsics"]
+        edit(path, lens=lens, intrinsics=[[k[0][0], skew, k[0][2]], *k[1:]])
     return out
 
 

@@ -21,6 +21,7 @@ from scenec.schemas.picture import develop
 from scenec.testing.made_output import (
     EXPOSURE_EV,
     LABELS,
+    exported,
     frame_table,
     make_output,
     pose_of,
@@ -31,10 +32,6 @@ from scenec.testing.made_output import (
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("parquet") / "out")
-
-
-def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "parquet", folder, Choice(options=options)).folder
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -49,7 +46,7 @@ def pixels(cell: dict[str, Any]) -> np.ndarray:
 
 
 def test_pyarrow_reads_every_frame_with_the_same_values(out, tmp_path):
-    folder = exported(out, tmp_path / "d", shard="3")
+    folder = exported(out, "parquet", tmp_path / "d", shard="3")
     names = [path.name for path in sorted((folder / "data").iterdir())]
     assert names == [f"train-{i:05d}-of-00003.parquet" for i in range(3)]
     found = rows(folder)
@@ -68,7 +65,7 @@ def test_pyarrow_reads_every_frame_with_the_same_values(out, tmp_path):
 
 
 def test_objects_are_those_of_the_frame(out, tmp_path):
-    folder = exported(out, tmp_path / "d")
+    folder = exported(out, "parquet", tmp_path / "d")
     names = list(LABELS["class"].values())
     for number, row in enumerate(rows(folder)):
         ids = some_passes(number)["instance"]
@@ -91,7 +88,7 @@ def test_objects_are_those_of_the_frame(out, tmp_path):
 
 
 def test_depth_in_sixteen_bits_is_within_half_a_step(out, tmp_path):
-    folder = exported(out, tmp_path / "d", depth="png", depth_scale="500")
+    folder = exported(out, "parquet", tmp_path / "d", depth="png", depth_scale="500")
     for number, row in enumerate(rows(folder)):
         depth = some_passes(number)["depth"]
         hit = np.isfinite(depth)
@@ -101,7 +98,7 @@ def test_depth_in_sixteen_bits_is_within_half_a_step(out, tmp_path):
 
 
 def test_the_schema_names_the_features(out, tmp_path):
-    folder = exported(out, tmp_path / "d")
+    folder = exported(out, "parquet", tmp_path / "d")
     schema = pq.read_schema(next((folder / "data").iterdir()))
     features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
     assert list(features) == schema.names
@@ -147,7 +144,7 @@ def test_hugging_face_datasets_shows_pictures_and_names(out, tmp_path):
 
     if run("from datasets import load_dataset").returncode:
         pytest.skip("the package datasets is not installed")
-    folder = exported(out, tmp_path / "d", shard="3")
+    folder = exported(out, "parquet", tmp_path / "d", shard="3")
     answer = run(_READ, str(folder), str(tmp_path / "cache"))
     assert answer.returncode == 0, answer.stderr
     told = json.loads(answer.stdout.splitlines()[-1])
@@ -185,7 +182,7 @@ def test_frames_without_pictures_or_instances_are_rows(tmp_path):
         return {"label.class": np.full((1, 1), 2, np.uint32), "depth": np.full((1, 1), np.inf)}
 
     out = make_output(tmp_path / "out", bare, batches=1, cameras=("c",), samples=1)
-    (row,) = rows(exported(out, tmp_path / "d"))
+    (row,) = rows(exported(out, "parquet", tmp_path / "d"))
     assert np.isposinf(pixels(row["depth"])).all()
     assert pixels(row["label.class"]).tolist() == [[2]]
     assert "image" not in row
@@ -198,7 +195,7 @@ def test_frames_that_show_no_instance_have_empty_lists(tmp_path):
         return made | {"instance": np.zeros_like(made["instance"])}
 
     out = make_output(tmp_path / "out", empty, batches=1, cameras=("c",), samples=1)
-    (row,) = rows(exported(out, tmp_path / "d"))
+    (row,) = rows(exported(out, "parquet", tmp_path / "d"))
     assert set(map(len, row["objects"].values())) == {0}
 
 
@@ -206,4 +203,4 @@ def test_label_ids_beyond_sixteen_bits_are_refused(tmp_path):
     labels = {"class": {1: "sky", 2: "ground", 3: "rock"}, "surface": {70_000: "stone"}}
     out = make_output(tmp_path / "out", batches=1, labels=labels)
     with pytest.raises(OutputError, match="label 'stone' of level 'surface' has id 70000"):
-        exported(out, tmp_path / "d")
+        exported(out, "parquet", tmp_path / "d")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -12,15 +11,14 @@ from PIL import Image
 
 from scenec.datasets.sheet import write_sheet
 from scenec.schemas.errors import FrameError
-from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.made_output import edit, make_output, some_passes
 
 CAMERA = "batch_0000/frames/annotation/a"
 
 
 def marked(folder: Path, **more: object) -> Path:
     out = make_output(folder, batches=1, cameras=("a",), samples=3)
-    path = out / CAMERA / "000000.json"
-    path.write_text(json.dumps(json.loads(path.read_bytes()) | more), encoding="utf-8")
+    edit(out / CAMERA / "000000.json", **more)
     return out
 
 
@@ -55,7 +53,6 @@ def test_a_stray_is_left_out_and_said(tmp_path):
 def test_an_output_of_foreign_frames_alone_is_an_error(tmp_path):
     out = make_output(tmp_path / "out", lambda n: some_passes(n, 4, 2), batches=1, samples=1)
     for path in sorted(out.rglob("00*.json")):
-        told = json.loads(path.read_bytes()) | {"stage_digest": "0" * 64}
-        path.write_text(json.dumps(told), encoding="utf-8")
+        edit(path, stage_digest="0" * 64)
     with pytest.raises(FrameError, match="all frames are of another stage, such as"):
         write_sheet(out, tmp_path / "a.png")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 
 import cv2
@@ -22,7 +21,7 @@ from scenec.datasets.verify import verify
 from scenec.schemas.errors import OutputError
 from scenec.schemas.picture import develop
 from scenec.testing.examples import examples
-from scenec.testing.made_output import EXPOSURE_EV, Passes, make_output, some_passes
+from scenec.testing.made_output import EXPOSURE_EV, Passes, edit, make_output, some_passes
 
 
 def moving(number: int) -> Passes:
@@ -157,7 +156,7 @@ def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture
         if int(path.stem) % 2:
             path.unlink()
         else:
-            path.write_text(json.dumps(json.loads(path.read_bytes()) | {"trigger": [2, 0]}))
+            edit(path, trigger=[2, 0])
     folder = export(out, "sintel", tmp_path / "d").folder
     flows = sorted((folder / "training/flow").rglob("*.flo"))
     assert [path.stem for path in flows] == ["frame_0001", "frame_0002"]

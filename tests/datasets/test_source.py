@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import shutil
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 
 from scenec.datasets.source import FrameRef, Source, kind_of, sequences
 from scenec.schemas.errors import ForeignFrameError, FrameError, OutputError, StageError
-from scenec.testing.made_output import LABELS, make_output, some_passes
+from scenec.testing.made_output import LABELS, edit, make_output, some_passes
 
 
 @pytest.fixture
@@ -23,11 +22,6 @@ def output(tmp_path):
 
 def files(out: Path, batch: int, camera: str, sample: int) -> Path:
     return out / f"batch_{batch:04d}/frames/annotation/{camera}/{sample:06d}.json"
-
-
-def edit(path: Path, **change: Any) -> None:
-    sidecar = json.loads(path.read_text(encoding="utf-8"))
-    path.write_text(json.dumps(sidecar | change), encoding="utf-8")
 
 
 def ref_of(source: Source, name: str) -> FrameRef:

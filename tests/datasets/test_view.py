@@ -306,8 +306,7 @@ def test_faulty_frames_are_named_and_never_shown(tmp_path):
     damaged = folder / "000001.exr"
     damaged.write_bytes(damaged.read_bytes()[:-20])
     (folder / "000002.json").write_text("{", encoding="utf-8")
-    sidecar = json.loads((folder / "000003.json").read_bytes())
-    (folder / "000003.json").write_text(json.dumps(sidecar | {"stage_digest": "0" * 64}))
+    made_output.edit(folder / "000003.json", stage_digest="0" * 64)
     (folder / "000004.json").unlink()
     told: list[str] = []
     report = write_view(out, tmp_path / "view.html", warn=told.append)

@@ -17,16 +17,19 @@ from scenec.datasets.export import Choice, export
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.picture import develop
-from scenec.testing.made_output import EXPOSURE_EV, frame_table, make_output, pose_of, some_passes
+from scenec.testing.made_output import (
+    EXPOSURE_EV,
+    exported,
+    frame_table,
+    make_output,
+    pose_of,
+    some_passes,
+)
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("webdataset") / "out")
-
-
-def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "webdataset", folder, Choice(options=options)).folder
 
 
 def samples(folder: Path, decode: str = "rgb8") -> list[dict[str, Any]]:
@@ -36,7 +39,7 @@ def samples(folder: Path, decode: str = "rgb8") -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("arrays", ["npy", "npz"])
 def test_webdataset_reads_every_frame_in_order_with_the_same_values(out, tmp_path, arrays):
-    folder = exported(out, tmp_path / "d", shard="3", arrays=arrays, radiance="yes")
+    folder = exported(out, "webdataset", tmp_path / "d", shard="3", arrays=arrays, radiance="yes")
     assert len(list(folder.glob("*.tar"))) == 3
     found = samples(folder)
     assert len(found) == 8
@@ -58,14 +61,14 @@ def test_webdataset_reads_every_frame_in_order_with_the_same_values(out, tmp_pat
 
 
 def test_labels_take_the_smallest_type(out, tmp_path):
-    sample = samples(exported(out, tmp_path / "d"))[0]
+    sample = samples(exported(out, "webdataset", tmp_path / "d"))[0]
     assert sample["label.class.npy"].dtype == np.uint8
     assert sample["label.surface.npy"].dtype == np.uint16
     assert sample["instance.npy"].dtype == np.uint32
 
 
 def test_members_are_sorted_and_have_neither_time_nor_owner(out, tmp_path):
-    folder = exported(out, tmp_path / "d")
+    folder = exported(out, "webdataset", tmp_path / "d")
     with tarfile.open(folder / "all-000000.tar") as tar:
         members = tar.getmembers()
     assert {(m.mtime, m.uid, m.gid, m.uname, m.gname, m.mode) for m in members} == {
@@ -90,7 +93,7 @@ def test_shards_are_the_same_bytes_every_time(out, tmp_path):
 def test_shards_stay_below_their_size(tmp_path):
     made = some_passes(0, 400, 300)
     out = make_output(tmp_path / "out", lambda n: made, batches=1, samples=3)
-    folder = exported(out, tmp_path / "d", shard_mb="4")
+    folder = exported(out, "webdataset", tmp_path / "d", shard_mb="4")
     sizes = [path.stat().st_size for path in folder.glob("*.tar")]
     assert len(sizes) == 3
     assert max(sizes) < 4_000_000
@@ -116,7 +119,7 @@ def test_jpeg_is_near_the_picture(tmp_path):
     )
     made = some_passes(0, 64, 48) | {"rgb": smooth}
     out = make_output(tmp_path / "out", lambda n: made, batches=1, cameras=("c",), samples=1)
-    folder = exported(out, tmp_path / "d", picture="jpg")
+    folder = exported(out, "webdataset", tmp_path / "d", picture="jpg")
     with tarfile.open(folder / "all-000000.tar") as tar:
         member = tar.extractfile("batch_0000_c_000000.rgb.jpg")
         assert member is not None
@@ -130,7 +133,7 @@ def test_frames_without_pictures_or_instances_are_samples(tmp_path):
         return {"label.class": np.full((1, 1), 2, np.uint32), "depth": np.full((1, 1), np.inf)}
 
     out = make_output(tmp_path / "out", bare, batches=1, cameras=("c",), samples=1)
-    (sample,) = samples(exported(out, tmp_path / "d"))
+    (sample,) = samples(exported(out, "webdataset", tmp_path / "d"))
     assert {k for k in sample if not k.startswith("__")} == {"depth.npy", "json", "label.class.npy"}
     assert np.isposinf(sample["depth.npy"]).all()
     assert sample["json"]["instances"] == []
@@ -144,10 +147,10 @@ def test_levels_that_the_reader_would_take_for_one_are_refused(tmp_path):
 
     out = make_output(tmp_path / "out", bare, batches=1, labels=labels)
     with pytest.raises(OutputError, match="'class' and 'Class' differ in upper and lower"):
-        exported(out, tmp_path / "d")
+        exported(out, "webdataset", tmp_path / "d")
 
 
 @pytest.mark.parametrize(("option", "value"), [("shard", "0"), ("shard_mb", "-1"), ("shard", "x")])
 def test_sizes_that_make_no_sense_are_refused(out, tmp_path, option, value):
     with pytest.raises(OutputError, match=f"option {option}: expected a whole number from"):
-        exported(out, tmp_path / "d", **{option: value})
+        exported(out, "webdataset", tmp_path / "d", **{option: value})
