@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sensor_frames import add_sensor
 from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.datasets.torch_dataset import FrameDataset, collate
+from scenec.testing.made_frames import LEFT, RIGHT, SIDE, make_out, rewrite
 from scenec.testing.made_output import edit, exported, make_output, small_ids
 
 ROLLS, STILL = "rover_left", "rover_right"
@@ -150,3 +152,26 @@ def test_statistics_say_how_a_shutter_reads_out(out, tmp_path):
     cameras = json.loads((folder / "statistics.json").read_bytes())["made"]["cameras"]
     found = {camera["camera"]: camera.get("shutter") for camera in cameras}
     assert found == {ROLLS: {"readout_s": 0.03, "direction": "down"}, STILL: None}
+
+
+def test_hdf5_and_webdataset_name_the_camera_that_disparity_goes_to(tmp_path):
+    made = make_out(tmp_path / "out", (LEFT, RIGHT, SIDE), 1)
+    partners = {LEFT.name: RIGHT.name, RIGHT.name: LEFT.name}
+    for (camera, sample), passes in made.passes.items():
+        if camera in partners:
+            stem = made.out / f"batch_0000/frames/mitsuba/{camera}/{sample:06d}"
+            rewrite(stem, passes, partner=partners[camera])
+    export(made.out, "hdf5", tmp_path / "h")
+    with h5py.File(tmp_path / "h/all_64x48.h5") as file:
+        told = [json.loads(text) for text in file["stereo"].asstr()]
+        assert told == [{"partner": RIGHT.name}, {"partner": LEFT.name}]
+    with h5py.File(tmp_path / "h/all_40x30.h5") as file:
+        assert "stereo" not in file
+    export(made.out, "webdataset", tmp_path / "w")
+    with tarfile.open(tmp_path / "w/all-000000.tar") as tar:
+        found = {}
+        for name in tar.getnames():
+            if name.endswith(".json"):
+                values = json.load(tar.extractfile(name))
+                found[values["camera"]] = values.get("partner")
+    assert found == partners | {SIDE.name: None}

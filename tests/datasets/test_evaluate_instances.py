@@ -22,7 +22,6 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
-from scenec.testing.made_frames import make_out
 from scenec.testing.made_output import make_output, some_passes
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -354,11 +353,3 @@ def test_check_opens_a_coco_dataset_through_pycocotools(dataset, tmp_path, capsy
     said = capsys.readouterr().out
     assert "instances_all.json: pycocotools: annotation 1: its mask has area" in said
     assert "1 errors in the dataset" in said
-
-
-def test_masks_of_a_frame_with_known_shapes_are_found_at_their_true_distance(tmp_path):
-    out = make_out(tmp_path / "out", samples=2).out
-    truth = truth_of(Source(out))
-    assert {a["category_id"] for a in truth["annotations"]} == {3, 4}
-    one = truth["annotations"][0]
-    assert {"depth", "size", "occlusion", "truncation", "area"} <= one.keys()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import weakref
 from collections.abc import Iterator
 
@@ -11,13 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.contract import Info
 from scenec.datasets.formats.registry import find_format
 from scenec.datasets.source import LoadedFrame, Source
-from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import sha256
+from scenec.schemas.errors import FrameError
 from scenec.schemas.picture import develop
 from scenec.testing.made_output import (
     EXPOSURE_EV,
@@ -120,18 +117,6 @@ def test_the_picture_is_the_one_beside_the_frame(out, tmp_path):
         assert (file["rgb8"][1] == develop(some_passes(1)["rgb"], EXPOSURE_EV)).all()
 
 
-@pytest.mark.slow
-def test_files_are_the_same_bytes_whatever_the_workers(out, tmp_path):
-    a = export(out, "hdf5", tmp_path / "a", Choice(options={"shard": "3"})).folder
-    with Processes(2) as executor:
-        choice = Choice(options={"shard": "3"})
-        b = export(out, "hdf5", tmp_path / "b", choice, executor=executor).folder
-    names = sorted(path.name for path in a.glob("*.h5"))
-    assert names == [f"all_12x8_{i:05d}.h5" for i in range(3)]
-    for name in names:
-        assert sha256(a / name) == sha256(b / name)
-
-
 def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path):
     wide = {0: 12, 1: 12, 2: 20, 3: 20}
     out = make_output(tmp_path / "out", lambda n: some_passes(n, wide[n % 4], rgb=False), batches=2)
@@ -190,12 +175,6 @@ def test_frames_of_other_passes_are_refused_by_name(tmp_path):
         exported(out, "hdf5", tmp_path / "d")
 
 
-@pytest.mark.parametrize("value", ["-1", "many", "1.5"])
-def test_a_shard_of_no_number_is_refused(out, tmp_path, value):
-    with pytest.raises(OutputError, match=f"option shard: expected a whole number.*{value}"):
-        exported(out, "hdf5", tmp_path / "d", shard=value)
-
-
 def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
     # 6 frames of 3000 instances are more lines than are held back at a time.
     def passes(number: int) -> dict:
@@ -207,12 +186,6 @@ def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
         expected = np.concatenate([np.arange(1, 3001) + n for n in range(6)])
         assert (file["instances/id"][:] == expected).all()
         assert (np.diff(file["instances/offsets"][:].astype(int)) == 3000).all()
-
-
-def test_the_card_says_how_to_read_it(out, tmp_path):
-    folder = exported(out, "hdf5", tmp_path / "d")
-    assert json.loads((folder / "export.json").read_text())["frames"] == 8
-    assert "h5py.File" in (folder / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["hdf5", "webdataset"])

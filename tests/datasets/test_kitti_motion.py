@@ -249,18 +249,10 @@ def test_flow_and_disparity_come_back_within_half_a_step(made, tmp_path, how):
     assert report.left_out == {"pixels of flow that KITTI's 16 bits do not hold": beyond, ASTRAY: 3}
 
 
-def test_nothing_of_motion_is_written_unless_it_is_asked_for(made, tmp_path):
+def test_depth_gray_and_motion_are_written_if_they_are_asked_for_alone(made, tmp_path):
     folder = export(made.out, "kitti", tmp_path / "d").folder
-    assert not [p for p in folder.rglob("*") if p.name.startswith(("flow", "disp"))]
-
-
-@pytest.mark.parametrize(
-    ("option", "lacking"), [({"flow": "all"}, "flow"), ({"disparity": "visible"}, "disparity")]
-)
-def test_a_pass_that_is_not_there_is_named(tmp_path, option, lacking):
-    out = make_out(tmp_path / "made", (LEFT,), samples=1).out
-    with pytest.raises(OutputError, match=f"the frames have no pass {lacking}; render with"):
-        export(out, "kitti", tmp_path / "d", Choice(options=option))
+    folders = {path.name for path in (folder / "sequences/00").iterdir() if path.is_dir()}
+    assert folders == {"image_2", "image_3"}
 
 
 def test_what_is_infinitely_far_away_has_the_least_disparity_and_negative_ones_none():

@@ -16,7 +16,6 @@ from PIL import Image
 
 from scenec.datasets.export import Choice, export
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import sha256
 from scenec.schemas.picture import develop
 from scenec.testing.made_output import (
     EXPOSURE_EV,
@@ -158,14 +157,6 @@ def test_hugging_face_datasets_shows_pictures_and_names(out, tmp_path):
         table = frame_table(made)
         assert row["objects"]["id"] == table["id"].tolist()
         assert [row["names"][c] for c in row["objects"]["category"]] == ["rock"] * len(table["id"])
-
-
-def test_files_are_the_same_bytes_every_time(out, tmp_path):
-    choice = Choice(options={"shard": "3"})
-    a = export(out, "parquet", tmp_path / "a", choice).folder
-    b = export(out, "parquet", tmp_path / "b", choice).folder
-    for path in (a / "data").iterdir():
-        assert sha256(path) == sha256(b / "data" / path.name)
 
 
 def test_splits_are_files_of_their_own(out, tmp_path):

@@ -163,19 +163,6 @@ def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture
     assert same(cv2.readOpticalFlow(str(flows[1])), moving(2)["flow"])
 
 
-def test_what_is_not_rendered_is_named(tmp_path):
-    out = make_output(tmp_path / "out", batches=1)
-    with pytest.raises(OutputError, match="format sintel needs the pass flow"):
-        export(out, "sintel", tmp_path / "d")
-
-    def without(number: int) -> Passes:
-        return {name: array for name, array in moving(number).items() if name != "occlusion"}
-
-    out = make_output(tmp_path / "other", without, batches=1)
-    with pytest.raises(OutputError, match="needs the pass occlusion"):
-        export(out, "sintel", tmp_path / "d")
-
-
 @examples(30)
 @given(
     arrays.arrays(
