@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.api.listener import Listener
 from scenec.cli.output import Progress, say
+from scenec.schemas.codec import encode
 
 if TYPE_CHECKING:
     from scenec.backends.run.render import RenderReport
@@ -163,7 +164,7 @@ def render_json(report: RenderReport) -> dict[str, object]:
     """The report for scripts."""
     return {
         "backend": report.backend,
-        "choice": report.choice,
+        "choice": encode(report.choice),
         "backend_version": report.backend_version,
         "device": report.device,
         "denoiser": report.denoiser,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.files import atomic
+from scenec.schemas.records import PictureRecord
 
 #: The curve is linear below this and rolls off to 1 above it.
 SHOULDER = 0.6
@@ -82,38 +82,33 @@ def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray
 
 def tally(
     pixels: NDArray[np.uint8], radiance: NDArray[np.floating], surfaces: NDArray[np.bool_]
-) -> dict[str, Any]:
-    """How bright a picture shows surfaces; the sky may be as black as the Moon's.
+) -> PictureRecord:
+    """Counts how bright a picture shows surfaces; the sky may be as black as the Moon's.
 
     Args:
         pixels: The picture, [h, w, 3].
         radiance: What it is of, [h, w, 3].
         surfaces: Where it shows any, [h, w].
-
-    Returns:
-        JSON: ``surfaces``, how many pixels show any, how many of them are ``black`` and ``burnt``,
-        and the ``mean_luminance`` of these surfaces, W/(m^2 sr).
     """
     seen = pixels[surfaces]
     level = luminance(radiance[surfaces].astype(np.float64))
-    return {
-        "surfaces": len(seen),
-        "black": int((seen < BLACK).all(axis=1).sum()),
-        "burnt": int((seen >= BURNT).all(axis=1).sum()),
-        "mean_luminance": float(level.mean()) if len(seen) else 0.0,
-    }
+    return PictureRecord(
+        surfaces=len(seen),
+        black=int((seen < BLACK).all(axis=1).sum()),
+        burnt=int((seen >= BURNT).all(axis=1).sum()),
+        mean_luminance=float(level.mean()) if len(seen) else 0.0,
+    )
 
 
-def fault(tallies: Sequence[Mapping[str, Any]]) -> str | None:
+def fault(tallies: Sequence[PictureRecord]) -> str | None:
     """What is wrong with all pictures of a camera together: "black", "burnt out" or None.
 
     Together, so that a sequence may begin in the dark and end in the sun.
     """
-    surfaces, black, burnt = (
-        sum(one[key] for one in tallies) for key in ("surfaces", "black", "burnt")
-    )
-    if black > BLACK_SHARE * surfaces:
+    surfaces = sum(one.surfaces for one in tallies)
+    if sum(one.black for one in tallies) > BLACK_SHARE * surfaces:
         return "black"
+    burnt = sum(one.burnt for one in tallies)
     return "burnt out" if burnt > BURNT_SHARE * surfaces else None
 
 

@@ -109,7 +109,7 @@ def picture(
     made: Session, camera: Camera, spp: int = 64, seeds: Sequence[int] = (1,)
 ) -> NDArray[np.float64]:
     """One channel of a frame's rgb, the mean over some seeds."""
-    shown = [made.render(camera, 0, ("rgb",), spp, seed)[0]["rgb"][..., 0] for seed in seeds]
+    shown = [made.render(camera, 0, ("rgb",), spp, seed).arrays["rgb"][..., 0] for seed in seeds]
     return np.mean(shown, axis=0, dtype=np.float64)
 
 

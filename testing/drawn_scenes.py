@@ -70,7 +70,7 @@ class Truth:
         """True error beside what its halves tell."""
         halves = picture.halves.astype(np.float64)
         noise = estimate(halves, self.covered)
-        bound = noise.relative_rms_bound or 0.0
+        bound = noise.relative_rms_bound_95 or 0.0
         return Trial(picture.spp, self.error(halves), noise.relative_rms or 0.0, bound)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from scenec.schemas.affine import inverses
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import LUMINANCE, luminance
+from scenec.schemas.records import ImagingRecord
 from scenec.schemas.threads import over_threads
 
 
@@ -70,7 +70,7 @@ def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int
         clean,
         numbers[:, :, 0] if imaging.raw and mosaic != "none" else None,
         math.log2(shown),
-        _facts(imaging, time_s, iso, mosaic, how),
+        _record(imaging, time_s, iso, mosaic, how),
     )
 
 
@@ -138,9 +138,9 @@ def _color(
     return balance * np.array(wanted), np.ascontiguousarray(inverses(sees.T[None])[0][0].T)
 
 
-def _facts(
+def _record(
     imaging: Imaging, time_s: float, iso: float, mosaic: str, how: sensor.Exposed
-) -> dict[str, Any]:
+) -> ImagingRecord:
     stages = {
         "vignetting": imaging.vignetting_power > 0 or any(imaging.vignetting_polynomial),
         "bloom": imaging.bloom > 0.0 and imaging.bloom_sigma_px > 0.0,
@@ -159,21 +159,21 @@ def _facts(
         "tone_curve": True,
         "jpeg": imaging.jpeg_quality > 0,
     }
-    return {
-        "exposure_time_s": time_s,
-        "iso": iso,
-        "f_number": imaging.f_number,
-        "base_iso": formulas.base_iso(imaging),
-        "gain_e_per_dn": how.gain,
-        "electrons_per_value": list(formulas.electrons_per_value(imaging, time_s)),
-        "headroom_stops": imaging.headroom,
-        "stages": [name for name, on in stages.items() if on],
-        "parameters": {
+    return ImagingRecord(
+        exposure_time_s=time_s,
+        iso=iso,
+        f_number=imaging.f_number,
+        base_iso=formulas.base_iso(imaging),
+        gain_e_per_dn=how.gain,
+        electrons_per_value=formulas.electrons_per_value(imaging, time_s),
+        headroom_stops=imaging.headroom,
+        stages=tuple(name for name, on in stages.items() if on),
+        parameters={
             name: getattr(imaging, name)
             for name in formulas.TYPES
             if name not in ("time_s", "iso", "f_number", "headroom")
         },
-    }
+    )
 
 
 def _without_noise(

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.kernels import kernel
+from scenec.schemas.records import LensRadiance
 from scenec.schemas.threads import over_threads
 
 #: Pixels of the views along a side of the picture's.
@@ -78,14 +79,15 @@ class Views:
     table: RayTable
     fineness: float
 
-    def as_json(self) -> dict[str, Any]:
-        """What sidecars say of them."""
-        return {
-            "views": len(self.cameras),
-            "view_pixels": sum(view.width * view.height for view in self.cameras),
-            "pixels_per_pixel_side": self.fineness,
-            "interpolation_px": self.table.error_px,
-        }
+    def record(self) -> LensRadiance:
+        """Returns what sidecars say of them."""
+        return LensRadiance(
+            way="resampled",
+            views=len(self.cameras),
+            view_pixels=sum(view.width * view.height for view in self.cameras),
+            pixels_per_pixel_side=self.fineness,
+            interpolation_px=self.table.error_px,
+        )
 
 
 def plan_views(camera: Camera) -> Views:

@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ from scenec.backends.picture.compose import background
 from scenec.backends.picture.sky import combine
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
+from scenec.schemas.records import BlurRecord
 
 if TYPE_CHECKING:
     from scenec.backends.picture.airlight import Air
@@ -192,7 +193,7 @@ class Drawing:
         caster: Posed as at the sample, for haze.
 
     Attributes:
-        facts: What sidecars say of the pictures drawn so far.
+        record: What sidecars say of the pictures drawn so far.
     """
 
     def __init__(
@@ -208,7 +209,7 @@ class Drawing:
 
             self._air = air_at(scene, sample)
         self._stochastic = backend.stochastic
-        self.facts: dict[str, Any] = _facts(blur, 2 if self._stochastic else 1)
+        self.record = _record(blur, 2 if self._stochastic else 1)
 
     def draw(self, spp: int, seed: int, most: int = MOST) -> Radiance:
         """A picture, complete with what is behind surfaces.
@@ -302,34 +303,35 @@ class Drawing:
         return light, through[..., None] * behind
 
     def _count(self, share: Share, halves: int, pictures: int) -> None:
-        facts = self.facts
-        facts["sub_frames"] += pictures
-        facts["sub_frames_per_row"] += halves * share.count
-        facts["samples_per_sub_frame"] = share.each
+        before, timing = self.record, self.record.timing_px
         # Rounds know nothing of each other: their copies may lie anywhere between.
         spacing = self._blur.spacing_px(share.count)
-        if facts["spacing_px"] is None or spacing < facts["spacing_px"]:
-            facts["spacing_px"] = spacing
-            facts["timing_px"] = self._blur.timing_px(share.count)
+        if before.spacing_px is None or spacing < before.spacing_px:
+            timing = self._blur.timing_px(share.count)
+        else:
+            spacing = before.spacing_px
+        self.record = replace(
+            before,
+            sub_frames=before.sub_frames + pictures,
+            sub_frames_per_row=before.sub_frames_per_row + halves * share.count,
+            spacing_px=spacing,
+            timing_px=timing,
+            samples_per_sub_frame=share.each,
+        )
 
 
-def _facts(blur: Blur, halves: int) -> dict[str, Any]:
+def _record(blur: Blur, halves: int) -> BlurRecord:
     asked, drawn = blur.camera.shutter, blur.shutter
-    return {
-        "exposure_s": None if asked is None else asked.shutter.exposure_s,
-        "readout_s": None if asked is None else asked.shutter.readout_s,
-        "exposure_drawn_s": None if drawn is None else drawn.exposure_s,
-        "exposure_widened_px": blur.widened_px,
-        "motion_px": blur.motion_px,
-        "aperture_radius_m": None if blur.focus is None else blur.focus.aperture_radius_m,
-        "focus_distance_m": None if blur.focus is None else blur.focus.distance_m,
-        "circle_of_confusion_px": blur.disk_px,
-        "nearest_m": blur.nearest_m if math.isfinite(blur.nearest_m) else None,
-        "gap_px": blur.gap_px,
-        "sub_frames": 0,
-        "sub_frames_per_row": 0,
-        "sub_frames_wanted_per_row": halves * blur.wanted,
-        "spacing_px": None,
-        "timing_px": None,
-        "samples_per_sub_frame": None,
-    }
+    return BlurRecord(
+        exposure_s=None if asked is None else asked.shutter.exposure_s,
+        readout_s=None if asked is None else asked.shutter.readout_s,
+        exposure_drawn_s=None if drawn is None else drawn.exposure_s,
+        exposure_widened_px=blur.widened_px,
+        motion_px=blur.motion_px,
+        aperture_radius_m=None if blur.focus is None else blur.focus.aperture_radius_m,
+        focus_distance_m=None if blur.focus is None else blur.focus.distance_m,
+        circle_of_confusion_px=blur.disk_px,
+        nearest_m=blur.nearest_m if math.isfinite(blur.nearest_m) else None,
+        gap_px=blur.gap_px,
+        sub_frames_wanted_per_row=halves * blur.wanted,
+    )

@@ -21,6 +21,7 @@ from scenec.schemas.errors import FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
 from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
+from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays
 from scenec.schemas.units import Executor, Unit
@@ -37,7 +38,7 @@ class RenderReport(BatchReport):
         denoiser: What denoised ``rgb``, or None.
         losses: A line for each thing in the stages that was not read, or that ``rgb`` leaves out.
         backend: The backend's name.
-        choice: Why this one, where none was named (``auto.Choice.as_json``); None otherwise.
+        choice: Why this one, where none was named; None otherwise.
     """
 
     backend_version: str = ""
@@ -45,7 +46,7 @@ class RenderReport(BatchReport):
     denoiser: str | None = None
     losses: list[str] = field(default_factory=list)
     backend: str = ""
-    choice: dict[str, Any] | None = None
+    choice: BackendChoice | None = None
 
     @property
     def frames(self) -> list[Path]:
@@ -115,9 +116,7 @@ def render(
             batches = [
                 replace(b, folder=plan.folder if single else plan.folder / b.name) for b in batches
             ]
-        report = RenderReport(
-            backend=plan.backend, choice=None if choice is None else choice.as_json()
-        )
+        report = RenderReport(backend=plan.backend, choice=choice)
         manifest = read_manifest(out) if out.is_dir() else None
         opened = {opening_of(batch, plan): batch for batch in batches}
         judged = {of for of, batch in opened.items() if may_lose(batch, plan, manifest)}
@@ -194,7 +193,7 @@ class _Render(BatchRun):
     def finish(self, work: OpenBatch) -> None:
         """Tells what is wrong with all pictures of a camera."""
         super().finish(work)
-        found: dict[str, list[Mapping[str, Any]]] = {}
+        found: dict[str, list[brightness.FrameBrightness]] = {}
         for frame in work.files:
             made = work.made.get(frame.what)
             # What was given up, or was deleted meanwhile, shows nothing.

@@ -12,14 +12,15 @@ from pathlib import Path
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.run.batches import BatchReport, BatchRun, Progress
 from scenec.backends.run.executors import make_executor
+from scenec.backends.run.facts import label_names, rows, time_of
 from scenec.backends.run.frames import require_samples
 from scenec.backends.run.units import Made, MakeFile, Opened, Opening
-from scenec.backends.run.writer import label_facts, plain, time_of
 from scenec.backends.stage.scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
 from scenec.schemas.frames import ANNOTATION
 from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.records import NOT_WRITTEN, LidarNoise, ScanRecord
 from scenec.schemas.scans import SCANS, is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
 from scenec.schemas.strays import stray_scans
@@ -79,7 +80,7 @@ class ScanLidar(MakeFile):
             arrays = scan(scene, caster, lidar, self.sample)
             scanned = time.perf_counter()
             sidecar = _sidecar(scene, lidar, self.sample, self.key)
-            write_scan(self.stem, arrays, plain(sidecar), self.ply)
+            write_scan(self.stem, arrays, sidecar, self.ply)
             seconds |= {"scan": scanned - start, "write": time.perf_counter() - scanned}
         return Made(now=True, seconds=seconds, text=f"{sum(seconds.values()):.2f} s")
 
@@ -190,24 +191,25 @@ class _Scan(BatchRun):
         return []
 
 
-def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> dict[str, object]:
-    return {
-        "lidar": lidar.name,
-        "lidar_prim": lidar.path,
-        "sample": sample,
-        "time_s": time_of(scene, sample),
-        "lidar_to_world": lidar.to_world,
-        "range_m": lidar.range_m,
-        "noise": {
-            "range_m": lidar.range_noise_m,
-            "range_ratio": lidar.range_noise_ratio,
-            "angle_deg": lidar.angle_noise_deg,
-            "dropout": lidar.dropout,
-            "key": lidar.key,
-        },
-        "labels": label_facts(scene),
-        "instances": scene.instance_paths,
-        "losses": scene.losses,
-        "stage_digest": scene.digest,
-        "resume_key": key,
-    }
+def _sidecar(scene: RenderScene, lidar: Lidar, sample: int, key: str) -> ScanRecord:
+    return ScanRecord(
+        lidar=lidar.name,
+        lidar_prim=lidar.path,
+        sample=sample,
+        time_s=time_of(scene, sample),
+        lidar_to_world=rows(lidar.to_world),
+        range_m=lidar.range_m,
+        noise=LidarNoise(
+            range_m=lidar.range_noise_m,
+            range_ratio=lidar.range_noise_ratio,
+            angle_deg=lidar.angle_noise_deg,
+            dropout=lidar.dropout,
+            key=lidar.key,
+        ),
+        labels=label_names(scene),
+        instances=scene.instance_paths,
+        losses=tuple(scene.losses),
+        stage_digest=scene.digest,
+        resume_key=key,
+        npz=NOT_WRITTEN,
+    )

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.backends.picture.brightness import brief
+from scenec.backends.picture.brightness import FrameBrightness, brief
 from scenec.schemas.errors import BackendError, OutputError
-from scenec.schemas.files import as_json, sweep
+from scenec.schemas.files import sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
+from scenec.schemas.records import BackendChoice, FrameRecord
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ class OpenStage:
             [[lidar.name for lidar in of] for of in scene.lidars],
             session.losses,
             time.perf_counter() - start,
-            **session.facts(),
+            **session.facts()._asdict(),
         )
 
 
@@ -192,7 +192,7 @@ class Made:
     seconds: dict[str, float] = field(default_factory=dict)
     peak_memory_gb: float | None = None
     text: str = "there already"
-    sight: dict[str, Any] | None = None
+    sight: FrameBrightness | None = None
 
 
 @dataclass(frozen=True)
@@ -279,13 +279,13 @@ class RenderFrame(MakeFile):
     Attributes:
         key: What it is made with.
         seed: Of its noise.
-        choice: Why this backend, for the sidecar (``auto.Choice``), or None.
+        choice: Why this backend, for the sidecar, or None.
         replace: As of ``RenderPlan``.
     """
 
     key: FrameKey
     seed: int
-    choice: Mapping[str, Any] | None = None
+    choice: BackendChoice | None = None
     replace: bool = False
 
     def is_done(self) -> bool:
@@ -303,20 +303,20 @@ class RenderFrame(MakeFile):
             ScenecError: See ``MakeFile``.
         """
         session = self.holds.session(keeper)
-        if not self.key.backend_version.startswith(session.facts()["version"]):
+        if not self.key.backend_version.startswith(session.facts().version):
             # A process that was replaced has imported it again.
             raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
         with self.claimed(session) as found:
             if found is not None:
                 return found
             place = self.number, self.sample
-            sidecar = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+            record = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
         return Made(
             now=True,
-            seconds=dict(sidecar["seconds"]),
-            peak_memory_gb=sidecar["peak_memory_gb"],
-            text=describe(sidecar),
-            sight=json.loads(as_json(brief(sidecar))),
+            seconds=dict(record.seconds or {}),
+            peak_memory_gb=record.peak_memory_gb,
+            text=describe(record),
+            sight=brief(record),
         )
 
 
@@ -339,20 +339,20 @@ def require_replaceable(files: Iterable[MakeFile]) -> None:
         )
 
 
-def describe(details: Mapping[str, Any]) -> str:
+def describe(record: FrameRecord) -> str:
     """One line about a frame: seconds by step, and how far ``rgb`` is from converged."""
-    seconds = details["seconds"]
+    seconds = record.seconds or {}
     parts = [f"{sum(seconds.values()):.2f} s"]
     parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
-    if details.get("estimated_error"):
-        error = details["estimated_error"]["relative_rms"]
+    if record.estimated_error is not None:
+        error = record.estimated_error.relative_rms
         parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
-        before = (details.get("estimated_error_before_denoising") or {}).get("relative_rms")
-        if before is not None:
-            parts[-1] += f" ({100 * before:.1f} % before denoising)"
-    if details.get("rounds"):
-        made = len(details["rounds"]["rounds"])
-        parts.append(f"{details['samples_per_pixel']} samples per pixel in {made} rounds")
-        if details["rounds"]["target_met"] is False:
+        noisy = record.estimated_error_before_denoising
+        if noisy is not None and noisy.relative_rms is not None:
+            parts[-1] += f" ({100 * noisy.relative_rms:.1f} % before denoising)"
+    if record.rounds is not None:
+        made = len(record.rounds.rounds)
+        parts.append(f"{record.samples_per_pixel} samples per pixel in {made} rounds")
+        if record.rounds.target_met is False:
             parts.append("target not met")
     return ", ".join(parts)

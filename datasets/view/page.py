@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
-from scenec.datasets.source import Source, pictures_first, sidecar_values
+from scenec.datasets.source import Source, pictures_first, record_of
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
@@ -153,12 +153,12 @@ def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
     longest, most = 1, 1
     for source in sources:
         for ref in {r.camera: r for r in source.frames}.values():
-            sidecar = sidecar_values(ref)
-            if sidecar is None:
+            record = record_of(ref)
+            if record is None:
                 # A damaged frame is named when it is its turn.
                 continue
-            width, height = sidecar["resolution"]
-            layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
+            width, height = record.resolution
+            layers = 3 + sum(_PLANES.get(name, 1) for name in record.passes)
             longest = max(longest, width, height)
             most = max(most, width * height * (2 * layers + 2) + 40_000)
     return longest, most

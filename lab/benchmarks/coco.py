@@ -29,6 +29,7 @@ from pycocotools import mask as coco_mask
 
 from scenec.backends.annotation.instances import Seen
 from scenec.backends.run.executors import make_executor
+from scenec.backends.run.facts import FrameResult, RendererFacts, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.export import Choice
@@ -45,7 +46,7 @@ from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import FrameKey, frame_stem
 from scenec.schemas.instances import read_frame_table
-from scenec.schemas.manifest import stage_digest
+from scenec.schemas.manifest import read_manifest, stage_digest
 
 _LOOP = "pycocotools' loop over run lengths, areas and boxes"
 _MASKS, _ALL = "run lengths, areas, boxes", "all that the format does"
@@ -165,7 +166,7 @@ def write_output(out: Path, count: int) -> int:
         "files": {f"{name}/stage.usda": {"sha256": hashlib.sha256(b"bench").hexdigest()}},
     }
     write_json(out / "manifest.json", manifest)
-    digest = stage_digest(manifest, name)
+    digest = stage_digest(read_manifest(out), name)
     intrinsics = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
     camera = Camera("front", "/World/Rigs/front", WIDTH, HEIGHT, intrinsics, np.eye(4), -11.0)
     scene = RenderScene(
@@ -181,7 +182,9 @@ def write_output(out: Path, count: int) -> int:
         if sample < CONTENTS:
             passes, columns = content(sample)
             key = FrameKey(digest, tuple(passes), 64, 0, "mitsuba", "bench")
-            write_frame(stem, passes, key, scene, camera, sample, {}, Seen(columns))
+            renderer = RendererFacts("mitsuba", "bench", "cpu", None, None)
+            record = describe_frame(scene, camera, sample, renderer)
+            write_frame(stem, FrameResult(passes, record, Seen(columns)), key, scene, camera)
             sizes.append(stem.with_suffix(".exr").stat().st_size)
             continue
         twin = stem.with_name(f"{sample % CONTENTS:06d}")

@@ -21,6 +21,7 @@ from scenec.datasets.formats.contract import Info
 from scenec.datasets.formats.hdf5 import Hdf5
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.lab.runner import Study, in_turns, run
+from scenec.schemas.records import FileDigest, FrameRecord
 
 #: A file of the exporter has up to 500; these are few different ones, over and over.
 FRAMES = 48
@@ -51,13 +52,20 @@ def made(number: int) -> LoadedFrame:
     }
     columns = ("id", "pixels", "x_min", "y_min", "x_max", "y_max", "depth_mean", "x", "y", "z")
     table = {name: np.arange(1, INSTANCES + 1).astype(np.float64) for name in columns}
-    sidecar = {
-        "resolution": [WIDTH, HEIGHT],
-        "intrinsics": np.eye(3).tolist(),
-        "camera_to_world": np.eye(4).tolist(),
-        "time_s": float(number),
-        "exposure_ev": 0.0,
-    }
+    sidecar = FrameRecord(
+        camera="camera",
+        sample=number,
+        resolution=(WIDTH, HEIGHT),
+        intrinsics=((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        camera_to_world=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)),
+        time_s=float(number),
+        exposure_ev=0.0,
+        passes=tuple(passes),
+        labels={},
+        backend="none",
+        stage_digest="",
+        exr=FileDigest(sha256=""),
+    )
     ref = FrameRef(number, 0, "batch_0000", "none", "camera", number, Path(f"{number:06d}"))
     return LoadedFrame(ref, passes, sidecar, table, LABELS, np.zeros(INSTANCES, np.bool_))
 

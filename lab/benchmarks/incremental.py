@@ -75,7 +75,7 @@ def changes(cfg: dict[str, Any], costliest: str) -> Iterator[tuple[str, dict[str
 
 def digests(out: Path) -> dict[str, str]:
     """Of all files of a manifest."""
-    return {path: entry["sha256"] for path, entry in read_manifest(out)["files"].items()}
+    return {path: entry.sha256 for path, entry in read_manifest(out).files.items()}
 
 
 def rows(study: Study, name: str, folder: Path) -> Iterator[list[Cell]]:

@@ -11,7 +11,7 @@ beside what loading was estimated to take.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import ROOT, SCENEC, Cell, Study, command, run
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.sidecars import read_sidecar
 
 
 def cfg(kind: str, count: int) -> dict[str, Any]:
@@ -51,7 +52,7 @@ def estimate(stage: Path, backend: str) -> str:
     return f"{size / 1e9:.2f} GB for {what}"
 
 
-def steps_of(seconds: dict[str, float]) -> str:
+def steps_of(seconds: Mapping[str, float]) -> str:
     """The steps that take long enough to tell."""
     return ", ".join(f"{name} {value:.2f} s" for name, value in seconds.items() if value > 0.01)
 
@@ -67,8 +68,8 @@ def rendered(out: Path, backend: str, spp: int) -> list[Cell]:
     except ScenecError as error:
         return [None, None, f"{error}{said}"]
     sidecar = next((out / "batch_0000" / "frames" / backend).rglob("*.json"))
-    told = json.loads(sidecar.read_text(encoding="utf-8"))
-    return [cost.wall_s, told["peak_memory_gb"], steps_of(told["seconds"]) + said]
+    record = read_sidecar(sidecar)
+    return [cost.wall_s, record.peak_memory_gb, steps_of(record.seconds or {}) + said]
 
 
 def main(study: Study) -> None:

@@ -104,10 +104,10 @@ def _drawn_once(
     for sample, cameras in enumerate(held.scene.cameras[:samples]):
         for camera in cameras:
             start = time.perf_counter(), time.process_time()
-            details = held.render(camera, sample, held.passes(outputs, camera), spp, 1)[1]
+            record = held.render(camera, sample, held.passes(outputs, camera), spp, 1).record
             wall += time.perf_counter() - start[0]
             cpu += time.process_time() - start[1]
-            load += details["seconds"].get("load", 0.0)
+            load += (record.seconds or {}).get("load", 0.0)
     return {
         "load, s": before[0] + load,
         "frames, s": wall - load,

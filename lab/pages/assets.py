@@ -139,7 +139,7 @@ def tiles(page: Page, assets: dict[str, Asset], spp: int) -> dict[str, Image.Ima
     for path in report.frames:
         name = path.parent.name.removesuffix("_eye")
         frame = read_frame(path)
-        picture = Image.fromarray(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+        picture = Image.fromarray(develop(frame.passes["rgb"], frame.sidecar.exposure_ev))
         shown[name] = _captioned(picture, name, meters[name])
     return shown
 
@@ -276,7 +276,7 @@ def yard(page: Page, assets: dict[str, Asset], spp: int) -> None:
     batch = page.batch(cfg)
     report = render(batch.parent, "mitsuba", spp=spp, passes=("rgb", "label"), denoise=True)
     frame = read_frame(report.frames[0])
-    picture = Image.fromarray(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+    picture = Image.fromarray(develop(frame.passes["rgb"], frame.sidecar.exposure_ev))
     numbers = frame.passes["label.class"]
     painted = Image.fromarray(paint_labels(numbers, label_colors(sorted(labels["class"].values()))))
     small = painted.resize((440, 248), Image.Resampling.NEAREST).quantize(64)

@@ -98,7 +98,7 @@ def shadows(page: Page, layer: Callable[..., Cumulus], none: Cirrus) -> str:
     for name in BACKENDS:
         report = render(out.parent, name, spp=4 if page.fast else 48)
         frame = read_frame(report.frames[0])
-        panels.append(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+        panels.append(develop(frame.passes["rgb"], frame.sidecar.exposure_ev))
     with atomic(page.picture("shadows")) as target:
         row = Image.fromarray(np.concatenate(panels, axis=1))
         row.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)

@@ -183,7 +183,7 @@ def scenes(page: Page) -> str:
         compile_cfg(file, seed=2, out=out)
         report = render(out, "pyrender", spp=4 if page.fast else 16)
         frame = read_frame(report.frames[0])
-        panels.append(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+        panels.append(develop(frame.passes["rgb"], frame.sidecar.exposure_ev))
         facts = json.loads((out / "batch_0000" / "report.json").read_text())
         left = facts.get("clouds", {}).get("sun_transmittance", [0.0])[0]
         told.append(f"{name} ({100.0 * left:.0f} % of the sun)")

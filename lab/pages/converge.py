@@ -160,16 +160,17 @@ class Example:
                 folder = self.out / "targets" / str(number)
                 report = render(self.out, backend, passes=["rgb"], folder=folder, **goal)
                 sidecar = read_frame(report.frames[0]).sidecar
-                rounds, found = sidecar["rounds"], sidecar["estimated_error"]
+                rounds, found = sidecar.rounds, sidecar.error
+                assert rounds is not None
                 asked = "--error" if "error" in goal else "--seconds"
                 rows.append(
                     [
                         f"`--backend {backend} {asked} {next(iter(goal.values())):g}`",
-                        str(sidecar["samples_per_pixel"]),
-                        str(len(rounds["rounds"])),
-                        f"{rounds['seconds']:.2f}",
-                        percent(found["relative_rms"]),
-                        percent(found["relative_rms_bound_95"]),
+                        str(sidecar.samples_per_pixel),
+                        str(len(rounds.rounds)),
+                        f"{rounds.seconds:.2f}",
+                        percent(found.relative_rms),
+                        percent(found.relative_rms_bound_95),
                         self.true_error(report.frames[0], backend),
                     ]
                 )

@@ -267,8 +267,8 @@ def costs(drawn: Drawn) -> str:
         row = [case.what]
         for backend in BACKENDS:
             sidecar = drawn.frames[backend, case.name].sidecar
-            seconds = sum(v for k, v in sidecar["seconds"].items() if k != "load")
-            row.append(f"{seconds:.2f} s, {sidecar['peak_memory_gb']:.2f} GB")
+            seconds = sum(v for k, v in (sidecar.seconds or {}).items() if k != "load")
+            row.append(f"{seconds:.2f} s, {sidecar.peak_memory_gb:.2f} GB")
         rows.append(row)
     return (
         "## What a frame cost\n\n"
@@ -317,7 +317,7 @@ def poses(page: Page) -> str:
     last = count - 1
     report = render(out, "annotation", samples=[0, count // 2, last], passes=("depth", "label"))
     rendered = time.perf_counter() - start
-    pose = read_frame(report.frames[-1]).sidecar["camera_to_world"]
+    pose = read_frame(report.frames[-1]).sidecar.camera_to_world
     asked = np.loadtxt(page.scratch / "many.csv", delimiter=",")[last, 1:4]
     off = float(np.abs(np.array(pose)[:3, 3] - asked).max())
     return (
@@ -377,7 +377,7 @@ def _large(stage: Path, backend: str, arguments: list[Any]) -> dict[str, Any]:
         tiles.PIXELS = tiles.TALLEST = 1 << 40
     memory.reset_peak()
     start = time.process_time()
-    arrays, _ = session.render(camera, 0, passes, 1, 0)
+    arrays = session.render(camera, 0, passes, 1, 0).arrays
     seconds, peak = time.process_time() - start, memory.peak() or 0
     digests = {name: hashlib.sha256(values).hexdigest() for name, values in arrays.items()}
     write_exr(folder / "large.exr", arrays)

@@ -69,12 +69,12 @@ def frame(page: Page, name: str, cfg: Path, sample: int = 0, **passes: Any) -> F
 
 def photograph(found: Frame) -> np.ndarray:
     """The picture, by its own exposure."""
-    return develop(found.passes["rgb"], float(found.sidecar["exposure_ev"]))
+    return develop(found.passes["rgb"], found.sidecar.exposure_ev)
 
 
 def labels(found: Frame, level: str) -> np.ndarray:
     """The labels of a level, painted."""
-    ids = [int(i) for i in found.sidecar["labels"][level]]
+    ids = [int(i) for i in found.sidecar.labels[level]]
     return paint_labels(found.passes[f"label.{level}"], label_colors(ids))
 
 

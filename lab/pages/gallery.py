@@ -171,13 +171,13 @@ def views(entry: Entry, folder: Path, spp: int) -> Iterator[tuple[str, Frame]]:
 
 def photograph(frame: Frame) -> Image.Image:
     """What a camera with the frame's exposure would show."""
-    return Image.fromarray(develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"])))
+    return Image.fromarray(develop(frame.passes["rgb"], frame.sidecar.exposure_ev))
 
 
 def labels(frame: Frame, level: str) -> Image.Image:
     """Labels of a level in colors, and below them their names."""
     ids = frame.passes[f"label.{level}"]
-    names = {int(i): name for i, name in frame.sidecar["labels"][level].items()}
+    names = {int(i): name for i, name in frame.sidecar.labels[level].items()}
     colors = label_colors(list(names))
     width, height = _LABELS
     sheet = Image.new("RGB", (width, height + _LEGEND), (255, 255, 255))

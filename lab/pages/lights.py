@@ -267,7 +267,7 @@ def views(case: Case, folder: Path, spp: int) -> Image.Image:
     by_camera = {path.parent.name: path for path in report.frames}
     for i, bearing in enumerate(case.bearings):
         frame = read_frame(by_camera[f"view{bearing:g}_eye"])
-        shown = develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"]))
+        shown = develop(frame.passes["rgb"], frame.sidecar.exposure_ev)
         made.paste(Image.fromarray(shown), (i * (width + _GAP), 0))
     return made
 
@@ -295,7 +295,7 @@ def sheet(found: dict[str, Frame]) -> Image.Image:
     made = Image.new("RGB", (3 * tile[0] + 2 * _GAP, tile[1] + _LEGEND), (255, 255, 255))
     draw, font = ImageDraw.Draw(made), ImageFont.load_default(14)
     for i, (backend, frame) in enumerate(found.items()):
-        exposure = float(found[REFERENCE].sidecar["exposure_ev"])
+        exposure = found[REFERENCE].sidecar.exposure_ev
         shown = Image.fromarray(develop(frame.passes["rgb"], exposure))
         made.paste(shown.resize(tile, Image.Resampling.LANCZOS), (i * (tile[0] + _GAP), 0))
         draw.text((i * (tile[0] + _GAP) + 2, tile[1] + 3), backend, _INK, font)
@@ -316,7 +316,7 @@ def row(case: Case, found: dict[str, Frame]) -> list[str]:
             flips.append("?" if values is None else f"{float(values.mean()):.3f}")
             off = frame.passes["rgb"][on].astype(np.float64).mean()
             flips[-1] += f" ({100.0 * (off / float(reference[on].mean()) - 1.0):+.1f} %)"
-        spent = frame.sidecar["seconds"]
+        spent = frame.sidecar.seconds or {}
         seconds.append(f"{spent['radiance']:.1f}")
     return [case.title, *means, *flips, *seconds]
 

@@ -92,11 +92,11 @@ def _frames(out: Path, noise_seed: int, spp: int) -> list[Frame]:
 
 
 def _view(one: Frame, other: Frame) -> View:
-    names_of = one.sidecar["labels"]["class"]
+    names_of = one.sidecar.labels["class"]
     away = [0, *(int(number) for number, name in names_of.items() if name in _NO_GROUND)]
     ground = ~np.isin(one.passes["label.class"], away)
     halves = [luminance(np.asarray(f.passes["rgb"], np.float64)) for f in (one, other)]
-    return in_angles(halves, ground, one.sidecar["intrinsics"])
+    return in_angles(halves, ground, one.sidecar.intrinsics)
 
 
 def text(figures: dict[str, dict[str, Any]]) -> str:

@@ -114,7 +114,7 @@ def _frames(batch: Path) -> dict[str, NDArray]:
     """All annotation of the first sample."""
     session = Session.open(batch / "stage.usda", "reference")
     camera = session.scene.cameras[0][0]
-    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1)[0]
+    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1).arrays
 
 
 def extents(page: Page) -> str:
@@ -134,7 +134,7 @@ def extents(page: Page) -> str:
         found = json.loads((batch / "report.json").read_text())["precision"]
         session = Session.open(batch / "stage.usda", "reference")
         camera = session.scene.cameras[0][0]
-        frame = session.render(camera, 0, ("depth", "instance", "normal"), 1, 1)[0]
+        frame = session.render(camera, 0, ("depth", "instance", "normal"), 1, 1).arrays
         rays = camera_rays(camera)
         ground = (np.isfinite(frame["depth"]) & (frame["instance"] == 0)).ravel()
         depth = frame["depth"].ravel()[ground]

@@ -246,7 +246,7 @@ def shot(page: Page, content: dict[str, Any], spp: int) -> tuple[Image.Image, di
     """One frame, and what the report says of its classes of objects."""
     batch = page.batch(content, seed=4)
     frame = read_frame(render(batch.parent, "mitsuba", spp=spp, passes=("rgb",)).frames[0])
-    picture = develop(frame.passes["rgb"], float(frame.sidecar["exposure_ev"]))
+    picture = develop(frame.passes["rgb"], frame.sidecar.exposure_ev)
     return Image.fromarray(picture), json.loads((batch / "report.json").read_text())["objects"]
 
 

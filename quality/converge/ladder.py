@@ -185,8 +185,7 @@ class _Climb:
         first = self._render(
             "reference/first", spp=ladder.reference, seed=_REFERENCE_SEED, all_=True
         )
-        sidecars = [shown.read().sidecar for shown in first]
-        estimates = [sidecar["estimated_error"]["relative_rms"] for sidecar in sidecars]
+        estimates = [shown.read().sidecar.error.relative_rms for shown in first]
         stochastic = any(value is not None for value in estimates)
         references: tuple[list[Shown], ...] = (first,)
         rungs: list[tuple[Rung, bool, list[list[Shown]]]] = []

@@ -310,12 +310,13 @@ def test_haze_is_bit_identical_whatever_the_renderer_saw_and_is_asked_for():
         (completed(Blind)(), ["rgb", "depth", "instance"]),
     ):
         session = Session(scene, backend)
-        arrays, details = session.render(camera, 0, session.passes(passes, camera), 2, 0)
+        result = session.render(camera, 0, session.passes(passes, camera), 2, 0)
+        arrays, record = result.arrays, result.record
         pictures.append(arrays["rgb"])
         assert next(iter(arrays)) == "rgb"
-        assert details["seconds"]["haze"] > 0.0
-        assert details["haze"]["subsampled_pixels"] > 0
-        assert any("haze" in line for line in details["losses"])
+        assert record.seconds["haze"] > 0.0
+        assert record.haze.subsampled_pixels > 0
+        assert any("haze" in line for line in record.losses)
     np.testing.assert_array_equal(pictures[0], pictures[1])
     np.testing.assert_array_equal(pictures[0], pictures[2])
     # LEVEL near, more of the airlight far.
@@ -329,8 +330,9 @@ def test_without_haze_nothing_is_done_or_imported(monkeypatch):
     monkeypatch.delitem(sys.modules, "scenec.backends.picture.haze")
     camera = scenes.camera(8, 6)
     session = Session(replace(edge(0.0), cameras=((camera,),)), completed(Raster)())
-    arrays, details = session.render(camera, 0, ("rgb", "depth"), 2, 0)
+    result = session.render(camera, 0, ("rgb", "depth"), 2, 0)
+    arrays, record = result.arrays, result.record
     assert "scenec.backends.picture.haze" not in sys.modules
-    assert "haze" not in details["seconds"]
-    assert "haze" not in details
+    assert "haze" not in record.seconds
+    assert record.haze is None
     np.testing.assert_array_equal(arrays["rgb"], np.float32(LEVEL))

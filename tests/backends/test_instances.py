@@ -310,4 +310,4 @@ def test_a_frame_without_instances_has_an_empty_table(tmp_path):
 def test_frames_with_tables_read_back(rendered):
     frames, _ = rendered
     frame = read_frame(frames / "annotation" / "front" / "000000")
-    assert frame.sidecar["instance_table"]["bytes"] > 0
+    assert frame.sidecar.instance_table.bytes > 0

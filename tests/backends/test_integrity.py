@@ -131,7 +131,7 @@ def test_what_is_read_is_what_the_manifest_lists(compiled, tmp_path):
         file.symlink_to(original)
     assert read_stage(stage_of(linked)).digest == there.digest
     report = render(linked, "reference", passes=ANNOTATION, samples=[0], batches=[0])
-    assert read_frame(report.frames[0]).sidecar["stage_digest"] == there.digest
+    assert read_frame(report.frames[0]).sidecar.stage_digest == there.digest
 
 
 @pytest.mark.parametrize("name", ["batch_0000/../../theirs", "batch_0000//etc/passwd"])

@@ -351,16 +351,17 @@ def test_a_backend_that_knows_pinholes_alone_draws_lenses_and_the_sidecar_says_h
     world = scene([mesh(*plane())], [surface()], cameras=[camera])
     backend: Any = completed(Pinholes)()
     session = Session(world, backend)
-    arrays, details = session.render(camera, 0, ["rgb", "depth"], 4, 1)
+    result = session.render(camera, 0, ["rgb", "depth"], 4, 1)
+    arrays, record = result.arrays, result.record
     assert session.witness(0, 0) is None
     assert backend.seen == [None]
-    assert details["lens_radiance"]["way"] == "resampled"
-    assert details["lens_radiance"]["views"] == 5
+    assert record.lens_radiance.way == "resampled"
+    assert record.lens_radiance.views == 5
     assert arrays["rgb"].max() == 1.0
     mitsuba = Session(world, Mitsuba(bounces=0))
-    _, details = mitsuba.render(camera, 0, ["rgb"], 1, 1)
-    assert details["lens_radiance"]["way"] == "rays"
-    assert details["lens_radiance"]["interpolation_px"] <= TOLERANCE_PX
+    record = mitsuba.render(camera, 0, ["rgb"], 1, 1).record
+    assert record.lens_radiance.way == "rays"
+    assert record.lens_radiance.interpolation_px <= TOLERANCE_PX
 
 
 def test_a_lens_that_shows_nothing_is_one_message() -> None:

@@ -21,6 +21,7 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import frame_stem, is_done, read_frame
 from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.records import NOT_WRITTEN, ScanRecord
 from scenec.schemas.scans import is_scanned, read_scan, scan_stem, write_scan
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -64,7 +65,7 @@ def test_a_scan_is_whole_or_not_there_whenever_its_process_is_killed(tmp_path):
 
     def write(key: str) -> None:
         arrays = points | {"range_true": np.full((1, 2), len(key))}
-        write_scan(stem, arrays, {"resume_key": key}, ply=True)
+        write_scan(stem, arrays, ScanRecord(resume_key=key, npz=NOT_WRITTEN), ply=True)
 
     stem.parent.mkdir(parents=True)
     write("old")

@@ -158,20 +158,20 @@ def test_the_manifest_holds_terms_and_the_cfg_s_own_bytes(tmp_path: Path) -> Non
     compile_cfg(path, seed=1, out=tmp_path / "out")
     before = read_manifest(tmp_path / "out")
     pointer = "objects/birds/models/0/file"
-    assert before["cfg"]["licenses"][pointer] == {
+    assert before.cfg.licenses[pointer] == {
         "file": "bird.glb", "license": None, "copyright": ["The scenec authors, CC0-1.0"],
         "source": "asset.copyright in the file",
     }  # fmt: skip
-    assert set(before["cfg"]["inputs"]) == set(before["cfg"]["licenses"])
+    assert set(before.cfg.inputs) == set(before.cfg.licenses)
     assert (tmp_path / "out/cfg.json").read_bytes() == path.read_bytes()
-    assert before["files"]["cfg.json"]["bytes"] == path.stat().st_size
-    assert not [name for name in before["files"] if name.startswith("batch") and "cfg" in name]
+    assert before.files["cfg.json"].bytes == path.stat().st_size
+    assert not [name for name in before.files if name.startswith("batch") and "cfg" in name]
 
     # Terms found later, and another layout, change the manifest but no batch.
     (tmp_path / "bird.glb.license").write_text(BESIDE, encoding="utf-8")
     path.write_text(json.dumps(cfg), encoding="utf-8")
     assert compile_cfg(path, seed=1, out=tmp_path / "out").unchanged == 1
     after = read_manifest(tmp_path / "out")
-    assert after["cfg"]["licenses"][pointer]["license"] == "CC-BY-4.0"
+    assert after.cfg.licenses[pointer]["license"] == "CC-BY-4.0"
     assert stage_digest(after, "batch_0000") == stage_digest(before, "batch_0000")
     assert (tmp_path / "out/cfg.json").read_bytes() == path.read_bytes()

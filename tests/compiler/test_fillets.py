@@ -314,7 +314,7 @@ def test_ladders_are_of_the_ground_that_is_meshed(tmp_path):
     (own,), ground = ladder.rungs, log.facts["ground"]
     assert own.triangles == ground["faces"]
     found = ground["mesh"]["finer"]["surface_error_found_px"]
-    assert own.details["found_px"] == max(found, ground["mesh"]["height_error_max_px"])
+    assert own.record.found_px == max(found, ground["mesh"]["height_error_max_px"])
 
 
 def test_annotation_is_the_same_pruned_or_not(tmp_path, workers_here):

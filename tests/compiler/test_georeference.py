@@ -50,7 +50,7 @@ def frames(batch: Path) -> list[dict[str, np.ndarray]]:
     for sample in range(2):
         camera = session.scene.cameras[sample][0]
         passes = [name for name in session.passes(PASSES, camera) if name != "rgb"]
-        found.append(session.render(camera, sample, passes, 1, 1)[0])
+        found.append(session.render(camera, sample, passes, 1, 1).arrays)
     return found
 
 

@@ -295,14 +295,14 @@ def test_pictures_are_the_sensors_rgb_is_the_scenes_and_nothing_else_moves(tmp_p
         assert raw.shape == (32, 48)
         assert raw.dtype == np.uint16
         # The meter says the same, so the clean picture shows what one without a sensor does.
-        expected = develop(before.passes["rgb"], before.sidecar["exposure_ev"])
-        assert after.sidecar["exposure_ev"] == pytest.approx(before.sidecar["exposure_ev"])
+        expected = develop(before.passes["rgb"], before.sidecar.exposure_ev)
+        assert after.sidecar.exposure_ev == pytest.approx(before.sidecar.exposure_ev)
         assert np.abs(clean.astype(int) - expected).max() <= 4
         assert (shown != clean).mean() > 0.3
-        facts = after.sidecar["imaging"]
-        assert facts["stages"][-1] == "jpeg"
-        assert facts["exposure_time_s"] > 0.0
-        assert "imaging" not in before.sidecar
+        facts = after.sidecar.imaging
+        assert facts.stages[-1] == "jpeg"
+        assert facts.exposure_time_s > 0.0
+        assert before.sidecar.imaging is None
     # A picture that is gone is made again, the same; nothing else is.
     stem = reports[1].frames[0].with_suffix("")
     files = {kind: beside_path(stem, kind).read_bytes() for kind in ("clean", "raw")}

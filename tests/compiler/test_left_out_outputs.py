@@ -275,7 +275,7 @@ def annotated(batch: Path, outputs: tuple[str, ...]) -> dict[str, np.ndarray]:
     camera = scene.cameras[0][0]
     names = tuple(name for name in outputs if name != "rgb")
     passes = session.passes((*names, "range", "normal", "position", "face"), camera)
-    return session.render(camera, 0, passes, 1, 0)[0]
+    return session.render(camera, 0, passes, 1, 0).arrays
 
 
 @pytest.fixture(scope="module")

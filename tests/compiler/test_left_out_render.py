@@ -29,7 +29,7 @@ def colored(tmp_path_factory: pytest.TempPathFactory) -> RenderScene:
 
 def annotated(scene: RenderScene) -> dict:
     session, camera = Session(scene, None), scene.cameras[0][0]
-    return session.render(camera, 0, session.passes(PASSES, camera), 1, 0)[0]
+    return session.render(camera, 0, session.passes(PASSES, camera), 1, 0).arrays
 
 
 @pytest.mark.parametrize(("passes", "pictures"), [(["depth"], False), (["rgb", "depth"], True)])

@@ -17,13 +17,14 @@ from scenec.compiler.views import resolution
 from scenec.schemas.lens import (
     Lens,
     directions,
-    from_sidecar,
     project,
     radial,
     reach,
     to_pixels,
     to_plane,
 )
+from scenec.schemas.records import LensRecord
+from scenec.schemas.sidecars import lens_of
 from scenec.testing.examples import examples
 
 K = np.array([[412.5, 0.0, 320.25], [0.0, 409.75, 239.5], [0.0, 0.0, 1.0]])
@@ -249,7 +250,7 @@ def test_a_pinholes_view_is_the_same_beside_one_with_a_lens() -> None:
 
 def test_a_sidecars_lens_reads_back() -> None:
     """None is a pinhole."""
-    assert from_sidecar(None) is None
-    facts = {"model": "kannala_brandt", "coefficients": [1, 2, 3, 4], "max_angle_deg": 90.0}
-    assert from_sidecar(facts) == Lens("kannala_brandt", (1.0, 2.0, 3.0, 4.0), math.pi / 2)
-    assert from_sidecar({"model": "equirectangular", "coefficients": []}) == PANORAMA
+    assert lens_of(None) is None
+    record = LensRecord(model="kannala_brandt", coefficients=(1, 2, 3, 4), max_angle_deg=90.0)
+    assert lens_of(record) == Lens("kannala_brandt", (1.0, 2.0, 3.0, 4.0), math.pi / 2)
+    assert lens_of(LensRecord(model="equirectangular", coefficients=())) == PANORAMA

@@ -203,23 +203,23 @@ def test_sidecars_say_where_the_camera_was(stage: Path, tmp_path: Path) -> None:
     frame = read_frame(stem)
     held = camera.shutter
     assert held is not None
-    said = frame.sidecar["shutter"]
-    assert (said["exposure_s"], said["readout_s"], said["direction"]) == (0.01, 0.04, "up")
-    assert np.array_equal(said["camera_to_world"], held.camera_to_world)
-    assert np.array_equal(frame.sidecar["camera_to_world"], camera.camera_to_world)
+    said = frame.sidecar.shutter
+    assert (said.exposure_s, said.readout_s, said.direction) == (0.01, 0.04, "up")
+    assert np.array_equal(said.camera_to_world, held.camera_to_world)
+    assert np.array_equal(frame.sidecar.camera_to_world, camera.camera_to_world)
     ends = poses_at(held, np.array([0.02, -0.02]) * 29.0 / 30.0)
-    assert np.abs(np.array([said["first_row"], said["last_row"]]) - ends).max() < 1e-12
+    assert np.abs(np.array([said.first_row, said.last_row]) - ends).max() < 1e-12
     assert np.isfinite(frame.passes["flow"]).mean() > 0.3
     # What a reader makes of depth and the sidecar alone is what the position pass says.
     depth = frame.passes["depth"].astype(np.float64)
     hit = np.isfinite(depth)
     assert hit.mean() > 0.3
     v, u = np.mgrid[0:30, 0:40] + 0.5
-    local = np.linalg.inv(np.array(frame.sidecar["intrinsics"])) @ np.stack(
+    local = np.linalg.inv(np.array(frame.sidecar.intrinsics)) @ np.stack(
         [u.ravel(), v.ravel(), np.ones(1200)]
     )
-    at = -said["readout_s"] * ((np.arange(30) + 0.5) / 30 - 0.5)
-    poses = between(np.array(said["times_s"]), np.array(said["camera_to_world"]), at)
+    at = -said.readout_s * ((np.arange(30) + 0.5) / 30 - 0.5)
+    poses = between(np.array(said.times_s), np.array(said.camera_to_world), at)
     pose = np.repeat(poses, 40, axis=0)
     point = np.einsum("nij,jn->ni", pose[:, :3, :3], local) * depth.reshape(-1, 1)
     point += pose[:, :3, 3]

@@ -106,8 +106,8 @@ def test_ids_come_back_exactly_and_depth_within_the_stated_error(tmp_path):
         worst = np.abs(found[hit] / depth[hit] - 1).max()
         assert worst <= index["stored"]["depth_error"]
         assert index["stored"]["depth_error"] < 1e-4
-        assert facts["K"] == np.ravel(frame.sidecar["intrinsics"])[:6].tolist()
-        assert np.allclose(facts["pose"], np.ravel(frame.sidecar["camera_to_world"])[:12])
+        assert facts["K"] == np.ravel(frame.sidecar.intrinsics)[:6].tolist()
+        assert np.allclose(facts["pose"], np.ravel(frame.sidecar.camera_to_world)[:12])
 
 
 def test_the_picture_is_the_developed_one_to_jpegs_error(tmp_path):
