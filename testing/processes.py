@@ -1,12 +1,30 @@
-"""Waits on other processes: for what happens, and as long as it takes."""
+"""Runs other processes and waits on them: for what happens, and as long as it takes."""
 
 from __future__ import annotations
 
 import subprocess
+import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 import psutil
+
+
+def ran(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Runs a command to its end, whatever its status; what it says is text."""
+    told = {"capture_output": True, "text": True, "check": False} | options
+    return subprocess.run([str(word) for word in words], **told)
+
+
+def python(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Runs Python with some words, as ``ran``."""
+    return ran(sys.executable, *words, **options)
+
+
+def scenec(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Runs a command of scenec, as ``ran``."""
+    return python("-m", "scenec.cli.main", *words, **options)
 
 
 def until(happens: Callable[[], bool], process: subprocess.Popen) -> None:

@@ -6,15 +6,21 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from scenec.cli.main import main, parser
+from scenec.compiler.kinds.schema import load_schemas
 from scenec.schemas.errors import ScenecError
-from scenec.testing.processes import until
+from scenec.schemas.passes import PASSES
+from scenec.testing.processes import ran, scenec, until
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -31,6 +37,11 @@ def output(tmp_path_factory):
     arguments = ["run", str(cfg), "--seed", "5", "-o", str(folder / "out"), "--spp", "4"]
     assert main(arguments) == 0
     return folder / "out"
+
+
+@pytest.fixture
+def copy(output, tmp_path) -> Path:
+    return shutil.copytree(output, tmp_path / "out")
 
 
 def test_run_leaves_stages_frames_and_a_manifest(output):
@@ -62,17 +73,13 @@ def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path, capsys):
-    import shutil
-
-    out = tmp_path / "out"
-    shutil.copytree(output, out)
-    frames = out / "batch_0000" / "frames" / "mitsuba" / "rover_front"
+def test_check_renders_what_is_missing_and_touches_nothing_else(copy, capsys):
+    frames = copy / "batch_0000" / "frames" / "mitsuba" / "rover_front"
     for ending in ("exr", "json", "png"):
         (frames / f"000001.{ending}").unlink()
     kept = (frames / "000000.exr").read_bytes()
     # What is missing is a finding, and no reason not to compare the rest.
-    assert main(["check", str(out), "--backends", "mitsuba,pyrender", "--spp", "4"]) == 1
+    assert main(["check", str(copy), "--backends", "mitsuba,pyrender", "--spp", "4"]) == 1
     told = capsys.readouterr().out
     assert "1 of 2 frames are missing: 000001" in told
     assert "mitsuba : pyrender" in told
@@ -81,47 +88,34 @@ def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path):
-    import shutil
-
-    out = tmp_path / "out"
-    shutil.copytree(output, out)
-    frames = out / "batch_0000" / "frames" / "annotation" / "rover_front"
+def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(copy, tmp_path):
+    frames = copy / "batch_0000" / "frames" / "annotation" / "rover_front"
     frames.mkdir(parents=True)
     (frames / "000000.png").write_bytes(b"a picture")
-    assert main(["render", str(out), "--passes", "depth,label.class"]) == 0
+    assert main(["render", str(copy), "--passes", "depth,label.class"]) == 0
     assert not list(frames.glob("*.png"))
     assert len(list(frames.parents[1].glob("mitsuba/rover_front/*.png"))) == 2
     target = str(tmp_path / "sheet.png")
-    assert main(["sheet", str(out), "--backend", "annotation", "-o", target]) == 0
+    assert main(["sheet", str(copy), "--backend", "annotation", "-o", target]) == 0
 
 
 def test_the_schema_of_cfgs_knows_all_passes():
-    from scenec.compiler.kinds.schema import load_schemas
-    from scenec.schemas.passes import PASSES
-
     for name in ("cfg", "sensor"):
         outputs = load_schemas()[f"#/$defs/{name}"]["properties"]["outputs"]
         assert sorted(outputs["items"]["enum"]) == sorted(PASSES)
 
 
-def test_check_fails_on_damage_and_names_it(output, tmp_path, capsys):
-    import shutil
-
-    damaged = tmp_path / "out"
-    shutil.copytree(output, damaged)
-    frame = damaged / "batch_0000" / "frames" / "mitsuba" / "rover_front" / "000001.exr"
+def test_check_fails_on_damage_and_names_it(copy, capsys):
+    frame = copy / "batch_0000" / "frames" / "mitsuba" / "rover_front" / "000001.exr"
     frame.write_bytes(frame.read_bytes()[:1000])
-    (damaged / "batch_0000" / "looks" / "mud.usda").unlink()
-    assert main(["check", str(damaged)]) == 1
+    (copy / "batch_0000" / "looks" / "mud.usda").unlink()
+    assert main(["check", str(copy)]) == 1
     said = capsys.readouterr().out
     assert "000001" in said
     assert "looks/mud.usda" in said
 
 
 def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, capsys):
-    from PIL import Image
-
     target = tmp_path / "sheet.png"
     assert main(["sheet", str(output), "--backend", "mitsuba", "-o", str(target)]) == 0
     said = capsys.readouterr()
@@ -130,27 +124,6 @@ def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, caps
     with Image.open(target) as picture:
         # Five columns: RGB, two label levels, instances, depth.
         assert picture.width > 5 * 480
-
-
-def test_explain_prints_errors_beside_seconds(output, capsys):
-    assert main(["explain", str(output)]) == 0
-    said = capsys.readouterr().out
-    assert "chord error" in said
-    assert "seconds" in said
-    assert main(["explain", str(output), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)["reports"]["batch_0000"]
-    assert report["objects"]["rocks"]["count"] == 300
-
-
-def test_explain_refuses_what_is_no_report(output, tmp_path, capsys):
-    import shutil
-
-    out = tmp_path / "out"
-    shutil.copytree(output, out)
-    for content in ("{}", "[]", "", '{"relief": 3}'):
-        (out / "batch_0000" / "report.json").write_text(content)
-        assert main(["explain", str(out)]) == 2
-        assert "report.json" in capsys.readouterr().err
 
 
 def test_doctor_says_what_works_here(capsys):
@@ -165,8 +138,6 @@ def test_doctor_says_what_works_here(capsys):
 
 
 def test_version_is_the_package_s(capsys):
-    from importlib.metadata import version
-
     with pytest.raises(SystemExit) as left:
         main(["--version"])
     assert left.value.code == 0
@@ -330,29 +301,18 @@ def test_what_is_not_there_is_named_in_one_line(arguments, words, tmp_path, monk
 
 
 def test_a_pipe_that_closes_early_is_no_error(output):
-    command = f"{sys.executable} -m scenec.cli.main explain {output} --json | head -c 1"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    done = ran(
+        "bash", "-c", f"{sys.executable} -m scenec.cli.main explain {output} --json | head -c 1"
+    )
     assert "Traceback" not in done.stderr
 
 
 def test_interrupting_leaves_no_half_written_output(tmp_path):
     cfg = small_cfg(batches=500)
     out = tmp_path / "out"
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "scenec.cli.main",
-            "compile",
-            str(write_cfg(tmp_path, cfg)),
-            "--seed",
-            "1",
-            "-o",
-            str(out),
-        ],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    words = ["compile", write_cfg(tmp_path, cfg), "--seed", "1", "-o", out]
+    command = [sys.executable, "-m", "scenec.cli.main", *map(str, words)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     until((out / "batch_0001").exists, process)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
@@ -368,8 +328,7 @@ def test_a_process_that_may_open_too_few_files_says_how_many_it_needs(most, tmp_
     def few() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
-    command = [sys.executable, "-m", "scenec.cli.main", "export", str(tmp_path), "--format", "coco"]
-    done = subprocess.run(command, preexec_fn=few, capture_output=True, text=True, check=False)
+    done = scenec("export", tmp_path, "--format", "coco", preexec_fn=few)
     expected = f"this process may open {most} files at a time; expected 32 or more (ulimit -n 32)"
     assert (done.returncode, done.stderr) == (2, f"scenec: {expected}\n")
 
@@ -393,3 +352,19 @@ def test_an_error_of_too_many_open_files_says_how_many_there_may_be(monkeypatch,
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     said = "scenec: Too many open files (this process may open 256)\n"
     assert capsys.readouterr().err == said
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_run_makes_all_that_a_cfg_asks_for_scans_too(tmp_path, capsys):
+    cfg = small_cfg(samples=1, outputs=["depth"])
+    cfg["rigs"]["rover"]["lidars"] = {
+        "top": {"beams": 4, "elevation_deg": [5, -25], "azimuths": 30, "range_m": [0.2, 30]}
+    }
+    out = tmp_path / "out"
+    words = ["run", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", str(out), "--json"]
+    assert main([*words, "--backend", "reference"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    assert made.keys() == {"compile", "scan", "render"}
+    assert made["scan"]["made"] == made["render"]["rendered"] == 1
+    assert (out / "batch_0000" / "scans" / "rover_top" / "000000.npz").is_file()
+    assert (out / "batch_0000" / "frames" / "annotation" / "rover_front" / "000000.exr").is_file()

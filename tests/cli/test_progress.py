@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import subprocess
-import sys
 
 import pytest
 
@@ -137,11 +135,3 @@ def test_a_status_is_on_a_terminal_alone_and_goes_before_the_next_line(monkeypat
     assert terminal.getvalue() == "\rreading a.json"
     assert main(["compile", "none.json", "--seed", "1", "-o", "OUT"]) == 2
     assert "\r\x1b[Knone.json:1:1: /: No such file or directory\n" in terminal.getvalue()
-
-
-@pytest.mark.parametrize("command", ["compile", "run"])
-def test_a_command_says_what_it_reads_before_it_imports_what_takes_long(command):
-    heavy = "{'numba', 'pxr', 'scipy'}"
-    code = f"import sys, scenec.cli.{command}_command; print(sorted({heavy} & sys.modules.keys()))"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "[]\n"

@@ -6,8 +6,6 @@ import csv
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -25,6 +23,7 @@ from scenec.datasets.verify import verify
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.lock import LOCK, Lock
 from scenec.testing.made_output import edit, make_output, some_passes
+from scenec.testing.processes import python, ran
 
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """
@@ -92,10 +91,8 @@ def test_a_dataset_lists_every_frame_and_every_file(output, dataset):
     expected = [f"{p.parts[-5]}/{p.parts[-2]}/{p.stem}" for p in stems]
     assert [line["frame"] for line in lines] == expected
     assert counts_of(dataset) == {line["frame"]: int(line["instances"]) for line in lines}
-    done = subprocess.run(
-        ["sha256sum", "-c", "--strict", "--quiet", "SHA256SUMS"], cwd=dataset, check=False
-    )
-    assert done.returncode == 0
+    done = ran("sha256sum", "-c", "--strict", "--quiet", "SHA256SUMS", cwd=dataset)
+    assert done.returncode == 0, done.stderr
     listed = {line[66:] for line in (dataset / "SHA256SUMS").read_text().splitlines()}
     assert listed == set(contents(dataset)) - {"SHA256SUMS"}
 
@@ -151,13 +148,8 @@ def test_an_empty_folder_may_become_a_dataset(output, dataset, tmp_path):
 
 
 def run(output: Path, folder: Path, plugin: Path, workers: int, **extra: str):
-    return subprocess.run(
-        [sys.executable, "-c", _EXPORT, str(output), str(folder), str(workers)],
-        env={**os.environ, "PYTHONPATH": str(plugin), **extra},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(plugin), **extra}
+    return python("-c", _EXPORT, output, folder, workers, env=environment)
 
 
 def test_a_killed_export_goes_on_where_it_was_and_ends_with_the_same_bytes(
@@ -200,13 +192,8 @@ def test_what_was_done_for_another_dataset_is_not_left_in_this_one(
 def test_a_script_needs_no_main_guard(output, plugin, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(_EXPORT)
-    done = subprocess.run(
-        [sys.executable, str(script), str(output), str(tmp_path / "ds"), "2"],
-        env={**os.environ, "PYTHONPATH": str(plugin)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(plugin)}
+    done = python(script, output, tmp_path / "ds", 2, env=environment)
     assert (done.returncode, done.stdout) == (0, "resumed 0\n"), done.stderr
 
 

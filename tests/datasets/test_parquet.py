@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from scenec.testing.made_output import (
     pose_of,
     some_passes,
 )
+from scenec.testing.processes import python
 
 
 @pytest.fixture(scope="module")
@@ -132,19 +131,10 @@ print(json.dumps(told))
 
 def test_hugging_face_datasets_shows_pictures_and_names(out, tmp_path):
     # In a process elsewhere: here, `datasets` is this repository's folder.
-    def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-c", code, *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-
-    if run("from datasets import load_dataset").returncode:
+    if python("-c", "from datasets import load_dataset", cwd=tmp_path).returncode:
         pytest.skip("the package datasets is not installed")
     folder = exported(out, "parquet", tmp_path / "d", shard="3")
-    answer = run(_READ, str(folder), str(tmp_path / "cache"))
+    answer = python("-c", _READ, folder, tmp_path / "cache", cwd=tmp_path)
     assert answer.returncode == 0, answer.stderr
     told = json.loads(answer.stdout.splitlines()[-1])
     assert len(told) == 8

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from itertools import chain
 from pathlib import Path
 
@@ -17,6 +15,8 @@ from source_rules import (
 )
 from test_rooms import HOUSE, above
 
+from scenec.testing.processes import python
+
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = tuple(chain(*HOUSE))
 STREAMS = ROOT / "compiler" / "distributions" / "streams.py"
@@ -25,14 +25,8 @@ STREAMS = ROOT / "compiler" / "distributions" / "streams.py"
 def banned_lines(file: str, lines: list[str]) -> set[int]:
     """Lines, from 1, that ruff refuses as banned imports if they stood in ``file``."""
     options = ["--no-cache", "--select=TID", "--output-format=concise", "--stdin-filename"]
-    done = subprocess.run(
-        [sys.executable, "-m", "ruff", "check", *options, file, "-"],
-        input="\n".join(lines) + "\n",
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    text = "\n".join(lines) + "\n"
+    done = python("-m", "ruff", "check", *options, file, "-", input=text, cwd=ROOT)
     assert done.returncode in (0, 1), done.stderr
     found = (line for line in done.stdout.splitlines() if ": TID" in line)
     return {int(line.split(":")[1]) for line in found}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+
+from scenec.testing.processes import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Folders of one machine; a letter or a dot before the slash makes it a relative path.
@@ -21,13 +22,7 @@ LOCKS_WITH_ADDRESSES = re.compile(r"(?:^|/)(?:uv|pylock|poetry|pdm)[^/]*\.(?:loc
 
 def repository_files() -> list[Path]:
     """Files that are tracked, or would be if added; in the order of git."""
-    done = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", cwd=ROOT)
     if done.returncode != 0:
         pytest.fail(f"not a git checkout: {done.stderr.strip()}")
     names = [ROOT / name for name in done.stdout.split("\0") if name]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import sysconfig
 import tarfile
@@ -12,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from scenec.testing.processes import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("schemas", "compiler", "backends", "datasets", "quality", "settle", "importers", "api",
@@ -53,14 +54,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.invariant]
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(*command, cwd=cwd, env={**os.environ, **environment})
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
