@@ -174,15 +174,9 @@ def make_out(
     """
     made = Made(out, tuple(sensors), samples)
     manifest: dict[str, Any] = {
-        "name": "made",
-        "format": 1,
-        "cfg": {"sha256": "0" * 64, "inputs": {}},
-        "seed": 1,
-        "scenec": "0",
-        "libraries": {},
-        "batches": [],
-        "files": {},
-    }
+        "name": "made", "format": 1, "cfg": {"sha256": "0" * 64, "inputs": {}}, "seed": 1,
+        "scenec": "0", "libraries": {}, "batches": [], "files": {},
+    }  # fmt: skip
     for index in range(batches):
         name = f"batch_{index:04d}"
         manifest["batches"].append(

@@ -5,10 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import psutil
+import pytest
+from _pytest.capture import CaptureResult
+
+from scenec.cli.main import main
 
 
 def ran(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -25,6 +29,14 @@ def python(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
 def scenec(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """Runs a command of scenec, as ``ran``."""
     return python("-m", "scenec.cli.main", *words, **options)
+
+
+def output_of(
+    capsys: pytest.CaptureFixture[str], words: Sequence[str], status: int = 0
+) -> CaptureResult[str]:
+    """Runs a command in this process, which ends with a status; what was said since last asked."""
+    assert main(list(words)) == status
+    return capsys.readouterr()
 
 
 def until(happens: Callable[[], bool], process: subprocess.Popen) -> None:

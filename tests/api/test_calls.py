@@ -20,17 +20,11 @@ from scenec.schemas.errors import ScenecError
 from scenec.testing.small import small_cfg, write_cfg
 
 RECORDS = {
-    "compile": options.CompileOptions,
-    "render": options.RenderOptions,
-    "scan": options.ScanOptions,
-    "run": options.RunOptions,
-    "sweep": options.SweepOptions,
-    "check": options.CheckOptions,
-    "export": options.ExportOptions,
-    "evaluate": options.EvaluateOptions,
-    "view": options.ViewOptions,
-    "preview": options.PreviewOptions,
-}
+    "compile": options.CompileOptions, "render": options.RenderOptions, "scan": options.ScanOptions,
+    "run": options.RunOptions, "sweep": options.SweepOptions, "check": options.CheckOptions,
+    "export": options.ExportOptions, "evaluate": options.EvaluateOptions,
+    "view": options.ViewOptions, "preview": options.PreviewOptions,
+}  # fmt: skip
 #: Of the command line alone: where it prints to, how much, in a window or not.
 OF_COMMANDS = {
     "help", "json", "verbose", "out", "cfg", "format", "list", "predictions", "open",

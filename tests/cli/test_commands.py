@@ -20,7 +20,7 @@ from scenec.cli.main import main, parser
 from scenec.compiler.kinds.schema import load_schemas
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.passes import PASSES
-from scenec.testing.processes import ran, scenec, until
+from scenec.testing.processes import output_of, ran, scenec, until
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -55,15 +55,15 @@ def test_run_leaves_stages_frames_and_a_manifest(output):
 
 
 def test_render_does_not_make_frames_again(output, capsys):
-    assert main(["render", str(output), "--spp", "4", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = json.loads(output_of(capsys, ["render", str(output), "--spp", "4", "--json"]).out)
     assert (result["rendered"], result["skipped"]) == (0, 2)
 
 
 @pytest.mark.usefixtures("worker_here")
 def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
-    assert main(["check", str(output), "--backends", "mitsuba,reference", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = json.loads(
+        output_of(capsys, ["check", str(output), "--backends", "mitsuba,reference", "--json"]).out
+    )
     # The cfg has no land beyond its terrain.
     assert [finding["check"] for finding in result["findings"]] == ["sky"]
     assert result["agreement"]["frames"] == 2
@@ -79,8 +79,9 @@ def test_check_renders_what_is_missing_and_touches_nothing_else(copy, capsys):
         (frames / f"000001.{ending}").unlink()
     kept = (frames / "000000.exr").read_bytes()
     # What is missing is a finding, and no reason not to compare the rest.
-    assert main(["check", str(copy), "--backends", "mitsuba,pyrender", "--spp", "4"]) == 1
-    told = capsys.readouterr().out
+    told = output_of(
+        capsys, ["check", str(copy), "--backends", "mitsuba,pyrender", "--spp", "4"], 1
+    ).out
     assert "1 of 2 frames are missing: 000001" in told
     assert "mitsuba : pyrender" in told
     assert (frames / "000000.exr").read_bytes() == kept
@@ -109,16 +110,14 @@ def test_check_fails_on_damage_and_names_it(copy, capsys):
     frame = copy / "batch_0000" / "frames" / "mitsuba" / "rover_front" / "000001.exr"
     frame.write_bytes(frame.read_bytes()[:1000])
     (copy / "batch_0000" / "looks" / "mud.usda").unlink()
-    assert main(["check", str(copy)]) == 1
-    said = capsys.readouterr().out
+    said = output_of(capsys, ["check", str(copy)], 1).out
     assert "000001" in said
     assert "looks/mud.usda" in said
 
 
 def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, capsys):
     target = tmp_path / "sheet.png"
-    assert main(["sheet", str(output), "--backend", "mitsuba", "-o", str(target)]) == 0
-    said = capsys.readouterr()
+    said = output_of(capsys, ["sheet", str(output), "--backend", "mitsuba", "-o", str(target)])
     assert str(target) in said.out
     assert "frames" in said.err
     with Image.open(target) as picture:
@@ -127,8 +126,7 @@ def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, caps
 
 
 def test_doctor_says_what_works_here(capsys):
-    assert main(["doctor", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(output_of(capsys, ["doctor", "--json"]).out)
     found = said["backends"]
     assert {b["name"] for b in found} == {"mitsuba", "cycles", "pyrender"}
     assert all("llvm" in b["version"] for b in found if b["name"] == "mitsuba")
@@ -226,8 +224,7 @@ def test_settle_refuses_what_it_cannot_compute_with(tmp_path, capsys):
         for text in ("nan", "inf", "-1", "1e308"):
             out = tmp_path / "poses.csv"
             words = ["settle", str(cfg), "--objects", "rocks", "-o", str(out), option, text]
-            assert main(words) == 2
-            assert f"scenec: {option} " in capsys.readouterr().err
+            assert f"scenec: {option} " in output_of(capsys, words, 2).err
             assert not out.exists()
 
 
@@ -239,20 +236,17 @@ def test_without_a_seed_it_is_0():
 def test_validate_says_all_faults_and_writes_nothing(tmp_path, capsys):
     cfg = small_cfg(samples=2)
     path = write_cfg(tmp_path, cfg)
-    assert main(["validate", str(path), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(output_of(capsys, ["validate", str(path), "--json"]).out)
     assert said == {
         "cfg": str(path), "name": cfg["name"], "batches": 1, "samples": 2, "cameras": 1,
         "lidars": 0, "warnings": [],
     }  # fmt: skip
-    assert main(["validate", str(path), "--set", "light.sun.elevation_deg=0.785"]) == 0
-    said = capsys.readouterr()
+    said = output_of(capsys, ["validate", str(path), "--set", "light.sun.elevation_deg=0.785"])
     assert "warning: --set light.sun.elevation_deg=0.785: /light/sun/elevation_deg: " in said.err
     cfg["terrain"]["spacing"] = 0.2
     cfg["objects"]["rocks"]["material"] = "ston"
     write_cfg(tmp_path, cfg)
-    assert main(["validate", str(path)]) == 2
-    lines = capsys.readouterr().err.splitlines()
+    lines = output_of(capsys, ["validate", str(path)], 2).err.splitlines()
     assert any("/terrain/spacing" in line for line in lines)
     assert any("/objects/rocks/material" in line for line in lines)
     assert [path] == list(tmp_path.iterdir())
@@ -264,8 +258,9 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
     cfg["objects"]["rocks"]["material"] = "ston"
     cfg["light"]["sun"]["elevation_deg"] = {"type": "uniform", "min": 60, "max": 20}
     path = write_cfg(tmp_path, cfg)
-    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.splitlines()
+    lines = output_of(
+        capsys, ["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")], 2
+    ).err.splitlines()
     assert len(lines) >= 3
     assert all(line.startswith(f"{path}:") for line in lines)
     assert any("/terrain/spacing" in line and "spacing_m" in line for line in lines)
@@ -293,8 +288,7 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
 def test_what_is_not_there_is_named_in_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_cfg(tmp_path, small_cfg())
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
+    said = output_of(capsys, arguments, 2).err
     assert words in said
     assert "Traceback" not in said
     assert len(said.splitlines()) == 1
@@ -362,8 +356,7 @@ def test_run_makes_all_that_a_cfg_asks_for_scans_too(tmp_path, capsys):
     }
     out = tmp_path / "out"
     words = ["run", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", str(out), "--json"]
-    assert main([*words, "--backend", "reference"]) == 0
-    made = json.loads(capsys.readouterr().out)
+    made = json.loads(output_of(capsys, [*words, "--backend", "reference"]).out)
     assert made.keys() == {"compile", "scan", "render"}
     assert made["scan"]["made"] == made["render"]["rendered"] == 1
     assert (out / "batch_0000" / "scans" / "rover_top" / "000000.npz").is_file()

@@ -23,6 +23,7 @@ from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
 from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.processes import output_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
@@ -291,8 +292,7 @@ def test_other_bins_are_taken_and_bins_that_make_no_sense_refused(capsys):
 def test_the_command_prints_tables_and_writes_json_csv_and_plots(dataset, tmp_path, capsys):
     path = saved(tmp_path / "d.json", noisy(dataset))
     words = ["evaluate", str(path), "--against", str(dataset), "-o", str(tmp_path / "report")]
-    assert main(words) == 0
-    text = capsys.readouterr().out
+    text = output_of(capsys, words).out
     assert "segm_ap " in text
     assert "masks by distance" in text
     written = json.loads((tmp_path / "report/evaluation.json").read_text())
@@ -301,8 +301,7 @@ def test_the_command_prints_tables_and_writes_json_csv_and_plots(dataset, tmp_pa
     lines = (tmp_path / "report/evaluation.csv").read_text().splitlines()
     assert lines[0] == "table,row,measure,value"
     assert any(line.startswith("distance,") for line in lines)
-    assert main([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["task"] == "instances"
+    assert json.loads(output_of(capsys, [*words, "--json"]).out)["task"] == "instances"
 
 
 @pytest.mark.parametrize(
@@ -320,8 +319,9 @@ def test_bad_input_ends_in_one_line(dataset, tmp_path, monkeypatch, capsys, word
     monkeypatch.chdir(tmp_path)
     (tmp_path / "d.json").write_text("[]")
     (tmp_path / "d.txt").write_text("1 2 3\n")
-    assert main(["evaluate", *(str(dataset) if w == "SET" else w for w in words)]) == 2
-    said = capsys.readouterr().err
+    said = output_of(
+        capsys, ["evaluate", *(str(dataset) if w == "SET" else w for w in words)], 2
+    ).err
     assert message in said
     assert said.count("\n") == 1
 
@@ -349,7 +349,6 @@ def test_check_opens_a_coco_dataset_through_pycocotools(dataset, tmp_path, capsy
     sums = tmp_path / "set/SHA256SUMS"
     sums.write_text(sums.read_text().replace(before, sha256(path)))
     capsys.readouterr()
-    assert main(["check", str(tmp_path / "set")]) == 1
-    said = capsys.readouterr().out
+    said = output_of(capsys, ["check", str(tmp_path / "set")], 1).out
     assert "instances_all.json: pycocotools: annotation 1: its mask has area" in said
     assert "1 errors in the dataset" in said

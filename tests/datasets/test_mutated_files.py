@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from scenec.backends.check.files import check_files
 from scenec.backends.check.frames import check_frames, check_scans
-from scenec.cli.main import main
 from scenec.datasets.export import Choice, export
 from scenec.datasets.export_records import read_record, record_path, write_record
 from scenec.datasets.formats.contract import Task
@@ -32,6 +31,7 @@ from scenec.schemas.scans import read_scan, write_scan
 from scenec.schemas.shape import Each, natural, require_shape
 from scenec.testing.examples import examples
 from scenec.testing.made_output import make_output
+from scenec.testing.processes import output_of
 
 #: What stands in the place of something: of each kind, and what trips readers up.
 VALUES = st.one_of(
@@ -327,8 +327,7 @@ def test_what_cannot_be_written_is_said_before_the_work(output, tmp_path, capsys
         manifest = json.loads((out / "manifest.json").read_text())
         (out / "batch_0000").write_text("")
         (out / "manifest.json").write_text(json.dumps(manifest))
-    assert main(words) == 2
-    told = capsys.readouterr().err
+    told = output_of(capsys, words, 2).err
     assert "cannot be written: " in told
     assert "is not a folder" in told
     assert "frame 1/" not in told

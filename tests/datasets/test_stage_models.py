@@ -18,6 +18,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.datasets.models.gltf import decomposed
 from scenec.schemas.quaternions import quaternions
+from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 TEXELS = "texels=16384"
@@ -320,26 +321,27 @@ def test_the_same_stage_gives_the_same_bytes(out, glb, usdz):
     ],
 )
 def test_options_that_make_no_sense_are_refused(out, capsys, words, message):
-    assert main(["export", str(out), "--format", "gltf", "-o", str(out / "x"), *words]) == 2
-    assert message in capsys.readouterr().err
+    assert (
+        message
+        in output_of(
+            capsys, ["export", str(out), "--format", "gltf", "-o", str(out / "x"), *words], 2
+        ).err
+    )
     assert not (out / "x").exists()
 
 
 def test_check_knows_folders_of_models(glb, tmp_path, capsys):
     folder = tmp_path / "gltf"
     shutil.copytree(glb.parent, folder)
-    assert main(["check", str(folder)]) == 0
-    assert "0 errors" in capsys.readouterr().out
+    assert "0 errors" in output_of(capsys, ["check", str(folder)]).out
     file, data = folder / glb.name, glb.read_bytes()
     for changed, message in (
         (data[:-1] + bytes([data[-1] ^ 1]), "was changed"),
         (data[:-1], "has"),
     ):
         file.write_bytes(changed)
-        assert main(["check", str(folder)]) == 1
-        assert message in capsys.readouterr().out
+        assert message in output_of(capsys, ["check", str(folder)], 1).out
     file.rename(folder / "batch_0007.glb")
-    assert main(["check", str(folder)]) == 1
-    said = capsys.readouterr().out
+    said = output_of(capsys, ["check", str(folder)], 1).out
     assert "batch_0000.glb: is missing" in said
     assert "batch_0007.glb: is no part" in said

@@ -22,6 +22,7 @@ from scenec.datasets.filters import make_filters
 from scenec.datasets.verify import compare, is_dataset, verify
 from scenec.schemas.errors import OutputError
 from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 FRAME = "batch_0001/rover_left/000001"
@@ -101,8 +102,7 @@ def test_each_flaw_is_named(name, copy, capsys):
     change(copy)
     found = [f for f in verify(copy) if f.where.startswith(where) and words in f.message]
     assert found, verify(copy)
-    assert main(["check", str(copy)]) == 1
-    assert str(found[0]) in capsys.readouterr().out
+    assert str(found[0]) in output_of(capsys, ["check", str(copy)], 1).out
 
 
 CONTRADICTIONS = {
@@ -133,8 +133,7 @@ def test_what_is_no_dataset_or_of_another_version_is_refused(copy, tmp_path, cap
         (copy / "export.json").write_text(text)
         with pytest.raises(OutputError, match=r"is no export\.json of scenec"):
             verify(copy)
-    assert main(["check", str(copy)]) == 2
-    assert "is no export.json" in capsys.readouterr().err
+    assert "is no export.json" in output_of(capsys, ["check", str(copy)], 2).err
     summary = {"export": 99, "splits": {}, "frames": 0, "digest": {"annotation": ""}}
     (copy / "export.json").write_text(json.dumps(summary))
     with pytest.raises(OutputError, match="of version 99"):
@@ -159,8 +158,7 @@ def test_datasets_of_the_same_frames_with_other_instances_are_not_the_same(
         assert not found.differing
         assert found.held[0] == "batch_0000/rover_left/000000: 3 against 1 instances"
         assert sum("instances" in line for line in found.held) == found.frames == 8
-    assert main(["check", str(dataset), "--against", str(tmp_path / "few")]) == 1
-    out = capsys.readouterr().out
+    out = output_of(capsys, ["check", str(dataset), "--against", str(tmp_path / "few")], 1).out
     assert "error: batch_0000/rover_left/000000: 3 against 1 instances [holds other things]" in out
     assert 'error: keep: [] against ["id<100"] [holds other things]' in out
     assert out.endswith("not the same dataset\n")
@@ -233,8 +231,7 @@ def test_a_frame_with_one_other_pixel_is_named(dataset, tmp_path, capsys):
     other = make_output(tmp_path / "out", tampered)
     found = compare(dataset, other)
     assert (found.differing, found.same) == ([FRAME], False)
-    assert main(["check", str(dataset), "--against", str(other)]) == 1
-    out = capsys.readouterr().out
+    out = output_of(capsys, ["check", str(dataset), "--against", str(other)], 1).out
     assert f"error: {FRAME} [annotation differs]" in out
     assert "the same in 7 of 8 common frames" in out
     assert "not the same dataset" in out
@@ -280,8 +277,9 @@ def test_nothing_in_common_is_not_the_same(tmp_path, dataset):
 
 def test_questions_that_make_no_sense_end_in_one_line(dataset, tmp_path, capsys):
     assert main(["check", str(dataset), "--exact"]) == 2
-    assert main(["check", str(dataset), "--against", str(tmp_path)]) == 2
-    error = capsys.readouterr().err.splitlines()
+    error = output_of(
+        capsys, ["check", str(dataset), "--against", str(tmp_path)], 2
+    ).err.splitlines()
     assert len(error) == 2
     assert "neither a dataset of scenec" in error[1]
 

@@ -21,7 +21,6 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from scenec.backends.run.executors import make_executor
-from scenec.cli.main import main
 from scenec.datasets.view import layers as stored
 from scenec.datasets.view.fitting import steps
 from scenec.datasets.view.ground import Ground, ground_text
@@ -32,6 +31,7 @@ from scenec.schemas.frames import frame_stem, read_frame
 from scenec.schemas.picture import develop
 from scenec.testing import made_output
 from scenec.testing.examples import examples
+from scenec.testing.processes import output_of
 
 ELEMENT = re.compile(rb'<template id="(\w+)">(.*?)</template>', re.DOTALL)
 
@@ -335,8 +335,7 @@ def test_a_page_of_nothing_but_damaged_frames_is_none(tmp_path, capsys):
         write_view(out, tmp_path / "view.html")
     assert not (tmp_path / "view.html").exists()
     for command in (["view"], ["export", "--format", "webdataset", "--faults", "skip"], ["sheet"]):
-        assert main([*command, str(out)]) == 2
-        assert "000000" in capsys.readouterr().err
+        assert "000000" in output_of(capsys, [*command, str(out)], 2).err
     assert not [*out.glob("*.html"), *out.glob("*.png")]
 
 

@@ -24,6 +24,7 @@ from scenec.importers.scene import varied_pose
 from scenec.importers.usd.read import import_usd
 from scenec.importers.usd.scene import KEEP
 from scenec.schemas.errors import ScenecError
+from scenec.testing.processes import output_of
 
 
 def imported(file: Path, **options: object) -> Imported:
@@ -158,10 +159,14 @@ def test_ground_is_chosen_by_name(tmp_path):
 def test_a_damaged_stage_is_a_fault_in_words(tmp_path, capsys):
     file, out = tmp_path / "bad.usda", tmp_path / "ours.json"
     file.write_text("#usda 1.0\ndef Xform {")
-    assert main(["import", "usd", str(file), "-o", str(out)]) == 2
-    assert "bad.usda:2:1: not a USD stage" in capsys.readouterr().err
-    assert main(["import", "usd", str(tmp_path / "none.usd"), "-o", str(out)]) == 2
-    assert "none.usd: no such file" in capsys.readouterr().err
+    assert (
+        "bad.usda:2:1: not a USD stage"
+        in output_of(capsys, ["import", "usd", str(file), "-o", str(out)], 2).err
+    )
+    assert (
+        "none.usd: no such file"
+        in output_of(capsys, ["import", "usd", str(tmp_path / "none.usd"), "-o", str(out)], 2).err
+    )
     assert not out.exists()
 
 
@@ -184,8 +189,7 @@ def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(tmp
 
 def test_the_report_of_a_stage_can_be_read_by_scripts(tmp_path, capsys):
     words = ["import", "usd", str(make_stage(tmp_path)), "-o", str(tmp_path / "a" / "ours.json")]
-    assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(output_of(capsys, [*words, "--json"]).out)
     assert {"fate", "pointer", "to", "note"} <= set(told["values"][0])
 
 

@@ -98,35 +98,15 @@ def test_ruff_refuses_the_lab_in_a_test():
 @pytest.mark.parametrize(
     "line",
     [
-        "a @ b",
-        "a @= b",
-        "x ** 2",
-        "x ** 0.5",
-        "2.5 ** x",
-        "2 ** 0.5",
-        "x **= 3",
-        "np.sort(a)",
-        "np.argsort(a, axis=1)",
-        'np.argsort(a, kind="quicksort")',
-        "a.argsort()",
-        "a.sort()",
-        "a.partition(3)",
-        "a.argpartition(3)",
-        "a.dot(b)",
-        "os.listdir(folder)",
-        "list(folder.iterdir())",
-        "hash(name)",
-        "id(thing)",
-        "[f(x) for x in {1, 2}]",
-        "sorted(list(set(x)) for x in a)",
-        "[f(x) for x in set(a) | set(b)]",
-        "list(set(a))",
-        "tuple({x for x in a})",
-        "np.array(frozenset(a))",
-        '", ".join(a.union(b))',
+        "a @ b", "a @= b", "x ** 2", "x ** 0.5", "2.5 ** x", "2 ** 0.5", "x **= 3", "np.sort(a)",
+        "np.argsort(a, axis=1)", 'np.argsort(a, kind="quicksort")', "a.argsort()", "a.sort()",
+        "a.partition(3)", "a.argpartition(3)", "a.dot(b)", "os.listdir(folder)",
+        "list(folder.iterdir())", "hash(name)", "id(thing)", "[f(x) for x in {1, 2}]",
+        "sorted(list(set(x)) for x in a)", "[f(x) for x in set(a) | set(b)]", "list(set(a))",
+        "tuple({x for x in a})", "np.array(frozenset(a))", '", ".join(a.union(b))',
         "print(*set(a))",
     ],
-)
+)  # fmt: skip
 def test_a_machine_dependent_construction_is_found(line):
     source = f"import numpy as np\n{line}\n"
     assert [v.line for v in determinism_violations(source, "scratch.py")] == [2]
@@ -135,24 +115,13 @@ def test_a_machine_dependent_construction_is_found(line):
 @pytest.mark.parametrize(
     "line",
     [
-        "2**n",
-        "(-1.0) ** n",
-        "2.0**-53",
-        "f(**options)",
-        'np.sort(a, kind="stable")',
-        'np.argsort(a, kind="mergesort")',
-        'a.argsort(kind="stable")',
-        "sorted(set(a))",
-        'sorted(folder.glob("*"))',
-        "sorted(file.name for file in folder.iterdir() if file.name)",
-        'any(folder.glob("*"))',
-        "{f(x) for x in {1, 2}}",
-        'text.partition("=")',
-        "x in {1, 2}",
-        "elementary.pow(x, y)",
-        "len(set(a))",
+        "2**n", "(-1.0) ** n", "2.0**-53", "f(**options)", 'np.sort(a, kind="stable")',
+        'np.argsort(a, kind="mergesort")', 'a.argsort(kind="stable")', "sorted(set(a))",
+        'sorted(folder.glob("*"))', "sorted(file.name for file in folder.iterdir() if file.name)",
+        'any(folder.glob("*"))', "{f(x) for x in {1, 2}}", 'text.partition("=")', "x in {1, 2}",
+        "elementary.pow(x, y)", "len(set(a))",
     ],
-)
+)  # fmt: skip
 def test_a_harmless_construction_is_let_through(line):
     assert determinism_violations(f"import numpy as np\n{line}\n", "scratch.py") == []
 
@@ -193,15 +162,11 @@ def test_only_the_module_of_kernels_imports_numba(layer):
 @pytest.mark.parametrize(
     "line",
     [
-        "@settings(deadline=200)\ndef test(): pass",
-        "assert perf_counter() - start < 1.0",
-        "end = time.monotonic() + 120",
-        "process.communicate(timeout=60)",
-        "subprocess.run(command, timeout=5)",
-        "process.wait(10)",
-        "page.wait_for_timeout(300)",
+        "@settings(deadline=200)\ndef test(): pass", "assert perf_counter() - start < 1.0",
+        "end = time.monotonic() + 120", "process.communicate(timeout=60)",
+        "subprocess.run(command, timeout=5)", "process.wait(10)", "page.wait_for_timeout(300)",
     ],
-)
+)  # fmt: skip
 def test_what_a_slow_moment_would_fail_is_found(line):
     source = f"import subprocess, time\nfrom time import perf_counter\n{line}\n"
     assert [v.line for v in wait_violations(source, "scratch.py")] == [3]
