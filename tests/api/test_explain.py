@@ -181,8 +181,6 @@ def test_left_out_is_listed_most_effective_first_with_seconds_of_this_output(out
 
 
 def test_without_frames_seconds_are_not_made_up(output, tmp_path, capsys):
-    import shutil
-
     bare = tmp_path / "out"
     shutil.copytree(output, bare, ignore=shutil.ignore_patterns("frames"))
     text = said(capsys, str(bare))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -213,8 +214,6 @@ def test_the_answer_is_printed_for_people(output, capsys):
 
 
 def test_a_stage_and_a_record_that_differ_are_said(output, tmp_path):
-    import shutil
-
     out = tmp_path / "out"
     shutil.copytree(output, out)
     path = out / "batch_0000" / "left_out.json"

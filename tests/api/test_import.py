@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.metadata import version
 
 import pytest
 
@@ -39,10 +38,6 @@ def test_each_public_name_is_what_its_module_documents(name):
 
 def test_every_public_name_has_a_home_and_a_type():
     assert sorted(scenec._HOMES) == sorted(scenec.__all__)
-
-
-def test_the_version_is_that_of_the_package():
-    assert scenec.__version__ == version("scenec")
 
 
 def test_what_there_is_not_is_said():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+from scipy.spatial.transform import Rotation
 
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
@@ -94,17 +95,8 @@ class Glb:
 
 
 def matrices(turn: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Linear parts out of quaternions (x, y, z, w) and scales, by the product with i, j and k."""
-    x, y, z, w = turn.astype(float).T
-    rotation = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
-            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
-            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        axis=-2,
-    )
-    return rotation * scale[:, None, :]
+    """Linear parts out of quaternions (x, y, z, w) and scales."""
+    return Rotation.from_quat(turn.astype(float)).as_matrix() * scale[:, None, :]
 
 
 def test_each_instance_stands_in_the_gltf_where_the_stage_has_it(glb, scene):

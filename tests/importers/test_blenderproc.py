@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from both_ways import notes
 from made_bop import CAMERAS, at, make_bop
 
 from scenec.backends.contract import Rays
@@ -168,11 +169,6 @@ def write_hdf5(
 
 LOOKS = {"cam2world_matrix": [[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 1], [0, 0, 0, 1]]}
 K = [[60, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]
-
-
-def notes(made: Imported, fate: str) -> dict[str, str]:
-    """What is said of values of a fate, by where they stood."""
-    return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
 
 
 def test_an_object_that_is_called_camera_has_a_file_of_its_own(tmp_path):

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_stage import make_stage, mesh
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade
+from both_ways import notes
+from made_stage import changed, make_stage, mesh, z_up
+from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdSemantics, UsdShade
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
@@ -29,10 +30,6 @@ from scenec.testing.processes import output_of
 
 def imported(file: Path, **options: object) -> Imported:
     return import_usd(file, file.parent / "ours.json", **options)  # type: ignore[arg-type]
-
-
-def notes(made: Imported, fate: str) -> dict[str, str]:
-    return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
 
 
 def heights(scene: RenderScene, places: list[tuple[float, float]]) -> list[float]:
@@ -117,9 +114,7 @@ def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll):
 
 def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path):
     file = tmp_path / "one.usda"
-    stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage = z_up(file)
     mesh(stage, "/floor", (-5, -5, 0), (5, 5, 0.1))
     stage.GetRootLayer().Save()
     made = imported(file)
@@ -133,9 +128,7 @@ def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path):
 
 def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path):
     file = tmp_path / "post.usda"
-    stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage = z_up(file)
     post = mesh(stage, "/post", (2, 1, 3), (2.5, 9, 3.5))
     UsdGeom.Xformable(post).AddRotateXOp().Set(90.0)
     dome = UsdLux.DomeLight.Define(stage, "/dome")
@@ -172,13 +165,12 @@ def test_a_damaged_stage_is_a_fault_in_words(tmp_path, capsys):
 
 def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    posts = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/posts"))
-    posts.GetProtoIndicesAttr().Set([0] * 120)
-    posts.GetPositionsAttr().Set([(10.0 * i, 0, 0) for i in range(120)])
-    posts.GetScalesAttr().Set([(1, 1 + i, 1) for i in range(120)])
-    posts.CreateOrientationsAttr([Gf.Quath(0, 0, 1, 0)] * 120)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        posts = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/posts"))
+        posts.GetProtoIndicesAttr().Set([0] * 120)
+        posts.GetPositionsAttr().Set([(10.0 * i, 0, 0) for i in range(120)])
+        posts.GetScalesAttr().Set([(1, 1 + i, 1) for i in range(120)])
+        posts.CreateOrientationsAttr([Gf.Quath(0, 0, 1, 0)] * 120)
     made = imported(file)
     assert "evened out" in notes(made, APPROXIMATED)["/World/posts"]
     assert len(made.cfg["objects"]["posts"]["models"]) == 1
@@ -195,19 +187,18 @@ def test_the_report_of_a_stage_can_be_read_by_scripts(tmp_path, capsys):
 
 def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    UsdGeom.BasisCurves.Define(stage, "/World/hair")
-    UsdLux.RectLight.Define(stage, "/World/panel")
-    UsdLux.SphereLight(stage.GetPrimAtPath("/World/bulb")).GetPrim().CreateAttribute(
-        "inputs:diffuse", Sdf.ValueTypeNames.Float
-    ).Set(0.5)
-    floor = UsdGeom.Mesh(stage.GetPrimAtPath("/World/floor"))
-    floor.GetSubdivisionSchemeAttr().Set("catmullClark")
-    floor.CreateDisplayOpacityAttr([0.5])
-    camera = stage.GetPrimAtPath("/World/still")
-    UsdGeom.Camera(camera).CreateShutterOpenAttr(-0.25)
-    stage.DefinePrim("/World/gone").GetReferences().AddReference("gone.usda")
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        UsdGeom.BasisCurves.Define(stage, "/World/hair")
+        UsdLux.RectLight.Define(stage, "/World/panel")
+        UsdLux.SphereLight(stage.GetPrimAtPath("/World/bulb")).GetPrim().CreateAttribute(
+            "inputs:diffuse", Sdf.ValueTypeNames.Float
+        ).Set(0.5)
+        floor = UsdGeom.Mesh(stage.GetPrimAtPath("/World/floor"))
+        floor.GetSubdivisionSchemeAttr().Set("catmullClark")
+        floor.CreateDisplayOpacityAttr([0.5])
+        camera = stage.GetPrimAtPath("/World/still")
+        UsdGeom.Camera(camera).CreateShutterOpenAttr(-0.25)
+        stage.DefinePrim("/World/gone").GetReferences().AddReference("gone.usda")
     losses = read_stage(file, allow_missing=True).losses
     assert len(losses) >= 6
     told = {e.note for e in imported(file).report.entries if e.fate == DROPPED}
@@ -216,11 +207,10 @@ def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path):
 
 def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    UsdGeom.Imageable(stage.GetPrimAtPath("/World/sun")).MakeInvisible()
-    stage.GetPrimAtPath("/World/bulb").GetAttribute("inputs:intensity").Set(0.0)
-    UsdLux.DomeLight.Define(stage, "/World/dome").CreateIntensityAttr(0.0)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        UsdGeom.Imageable(stage.GetPrimAtPath("/World/sun")).MakeInvisible()
+        stage.GetPrimAtPath("/World/bulb").GetAttribute("inputs:intensity").Set(0.0)
+        UsdLux.DomeLight.Define(stage, "/World/dome").CreateIntensityAttr(0.0)
     made = imported(file)
     labels = {"labels": {"class": "sky"}}
     assert made.cfg["light"] == {"sun": None, "sky": {"type": "none", **labels}}
@@ -232,9 +222,7 @@ def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path):
 
 def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_path):
     file = tmp_path / "labeled.usda"
-    stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage = z_up(file)
     texts = ("traffic light", "traffic_light", "unseen", "2x4")
     for number, text in enumerate(texts):
         box = mesh(stage, f"/box{number}", (2 * number, 0, 0), (2 * number + 1, 1, 1))
@@ -268,12 +256,11 @@ def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_pa
 )
 def test_a_value_that_cannot_be_is_a_fault_of_one_line(tmp_path, capsys, path, name, value, told):
     file, out = make_stage(tmp_path), tmp_path / "ours.json"
-    stage = Usd.Stage.Open(str(file))
-    if path:
-        assert stage.GetPrimAtPath(path).GetAttribute(name).Set(value)
-    else:
-        UsdGeom.SetStageMetersPerUnit(stage, value)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        if path:
+            assert stage.GetPrimAtPath(path).GetAttribute(name).Set(value)
+        else:
+            UsdGeom.SetStageMetersPerUnit(stage, value)
     before = sorted(tmp_path.iterdir())
     assert main(["import", "usd", str(file), "-o", str(out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -284,12 +271,11 @@ def test_a_value_that_cannot_be_is_a_fault_of_one_line(tmp_path, capsys, path, n
 
 def test_what_is_scaled_to_nothing_is_said(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    UsdGeom.Xformable(stage.GetPrimAtPath("/World/crate")).AddScaleOp().Set((0, 0, 0))
-    posts = UsdGeom.Xformable(stage.GetPrimAtPath("/World/posts/post"))
-    # A sheet: its matrix has no inverse.
-    posts.AddScaleOp().Set((0, 1, 1))
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        UsdGeom.Xformable(stage.GetPrimAtPath("/World/crate")).AddScaleOp().Set((0, 0, 0))
+        posts = UsdGeom.Xformable(stage.GetPrimAtPath("/World/posts/post"))
+        # A sheet: its matrix has no inverse.
+        posts.AddScaleOp().Set((0, 1, 1))
     made = imported(file)
     assert "scaled to nothing" in notes(made, DROPPED)["/World/crate"]
     assert "crate" not in made.cfg["objects"]
@@ -300,14 +286,13 @@ def test_what_is_scaled_to_nothing_is_said(tmp_path):
 @pytest.mark.parametrize(("ior", "specular"), [(1.5, 0.04), (-1.0, 1.0), (0.0, 1.0)])
 def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(tmp_path, ior, specular):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    material = UsdShade.Material.Define(stage, "/World/glass")
-    shader = UsdShade.Shader.Define(stage, "/World/glass/surface")
-    shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(ior)
-    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/World/crate")).Bind(material)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        material = UsdShade.Material.Define(stage, "/World/glass")
+        shader = UsdShade.Shader.Define(stage, "/World/glass/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(ior)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/World/crate")).Bind(material)
     made = imported(file)
     assert made.cfg["objects"]["crate"]["material"] == "glass"
     assert made.cfg["materials"]["glass"]["specular"] == pytest.approx(specular)
