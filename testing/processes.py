@@ -17,7 +17,7 @@ from scenec.cli.main import main
 
 def ran(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
     """Runs a command to its end, whatever its status; what it says is text."""
-    told = {"capture_output": True, "text": True, "check": False} | options
+    told: dict[str, Any] = {"capture_output": True, "text": True, "check": False} | options
     return subprocess.run([str(word) for word in words], **told)
 
 

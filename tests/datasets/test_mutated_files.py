@@ -6,7 +6,8 @@ import copy
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,17 @@ def output(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("mutated") / "out", batches=1, cameras=("left",))
 
 
+@contextmanager
+def mutated_file(path: Path, data: st.DataObject, more: dict[str, Any] | None = None) -> Iterator:
+    """A JSON file whose content, with more, is mutated while it lasts."""
+    sound = path.read_text()
+    path.write_text(json.dumps(data.draw(mutated(json.loads(sound) | (more or {})))))
+    try:
+        yield
+    finally:
+        path.write_text(sound)
+
+
 def only_our_errors(act: Callable[[], object]) -> None:
     with suppress(ScenecError):
         act()
@@ -113,10 +125,6 @@ def only_our_errors(act: Callable[[], object]) -> None:
 @RELAXED
 @given(data=st.data())
 def test_a_manifest_is_taken_or_refused_in_one_line(output, data):
-    path = output / "manifest.json"
-    sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
-
     def act() -> None:
         manifest = read_manifest(output)
         gaps(manifest)
@@ -125,27 +133,20 @@ def test_a_manifest_is_taken_or_refused_in_one_line(output, data):
         source = Source(output)
         source.load(source.frames[0])
 
-    try:
+    with mutated_file(output / "manifest.json", data):
         only_our_errors(act)
-    finally:
-        path.write_text(sound)
 
 
 @RELAXED
 @given(data=st.data())
 def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_path_factory):
     batch = output / "batch_0000"
-    path = batch / "frames" / "annotation" / "left" / "000000.json"
-    sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound) | BLACK))))
     folder = tmp_path_factory.mktemp("exported")
-    try:
+    with mutated_file(batch / "frames" / "annotation" / "left" / "000000.json", data, BLACK):
         only_our_errors(lambda: list(check_frames(batch, None)))
         for name in ("tum", "coco"):
             choice = Choice(faults="skip")
             only_our_errors(lambda name=name, c=choice: export(output, name, folder / name, c))
-    finally:
-        path.write_text(sound)
 
 
 #: Into a cell of a table: what is no number, or none that an instance has.
@@ -233,14 +234,9 @@ def dataset(output, tmp_path_factory):
 @RELAXED
 @given(data=st.data())
 def test_an_export_s_summary_is_taken_or_refused_in_one_line(output, dataset, data):
-    path = dataset / "export.json"
-    sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
-    try:
+    with mutated_file(dataset / "export.json", data):
         only_our_errors(lambda: verify(dataset))
         only_our_errors(lambda: export(output, "tum", dataset))
-    finally:
-        path.write_text(sound)
 
 
 @RELAXED
