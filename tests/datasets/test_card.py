@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tiny_format import contents, install
+from tiny_format import contents
 
 from scenec.cli.main import parser
 from scenec.datasets import card_tables
@@ -33,12 +33,6 @@ FLINT = {
 
 
 _FENCED = re.compile(r"^(`{3,})\w*\n.*?\n\1$", re.DOTALL | re.MULTILINE)
-
-
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        yield install(patch, tmp_path_factory.mktemp("plugin"))
 
 
 @pytest.fixture(scope="module")

@@ -24,17 +24,12 @@ from scenec.testing.made_output import LABELS, exported, make_output, pose_of, s
 CORE = "all/batch0000/batch0000_000001_000001"
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory):
-    return make_output(tmp_path_factory.mktemp("cityscapes") / "out")
-
-
 def read(path: Path) -> np.ndarray:
     return np.array(Image.open(path))
 
 
-def test_cityscapes_reader_counts_the_same_instances_and_pixels(out, tmp_path):
-    folder = exported(out, "cityscapes", tmp_path / "d")
+def test_cityscapes_reader_counts_the_same_instances_and_pixels(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d")
     number = 3  # batch 0, second camera, second sample
     made = some_passes(number)
     path = folder / f"gtFine/{CORE}_gtFine_instanceIds.png"
@@ -53,8 +48,8 @@ def test_cityscapes_reader_counts_the_same_instances_and_pixels(out, tmp_path):
     assert {s["instID"] for s in found[id2label[3].name]} == {int(v) for v in named}
 
 
-def test_cityscapes_helpers_understand_the_names(out, tmp_path):
-    folder = exported(out, "cityscapes", tmp_path / "d", depth="depth")
+def test_cityscapes_helpers_understand_the_names(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d", depth="depth")
     pictures = [p for p in folder.rglob("*") if p.suffix in (".png", ".json") and "_" in p.name]
     assert len(pictures) == 8 * 7
     for path in pictures:
@@ -66,8 +61,8 @@ def test_cityscapes_helpers_understand_the_names(out, tmp_path):
     assert cameras == {"rover_left": 0, "rover_right": 1}
 
 
-def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(out, tmp_path):
-    folder = exported(out, "cityscapes", tmp_path / "d", levels="all", ids="frame")
+def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d", levels="all", ids="frame")
     made = some_passes(3)
     small = read(folder / f"gtFine/{CORE}_gtFine_labelIds.png")
     large = read(folder / f"levels/surface/gtFine/{CORE}_gtFine_labelIds.png")
@@ -79,8 +74,8 @@ def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(out, 
     assert (four @ np.array([1, 256, 65536, 16777216]) == made["instance"]).all()
 
 
-def test_colors_are_those_of_the_table(out, tmp_path):
-    folder = exported(out, "cityscapes", tmp_path / "d")
+def test_colors_are_those_of_the_table(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d")
     table = json.loads((folder / "labels.json").read_text(encoding="utf-8"))
     assert [(e["id"], e["name"]) for e in table["labels"]["class"]] == list(LABELS["class"].items())
     colors = {e["id"]: e["color"] for e in table["labels"]["class"]}
@@ -134,23 +129,23 @@ def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_
     assert len(json.loads(Path(f"{stem}_instances.json").read_text())) == 1000
 
 
-def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(out, tmp_path):
+def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(output, tmp_path):
     choice = Choice(level="surface")
     with pytest.raises(OutputError, match="no room for instances of a label above 65"):
-        export(out, "cityscapes", tmp_path / "d", choice)
+        export(output, "cityscapes", tmp_path / "d", choice)
 
 
-def test_instances_that_a_filter_ignores_get_the_plain_label(out, tmp_path):
+def test_instances_that_a_filter_ignores_get_the_plain_label(output, tmp_path):
     choice = Choice(filters=make_filters(["id=5"], "ignore"))
-    folder = export(out, "cityscapes", tmp_path / "d", choice).folder
+    folder = export(output, "cityscapes", tmp_path / "d", choice).folder
     made = some_passes(3)
     values = read(folder / f"gtFine/{CORE}_gtFine_instanceIds.png")
     assert (values[made["instance"] > 5] == 3).all()
     assert (values[made["instance"] == 5] == 3000).all()
 
 
-def test_cameras_say_where_they_are(out, tmp_path):
-    folder = exported(out, "cityscapes", tmp_path / "d")
+def test_cameras_say_where_they_are(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d")
     camera = json.loads((folder / f"camera/{CORE}_camera.json").read_text(encoding="utf-8"))
     pose = pose_of("rover_right", 1)
     assert camera["scenec"]["camera_to_world"] == pose.tolist()
@@ -184,23 +179,23 @@ def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(tmp_path, monkeypa
     assert [outer[k] for k in ("yaw", "pitch", "roll")] == pytest.approx([2.0, -0.4, 0.7])
 
 
-def test_depth_and_disparity_are_within_half_a_step(out, tmp_path):
+def test_depth_and_disparity_are_within_half_a_step(output, tmp_path):
     depth = some_passes(3)["depth"]
     hit = np.isfinite(depth)
-    folder = exported(out, "cityscapes", tmp_path / "a", depth="depth")
+    folder = exported(output, "cityscapes", tmp_path / "a", depth="depth")
     values = read(folder / f"depth/{CORE}_depth.png")
     assert values.dtype == np.uint16
     assert (values[~hit] == 0).all()
     assert np.abs(values[hit] / 256.0 - depth[hit]).max() <= 0.5 / 256.0
-    folder = exported(out, "cityscapes", tmp_path / "b", depth="disparity", baseline_m="0.5")
+    folder = exported(output, "cityscapes", tmp_path / "b", depth="disparity", baseline_m="0.5")
     values = read(folder / f"disparity/{CORE}_disparity.png").astype(np.float64)
     assert (values[~hit] == 0).all()
     exact = 10.0 * 0.5 / depth[hit].astype(np.float64)
     assert np.abs((values[hit] - 1.0) / 256.0 - exact).max() <= 0.5 / 256.0
 
 
-def test_depth_beyond_sixteen_bits_is_none_and_counted(out, tmp_path):
-    folder = exported(out, "cityscapes", tmp_path / "d", depth="depth", depth_scale="2000")
+def test_depth_beyond_sixteen_bits_is_none_and_counted(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d", depth="depth", depth_scale="2000")
     depth = some_passes(3)["depth"]
     far = np.isfinite(depth) & (np.rint(depth * 2000.0) > 65535)
     values = read(folder / f"depth/{CORE}_depth.png")

@@ -64,12 +64,11 @@ def masks(coco: COCO) -> dict[tuple[int, int], np.ndarray]:
 
 
 @pytest.mark.parametrize("segmentation", ["rle", "polygon"])
-def test_every_mask_comes_back_pixel_for_pixel(tmp_path, segmentation):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set", options={"segmentation": segmentation})
+def test_every_mask_comes_back_pixel_for_pixel(output, tmp_path, segmentation):
+    coco = coco_of(output, tmp_path / "set", options={"segmentation": segmentation})
     read = masks(coco)
     expected = {}
-    for ref in (source := Source(out)).frames:
+    for ref in (source := Source(output)).frames:
         instance = source.load(ref).passes["instance"]
         for number in np.unique(instance[instance > 0]).tolist():
             expected[ref.index + 1, number] = instance == number
@@ -81,10 +80,9 @@ def test_every_mask_comes_back_pixel_for_pixel(tmp_path, segmentation):
         assert each["bbox"] == coco_mask.toBbox(whole["segmentation"]).tolist()
 
 
-def test_images_say_what_they_are_of_and_how_they_were_seen(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set")
-    source = Source(out)
+def test_images_say_what_they_are_of_and_how_they_were_seen(output, tmp_path):
+    coco = coco_of(output, tmp_path / "set")
+    source = Source(output)
     assert len(coco.dataset["images"]) == len(source) == 8
     for image, ref in zip(coco.dataset["images"], source.frames, strict=True):
         frame = source.load(ref)
@@ -100,15 +98,16 @@ def test_images_say_what_they_are_of_and_how_they_were_seen(tmp_path):
         assert image["camera_to_world"] == frame.camera_to_world.tolist()
 
 
-def test_categories_are_the_labels_that_instances_have_under_the_next_coarser_level(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "fine", level="surface")
+def test_categories_are_the_labels_that_instances_have_under_the_next_coarser_level(
+    output, tmp_path
+):
+    coco = coco_of(output, tmp_path / "fine", level="surface")
     # The levels have equally many labels here, so neither is the coarser one.
     assert coco.dataset["categories"] == [{"id": 300, "name": "stone", "supercategory": "surface"}]
     remap = parse_remap({"class": {"sky": None}})
-    coco = coco_of(out, tmp_path / "coarse", level="surface", remap=remap)
+    coco = coco_of(output, tmp_path / "coarse", level="surface", remap=remap)
     assert coco.dataset["categories"] == [{"id": 300, "name": "stone", "supercategory": "rock"}]
-    coco = coco_of(out, tmp_path / "all", level="surface", options={"categories": "all"})
+    coco = coco_of(output, tmp_path / "all", level="surface", options={"categories": "all"})
     assert [c["name"] for c in coco.dataset["categories"]] == list(LABELS["surface"].values())
 
 
@@ -220,9 +219,8 @@ def test_instances_without_a_label_are_left_out_and_counted(tmp_path):
     assert json.loads((tmp_path / "set" / "export.json").read_text())["left_out"] == report.left_out
 
 
-def test_labels_that_are_left_out_take_their_instances_along(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set", remap=parse_remap({"class": {"rock": None}}))
+def test_labels_that_are_left_out_take_their_instances_along(output, tmp_path):
+    coco = coco_of(output, tmp_path / "set", remap=parse_remap({"class": {"rock": None}}))
     assert coco.dataset["annotations"] == []
     assert len(coco.dataset["images"]) == 8
 
@@ -307,29 +305,27 @@ def test_frames_without_pictures_and_depth_are_exported_too(tmp_path):
     assert not (tmp_path / "set" / "images").exists()
 
 
-def test_pictures_are_linked_copied_or_left_out(tmp_path):
-    out = make_output(tmp_path / "out")
+def test_pictures_are_linked_copied_or_left_out(output, tmp_path):
     for how in ("link", "copy", "none"):
-        export(out, "coco", tmp_path / how, Choice(options={"images": how}))
+        export(output, "coco", tmp_path / how, Choice(options={"images": how}))
     name = "images/all/batch_0000_rover_left_000000.png"
-    source = next((out / "batch_0000").rglob("rover_left/000000.png"))
+    source = next((output / "batch_0000").rglob("rover_left/000000.png"))
     assert os.path.samefile(tmp_path / "link" / name, source)
     assert not os.path.samefile(tmp_path / "copy" / name, source)
     assert (tmp_path / "copy" / name).read_bytes() == source.read_bytes()
     assert not (tmp_path / "none" / "images").exists()
 
 
-def test_what_tables_say_of_hidden_parts_goes_along(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set")
+def test_what_tables_say_of_hidden_parts_goes_along(output, tmp_path):
+    coco = coco_of(output, tmp_path / "set")
     # testing/made_output.py: one pixel hidden, one more beyond the border.
     for each in coco.dataset["annotations"]:
         area = each["area"]
         assert each["amodal_area"] == area + 1
         assert each["occlusion"] == pytest.approx(1 / (area + 1), abs=1e-6)
         assert each["truncation"] == pytest.approx(1 / (area + 2), abs=1e-6)
-        ref = Source(out).frames[each["image_id"] - 1]
-        frame = Source(out).load(ref)
+        ref = Source(output).frames[each["image_id"] - 1]
+        frame = Source(output).load(ref)
         seen = frame.passes["depth"][frame.passes["instance"] == each["instance_id"]]
         assert each["depth"] == pytest.approx(seen.mean(), rel=1e-6)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from killed import contents as contents_of
 from killed import killed_at_each_call
-from tiny_format import KILL, contents, counts_of, install
+from tiny_format import KILL, contents, counts_of
 
 from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
@@ -38,24 +38,6 @@ try:
 except ScenecError as error:
     sys.exit(f"said: {error}")
 """
-
-
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        yield install(patch, tmp_path_factory.mktemp("plugin"))
-
-
-@pytest.fixture(scope="module")
-def output(tmp_path_factory):
-    return make_output(tmp_path_factory.mktemp("made") / "out")
-
-
-@pytest.fixture(scope="module")
-def dataset(output, plugin, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole") / "ds"
-    export(output, "tiny", folder)
-    return folder
 
 
 @pytest.fixture

@@ -27,14 +27,9 @@ from scenec.testing.made_output import (
 )
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory):
-    return make_output(tmp_path_factory.mktemp("hdf5") / "out")
-
-
 @pytest.mark.parametrize("compression", ["none", "lzf", "gzip"])
-def test_every_pass_comes_back_bit_for_bit(out, tmp_path, compression):
-    folder = exported(out, "hdf5", tmp_path / "d", compression=compression)
+def test_every_pass_comes_back_bit_for_bit(output, tmp_path, compression):
+    folder = exported(output, "hdf5", tmp_path / "d", compression=compression)
     with h5py.File(folder / "all_12x8.h5") as file:
         for number in range(8):
             for name, array in some_passes(number).items():
@@ -47,8 +42,8 @@ def test_every_pass_comes_back_bit_for_bit(out, tmp_path, compression):
         assert file["rgb"].compression == (None if compression == "none" else compression)
 
 
-def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out, tmp_path):
-    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
+def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         assert file["label.class"].dtype == np.uint8
         assert file["label.surface"].dtype == np.uint16
         for level, names in LABELS.items():
@@ -59,8 +54,8 @@ def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out, tmp_pa
             assert list(attributes["label_ids"]) == list(names)
 
 
-def test_the_tables_of_instances_are_concatenated_with_offsets(out, tmp_path):
-    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
+def test_the_tables_of_instances_are_concatenated_with_offsets(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         group = file["instances"]
         assert len(group["offsets"]) == 9
         assert group["offsets"][0] == 0
@@ -82,8 +77,8 @@ def test_the_tables_of_instances_are_concatenated_with_offsets(out, tmp_path):
             assert (np.sort(group["id"][start:end]) == shown[shown > 0]).all()
 
 
-def test_cameras_come_back_exactly(out, tmp_path):
-    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
+def test_cameras_come_back_exactly(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         cameras = file["camera"].asstr()[:]
         for number in range(8):
             sample = int(file["sample"][number])
@@ -94,8 +89,8 @@ def test_cameras_come_back_exactly(out, tmp_path):
             assert file["frame"].asstr()[number] == name
 
 
-def test_everything_says_what_it_is(out, tmp_path):
-    with h5py.File(exported(out, "hdf5", tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
+def test_everything_says_what_it_is(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
         silent: list[str] = []
 
         def look(name: str, node: h5py.Dataset | h5py.Group) -> None:
@@ -109,10 +104,10 @@ def test_everything_says_what_it_is(out, tmp_path):
         assert "OpenCV" in file["camera_to_world"].attrs["convention"]
 
 
-def test_the_picture_is_the_one_beside_the_frame(out, tmp_path):
-    with h5py.File(exported(out, "hdf5", tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
+def test_the_picture_is_the_one_beside_the_frame(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
         assert "rgb" not in file
-        picture = Image.open(out / "batch_0000/frames/annotation/rover_left/000001.png")
+        picture = Image.open(output / "batch_0000/frames/annotation/rover_left/000001.png")
         assert (file["rgb8"][1] == np.array(picture)).all()
         assert (file["rgb8"][1] == develop(some_passes(1)["rgb"], EXPOSURE_EV)).all()
 
@@ -189,8 +184,8 @@ def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["hdf5", "webdataset"])
-def test_no_more_than_two_frames_are_in_memory_at_a_time(out, tmp_path, name):
-    source = Source(out)
+def test_no_more_than_two_frames_are_in_memory_at_a_time(output, tmp_path, name):
+    source = Source(output)
     alive: list[weakref.ref[LoadedFrame]] = []
     most = 0
 

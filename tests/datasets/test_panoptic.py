@@ -229,9 +229,8 @@ def test_splits_have_folders_of_their_own(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["coco", "panoptic"])
-def test_an_export_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, form):
-    out = make_output(tmp_path / "out")
-    export(out, form, tmp_path / "whole")
+def test_an_export_that_was_cut_short_goes_on_to_the_same_bytes(output, tmp_path, form):
+    export(output, form, tmp_path / "whole")
 
     class CutError(Exception):
         pass
@@ -241,6 +240,6 @@ def test_an_export_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, form):
             raise CutError
 
     with pytest.raises(CutError):
-        export(out, form, tmp_path / "cut", progress=cut)
-    assert export(out, form, tmp_path / "cut").resumed == 3
+        export(output, form, tmp_path / "cut", progress=cut)
+    assert export(output, form, tmp_path / "cut").resumed == 3
     assert same_tree(tmp_path / "whole", tmp_path / "cut")

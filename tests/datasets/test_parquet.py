@@ -27,11 +27,6 @@ from scenec.testing.made_output import (
 from scenec.testing.processes import python
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory):
-    return make_output(tmp_path_factory.mktemp("parquet") / "out")
-
-
 def rows(folder: Path) -> list[dict[str, Any]]:
     found = []
     for path in sorted((folder / "data").iterdir()):
@@ -43,8 +38,8 @@ def pixels(cell: dict[str, Any]) -> np.ndarray:
     return np.array(Image.open(io.BytesIO(cell["bytes"])))
 
 
-def test_pyarrow_reads_every_frame_with_the_same_values(out, tmp_path):
-    folder = exported(out, "parquet", tmp_path / "d", shard="3")
+def test_pyarrow_reads_every_frame_with_the_same_values(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d", shard="3")
     names = [path.name for path in sorted((folder / "data").iterdir())]
     assert names == [f"train-{i:05d}-of-00003.parquet" for i in range(3)]
     found = rows(folder)
@@ -62,8 +57,8 @@ def test_pyarrow_reads_every_frame_with_the_same_values(out, tmp_path):
         assert row["frame"] == f"batch_{row['batch']:04d}/{row['camera']}/{row['sample']:06d}"
 
 
-def test_objects_are_those_of_the_frame(out, tmp_path):
-    folder = exported(out, "parquet", tmp_path / "d")
+def test_objects_are_those_of_the_frame(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d")
     names = list(LABELS["class"].values())
     for number, row in enumerate(rows(folder)):
         ids = some_passes(number)["instance"]
@@ -85,8 +80,8 @@ def test_objects_are_those_of_the_frame(out, tmp_path):
             assert inside[:, -1].any()
 
 
-def test_depth_in_sixteen_bits_is_within_half_a_step(out, tmp_path):
-    folder = exported(out, "parquet", tmp_path / "d", depth="png", depth_scale="500")
+def test_depth_in_sixteen_bits_is_within_half_a_step(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d", depth="png", depth_scale="500")
     for number, row in enumerate(rows(folder)):
         depth = some_passes(number)["depth"]
         hit = np.isfinite(depth)
@@ -95,8 +90,8 @@ def test_depth_in_sixteen_bits_is_within_half_a_step(out, tmp_path):
         assert np.abs(values[hit] / 500.0 - depth[hit]).max() <= 0.5 / 500.0
 
 
-def test_the_schema_names_the_features(out, tmp_path):
-    folder = exported(out, "parquet", tmp_path / "d")
+def test_the_schema_names_the_features(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d")
     schema = pq.read_schema(next((folder / "data").iterdir()))
     features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
     assert list(features) == schema.names
@@ -129,11 +124,11 @@ print(json.dumps(told))
 """
 
 
-def test_hugging_face_datasets_shows_pictures_and_names(out, tmp_path):
+def test_hugging_face_datasets_shows_pictures_and_names(output, tmp_path):
     # In a process elsewhere: here, `datasets` is this repository's folder.
     if python("-c", "from datasets import load_dataset", cwd=tmp_path).returncode:
         pytest.skip("the package datasets is not installed")
-    folder = exported(out, "parquet", tmp_path / "d", shard="3")
+    folder = exported(output, "parquet", tmp_path / "d", shard="3")
     answer = python("-c", _READ, folder, tmp_path / "cache", cwd=tmp_path)
     assert answer.returncode == 0, answer.stderr
     told = json.loads(answer.stdout.splitlines()[-1])
@@ -149,9 +144,9 @@ def test_hugging_face_datasets_shows_pictures_and_names(out, tmp_path):
         assert [row["names"][c] for c in row["objects"]["category"]] == ["rock"] * len(table["id"])
 
 
-def test_splits_are_files_of_their_own(out, tmp_path):
+def test_splits_are_files_of_their_own(output, tmp_path):
     choice = Choice(splits={"train": range(0, 1), "val": range(1, 2)})
-    folder = export(out, "parquet", tmp_path / "d", choice).folder
+    folder = export(output, "parquet", tmp_path / "d", choice).folder
     train = pq.read_table(folder / "data/train-00000-of-00001.parquet")
     val = pq.read_table(folder / "data/val-00000-of-00001.parquet")
     assert set(train["batch"].to_pylist()) == {0}

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_format import contents, install
+from tiny_format import contents
 
 from scenec.backends.run.render import render
 from scenec.cli.main import main
@@ -26,24 +26,6 @@ from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 FRAME = "batch_0001/rover_left/000001"
-
-
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        yield install(patch, tmp_path_factory.mktemp("plugin"))
-
-
-@pytest.fixture(scope="module")
-def output(tmp_path_factory):
-    return make_output(tmp_path_factory.mktemp("made") / "out")
-
-
-@pytest.fixture(scope="module")
-def dataset(output, plugin, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("whole") / "ds"
-    export(output, "tiny", folder)
-    return folder
 
 
 @pytest.fixture

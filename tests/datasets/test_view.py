@@ -84,15 +84,14 @@ def read_steps(data: bytes, facts: dict, shape: tuple[int, int]) -> np.ndarray:
     return values
 
 
-def test_ids_come_back_exactly_and_depth_within_the_stated_error(tmp_path):
-    out = made_output.make_output(tmp_path / "out")
-    write_view(out, tmp_path / "view.html")
+def test_ids_come_back_exactly_and_depth_within_the_stated_error(output, tmp_path):
+    write_view(output, tmp_path / "view.html")
     texts, index = elements(tmp_path / "view.html"), index_of(tmp_path / "view.html")
     for number, row in enumerate(rows_of(tmp_path / "view.html")):
         _, batch, camera, sample = row["at"]
         frame = read_frame(
             frame_stem(
-                out / index["batches"][batch], "annotation", index["cameras"][camera], sample
+                output / index["batches"][batch], "annotation", index["cameras"][camera], sample
             )
         )
         facts, data = unpacked(texts[f"f{number}"])
@@ -275,9 +274,8 @@ def test_the_same_output_gives_the_same_bytes_whatever_the_number_of_processes(t
     assert str(tmp_path).encode() not in pages[0]
 
 
-def test_the_page_asks_for_nothing_from_elsewhere(tmp_path):
-    out = made_output.make_output(tmp_path / "out")
-    write_view(out, tmp_path / "view.html")
+def test_the_page_asks_for_nothing_from_elsewhere(output, tmp_path):
+    write_view(output, tmp_path / "view.html")
     page = (tmp_path / "view.html").read_text(encoding="utf-8")
     assert "default-src 'none'" in page
     addresses = set(re.findall(r"\w+://[^\"' )]+", page))

@@ -26,19 +26,16 @@ from scenec.testing.made_output import (
 )
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory):
-    return make_output(tmp_path_factory.mktemp("webdataset") / "out")
-
-
 def samples(folder: Path, decode: str = "rgb8") -> list[dict[str, Any]]:
     shards = sorted(map(str, folder.glob("*.tar")))
     return list(webdataset.WebDataset(shards, shardshuffle=False).decode(decode))
 
 
 @pytest.mark.parametrize("arrays", ["npy", "npz"])
-def test_webdataset_reads_every_frame_in_order_with_the_same_values(out, tmp_path, arrays):
-    folder = exported(out, "webdataset", tmp_path / "d", shard="3", arrays=arrays, radiance="yes")
+def test_webdataset_reads_every_frame_in_order_with_the_same_values(output, tmp_path, arrays):
+    folder = exported(
+        output, "webdataset", tmp_path / "d", shard="3", arrays=arrays, radiance="yes"
+    )
     assert len(list(folder.glob("*.tar"))) == 3
     found = samples(folder)
     assert len(found) == 8
@@ -59,15 +56,15 @@ def test_webdataset_reads_every_frame_in_order_with_the_same_values(out, tmp_pat
         assert not any(line["ignored"] for line in told["instances"])
 
 
-def test_labels_take_the_smallest_type(out, tmp_path):
-    sample = samples(exported(out, "webdataset", tmp_path / "d"))[0]
+def test_labels_take_the_smallest_type(output, tmp_path):
+    sample = samples(exported(output, "webdataset", tmp_path / "d"))[0]
     assert sample["label.class.npy"].dtype == np.uint8
     assert sample["label.surface.npy"].dtype == np.uint16
     assert sample["instance.npy"].dtype == np.uint32
 
 
-def test_members_are_sorted_and_have_neither_time_nor_owner(out, tmp_path):
-    folder = exported(out, "webdataset", tmp_path / "d")
+def test_members_are_sorted_and_have_neither_time_nor_owner(output, tmp_path):
+    folder = exported(output, "webdataset", tmp_path / "d")
     with tarfile.open(folder / "all-000000.tar") as tar:
         members = tar.getmembers()
     assert {(m.mtime, m.uid, m.gid, m.uname, m.gname, m.mode) for m in members} == {
@@ -91,9 +88,9 @@ def test_shards_stay_below_their_size(tmp_path):
     assert len(samples(folder)) == 6
 
 
-def test_the_index_says_which_shards_there_are(out, tmp_path):
+def test_the_index_says_which_shards_there_are(output, tmp_path):
     choice = Choice(options={"shard": "3"}, splits={"train": range(0, 1), "val": range(1, 2)})
-    folder = export(out, "webdataset", tmp_path / "d", choice).folder
+    folder = export(output, "webdataset", tmp_path / "d", choice).folder
     index = json.loads((folder / "shards.json").read_text(encoding="utf-8"))
     assert index["shards"] == {
         "train": {"train-000000.tar": 3, "train-000001.tar": 1},
@@ -144,6 +141,6 @@ def test_levels_that_the_reader_would_take_for_one_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("option", "value"), [("shard", "0"), ("shard_mb", "-1"), ("shard", "x"), ("shard", "1.5")]
 )
-def test_sizes_that_make_no_sense_are_refused(out, tmp_path, option, value):
+def test_sizes_that_make_no_sense_are_refused(output, tmp_path, option, value):
     with pytest.raises(OutputError, match=f"option {option}: expected a whole number from"):
-        exported(out, "webdataset", tmp_path / "d", **{option: value})
+        exported(output, "webdataset", tmp_path / "d", **{option: value})
