@@ -6,6 +6,8 @@ import csv
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -306,3 +308,25 @@ def test_a_dataset_is_replaced_whole_or_not_at_all_whenever_its_process_is_kille
         shutil.rmtree(ds)
         shutil.copytree(tmp_path / "kept", ds)
     assert seen == {True, False}
+
+
+def test_where_semaphores_cannot_be_made_workers_need_none():
+    hide = 'mount -t tmpfs -o ro tmpfs /dev/shm && exec "$@"'
+    private = ["unshare", "--map-root-user", "--mount", "sh", "-c", hide, "sh"]
+    try:
+        ran(*private, "true", check=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no file systems of one's own here")
+    code = (
+        "import multiprocessing\n"
+        "from scenec.backends.run.executors import Processes\n"
+        "from scenec.backends.run.units import OfBackend\n"
+        "from scenec.schemas.units import run_all\n"
+        "try: multiprocessing.Lock()\n"
+        "except OSError: print('no lock')\n"
+        "with Processes(2) as workers:\n"
+        "    units = [OfBackend(text, len) for text in ('a', 'bc', 'def')]\n"
+        "    print([o.result() for _, o in run_all(workers, units, in_order=True, ahead=2)])\n"
+    )
+    done = ran(*private, sys.executable, "-c", code)
+    assert (done.stdout, done.stderr) == ("no lock\n[1, 2, 3]\n", "")
