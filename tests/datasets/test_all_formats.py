@@ -116,21 +116,26 @@ def test_a_fault_is_refused_in_one_line_or_the_dataset_is_sound(sound, tmp_path,
         assert told or (name not in exports.REFUSED and verify(target) == []), form
 
 
+@pytest.fixture(scope="module")
+def two():
+    with Processes(2) as executor:
+        yield executor
+
+
 #: Where a dataset has several files of one kind.
 SHARDS = {"hdf5": {"shard": "3"}, "parquet": {"shard": "3"}, "webdataset": {"shard": "3"}}
 
 
 @pytest.mark.parametrize("name", format_names())
 def test_frames_are_in_every_format_with_the_same_bytes_whoever_writes_them(
-    sound, made, tmp_path, name
+    sound, made, two, tmp_path, name
 ):
     choice = Choice(options=exports.OPTIONS.get(name, {}))
     assert export(sound, name, tmp_path / "all", choice).frames == 4
     assert verify(tmp_path / "all") == []
     choice = Choice(options=SHARDS.get(name, {}))
     assert export(made.out, name, tmp_path / "one", choice).frames == 4
-    with Processes(2) as two:
-        export(made.out, name, tmp_path / "ä b" / "two", choice, executor=two)
+    export(made.out, name, tmp_path / "ä b" / "two", choice, executor=two)
     sums = [(tmp_path / place / "SHA256SUMS").read_text() for place in ("one", "ä b/two")]
     assert sums[0] == sums[1]
     assert len(sums[0].splitlines()) > 3

@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import yaml
+from rosbags.highlevel import AnyReader
 
 from scenec.datasets.export import export
 from scenec.datasets.source import Source
@@ -34,7 +36,6 @@ def made_with(folder: Path, lens: dict[str, Any], skew: float = 0.0) -> Path:
 
 
 def test_a_loaded_frame_has_its_lens(tmp_path):
-    """As ``schemas.lens`` has it."""
     source = Source(made_with(tmp_path, FISHEYE))
     frame = source.load(source.frames[0])
     assert frame.lens == Lens("kannala_brandt", (-0.01, 2e-3, 3e-4, 0.0), np.pi / 2)
@@ -63,9 +64,6 @@ def test_euroc_has_the_distortion(tmp_path, lens, model, count):
     ],
 )
 def test_a_bags_camera_info_has_the_distortion(tmp_path, lens, model, count):
-    """Read by rosbags: model and coefficients as image_geometry takes them."""
-    from rosbags.highlevel import AnyReader
-
     folder = Path(export(made_with(tmp_path, lens), "rosbag2").folder)
     bags = [path.parent for path in folder.rglob("metadata.yaml")]
     with AnyReader(bags) as reader:
@@ -89,7 +87,6 @@ def test_a_bags_camera_info_has_the_distortion(tmp_path, lens, model, count):
     ],
 )
 def test_what_a_format_cannot_hold_is_one_line(tmp_path, form, lens, said):
-    """With the frame, the camera, and how to leave it out."""
     with pytest.raises(OutputError) as error:
         export(made_with(tmp_path, lens), form)
     assert said in str(error.value)
@@ -98,15 +95,11 @@ def test_what_a_format_cannot_hold_is_one_line(tmp_path, form, lens, said):
 
 
 def test_a_lens_and_a_skew_are_too_much_for_a_bag(tmp_path):
-    """Its readers drop the skew."""
     with pytest.raises(OutputError, match="has a lens and a skew"):
         export(made_with(tmp_path, BROWN, 0.5), "rosbag2")
 
 
 def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path):
-    """Beside the intrinsics; in an attribute of the file."""
-    import h5py
-
     out = made_with(tmp_path, FISHEYE)
     folder = Path(export(out, "coco", folder=tmp_path / "coco").folder)
     (path,) = [p for p in folder.rglob("*.json") if b'"images"' in p.read_bytes()]
