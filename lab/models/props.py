@@ -57,11 +57,7 @@ def calibration_board() -> Model:
         "board_back": Look((0.50, 0.50, 0.50), 0.70),
         "aluminum": Look((0.58, 0.59, 0.60), 0.40, 1.0),
     }
-    parts = {
-        "pattern": pattern,
-        "board": panel.part("board_back"),
-        "legs": legs.part("aluminum"),
-    }
+    parts = {"pattern": pattern, "board": panel.part("board_back"), "legs": legs.part("aluminum")}
     return Model(parts, looks)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,10 +39,6 @@ class Solid(NamedTuple):
         points = self.points if turn is None else self.points @ turn
         return Solid(points + np.asarray(at, np.float64), self.faces)
 
-    def mirrored(self) -> Solid:
-        """Its image on the other side of the plane x = 0."""
-        return Solid(self.points * np.array([-1.0, 1.0, 1.0]), self.faces[:, ::-1])
-
 
 def outward(points: Floats, faces: Integers | Sequence[Sequence[int]]) -> Solid:
     """A solid with all faces turned round where they enclose a negative volume."""
@@ -50,21 +46,6 @@ def outward(points: Floats, faces: Integers | Sequence[Sequence[int]]) -> Solid:
     a, b, c = (points[rows[:, k]] for k in range(3))
     negative = float((a * np.cross(b, c)).sum()) < 0.0
     return Solid(points, rows[:, ::-1] if negative else rows)
-
-
-def together(*solids: Solid) -> Solid:
-    """Several solids as one list of points and faces."""
-    starts = np.cumsum([0] + [len(s.points) for s in solids[:-1]])
-    return Solid(
-        np.concatenate([s.points for s in solids]),
-        np.concatenate([s.faces + n for s, n in zip(solids, starts, strict=True)]),
-    )
-
-
-def shaded(surface: Surface, *solids: Solid, crease: float = CREASE_DEG) -> None:
-    """Adds solids to a part: smooth but for edges sharper than ``crease`` degrees."""
-    for solid in solids:
-        surface.add(*creased(solid.points, solid.faces, crease))
 
 
 def creased(points: Floats, faces: Integers, degrees: float) -> tuple[Floats, Integers, Floats]:
@@ -97,61 +78,6 @@ def creased(points: Floats, faces: Integers, degrees: float) -> tuple[Floats, In
     keys = np.column_stack([corners, np.round(normals * 512.0)])
     _, used, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return points[corners[used]], numbers.reshape(-1, 3).astype(np.int64), normals[used]
-
-
-def rounded_box(
-    surface: Surface, low: Sequence[float], high: Sequence[float], bevel: float,
-    at: Sequence[float] | Floats = (0.0, 0.0, 0.0), turn: Floats | None = None,
-) -> None:  # fmt: skip
-    """Adds a box whose edges are chamfered by ``bevel``, shaded as if they were round.
-
-    All points carry the normal of the large face that they bound: a bevel then shades from one
-    face's normal to the other's, with 44 triangles a box.
-    """
-    x = np.array([low, high], np.float64)
-    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
-    corner = np.where(signs < 0, x[0], x[1])
-    points, normals = np.zeros((8, 3, 3)), np.zeros((8, 3, 3))
-    for axis in range(3):
-        points[:, axis] = corner - bevel * signs * (np.arange(3) != axis)
-        normals[:, axis, axis] = signs[:, axis]
-    faces: list[tuple[int, int, int]] = []
-
-    def quad(*ring: int) -> None:
-        a, b, c, d = ring
-        faces.extend([(a, b, c), (a, c, d)])
-
-    def index(i: int, j: int, k: int, axis: int) -> int:
-        return 3 * (4 * i + 2 * j + k) + axis
-
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-
-        def place(a: int, b: int, c: int, owner: int, axes: tuple[int, int, int]) -> int:
-            bits = [0, 0, 0]
-            for which, bit in zip(axes, (a, b, c), strict=True):
-                bits[which] = bit
-            return index(bits[0], bits[1], bits[2], owner)
-
-        axes = (axis, u, v)
-        for side in (0, 1):
-            quad(*(place(side, p, q, axis, axes) for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))))
-        for p in (0, 1):
-            for q in (0, 1):
-                # The edge along this axis, between the faces of the other two.
-                quad(
-                    place(0, p, q, u, axes), place(1, p, q, u, axes),
-                    place(1, p, q, v, axes), place(0, p, q, v, axes),
-                )  # fmt: skip
-    faces += [(3 * k, 3 * k + 1, 3 * k + 2) for k in range(8)]
-    rows = np.array(faces)
-    flat, toward = points.reshape(-1, 3), normals.reshape(-1, 3)
-    a, b, c = (flat[rows[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * toward[rows].sum(axis=1)).sum(axis=1) < 0.0
-    rows[inward] = rows[inward][:, ::-1]
-    if turn is not None:
-        flat, toward = flat @ turn, toward @ turn
-    surface.add(flat + np.asarray(at, np.float64), rows, toward)
 
 
 def ears(outline: Floats) -> list[tuple[int, int, int]]:
@@ -312,15 +238,6 @@ def bent(
     return loft(sections)
 
 
-def ellipsoid(center: Sequence[float], radii: Sequence[float], sides: int = 20) -> Solid:
-    """An ellipsoid along the axes."""
-    steps = np.linspace(-0.5 * math.pi, 0.5 * math.pi, sides // 2 + 1)
-    profile = [(math.cos(t), math.sin(t)) for t in steps]
-    profile[0], profile[-1] = (0.0, -1.0), (0.0, 1.0)
-    ball = turned_shape(profile, sides)
-    return Solid(ball.points * np.asarray(radii) + np.asarray(center), ball.faces)
-
-
 def arc(
     center: tuple[float, float], radius: float, start: float, end: float, count: int
 ) -> list[tuple[float, float]]:
@@ -405,16 +322,98 @@ def gradient(distance: Callable[[Floats], Floats], points: Floats, step: float) 
     return np.column_stack(columns)
 
 
+class Piece(Surface):
+    """A part of solids, which are smooth but for edges sharper than ``crease`` degrees."""
+
+    def solid(self, solid: Solid, crease: float = CREASE_DEG) -> None:
+        """Adds a solid."""
+        self.add(*creased(solid.points, solid.faces, crease))
+
+    def turned(self, *shape: Any, crease: float = CREASE_DEG) -> None:
+        """Adds a ``turned_shape``."""
+        self.solid(turned_shape(*shape), crease)
+
+    def rod(self, *shape: Any) -> None:
+        """Adds a ``rod``."""
+        self.solid(rod(*shape))
+
+    def bent(self, *shape: Any) -> None:
+        """Adds what is ``bent``."""
+        self.solid(bent(*shape))
+
+    def prism(self, *shape: Any, crease: float = CREASE_DEG) -> None:
+        """Adds a ``prism``."""
+        self.solid(prism(*shape), crease)
+
+    def loft(self, sections: Any, caps: Any = None, crease: float = CREASE_DEG) -> None:
+        """Adds a ``loft``."""
+        self.solid(loft(np.asarray(sections), caps), crease)
+
+    def rounded_box(
+        self, low: Sequence[float], high: Sequence[float], bevel: float,
+        at: Sequence[float] | Floats = (0.0, 0.0, 0.0), turn: Floats | None = None,
+    ) -> None:  # fmt: skip
+        """Adds a box whose edges are chamfered by ``bevel``, shaded as if they were round.
+
+        All points carry the normal of the large face that they bound: a bevel then shades from one
+        face's normal to the other's, with 44 triangles a box.
+        """
+        x = np.array([low, high], np.float64)
+        signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+        corner = np.where(signs < 0, x[0], x[1])
+        points, normals = np.zeros((8, 3, 3)), np.zeros((8, 3, 3))
+        for axis in range(3):
+            points[:, axis] = corner - bevel * signs * (np.arange(3) != axis)
+            normals[:, axis, axis] = signs[:, axis]
+        faces: list[tuple[int, int, int]] = []
+
+        def quad(*ring: int) -> None:
+            a, b, c, d = ring
+            faces.extend([(a, b, c), (a, c, d)])
+
+        def index(i: int, j: int, k: int, axis: int) -> int:
+            return 3 * (4 * i + 2 * j + k) + axis
+
+        for axis in range(3):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+
+            def place(a: int, b: int, c: int, owner: int, axes: tuple[int, int, int]) -> int:
+                bits = [0, 0, 0]
+                for which, bit in zip(axes, (a, b, c), strict=True):
+                    bits[which] = bit
+                return index(bits[0], bits[1], bits[2], owner)
+
+            axes = (axis, u, v)
+            for side in (0, 1):
+                quad(*(place(side, p, q, axis, axes) for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))))
+            for p in (0, 1):
+                for q in (0, 1):
+                    # The edge along this axis, between the faces of the other two.
+                    quad(
+                        place(0, p, q, u, axes), place(1, p, q, u, axes),
+                        place(1, p, q, v, axes), place(0, p, q, v, axes),
+                    )  # fmt: skip
+        faces += [(3 * k, 3 * k + 1, 3 * k + 2) for k in range(8)]
+        rows = np.array(faces)
+        flat, toward = points.reshape(-1, 3), normals.reshape(-1, 3)
+        a, b, c = (flat[rows[:, k]] for k in range(3))
+        inward = (np.cross(b - a, c - a) * toward[rows].sum(axis=1)).sum(axis=1) < 0.0
+        rows[inward] = rows[inward][:, ::-1]
+        if turn is not None:
+            flat, toward = flat @ turn, toward @ turn
+        self.add(flat + np.asarray(at, np.float64), rows, toward)
+
+
 class Assembly:
     """Parts of a model by name, each of one material."""
 
     def __init__(self, looks: dict[str, Look]):
         self._looks = looks
-        self._parts: dict[str, tuple[Surface, str]] = {}
+        self._parts: dict[str, tuple[Piece, str]] = {}
 
-    def part(self, name: str, material: str) -> Surface:
+    def part(self, name: str, material: str) -> Piece:
         """The part of a name, made when it is first asked for."""
-        return self._parts.setdefault(name, (Surface(), material))[0]
+        return self._parts.setdefault(name, (Piece(), material))[0]
 
     def model(self) -> Model:
         """All of it, let down or lifted onto z = 0."""

@@ -9,20 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import (
-    Assembly,
-    arc,
-    bent,
-    ears,
-    loft,
-    prism,
-    rod,
-    rounded_box,
-    shaded,
-    soft_polygon,
-    turned_shape,
-)
-from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, unit
+from scenec.lab.models.solids import Assembly, Piece, arc, ears, soft_polygon
+from scenec.lab.models.surfaces import UP, Chance, Floats, unit
 
 LOOKS = {
     "sign_red": Look((0.400, 0.012, 0.014), 0.45),
@@ -47,7 +35,7 @@ _FOIL_M = 0.0008
 
 
 def _foil(
-    surface: Surface, outline: Sequence[tuple[float, float]] | Floats, y: float, z: float
+    surface: Piece, outline: Sequence[tuple[float, float]] | Floats, y: float, z: float
 ) -> None:
     """A flat outline, counter-clockwise as seen by who reads it, that faces -y at a height z."""
     flat = np.asarray(outline, np.float64)
@@ -56,7 +44,7 @@ def _foil(
 
 
 def _stroke(
-    surface: Surface, line: Sequence[tuple[float, float]], wide: float, y: float, z: float
+    surface: Piece, line: Sequence[tuple[float, float]], wide: float, y: float, z: float
 ) -> None:
     """A line of a letter, mitered at its bends; closed where it ends at its start."""
     points = np.asarray(line, np.float64)
@@ -111,10 +99,7 @@ _LETTERS: dict[str, tuple[list[list[tuple[float, float]]], float]] = {
         0.54,
     ),
     # Its two bows meet in a point where the pen turns back: two lines.
-    "3": (
-        [arc((0.26, 0.76), 0.24, 150, -90, 12), arc((0.26, 0.25), 0.27, 90, -150, 12)],
-        0.54,
-    ),
+    "3": ([arc((0.26, 0.76), 0.24, 150, -90, 12), arc((0.26, 0.25), 0.27, 90, -150, 12)], 0.54),
     "0": (
         [
             [
@@ -129,7 +114,7 @@ _LETTERS: dict[str, tuple[list[list[tuple[float, float]]], float]] = {
 
 
 def _word(
-    surface: Surface, text: str, height: float, y: float, z: float, weight: float = 0.15
+    surface: Piece, text: str, height: float, y: float, z: float, weight: float = 0.15
 ) -> None:
     """Letters of a height, their middle over x = 0."""
     gap = 0.30
@@ -153,33 +138,24 @@ def _signpost(parts: Assembly, outline: Floats, height: float) -> float:
     """A plate of an outline about (0, height) on a steel tube; returns the y of its face."""
     plate = [(x, z + height) for x, z in outline]
     top = max(z for _, z in plate)
-    shaded(parts.part("plate", "aluminum_back"), prism(plate, -0.0400, -0.0370, "xzy"))
-    shaded(
-        parts.part("pole", "galvanized"),
-        turned_shape([(0, 0), (0.030, 0), (0.030, top - 0.02), (0.026, top), (0, top)], 24),
-        crease=50,
+    parts.part("plate", "aluminum_back").prism(plate, -0.0400, -0.0370, "xzy")
+    parts.part("pole", "galvanized").turned(
+        [(0, 0), (0.030, 0), (0.030, top - 0.02), (0.026, top), (0, top)], 24, crease=50
     )
     for z in (height - 0.16, height + 0.16):
-        shaded(
-            parts.part("pole", "galvanized"),
-            turned_shape(
-                [(0.0305, -0.02), (0.036, -0.02), (0.036, 0.02), (0.0305, 0.02)], 24, UP, (0, 0, z)
-            ),
+        parts.part("pole", "galvanized").turned(
+            [(0.0305, -0.02), (0.036, -0.02), (0.036, 0.02), (0.0305, 0.02)], 24, UP, (0, 0, z)
         )
-        rounded_box(
-            parts.part("pole", "galvanized"),
-            (-0.10, -0.037, z - 0.015),
-            (0.10, -0.031, z + 0.015),
-            0.002,
+        parts.part("pole", "galvanized").rounded_box(
+            (-0.10, -0.037, z - 0.015), (0.10, -0.031, z + 0.015), 0.002
         )
-    shaded(
-        parts.part("footing", "concrete"),
-        turned_shape([(0, -0.02), (0.15, -0.02), (0.15, 0.015), (0.13, 0.03), (0, 0.03)], 24),
+    parts.part("footing", "concrete").turned(
+        [(0, -0.02), (0.15, -0.02), (0.15, 0.015), (0.13, 0.03), (0, 0.03)], 24
     )
     return -0.0400
 
 
-def _ring(outer: Floats, inner: Floats, surface: Surface, y: float, z: float) -> None:
+def _ring(outer: Floats, inner: Floats, surface: Piece, y: float, z: float) -> None:
     """The band between two outlines of as many points."""
     count = len(outer)
     flat = np.concatenate([outer, inner])
@@ -257,17 +233,14 @@ def delineator() -> Model:
         for z, lean in zip(levels, slope, strict=True):
             ring = outline * grow
             sections.append(np.column_stack([ring, np.full(count, z) + lean * (ring[:, 1] - 0.0)]))
-        shaded(parts.part(part, material), loft(np.array(sections)), crease=40)
+        parts.part(part, material).loft(sections, crease=40)
 
     slab("post", "post_white", (0.0, 0.70))
     slab("band", "sign_black", (0.70, 0.93))
     slab("post", "post_white", (0.93, 1.03))
     for y in (-0.046,):
-        rounded_box(
-            parts.part("reflectors", "reflector"),
-            (-0.022, y - 0.006, 0.735),
-            (0.022, y + 0.002, 0.895),
-            0.003,
+        parts.part("reflectors", "reflector").rounded_box(
+            (-0.022, y - 0.006, 0.735), (0.022, y + 0.002, 0.895), 0.003
         )
     return parts.model()
 
@@ -275,7 +248,7 @@ def delineator() -> Model:
 def traffic_cone() -> Model:
     """A traffic cone of 0.75 m with two reflecting bands."""
     parts = Assembly(LOOKS)
-    rounded_box(parts.part("base", "rubber"), (-0.20, -0.20, 0.0), (0.20, 0.20, 0.035), 0.012)
+    parts.part("base", "rubber").rounded_box((-0.20, -0.20, 0.0), (0.20, 0.20, 0.035), 0.012)
 
     def radius(z: float) -> float:
         return 0.148 + (0.028 - 0.148) * (z - 0.035) / 0.705
@@ -305,7 +278,7 @@ def traffic_cone() -> Model:
                 (radius(high), high),
                 (0.0, high),
             ]
-        shaded(surface, turned_shape(profile, 40), crease=45)
+        surface.turned(profile, 40, crease=45)
     return parts.model()
 
 
@@ -338,16 +311,13 @@ def oil_drum() -> Model:
         (r - 0.012, high - 0.018),
         (0.0, high - 0.018),
     ]
-    shaded(parts.part("drum", "drum_blue"), turned_shape(profile, 56), crease=50)
+    parts.part("drum", "drum_blue").turned(profile, 56, crease=50)
     for x, y, size in ((0.19, 0.0, 0.034), (-0.18, 0.08, 0.018)):
-        shaded(
-            parts.part("bungs", "drum_rim"),
-            turned_shape(
-                [(0, 0), (size, 0), (size, 0.008), (size * 0.8, 0.012), (0, 0.012)],
-                16,
-                UP,
-                (x, y, high - 0.018),
-            ),
+        parts.part("bungs", "drum_rim").turned(
+            [(0, 0), (size, 0), (size, 0.008), (size * 0.8, 0.012), (0, 0.012)],
+            16,
+            UP,
+            (x, y, high - 0.018),
         )
     return parts.model()
 
@@ -358,7 +328,7 @@ def pallet() -> Model:
     wood = parts.part("boards", "pallet_wood")
 
     def board(low: Sequence[float], high: Sequence[float]) -> None:
-        rounded_box(wood, low, np.asarray(high) - chance.between(0.0, 0.003), 0.003)
+        wood.rounded_box(low, np.asarray(high) - chance.between(0.0, 0.003), 0.003)
 
     for y, half in ((-0.35, 0.05), (0.0, 0.0725), (0.35, 0.05)):
         board((-0.6, y - half, 0.0), (0.6, y + half, 0.022))
@@ -378,7 +348,7 @@ def pallet() -> Model:
     for x in (-0.5275, 0.0, 0.5275):
         for y in (-0.3275, -0.165, 0.0, 0.165, 0.3275):
             for dx, dy in ((-0.035, -0.02), (0.035, 0.02)):
-                shaded(nails, rod((x + dx, y + dy, 0.138), (x + dx, y + dy, 0.1446), 0.004, 6))
+                nails.rod((x + dx, y + dy, 0.138), (x + dx, y + dy, 0.1446), 0.004, 6)
     return parts.model()
 
 
@@ -386,17 +356,13 @@ def street_lamp() -> Model:
     """A street lamp: a tapered steel pole of 6 m, its head over -y."""
     parts = Assembly(LOOKS)
     pole = parts.part("pole", "galvanized")
-    shaded(
-        pole,
-        turned_shape(
-            [(0, 0.0), (0.075, 0.0), (0.075, 1.25), (0.068, 1.30), (0.034, 5.80), (0, 5.80)], 24
-        ),
+    pole.turned(
+        [(0, 0.0), (0.075, 0.0), (0.075, 1.25), (0.068, 1.30), (0.034, 5.80), (0, 5.80)], 24
     )
-    shaded(
-        parts.part("footing", "concrete"),
-        turned_shape([(0, -0.02), (0.22, -0.02), (0.22, 0.02), (0.20, 0.04), (0, 0.04)], 28),
+    parts.part("footing", "concrete").turned(
+        [(0, -0.02), (0.22, -0.02), (0.22, 0.02), (0.20, 0.04), (0, 0.04)], 28
     )
-    rounded_box(pole, (-0.035, -0.082, 0.62), (0.035, -0.05, 1.0), 0.006)
+    pole.rounded_box((-0.035, -0.082, 0.62), (0.035, -0.05, 1.0), 0.006)
     path = [
         (0.0, 0.0, 5.70),
         *(
@@ -405,7 +371,7 @@ def street_lamp() -> Model:
         ),
         (0.0, -0.62, 6.055),
     ]
-    shaded(pole, bent(path, [0.036, 0.034, 0.032, 0.030, 0.030, 0.030, 0.030], 16))
+    pole.bent(path, [0.036, 0.034, 0.032, 0.030, 0.030, 0.030, 0.030], 16)
     sections = []
     for y, half, low, high in (
         (-0.55, 0.05, 6.01, 6.09),
@@ -416,6 +382,6 @@ def street_lamp() -> Model:
     ):
         ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], 0.03, 4)
         sections.append(np.column_stack([ring[:, 0], np.full(len(ring), y), ring[:, 1]]))
-    shaded(parts.part("head", "lamp_gray"), loft(np.array(sections)))
-    rounded_box(parts.part("lamp", "lamp_glass"), (-0.10, -1.08, 5.992), (0.10, -0.70, 6.02), 0.006)
+    parts.part("head", "lamp_gray").loft(sections)
+    parts.part("lamp", "lamp_glass").rounded_box((-0.10, -1.08, 5.992), (0.10, -0.70, 6.02), 0.006)
     return parts.model()

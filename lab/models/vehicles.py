@@ -8,20 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import (
-    Assembly,
-    arc,
-    bent,
-    creased,
-    loft,
-    prism,
-    rod,
-    rounded_box,
-    shaded,
-    soft_polygon,
-    turned_shape,
-)
-from scenec.lab.models.surfaces import UP, Floats, Surface, azimuth, turned, unit
+from scenec.lab.models.solids import Assembly, Piece, arc, creased, loft, soft_polygon, turned_shape
+from scenec.lab.models.surfaces import UP, Floats, azimuth, turned, unit
 
 LOOKS = {
     "paint_blue": Look((0.030, 0.085, 0.235), 0.22),
@@ -46,7 +34,7 @@ _LEFT = np.array([1.0, 0.0, 0.0])
 
 
 def _wheel(
-    tire: Surface, rim: Surface, center: Sequence[float], radius: float, width: float,
+    tire: Piece, rim: Piece, center: Sequence[float], radius: float, width: float,
     share: float, spokes: int,
 ) -> None:  # fmt: skip
     """A wheel about a crosswise axis; its outer face is on the side where it stands."""
@@ -62,28 +50,25 @@ def _wheel(
     ]
     ring = [*tread, *shoulder, (inner - 0.012, h - soft)]
     profile = [*ring, *((a, -b) for a, b in ring[:1:-1])]
-    shaded(tire, turned_shape(profile, 40, axis, at))
+    tire.turned(profile, 40, axis, at)
     lip = [
         (inner, h - 0.02),
         (inner - 0.018, h - 0.012),
         (inner - 0.03, h - 0.035),
         (inner - 0.03, -h + 0.03),
     ]
-    shaded(rim, turned_shape([*lip, (inner, -h + 0.03)], 40, axis, at), crease=30)
-    shaded(
-        rim,
-        turned_shape(
-            [
-                (0, h - 0.03),
-                (0.2 * inner, h - 0.03),
-                (0.24 * inner, h - 0.05),
-                (0.24 * inner, -0.3 * h),
-                (0, -0.3 * h),
-            ],
-            20,
-            axis,
-            at,
-        ),
+    rim.turned([*lip, (inner, -h + 0.03)], 40, axis, at, crease=30)
+    rim.turned(
+        [
+            (0, h - 0.03),
+            (0.2 * inner, h - 0.03),
+            (0.24 * inner, h - 0.05),
+            (0.24 * inner, -0.3 * h),
+            (0, -0.3 * h),
+        ],
+        20,
+        axis,
+        at,
     )
     if not spokes:
         dish = [
@@ -95,10 +80,10 @@ def _wheel(
             (inner - 0.02, 0.0),
             (0, 0.0),
         ]
-        shaded(rim, turned_shape(dish, 40, axis, at), crease=45)
+        rim.turned(dish, 40, axis, at, crease=45)
         for k in range(8):
             bolt = at + 0.3 * inner * turned(UP, axis, 45.0 * k) + axis * 0.2 * h
-            shaded(rim, rod(bolt, bolt + axis * 0.02, 0.014, 6))
+            rim.rod(bolt, bolt + axis * 0.02, 0.014, 6)
     for k in range(spokes):
         out = turned(UP, axis, 360.0 * k / spokes)
         side = np.cross(axis, out)
@@ -118,7 +103,7 @@ def _wheel(
                     middle - 0.8 * half - axis * deep,
                 ]
             )
-        shaded(rim, loft(np.array(sections)), crease=25)
+        rim.loft(sections, crease=25)
 
 
 #: Curves of the car over its length, rear to front: at (x), heights of the middle of the top, of
@@ -260,30 +245,26 @@ def car() -> Model:
             center = (s * 0.785, -axle, _TIRE_M)
             _wheel(tires, rims, center, _TIRE_M, 0.205, 0.68, 7)
             disc = [(0, -0.03), (0.15, -0.03), (0.15, -0.01), (0, -0.01)]
-            shaded(trim, turned_shape(disc, 24, s * _LEFT, center))
-        shaded(trim, rod((-0.7, -axle, _TIRE_M), (0.7, -axle, _TIRE_M), 0.05))
+            trim.turned(disc, 24, s * _LEFT, center)
+        trim.rod((-0.7, -axle, _TIRE_M), (0.7, -axle, _TIRE_M), 0.05)
     for s in (-1.0, 1.0):
         # Door mirrors on the front ends of the windows, and handles.
-        rounded_box(
-            body, (-0.085, -0.055, -0.06), (0.085, 0.055, 0.065), 0.035, at=(s * 0.985, -0.80, 1.0)
+        body.rounded_box(
+            (-0.085, -0.055, -0.06), (0.085, 0.055, 0.065), 0.035, at=(s * 0.985, -0.80, 1.0)
         )
-        rounded_box(
-            trim, (-0.08, 0.050, -0.05), (0.08, 0.060, 0.05), 0.004, at=(s * 0.985, -0.80, 1.0)
+        trim.rounded_box(
+            (-0.08, 0.050, -0.05), (0.08, 0.060, 0.05), 0.004, at=(s * 0.985, -0.80, 1.0)
         )
-        shaded(trim, rod((s * 0.86, -0.80, 0.95), (s * 0.95, -0.80, 0.985), 0.022, 8))
+        trim.rod((s * 0.86, -0.80, 0.95), (s * 0.95, -0.80, 0.985), 0.022, 8)
         for x in (-0.06, -0.74):
-            rounded_box(
-                trim,
-                (-0.018, -0.085, -0.014),
-                (0.018, 0.085, 0.014),
-                0.008,
-                at=(s * 0.893, -x, 0.80),
+            trim.rounded_box(
+                (-0.018, -0.085, -0.014), (0.018, 0.085, 0.014), 0.008, at=(s * 0.893, -x, 0.80)
             )
         wiper = [(s * 0.10 - 0.06, -1.10, 1.018), (s * 0.24 - 0.24, -0.78, 1.242)]
-        shaded(trim, rod(wiper[0], wiper[1], 0.010, 6))
+        trim.rod(wiper[0], wiper[1], 0.010, 6)
     plates = parts.part("plates", "plate")
-    rounded_box(plates, (-0.26, -2.170, 0.42), (0.26, -2.140, 0.53), 0.006)
-    rounded_box(plates, (-0.26, 2.128, 0.66), (0.26, 2.162, 0.77), 0.006)
+    plates.rounded_box((-0.26, -2.170, 0.42), (0.26, -2.140, 0.53), 0.006)
+    plates.rounded_box((-0.26, 2.128, 0.66), (0.26, 2.162, 0.77), 0.006)
     return parts.model()
 
 
@@ -301,7 +282,7 @@ def tractor() -> Model:
             center = np.array([s * out, y, radius])
             _wheel(tires, rims, center, radius - 0.035, width, share, 0)
             _lugs(tires, center, radius, width, 20 if radius > 0.6 else 16)
-        shaded(trim, rod((-out, y, radius), (out, y, radius), 0.10 if y > 0 else 0.07, 16))
+        trim.rod((-out, y, radius), (out, y, radius), 0.10 if y > 0 else 0.07, 16)
     # Hood: sections from the cab to the nose.
     sections = []
     for y, half, low, high, soft in (
@@ -311,46 +292,44 @@ def tractor() -> Model:
     ):  # fmt: skip
         ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], soft, 6)
         sections.append(np.column_stack([ring[:, 0], np.full(len(ring), y), ring[:, 1]]))
-    shaded(paint, loft(np.array(sections)))
+    paint.loft(sections)
     grille = parts.part("grille", "plastic_black")
-    rounded_box(grille, (-0.20, -1.985, 0.93), (0.20, -1.94, 1.20), 0.02)
+    grille.rounded_box((-0.20, -1.985, 0.93), (0.20, -1.94, 1.20), 0.02)
     for s in (-1.0, 1.0):
-        rounded_box(
-            grille, (s * 0.355 - 0.012, -1.60, 0.98), (s * 0.355 + 0.012, -0.55, 1.26), 0.01
-        )
+        grille.rounded_box((s * 0.355 - 0.012, -1.60, 0.98), (s * 0.355 + 0.012, -0.55, 1.26), 0.01)
     lamps = parts.part("lamps", "lamp_clear")
     for s in (-1.0, 1.0):
-        rounded_box(lamps, (s * 0.15 - 0.07, -1.985, 1.21), (s * 0.15 + 0.07, -1.93, 1.28), 0.015)
+        lamps.rounded_box((s * 0.15 - 0.07, -1.985, 1.21), (s * 0.15 + 0.07, -1.93, 1.28), 0.015)
     # Engine and gearbox below, front axle's block, ballast.
-    rounded_box(trim, (-0.26, -1.60, 0.52), (0.26, 0.9, 0.92), 0.05)
-    rounded_box(trim, (-0.20, -1.45, 0.42), (0.20, -1.05, 0.62), 0.04)
+    trim.rounded_box((-0.26, -1.60, 0.52), (0.26, 0.9, 0.92), 0.05)
+    trim.rounded_box((-0.20, -1.45, 0.42), (0.20, -1.05, 0.62), 0.04)
     for k in range(6):
         x = -0.30 + 0.12 * k
-        rounded_box(trim, (x - 0.052, -2.25, 0.62), (x + 0.052, -1.95, 0.93), 0.03)
+        trim.rounded_box((x - 0.052, -2.25, 0.62), (x + 0.052, -1.95, 0.93), 0.03)
     # Fenders over the rear wheels.
     for s in (-1.0, 1.0):
         outer = arc((1.05, 0.80), 0.93, 12, 150, 16)
         inner = arc((1.05, 0.80), 0.88, 150, 12, 16)
         low, high = sorted((s * 0.52, s * 1.02))
-        shaded(paint, prism([*outer, *inner], low, high, "yzx"), crease=30)
+        paint.prism([*outer, *inner], low, high, "yzx", crease=30)
     # Cab: floor, four pillars that lean in, panes, roof.
-    rounded_box(trim, (-0.62, -0.15, 0.86), (0.62, 1.30, 1.02), 0.03)
-    rounded_box(paint, (-0.60, 0.95, 1.0), (0.60, 1.42, 1.34), 0.06)
+    trim.rounded_box((-0.62, -0.15, 0.86), (0.62, 1.30, 1.02), 0.03)
+    paint.rounded_box((-0.60, 0.95, 1.0), (0.60, 1.42, 1.34), 0.06)
     low_ring = np.array([(-0.66, -0.12), (0.66, -0.12), (0.70, 1.36), (-0.70, 1.36)])
     top_ring = np.array([(-0.58, 0.02), (0.58, 0.02), (0.60, 1.30), (-0.60, 1.30)])
     for (ax, ay), (bx, by) in zip(low_ring, top_ring, strict=True):
         path = np.array([(ax, ay, 1.0), (bx, by, 2.42)])
-        shaded(trim, bent(path, 0.045, 8))
+        trim.bent(path, 0.045, 8)
     panes = parts.part("windows", "glass")
     glass = [
         np.column_stack([ring * k, np.full(4, z)])
         for ring, z, k in ((low_ring, 1.02, 0.985), (top_ring, 2.40, 0.985))
     ]
-    shaded(panes, loft(np.array(glass)), crease=10)
+    panes.loft(glass, crease=10)
     for (ax, ay), (bx, by) in zip(low_ring, np.roll(low_ring, -1, axis=0), strict=True):
-        shaded(trim, rod((ax, ay, 1.02), (bx, by, 1.02), 0.035, 8))
+        trim.rod((ax, ay, 1.02), (bx, by, 1.02), 0.035, 8)
     for s in (-1.0, 1.0):
-        shaded(trim, bent([(s * 0.685, 0.62, 1.02), (s * 0.60, 0.66, 2.40)], 0.03, 8))
+        trim.bent([(s * 0.685, 0.62, 1.02), (s * 0.60, 0.66, 2.40)], 0.03, 8)
     sections = []
     for z, grow in ((2.40, -0.02), (2.44, 0.05), (2.52, 0.06), (2.58, 0.02), (2.61, -0.10)):
         half = 0.62 + grow
@@ -365,50 +344,36 @@ def tractor() -> Model:
             5,
         )
         sections.append(np.column_stack([ring, np.full(len(ring), z)]))
-    shaded(parts.part("roof", "paint_white"), loft(np.array(sections)), crease=50)
+    parts.part("roof", "paint_white").loft(sections, crease=50)
     for s in (-1.0, 1.0):
-        rounded_box(lamps, (s * 0.46 - 0.08, -0.185, 2.44), (s * 0.46 + 0.08, -0.13, 2.52), 0.012)
-        rounded_box(
-            parts.part("tail_lamps", "lamp_red"),
-            (s * 0.86 - 0.07, 1.84, 1.10),
-            (s * 0.86 + 0.07, 1.88, 1.18),
-            0.01,
+        lamps.rounded_box((s * 0.46 - 0.08, -0.185, 2.44), (s * 0.46 + 0.08, -0.13, 2.52), 0.012)
+        parts.part("tail_lamps", "lamp_red").rounded_box(
+            (s * 0.86 - 0.07, 1.84, 1.10), (s * 0.86 + 0.07, 1.88, 1.18), 0.01
         )
         # Steps and mirrors.
         for z in (0.44, 0.68):
-            rounded_box(trim, (s * 0.62 - 0.14, 0.02, z), (s * 0.62 + 0.14, 0.22, z + 0.03), 0.01)
-        rounded_box(trim, (s * 0.74 - 0.012, 0.03, 0.40), (s * 0.74 + 0.012, 0.07, 1.0), 0.008)
-        shaded(trim, bent([(s * 0.62, -0.05, 1.95), (s * 0.95, -0.16, 2.0)], 0.014, 6))
-        rounded_box(trim, (s * 0.98 - 0.09, -0.20, 1.83), (s * 0.98 + 0.09, -0.15, 2.12), 0.02)
-    shaded(
-        trim,
-        bent(
-            [(0.40, -0.42, 1.20), (0.44, -0.42, 1.30), (0.44, -0.42, 2.30), (0.46, -0.36, 2.42)],
-            [0.05, 0.05, 0.05, 0.045],
-            14,
-        ),
+            trim.rounded_box((s * 0.62 - 0.14, 0.02, z), (s * 0.62 + 0.14, 0.22, z + 0.03), 0.01)
+        trim.rounded_box((s * 0.74 - 0.012, 0.03, 0.40), (s * 0.74 + 0.012, 0.07, 1.0), 0.008)
+        trim.bent([(s * 0.62, -0.05, 1.95), (s * 0.95, -0.16, 2.0)], 0.014, 6)
+        trim.rounded_box((s * 0.98 - 0.09, -0.20, 1.83), (s * 0.98 + 0.09, -0.15, 2.12), 0.02)
+    trim.bent(
+        [(0.40, -0.42, 1.20), (0.44, -0.42, 1.30), (0.44, -0.42, 2.30), (0.46, -0.36, 2.42)],
+        [0.05, 0.05, 0.05, 0.045],
+        14,
     )
-    shaded(
-        trim,
-        turned_shape(
-            [(0, 0.0), (0.085, 0.02), (0.085, 0.55), (0, 0.58)], 16, UP, (0.44, -0.42, 1.42)
-        ),
-    )
+    trim.turned([(0, 0.0), (0.085, 0.02), (0.085, 0.55), (0, 0.58)], 16, UP, (0.44, -0.42, 1.42))
     # Linkage.
     for s in (-1.0, 1.0):
-        shaded(
-            trim,
-            bent(
-                [(s * 0.28, 1.35, 0.70), (s * 0.40, 1.95, 0.52), (s * 0.42, 2.12, 0.50)],
-                [0.035, 0.03, 0.045],
-                8,
-            ),
+        trim.bent(
+            [(s * 0.28, 1.35, 0.70), (s * 0.40, 1.95, 0.52), (s * 0.42, 2.12, 0.50)],
+            [0.035, 0.03, 0.045],
+            8,
         )
-    shaded(trim, rod((0, 1.30, 0.95), (0, 1.95, 0.85), 0.03, 8))
+    trim.rod((0, 1.30, 0.95), (0, 1.95, 0.85), 0.03, 8)
     return parts.model()
 
 
-def _lugs(surface: Surface, center: Floats, radius: float, width: float, count: int) -> None:
+def _lugs(surface: Piece, center: Floats, radius: float, width: float, count: int) -> None:
     """Bars of a farm tire, two rows that point backward below and meet as a chevron."""
     axis = np.array([1.0, 0.0, 0.0])
     for k in range(count):
@@ -440,7 +405,7 @@ def _lugs(surface: Surface, center: Floats, radius: float, width: float, count: 
                 sections.append(base @ frame)
             # The frame's third axis passes through the wheel's middle, not through the bar's.
             shift = middle - center
-            shaded(surface, loft(np.array(sections) + center + shift), crease=20)
+            surface.loft(sections + center + shift, crease=20)
 
 
 def rover() -> Model:
@@ -448,16 +413,16 @@ def rover() -> Model:
     parts = Assembly(LOOKS)
     white, metal = parts.part("body", "paint_white"), parts.part("suspension", "aluminum")
     dark, wheels = parts.part("instruments", "steel_dark"), parts.part("wheels", "aluminum")
-    rounded_box(white, (-0.60, -0.75, 0.66), (0.60, 0.75, 1.04), 0.035)
-    rounded_box(white, (-0.66, -0.82, 1.04), (0.66, 0.82, 1.075), 0.012)
-    rounded_box(parts.part("belly", "gold_foil"), (-0.52, -0.66, 0.60), (0.52, 0.66, 0.67), 0.02)
+    white.rounded_box((-0.60, -0.75, 0.66), (0.60, 0.75, 1.04), 0.035)
+    white.rounded_box((-0.66, -0.82, 1.04), (0.66, 0.82, 1.075), 0.012)
+    parts.part("belly", "gold_foil").rounded_box((-0.52, -0.66, 0.60), (0.52, 0.66, 0.67), 0.02)
     for x, y, w, d, h in (
         (-0.35, 0.45, 0.22, 0.16, 0.12),
         (0.30, 0.30, 0.18, 0.26, 0.09),
         (0.38, -0.45, 0.12, 0.12, 0.16),
         (-0.1, 0.0, 0.14, 0.10, 0.05),
     ):
-        rounded_box(white, (x - w, y - d, 1.07), (x + w, y + d, 1.075 + h), 0.02)
+        white.rounded_box((x - w, y - d, 1.07), (x + w, y + d, 1.075 + h), 0.02)
     r = 0.255
     places = [(s, y) for s in (-1.0, 1.0) for y in (-1.08, 0.02, 1.06)]
     for s, y in places:
@@ -471,7 +436,7 @@ def rover() -> Model:
             (r - 0.012, 0.19),
         ]
         inside = [(a - 0.012, b) for a, b in rim[::-1]]
-        shaded(wheels, turned_shape([*rim, *inside], 48, axis, center), crease=50)
+        wheels.turned([*rim, *inside], 48, axis, center, crease=50)
         for k in range(24):
             out = turned(UP, axis, 15.0 * k)
             frame = np.array([axis, np.cross(out, axis), out])
@@ -483,53 +448,44 @@ def rover() -> Model:
                 center + axis * 0.06 + out * 0.13,
                 center - axis * 0.02 + out * (r - 0.01),
             ]
-            shaded(wheels, bent(path, [0.016, 0.013, 0.012], 6))
-        shaded(
-            dark,
-            turned_shape(
-                [(0, -0.19), (0.07, -0.19), (0.085, -0.02), (0.06, 0.06), (0, 0.07)],
-                20,
-                axis,
-                center,
-            ),
+            wheels.bent(path, [0.016, 0.013, 0.012], 6)
+        dark.turned(
+            [(0, -0.19), (0.07, -0.19), (0.085, -0.02), (0.06, 0.06), (0, 0.07)], 20, axis, center
         )
         # Steering actuators above the outer wheels.
         inner = np.array([s * 0.90, y, r])
-        shaded(metal, rod(center, inner, 0.035))
+        metal.rod(center, inner, 0.035)
         knee = np.array([s * 0.90, y, 0.62 if abs(y) > 0.5 else r])
         if abs(y) > 0.5:
-            shaded(metal, rod(inner, knee, 0.035))
-            shaded(dark, rod(knee - UP * 0.06, knee + UP * 0.06, 0.06, 16))
+            metal.rod(inner, knee, 0.035)
+            dark.rod(knee - UP * 0.06, knee + UP * 0.06, 0.06, 16)
     for s in (-1.0, 1.0):
         pivot, bogie = np.array([s * 0.78, -0.18, 0.86]), np.array([s * 0.90, 0.54, 0.58])
-        shaded(metal, bent([pivot, (s * 0.88, -0.62, 0.80), (s * 0.90, -1.08, 0.66)], 0.042))
-        shaded(metal, bent([pivot, (s * 0.88, 0.20, 0.74), bogie], 0.042))
-        shaded(metal, bent([bogie, (s * 0.90, 0.30, 0.46), (s * 0.90, 0.02, r)], 0.036))
-        shaded(metal, bent([bogie, (s * 0.90, 0.80, 0.62), (s * 0.90, 1.06, 0.66)], 0.036))
-        shaded(dark, rod((s * 0.58, -0.18, 0.86), (s * 0.86, -0.18, 0.86), 0.085, 20))
-        shaded(dark, rod(bogie - s * 0.06 * _LEFT, bogie + s * 0.06 * _LEFT, 0.06, 16))
+        metal.bent([pivot, (s * 0.88, -0.62, 0.80), (s * 0.90, -1.08, 0.66)], 0.042)
+        metal.bent([pivot, (s * 0.88, 0.20, 0.74), bogie], 0.042)
+        metal.bent([bogie, (s * 0.90, 0.30, 0.46), (s * 0.90, 0.02, r)], 0.036)
+        metal.bent([bogie, (s * 0.90, 0.80, 0.62), (s * 0.90, 1.06, 0.66)], 0.036)
+        dark.rod((s * 0.58, -0.18, 0.86), (s * 0.86, -0.18, 0.86), 0.085, 20)
+        dark.rod(bogie - s * 0.06 * _LEFT, bogie + s * 0.06 * _LEFT, 0.06, 16)
     # Mast with its head, at the front right; the eyes look ahead.
     mast = np.array([-0.42, -0.55, 1.05])
-    shaded(
-        white,
-        turned_shape(
-            [
-                (0, 0),
-                (0.09, 0),
-                (0.085, 0.14),
-                (0.055, 0.18),
-                (0.05, 0.84),
-                (0.075, 0.86),
-                (0.075, 0.95),
-                (0, 0.95),
-            ],
-            20,
-            UP,
-            mast,
-        ),
+    white.turned(
+        [
+            (0, 0),
+            (0.09, 0),
+            (0.085, 0.14),
+            (0.055, 0.18),
+            (0.05, 0.84),
+            (0.075, 0.86),
+            (0.075, 0.95),
+            (0, 0.95),
+        ],
+        20,
+        UP,
+        mast,
     )
     head = mast + np.array([0, 0, 1.06])
-    rounded_box(white, (-0.21, -0.10, -0.10), (0.21, 0.12, 0.13), 0.025, head)
+    white.rounded_box((-0.21, -0.10, -0.10), (0.21, 0.12, 0.13), 0.025, head)
     lens = parts.part("lenses", "lens")
     for x, z, size in (
         (-0.15, -0.03, 0.022),
@@ -538,71 +494,57 @@ def rover() -> Model:
         (0.07, -0.03, 0.030),
         (0.0, 0.06, 0.055),
     ):
-        shaded(
-            dark,
-            turned_shape(
-                [(0, 0), (size * 1.3, 0), (size * 1.3, 0.035), (size, 0.04), (0, 0.03)],
-                20,
-                np.array([0, -1.0, 0]),
-                head + np.array([x, -0.095, z]),
-            ),
+        dark.turned(
+            [(0, 0), (size * 1.3, 0), (size * 1.3, 0.035), (size, 0.04), (0, 0.03)],
+            20,
+            np.array([0, -1.0, 0]),
+            head + np.array([x, -0.095, z]),
         )
         eye = head + np.array([x, -0.131, z])
-        shaded(
-            lens,
-            turned_shape(
-                [(0, 0), (size * 0.9, 0), (size * 0.6, 0.008), (0, 0.011)],
-                16,
-                np.array([0, -1.0, 0]),
-                eye,
-            ),
+        lens.turned(
+            [(0, 0), (size * 0.9, 0), (size * 0.6, 0.008), (0, 0.011)],
+            16,
+            np.array([0, -1.0, 0]),
+            eye,
         )
     # Antennas.
-    shaded(
-        white,
-        turned_shape(
-            [(0, 0), (0.03, 0), (0.03, 0.30), (0.12, 0.32), (0.12, 0.36), (0, 0.36)],
-            24,
-            UP,
-            (0.42, 0.42, 1.07),
-        ),
+    white.turned(
+        [(0, 0), (0.03, 0), (0.03, 0.30), (0.12, 0.32), (0.12, 0.36), (0, 0.36)],
+        24,
+        UP,
+        (0.42, 0.42, 1.07),
     )
     aim = azimuth(250.0, 40.0)
-    shaded(dark, rod((0.46, -0.10, 1.07), (0.46, -0.10, 1.26), 0.025))
+    dark.rod((0.46, -0.10, 1.07), (0.46, -0.10, 1.26), 0.025)
     hexagon = turned_shape(
         [(0, 0.0), (0.17, 0.0), (0.17, 0.025), (0, 0.025)], 6, aim, np.array([0.46, -0.10, 1.30])
     )
-    shaded(white, hexagon)
+    white.solid(hexagon)
     # Power source at the rear, with fins.
     tail = unit(np.array([0.0, 0.86, 0.5]))
     foot = np.array([0.0, 0.70, 0.90])
-    shaded(
-        dark,
-        turned_shape([(0, 0), (0.15, 0.0), (0.15, 0.58), (0.12, 0.62), (0, 0.62)], 24, tail, foot),
-    )
+    dark.turned([(0, 0), (0.15, 0.0), (0.15, 0.58), (0.12, 0.62), (0, 0.62)], 24, tail, foot)
     for k in range(8):
         out = turned(np.cross(tail, _LEFT), tail, 45.0 * k)
         frame = np.array([np.cross(out, tail), out, tail])
-        rounded_box(dark, (-0.006, 0.14, 0.06), (0.006, 0.29, 0.56), 0.003, foot, frame)
+        dark.rounded_box((-0.006, 0.14, 0.06), (0.006, 0.29, 0.56), 0.003, foot, frame)
     # Arm, folded before the body, with its turret.
-    shaded(metal, rod((0.38, -0.78, 0.86), (0.38, -0.96, 0.86), 0.075, 18))
+    metal.rod((0.38, -0.78, 0.86), (0.38, -0.96, 0.86), 0.075, 18)
     elbow, wrist = np.array([-0.42, -1.02, 0.92]), np.array([0.30, -1.16, 0.72])
-    shaded(metal, bent([(0.38, -0.92, 0.86), elbow], 0.05, 14), bent([elbow, wrist], 0.042, 14))
-    shaded(dark, rod(elbow - UP * 0.09, elbow + UP * 0.09, 0.075, 18))
-    shaded(dark, rod(wrist - UP * 0.14, wrist + UP * 0.12, 0.11, 20))
+    metal.bent([(0.38, -0.92, 0.86), elbow], 0.05, 14)
+    metal.bent([elbow, wrist], 0.042, 14)
+    dark.rod(elbow - UP * 0.09, elbow + UP * 0.09, 0.075, 18)
+    dark.rod(wrist - UP * 0.14, wrist + UP * 0.12, 0.11, 20)
     for k in range(4):
         out = azimuth(200.0 + 80.0 * k)
-        shaded(dark, rod(wrist, wrist + out * 0.20, 0.05, 14))
+        dark.rod(wrist, wrist + out * 0.20, 0.05, 14)
     # Hazard cameras.
     for s in (-1.0, 1.0):
-        rounded_box(dark, (s * 0.16 - 0.04, -0.80, 0.78), (s * 0.16 + 0.04, -0.74, 0.86), 0.01)
-        shaded(
-            lens,
-            turned_shape(
-                [(0, 0), (0.02, 0), (0.012, 0.006), (0, 0.008)],
-                12,
-                np.array([0, -1.0, 0]),
-                np.array([s * 0.16, -0.80, 0.82]),
-            ),
+        dark.rounded_box((s * 0.16 - 0.04, -0.80, 0.78), (s * 0.16 + 0.04, -0.74, 0.86), 0.01)
+        lens.turned(
+            [(0, 0), (0.02, 0), (0.012, 0.006), (0, 0.008)],
+            12,
+            np.array([0, -1.0, 0]),
+            np.array([s * 0.16, -0.80, 0.82]),
         )
     return parts.model()

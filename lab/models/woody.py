@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import loft, shaded
+from scenec.lab.models.solids import loft
 from scenec.lab.models.stems import Habit, Level, grown, meshed
 from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
 
@@ -162,7 +162,7 @@ def snag() -> Model:
     )  # fmt: skip
     chance = Chance("snag")
     stems = grown(habit, chance, np.zeros(3), unit(np.array([0.05, 0.03, 1.0])))
-    wood, breaks = Surface(), Surface()
+    wood, breaks = Piece(), Piece()
     path, radii = stems[0].path, stems[0].radii
     sides = 24
     angles = 2.0 * math.pi * np.arange(sides) / sides
@@ -181,7 +181,7 @@ def snag() -> Model:
     cap = len(trunk.points) - 1
     trunk.points[cap, 2] = path[-1, 2] - 0.12
     hollow = (trunk.faces == cap).any(axis=1)
-    shaded(wood, trunk._replace(faces=trunk.faces[~hollow]), crease=50)
-    shaded(breaks, trunk._replace(faces=trunk.faces[hollow]), crease=30)
+    wood.solid(trunk._replace(faces=trunk.faces[~hollow]), crease=50)
+    breaks.solid(trunk._replace(faces=trunk.faces[hollow]), crease=30)
     meshed(stems[1:], habit, {1: wood, 2: wood, 3: wood})
     return Model({"wood": wood.part("bleached_wood"), "breaks": breaks.part("dead_wood")}, LOOKS)

@@ -92,12 +92,7 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
         raise BackendError(f"repeats must be at least 1, not {ladder.repeats}")
 
 
-def _add(
-    found: ConvergeReport,
-    one: Climbed,
-    seen: measure.Seen,
-    ladder: Ladder,
-) -> None:
+def _add(found: ConvergeReport, one: Climbed, seen: measure.Seen, ladder: Ladder) -> None:
     noises = [seen.references[one.backend, shown.place] for shown in one.references[0]]
     entry = found.backends.setdefault(
         one.backend,

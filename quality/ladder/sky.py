@@ -327,19 +327,13 @@ def _written(
     return picture, written(lambda folder: write_rgb(folder / "sky.exr", single))
 
 
-def _texels(
-    rows: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+def _texels(rows: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Directions of all texels above the horizon's rows; their rows and columns."""
     to = directions(rows)[: rows // 2 - 1]
     row, column = np.indices(to.shape[:2])
     # Left and right half are the same.
     half = column.ravel() < rows
-    return (
-        np.ascontiguousarray(to.reshape(-1, 3)[half]),
-        row.ravel()[half],
-        column.ravel()[half],
-    )
+    return (np.ascontiguousarray(to.reshape(-1, 3)[half]), row.ravel()[half], column.ravel()[half])
 
 
 def _baked(

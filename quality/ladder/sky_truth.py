@@ -63,11 +63,7 @@ def bilinear(picture: NDArray, to: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def atmosphere_along(
-    plan: AtmosphereSky,
-    sun: SunLight,
-    to: NDArray[np.float64],
-    steps: int,
-    count: int,
+    plan: AtmosphereSky, sun: SunLight, to: NDArray[np.float64], steps: int, count: int
 ) -> NDArray[np.float64]:
     """An atmosphere's light along directions above the horizon, at the first sample.
 
