@@ -92,12 +92,9 @@ def fence_panel() -> Model:
         x = -0.9 + 1.8 * (k + 0.75) / count
         top = 1.05 + chance.about(0.0, 0.006)
         outline = [
-            (x - 0.042, 0.05),
-            (x + 0.042, 0.05),
-            (x + 0.042, top - 0.06),
-            (x, top),
+            (x - 0.042, 0.05), (x + 0.042, 0.05), (x + 0.042, top - 0.06), (x, top),
             (x - 0.042, top - 0.06),
-        ]
+        ]  # fmt: skip
         lean = chance.about(0.0, 0.006)
         shape = [(a + lean * (b - 0.5), b) for a, b in outline]
         wood.prism(shape, -0.041, -0.019, "xzy", 0.003, crease=30)
@@ -129,11 +126,9 @@ def gate() -> Model:
     corner = 0.08
     ring: list[tuple[float, float, float]] = []
     for cx, cz, start in (
-        (-x + corner, high - corner, 180),
-        (x - corner, high - corner, 90),
-        (x - corner, low + corner, 0),
-        (-x + corner, low + corner, -90),
-    ):
+        (-x + corner, high - corner, 180), (x - corner, high - corner, 90),
+        (x - corner, low + corner, 0), (-x + corner, low + corner, -90),
+    ):  # fmt: skip
         ring += [(x, 0.0, z) for x, z in arc((cx, cz), corner, start, start - 90, 7)]
     closed = [((ring[0][0] + ring[-1][0]) / 2, 0.0, (ring[0][2] + ring[-1][2]) / 2)]
     tubes.bent([*closed, *ring, *closed], r, 12)
@@ -224,14 +219,12 @@ def shed() -> Model:
         )
     iron.bent(
         [
-            (door[1] - 0.1, front - 0.044, 0.93),
-            (door[1] - 0.1, front - 0.09, 0.95),
-            (door[1] - 0.1, front - 0.09, 1.07),
-            (door[1] - 0.1, front - 0.044, 1.09),
+            (door[1] - 0.1, front - 0.044, 0.93), (door[1] - 0.1, front - 0.09, 0.95),
+            (door[1] - 0.1, front - 0.09, 1.07), (door[1] - 0.1, front - 0.044, 1.09),
         ],
         0.01,
         8,
-    )
+    )  # fmt: skip
     for x0, x1, z0, z1 in (
         (door[0] - 0.07, door[0], 0.12, 1.93),
         (door[1], door[1] + 0.07, 0.12, 1.93),
@@ -240,13 +233,11 @@ def shed() -> Model:
         white.rounded_box((x0, front - 0.036, z0), (x1, front, z1), 0.005)
     a, b, low, top = window
     for x0, x1, z0, z1 in (
-        (a - 0.05, a + 0.02, low - 0.05, top + 0.05),
-        (b - 0.02, b + 0.05, low - 0.05, top + 0.05),
-        (a, b, low - 0.07, low + 0.02),
-        (a, b, top - 0.02, top + 0.05),
+        (a - 0.05, a + 0.02, low - 0.05, top + 0.05), (b - 0.02, b + 0.05, low - 0.05, top + 0.05),
+        (a, b, low - 0.07, low + 0.02), (a, b, top - 0.02, top + 0.05),
         ((a + b) / 2 - 0.014, (a + b) / 2 + 0.014, low, top),
         (a, b, (low + top) / 2 - 0.014, (low + top) / 2 + 0.014),
-    ):
+    ):  # fmt: skip
         white.rounded_box((x0, front - 0.036, z0), (x1, front + 0.01, z1), 0.004)
     parts.part("windows", "glass").rounded_box(
         (a, front - 0.008, low), (b, front + 0.004, top), 0.001
@@ -285,13 +276,10 @@ def shed() -> Model:
             y0, y1 = sorted((at_y, at_y + t * 0.022))
             white.prism(outline, y0, y1, "xzy")
     ring = [
-        (0.16, ridge - 0.16 * slope + 0.055),
-        (0.0, ridge + 0.062),
-        (-0.16, ridge - 0.16 * slope + 0.055),
-        (-0.16, ridge - 0.16 * slope + 0.045),
-        (0.0, ridge + 0.05),
-        (0.16, ridge - 0.16 * slope + 0.045),
-    ]
+        (0.16, ridge - 0.16 * slope + 0.055), (0.0, ridge + 0.062),
+        (-0.16, ridge - 0.16 * slope + 0.055), (-0.16, ridge - 0.16 * slope + 0.045),
+        (0.0, ridge + 0.05), (0.16, ridge - 0.16 * slope + 0.045),
+    ]  # fmt: skip
     roof.prism(ring, -half_y - 0.17, half_y + 0.17, "xzy")
     return parts.model()
 
@@ -318,28 +306,20 @@ def bench() -> Model:
     for s in (-1.0, 1.0):
         x = s * 0.62
         path = [
-            (x, -0.27, 0.02),
-            (x, -0.235, 0.20),
-            (x, -0.235, 0.41),
-            (x, -0.20, 0.425),
-            (x, 0.17, 0.403),
-            (x, 0.235, 0.44),
-            (x, 0.36, 0.90),
-        ]
+            (x, -0.27, 0.02), (x, -0.235, 0.20), (x, -0.235, 0.41), (x, -0.20, 0.425),
+            (x, 0.17, 0.403), (x, 0.235, 0.44), (x, 0.36, 0.90),
+        ]  # fmt: skip
         _flat_bar(iron, path, 0.045, 0.014)
         _flat_bar(iron, [(x, 0.31, 0.02), (x, 0.20, 0.24), (x, 0.17, 0.40)], 0.045, 0.014)
         _flat_bar(
             iron,
             [
-                (x, -0.235, 0.40),
-                (x, -0.24, 0.64),
-                (x, -0.15, 0.665),
-                (x, 0.20, 0.645),
+                (x, -0.235, 0.40), (x, -0.24, 0.64), (x, -0.15, 0.665), (x, 0.20, 0.645),
                 (x, 0.29, 0.64),
             ],
             0.045,
             0.012,
-        )
+        )  # fmt: skip
         for y in (-0.27, 0.31):
             iron.rounded_box((x - 0.035, y - 0.045, 0.0), (x + 0.035, y + 0.045, 0.022), 0.005)
     iron.rod((-0.62, 0.18, 0.30), (0.62, 0.18, 0.30), 0.010, 10)
@@ -366,13 +346,11 @@ def _flat_bar(surface: Piece, path: Sequence[Sequence[float]], wide: float, thic
     side = np.array([0.5 * wide, 0.0, 0.0])
     sections = np.stack(
         [
-            line - side - 0.5 * thick * normal,
-            line + side - 0.5 * thick * normal,
-            line + side + 0.5 * thick * normal,
-            line - side + 0.5 * thick * normal,
+            line - side - 0.5 * thick * normal, line + side - 0.5 * thick * normal,
+            line + side + 0.5 * thick * normal, line - side + 0.5 * thick * normal,
         ],
         axis=1,
-    )
+    )  # fmt: skip
     surface.loft(sections, crease=45)
 
 
@@ -438,11 +416,8 @@ def boulder_wall() -> Model:
     length, z = 3.0, 0.0
     parts.part("filling", "dark").rounded_box((-1.48, -0.16, 0.0), (1.48, 0.16, 0.82), 0.02)
     for height, depth, size in (
-        (0.28, 0.58, 0.56),
-        (0.24, 0.54, 0.46),
-        (0.21, 0.48, 0.42),
-        (0.19, 0.43, 0.38),
-    ):
+        (0.28, 0.58, 0.56), (0.24, 0.54, 0.46), (0.21, 0.48, 0.42), (0.19, 0.43, 0.38),
+    ):  # fmt: skip
         for s in (-1.0, 1.0):
             x = -0.5 * length
             while x < 0.5 * length - 0.08:

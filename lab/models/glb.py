@@ -309,13 +309,10 @@ def encode(model: Model, card: Card) -> bytes:
     length = 28 + len(text) + len(binary)
     return b"".join(
         (
-            struct.pack("<4sII", b"glTF", 2, length),
-            struct.pack("<I4s", len(text), b"JSON"),
-            text,
-            struct.pack("<I4s", len(binary), b"BIN\0"),
-            binary,
+            struct.pack("<4sII", b"glTF", 2, length), struct.pack("<I4s", len(text), b"JSON"),
+            text, struct.pack("<I4s", len(binary), b"BIN\0"), binary,
         )
-    )
+    )  # fmt: skip
 
 
 def decode(data: bytes) -> tuple[dict[str, Any], list[NDArray[Any]], list[NDArray[np.uint8]]]:

@@ -88,12 +88,8 @@ _LETTERS: dict[str, tuple[list[list[tuple[float, float]]], float]] = {
     "P": (
         [
             [
-                (0.0, -0.07),
-                (0.0, 1.0),
-                (0.28, 1.0),
-                *arc((0.28, 0.74), 0.26, 80, -80, 10),
-                (0.28, 0.48),
-                (0.07, 0.48),
+                (0.0, -0.07), (0.0, 1.0), (0.28, 1.0), *arc((0.28, 0.74), 0.26, 80, -80, 10),
+                (0.28, 0.48), (0.07, 0.48),
             ]
         ],
         0.54,
@@ -110,7 +106,7 @@ _LETTERS: dict[str, tuple[list[list[tuple[float, float]]], float]] = {
         ],
         0.52,
     ),
-}
+}  # fmt: skip
 
 
 def _word(
@@ -261,23 +257,15 @@ def traffic_cone() -> Model:
         profile = [(0.0, low), (radius(low) + grow, low), (radius(high) + grow, high), (0.0, high)]
         if n == 4:
             profile = [
-                (0.0, low),
-                (radius(low), low),
-                (radius(high), high - 0.006),
-                (radius(high) - 0.006, high),
-                (0.014, high),
-                (0.012, high - 0.05),
+                (0.0, low), (radius(low), low), (radius(high), high - 0.006),
+                (radius(high) - 0.006, high), (0.014, high), (0.012, high - 0.05),
                 (0.0, high - 0.05),
-            ]
+            ]  # fmt: skip
         if n == 0:
             profile = [
-                (0.0, low),
-                (0.162, low),
-                (0.160, low + 0.014),
-                (radius(low + 0.02), low + 0.022),
-                (radius(high), high),
-                (0.0, high),
-            ]
+                (0.0, low), (0.162, low), (0.160, low + 0.014), (radius(low + 0.02), low + 0.022),
+                (radius(high), high), (0.0, high),
+            ]  # fmt: skip
         surface.turned(profile, 40, crease=45)
     return parts.model()
 
@@ -287,30 +275,18 @@ def oil_drum() -> Model:
     parts = Assembly(LOOKS)
     r, high = 0.286, 0.88
     profile = [
-        (0.0, 0.018),
-        (r - 0.012, 0.018),
-        (r - 0.010, 0.0),
-        (r + 0.004, 0.0),
-        (r + 0.006, 0.012),
+        (0.0, 0.018), (r - 0.012, 0.018), (r - 0.010, 0.0), (r + 0.004, 0.0), (r + 0.006, 0.012),
         (r, 0.020),
-    ]
+    ]  # fmt: skip
     for z in (0.30, 0.585):
         profile += [
-            (r, z - 0.035),
-            (r + 0.004, z - 0.02),
-            (r + 0.010, z - 0.007),
-            (r + 0.010, z + 0.007),
-            (r + 0.004, z + 0.02),
-            (r, z + 0.035),
-        ]
+            (r, z - 0.035), (r + 0.004, z - 0.02), (r + 0.010, z - 0.007), (r + 0.010, z + 0.007),
+            (r + 0.004, z + 0.02), (r, z + 0.035),
+        ]  # fmt: skip
     profile += [
-        (r, high - 0.020),
-        (r + 0.006, high - 0.012),
-        (r + 0.004, high),
-        (r - 0.010, high),
-        (r - 0.012, high - 0.018),
-        (0.0, high - 0.018),
-    ]
+        (r, high - 0.020), (r + 0.006, high - 0.012), (r + 0.004, high), (r - 0.010, high),
+        (r - 0.012, high - 0.018), (0.0, high - 0.018),
+    ]  # fmt: skip
     parts.part("drum", "drum_blue").turned(profile, 56, crease=50)
     for x, y, size in ((0.19, 0.0, 0.034), (-0.18, 0.08, 0.018)):
         parts.part("bungs", "drum_rim").turned(
@@ -337,12 +313,8 @@ def pallet() -> Model:
     for x in (-0.5275, 0.0, 0.5275):
         board((x - 0.0725, -0.4, 0.100), (x + 0.0725, 0.4, 0.122))
     for y, half in (
-        (-0.3275, 0.0725),
-        (-0.165, 0.05),
-        (0.0, 0.0725),
-        (0.165, 0.05),
-        (0.3275, 0.0725),
-    ):
+        (-0.3275, 0.0725), (-0.165, 0.05), (0.0, 0.0725), (0.165, 0.05), (0.3275, 0.0725),
+    ):  # fmt: skip
         board((-0.6, y - half, 0.122), (0.6, y + half, 0.144))
     nails = parts.part("nails", "galvanized")
     for x in (-0.5275, 0.0, 0.5275):
@@ -374,12 +346,9 @@ def street_lamp() -> Model:
     pole.bent(path, [0.036, 0.034, 0.032, 0.030, 0.030, 0.030, 0.030], 16)
     sections = []
     for y, half, low, high in (
-        (-0.55, 0.05, 6.01, 6.09),
-        (-0.62, 0.11, 6.00, 6.11),
-        (-0.80, 0.15, 6.00, 6.11),
-        (-1.12, 0.14, 6.01, 6.09),
-        (-1.18, 0.10, 6.015, 6.07),
-    ):
+        (-0.55, 0.05, 6.01, 6.09), (-0.62, 0.11, 6.00, 6.11), (-0.80, 0.15, 6.00, 6.11),
+        (-1.12, 0.14, 6.01, 6.09), (-1.18, 0.10, 6.015, 6.07),
+    ):  # fmt: skip
         ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], 0.03, 4)
         sections.append(np.column_stack([ring[:, 0], np.full(len(ring), y), ring[:, 1]]))
     parts.part("head", "lamp_gray").loft(sections)

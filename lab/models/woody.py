@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import loft
+from scenec.lab.models.solids import Piece, loft
 from scenec.lab.models.stems import Habit, Level, grown, meshed
 from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
 
