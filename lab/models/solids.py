@@ -263,6 +263,20 @@ def soft_polygon(corners: Outline, radius: float, steps: int = 4) -> Floats:
     return np.array(out)
 
 
+def soft_hull(rows: Sequence[Sequence[float]], steps: int) -> Floats:
+    """Sections of a hull along y: rectangles of soft corners [k, n, 3].
+
+    Args:
+        rows: Each (y, half width, lowest, highest, radius of the corners).
+        steps: Points of a corner.
+    """
+    sections = []
+    for y, half, low, high, soft in rows:
+        ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], soft, steps)
+        sections.append(np.column_stack([ring[:, 0], np.full(len(ring), y), ring[:, 1]]))
+    return np.array(sections)
+
+
 def surface_nets(
     distance: Callable[[Floats], Floats], low: Sequence[float], high: Sequence[float], step: float
 ) -> Solid:
@@ -415,11 +429,15 @@ class Assembly:
         """The part of a name, made when it is first asked for."""
         return self._parts.setdefault(name, (Piece(), material))[0]
 
-    def model(self) -> Model:
-        """All of it, let down or lifted onto z = 0."""
+    def parts(self, **materials: str) -> list[Piece]:
+        """Several parts, by name."""
+        return [self.part(*named) for named in materials.items()]
+
+    def model(self, grown: bool = False) -> Model:
+        """All of it, let down or lifted onto z = 0 unless it has ``grown`` where it is."""
         parts = {name: surface.part(material) for name, (surface, material) in self._parts.items()}
         lowest = min(float(part.points[:, 2].min()) for part in parts.values())
-        for part in parts.values():
+        for part in () if grown else parts.values():
             part.points[:, 2] -= lowest
         used = {material for _, material in self._parts.values()}
         return Model(parts, {name: look for name, look in self._looks.items() if name in used})

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import Assembly, Piece, arc, creased, loft, soft_polygon, turned_shape
+from scenec.lab.models.solids import Assembly, Piece, arc, creased, loft, soft_hull, soft_polygon
 from scenec.lab.models.surfaces import UP, Floats, azimuth, turned, unit
 
 LOOKS = {
@@ -56,15 +56,8 @@ def _wheel(
         (inner - 0.03, -h + 0.03),
     ]  # fmt: skip
     rim.turned([*lip, (inner, -h + 0.03)], 40, axis, at, crease=30)
-    rim.turned(
-        [
-            (0, h - 0.03), (0.2 * inner, h - 0.03), (0.24 * inner, h - 0.05),
-            (0.24 * inner, -0.3 * h), (0, -0.3 * h),
-        ],
-        20,
-        axis,
-        at,
-    )  # fmt: skip
+    hub = [(0.2 * inner, h - 0.03), (0.24 * inner, h - 0.05), (0.24 * inner, -0.3 * h)]
+    rim.turned([(0, h - 0.03), *hub, (0, -0.3 * h)], 20, axis, at)
     if not spokes:
         dish = [
             (0, 0.2 * h), (0.35 * inner, 0.2 * h), (0.62 * inner, 0.55 * h),
@@ -85,12 +78,8 @@ def _wheel(
         ):
             middle = at + out * reach * inner + axis * (h + front)
             half = side * wide * inner
-            sections.append(
-                [
-                    middle - half, middle + half, middle + 0.8 * half - axis * deep,
-                    middle - 0.8 * half - axis * deep,
-                ]
-            )  # fmt: skip
+            back = middle - axis * deep
+            sections.append([middle - half, middle + half, back + 0.8 * half, back - 0.8 * half])
         rim.loft(sections, crease=25)
 
 
@@ -134,33 +123,23 @@ def _car_section(x: float) -> Floats:
     return np.array(rows)
 
 
+#: What is not body: its part, rows from below, between which places along it.
+_CAR_PARTS: tuple[tuple[str, tuple[int, ...], float, float], ...] = (
+    ("trim", (-1, 0), -9.0, 9.0), ("headlamps", (4,), 1.76, 2.08),
+    ("tail_lamps", (3, 4), -2.13, -1.99), ("trim", (1, 2), 2.06, 9.0),
+    ("trim", (1, 2, 3, 4), 0.945, 0.953), ("trim", (1, 2, 3, 4), -0.300, -0.292),
+    ("trim", (1, 2, 3, 4), -0.905, -0.897), ("trim", (6,), -1.46, 0.90),
+    ("windows", (7,), -1.44, -0.34), ("windows", (7,), -0.25, 0.88), ("trim", (7,), -0.34, -0.25),
+    ("windows", (10, 11), 0.44, 1.06), ("windows", (10, 11), -1.93, -1.56),
+    ("trim", (10, 11), 1.06, 1.12),
+)  # fmt: skip
+
+
 def _car_part(x: float, row: int) -> str:
     """Which part a face of the car's skin belongs to: by place along it and row, from below."""
-
-    def among(*spans: tuple[float, float]) -> bool:
-        return any(low < x < high for low, high in spans)
-
-    seams = ((0.945, 0.953), (-0.300, -0.292), (-0.905, -0.897))
-    if row < 0 or row == 0:
-        return "trim"
-    if row == 4 and among((1.76, 2.08)):
-        return "headlamps"
-    if row in (3, 4) and among((-2.13, -1.99)):
-        return "tail_lamps"
-    if row in (1, 2) and x > 2.06:
-        return "trim"
-    if row in (1, 2, 3, 4) and among(*seams):
-        return "trim"
-    if row == 6 and among((-1.46, 0.90)):
-        return "trim"
-    if row == 7 and among((-1.44, -0.34), (-0.25, 0.88)):
-        return "windows"
-    if row == 7 and among((-0.34, -0.25)):
-        return "trim"
-    if row in (10, 11) and among((0.44, 1.06), (-1.93, -1.56)):
-        return "windows"
-    if row in (10, 11) and among((1.06, 1.12)):
-        return "trim"
+    for name, rows, low, high in _CAR_PARTS:
+        if row in rows and low < x < high:
+            return name
     return "body"
 
 
@@ -193,8 +172,7 @@ def car() -> Model:
         "headlamps": "lamp_clear", "tail_lamps": "lamp_red",
     }  # fmt: skip
     owner = []
-    for i in range(len(stations) - 1):
-        middle = 0.5 * float(stations[i] + stations[i + 1])
+    for middle in (0.5 * (stations[:-1] + stations[1:])).tolist():
         for j in range(around):
             row = j if j < 12 else 23 - j if j < 24 else -1
             owner += [_car_part(middle, row)] * 2
@@ -251,15 +229,12 @@ def tractor() -> Model:
             _lugs(tires, center, radius, width, 20 if radius > 0.6 else 16)
         trim.rod((-out, y, radius), (out, y, radius), 0.10 if y > 0 else 0.07, 16)
     # Hood: sections from the cab to the nose.
-    sections = []
-    for y, half, low, high, soft in (
+    hood = [
         (-0.15, 0.36, 0.88, 1.52, 0.12), (-0.90, 0.355, 0.88, 1.49, 0.12),
         (-1.55, 0.34, 0.88, 1.43, 0.13), (-1.85, 0.32, 0.88, 1.36, 0.14),
         (-1.93, 0.29, 0.91, 1.28, 0.13), (-1.96, 0.24, 0.96, 1.20, 0.10),
-    ):  # fmt: skip
-        ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], soft, 6)
-        sections.append(np.column_stack([ring[:, 0], np.full(len(ring), y), ring[:, 1]]))
-    paint.loft(sections)
+    ]  # fmt: skip
+    paint.loft(soft_hull(hood, 6))
     grille = parts.part("grille", "plastic_black")
     grille.rounded_box((-0.20, -1.985, 0.93), (0.20, -1.94, 1.20), 0.02)
     for s in (-1.0, 1.0):
@@ -285,14 +260,10 @@ def tractor() -> Model:
     low_ring = np.array([(-0.66, -0.12), (0.66, -0.12), (0.70, 1.36), (-0.70, 1.36)])
     top_ring = np.array([(-0.58, 0.02), (0.58, 0.02), (0.60, 1.30), (-0.60, 1.30)])
     for (ax, ay), (bx, by) in zip(low_ring, top_ring, strict=True):
-        path = np.array([(ax, ay, 1.0), (bx, by, 2.42)])
-        trim.bent(path, 0.045, 8)
-    panes = parts.part("windows", "glass")
-    glass = [
-        np.column_stack([ring * k, np.full(4, z)])
-        for ring, z, k in ((low_ring, 1.02, 0.985), (top_ring, 2.40, 0.985))
-    ]
-    panes.loft(glass, crease=10)
+        trim.bent([(ax, ay, 1.0), (bx, by, 2.42)], 0.045, 8)
+    rings = ((low_ring, 1.02), (top_ring, 2.40))
+    glass = [np.column_stack([ring * 0.985, np.full(4, z)]) for ring, z in rings]
+    parts.part("windows", "glass").loft(glass, crease=10)
     for (ax, ay), (bx, by) in zip(low_ring, np.roll(low_ring, -1, axis=0), strict=True):
         trim.rod((ax, ay, 1.02), (bx, by, 1.02), 0.035, 8)
     for s in (-1.0, 1.0):
@@ -300,14 +271,8 @@ def tractor() -> Model:
     sections = []
     for z, grow in ((2.40, -0.02), (2.44, 0.05), (2.52, 0.06), (2.58, 0.02), (2.61, -0.10)):
         half = 0.62 + grow
-        ring = soft_polygon(
-            [
-                (-half, -0.10 - grow), (half, -0.10 - grow), (half, 1.36 + grow),
-                (-half, 1.36 + grow),
-            ],
-            0.16,
-            5,
-        )  # fmt: skip
+        low, high = -0.10 - grow, 1.36 + grow
+        ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], 0.16, 5)
         sections.append(np.column_stack([ring, np.full(len(ring), z)]))
     parts.part("roof", "paint_white").loft(sections, crease=50)
     for s in (-1.0, 1.0):
@@ -321,19 +286,13 @@ def tractor() -> Model:
         trim.rounded_box((s * 0.74 - 0.012, 0.03, 0.40), (s * 0.74 + 0.012, 0.07, 1.0), 0.008)
         trim.bent([(s * 0.62, -0.05, 1.95), (s * 0.95, -0.16, 2.0)], 0.014, 6)
         trim.rounded_box((s * 0.98 - 0.09, -0.20, 1.83), (s * 0.98 + 0.09, -0.15, 2.12), 0.02)
-    trim.bent(
-        [(0.40, -0.42, 1.20), (0.44, -0.42, 1.30), (0.44, -0.42, 2.30), (0.46, -0.36, 2.42)],
-        [0.05, 0.05, 0.05, 0.045],
-        14,
-    )
+    pipe = [(0.40, -0.42, 1.20), (0.44, -0.42, 1.30), (0.44, -0.42, 2.30), (0.46, -0.36, 2.42)]
+    trim.bent(pipe, [0.05, 0.05, 0.05, 0.045], 14)
     trim.turned([(0, 0.0), (0.085, 0.02), (0.085, 0.55), (0, 0.58)], 16, UP, (0.44, -0.42, 1.42))
     # Linkage.
     for s in (-1.0, 1.0):
-        trim.bent(
-            [(s * 0.28, 1.35, 0.70), (s * 0.40, 1.95, 0.52), (s * 0.42, 2.12, 0.50)],
-            [0.035, 0.03, 0.045],
-            8,
-        )
+        arm = [(s * 0.28, 1.35, 0.70), (s * 0.40, 1.95, 0.52), (s * 0.42, 2.12, 0.50)]
+        trim.bent(arm, [0.035, 0.03, 0.045], 8)
     trim.rod((0, 1.30, 0.95), (0, 1.95, 0.85), 0.03, 8)
     return parts.model()
 
@@ -353,19 +312,13 @@ def _lugs(surface: Piece, center: Floats, radius: float, width: float, count: in
             middle = center + s * 0.235 * width * axis + 0.235 * width * 0.75 * ahead
             length = 0.31 * width * 1.25
             # Lower at its outer end, as the tread is.
-            tip = (radius - 0.05) - float(
-                np.sqrt(max(0.0, (radius - 0.05) ** 2 - (0.5 * width) ** 2))
-            )
+            tread = radius - 0.05
+            tip = tread - float(np.sqrt(max(0.0, tread**2 - (0.5 * width) ** 2)))
             sections = []
             for t, drop in ((-1.0, 0.0), (1.0, 0.25 * tip + 0.010)):
                 high, low, half = radius - drop, radius - 0.075 - drop, 0.024
-                base = np.array(
-                    [
-                        [t * length, -1.5 * half, low], [t * length, 1.5 * half, low],
-                        [t * length, half, high], [t * length, -half, high],
-                    ]
-                )  # fmt: skip
-                sections.append(base @ frame)
+                corners = ((-1.5 * half, low), (1.5 * half, low), (half, high), (-half, high))
+                sections.append(np.array([[t * length, *corner] for corner in corners]) @ frame)
             # The frame's third axis passes through the wheel's middle, not through the bar's.
             shift = middle - center
             surface.loft(sections + center + shift, crease=20)
@@ -400,11 +353,8 @@ def rover() -> Model:
             wheels.box((-0.185, -0.006, r - 0.014), (0.185, 0.006, r + 0.008), frame, center)
         for k in range(6):
             out = turned(UP, axis, 60.0 * k)
-            path = [
-                center + axis * 0.03,
-                center + axis * 0.06 + out * 0.13,
-                center - axis * 0.02 + out * (r - 0.01),
-            ]
+            knee = center + axis * 0.06 + out * 0.13
+            path = [center + axis * 0.03, knee, center - axis * 0.02 + out * (r - 0.01)]
             wheels.bent(path, [0.016, 0.013, 0.012], 6)
         dark.turned(
             [(0, -0.19), (0.07, -0.19), (0.085, -0.02), (0.06, 0.06), (0, 0.07)], 20, axis, center
@@ -426,48 +376,26 @@ def rover() -> Model:
         dark.rod(bogie - s * 0.06 * _LEFT, bogie + s * 0.06 * _LEFT, 0.06, 16)
     # Mast with its head, at the front right; the eyes look ahead.
     mast = np.array([-0.42, -0.55, 1.05])
-    white.turned(
-        [
-            (0, 0), (0.09, 0), (0.085, 0.14), (0.055, 0.18), (0.05, 0.84), (0.075, 0.86),
-            (0.075, 0.95), (0, 0.95),
-        ],
-        20,
-        UP,
-        mast,
-    )  # fmt: skip
+    column = [(0.09, 0), (0.085, 0.14), (0.055, 0.18), (0.05, 0.84), (0.075, 0.86), (0.075, 0.95)]
+    white.turned([(0, 0), *column, (0, 0.95)], 20, UP, mast)
     head = mast + np.array([0, 0, 1.06])
     white.rounded_box((-0.21, -0.10, -0.10), (0.21, 0.12, 0.13), 0.025, head)
-    lens = parts.part("lenses", "lens")
+    lens, ahead = parts.part("lenses", "lens"), np.array([0, -1.0, 0])
     for x, z, size in (
         (-0.15, -0.03, 0.022), (0.15, -0.03, 0.022), (-0.07, -0.03, 0.030), (0.07, -0.03, 0.030),
         (0.0, 0.06, 0.055),
     ):  # fmt: skip
-        dark.turned(
-            [(0, 0), (size * 1.3, 0), (size * 1.3, 0.035), (size, 0.04), (0, 0.03)],
-            20,
-            np.array([0, -1.0, 0]),
-            head + np.array([x, -0.095, z]),
-        )
-        eye = head + np.array([x, -0.131, z])
-        lens.turned(
-            [(0, 0), (size * 0.9, 0), (size * 0.6, 0.008), (0, 0.011)],
-            16,
-            np.array([0, -1.0, 0]),
-            eye,
-        )
+        barrel = [(0, 0), (size * 1.3, 0), (size * 1.3, 0.035), (size, 0.04), (0, 0.03)]
+        dark.turned(barrel, 20, ahead, head + np.array([x, -0.095, z]))
+        eye = [(0, 0), (size * 0.9, 0), (size * 0.6, 0.008), (0, 0.011)]
+        lens.turned(eye, 16, ahead, head + np.array([x, -0.131, z]))
     # Antennas.
-    white.turned(
-        [(0, 0), (0.03, 0), (0.03, 0.30), (0.12, 0.32), (0.12, 0.36), (0, 0.36)],
-        24,
-        UP,
-        (0.42, 0.42, 1.07),
-    )
+    disc = [(0, 0), (0.03, 0), (0.03, 0.30), (0.12, 0.32), (0.12, 0.36), (0, 0.36)]
+    white.turned(disc, 24, UP, (0.42, 0.42, 1.07))
     aim = azimuth(250.0, 40.0)
     dark.rod((0.46, -0.10, 1.07), (0.46, -0.10, 1.26), 0.025)
-    hexagon = turned_shape(
-        [(0, 0.0), (0.17, 0.0), (0.17, 0.025), (0, 0.025)], 6, aim, np.array([0.46, -0.10, 1.30])
-    )
-    white.solid(hexagon)
+    hexagon = [(0, 0.0), (0.17, 0.0), (0.17, 0.025), (0, 0.025)]
+    white.turned(hexagon, 6, aim, (0.46, -0.10, 1.30))
     # Power source at the rear, with fins.
     tail = unit(np.array([0.0, 0.86, 0.5]))
     foot = np.array([0.0, 0.70, 0.90])
@@ -489,10 +417,6 @@ def rover() -> Model:
     # Hazard cameras.
     for s in (-1.0, 1.0):
         dark.rounded_box((s * 0.16 - 0.04, -0.80, 0.78), (s * 0.16 + 0.04, -0.74, 0.86), 0.01)
-        lens.turned(
-            [(0, 0), (0.02, 0), (0.012, 0.006), (0, 0.008)],
-            12,
-            np.array([0, -1.0, 0]),
-            np.array([s * 0.16, -0.80, 0.82]),
-        )
+        glass = [(0, 0), (0.02, 0), (0.012, 0.006), (0, 0.008)]
+        lens.turned(glass, 12, ahead, (s * 0.16, -0.80, 0.82))
     return parts.model()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import Piece, loft
+from scenec.lab.models.solids import Assembly, loft
 from scenec.lab.models.stems import Habit, Level, grown, meshed
 from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
 
@@ -23,8 +23,8 @@ LOOKS = {
 
 def rose() -> Model:
     """A dog rose in flower: arching canes, pinnate leaves, pale pink flowers."""
-    chance = Chance("rose")
-    canes, leaves, petals = Surface(), Surface(), Surface()
+    chance, parts = Chance("rose"), Assembly(LOOKS)
+    canes, leaves, petals = parts.parts(canes="rose_bark", leaves="rose_leaf", flowers="rose_petal")
     for k in range(15):
         habit = Habit(
             height=chance.between(0.8, 1.6),
@@ -50,14 +50,7 @@ def rose() -> Model:
                     _pinnate(leaves, chance, point, unit(along + 1.1 * around + 0.35 * UP))
             if stem.level == 1 and chance.between(0.0, 1.0) < 0.36:
                 _rose_flower(petals, chance, *stem.at(1.0)[:2])
-    return Model(
-        {
-            "canes": canes.part("rose_bark"),
-            "leaves": leaves.part("rose_leaf"),
-            "flowers": petals.part("rose_petal"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def _pinnate(surface: Surface, chance: Chance, base: Floats, ahead: Floats) -> None:
@@ -160,9 +153,9 @@ def snag() -> Model:
             Level((0.5, 0.15), 3, 4, wander=22.0, down=(50, 15)),
         ),
     )  # fmt: skip
-    chance = Chance("snag")
+    chance, parts = Chance("snag"), Assembly(LOOKS)
     stems = grown(habit, chance, np.zeros(3), unit(np.array([0.05, 0.03, 1.0])))
-    wood, breaks = Piece(), Piece()
+    wood, breaks = parts.parts(wood="bleached_wood", breaks="dead_wood")
     path, radii = stems[0].path, stems[0].radii
     sides = 24
     angles = 2.0 * math.pi * np.arange(sides) / sides
@@ -184,4 +177,4 @@ def snag() -> Model:
     wood.solid(trunk._replace(faces=trunk.faces[~hollow]), crease=50)
     breaks.solid(trunk._replace(faces=trunk.faces[hollow]), crease=30)
     meshed(stems[1:], habit, {1: wood, 2: wood, 3: wood})
-    return Model({"wood": wood.part("bleached_wood"), "breaks": breaks.part("dead_wood")}, LOOKS)
+    return parts.model(grown=True)
