@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.surfaces import UP, Floats, Integers, Surface, across, cross, unit
+from scenec.lab.models.surfaces import UP, Floats, Integers, Surface, band, rings_along, swept, unit
 
 type Outline = Sequence[tuple[float, float]] | Floats
 
@@ -159,17 +158,10 @@ def loft(sections: Floats, caps: Sequence[tuple[int, int, int]] | None = None) -
         caps: Triangles of the ends; None makes fans about their middles.
     """
     count, around, _ = sections.shape
-    points = sections.reshape(-1, 3)
-    faces: list[tuple[int, int, int]] = []
-    for i in range(count - 1):
-        for j in range(around):
-            a, b = i * around + j, i * around + (j + 1) % around
-            faces += [(a, b, b + around), (a, b + around, a + around)]
+    points, faces = sections.reshape(-1, 3), band(count, around)
     last = (count - 1) * around
     if caps is None:
-        points = np.concatenate(
-            [points, sections[0].mean(axis=0)[None], sections[-1].mean(axis=0)[None]]
-        )
+        points = np.concatenate([points, sections[[0, -1]].mean(axis=1)])
         for j in range(around):
             k, n = (j + 1) % around, len(points)
             faces += [(n - 2, k, j), (n - 1, last + j, last + k)]
@@ -186,28 +178,8 @@ def turned_shape(
 
     A profile whose ends have radius 0 is closed by that; another one is a ring's, and closes.
     """
-    rows = [(float(r), float(h)) for r, h in np.asarray(profile, np.float64)]
-    side = across(axis)
-    other = cross(axis, side)
-    angles = 2.0 * math.pi * np.arange(sides) / sides
-    around = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-    points: list[Floats] = []
-    rings: list[range] = []
-    for radius, height in rows:
-        count = sides if radius > 0.0 else 1
-        rings.append(range(len(points), len(points) + count))
-        points += list(np.asarray(at) + axis * height + radius * around[:count])
-    if rows[0][0] > 0.0:
-        rings.append(rings[0])
-    faces: list[tuple[int, int, int]] = []
-    for lower, upper in pairwise(rings):
-        for j in range(sides):
-            k = (j + 1) % sides
-            if len(lower) > 1:
-                faces.append((lower[j], lower[k], upper[k % len(upper)]))
-            if len(upper) > 1:
-                faces.append((lower[j % len(lower)], upper[k], upper[j]))
-    return outward(np.array(points), faces)
+    rows = np.asarray(profile, np.float64).tolist()
+    return outward(*swept(rows, sides, axis, at, closed=rows[0][0] > 0.0))
 
 
 def rod(start: Sequence[float], end: Sequence[float], radius: float, sides: int = 10) -> Solid:
@@ -225,17 +197,8 @@ def bent(
     """A pipe along a path, closed at its ends."""
     path = np.asarray(path, np.float64)
     radii = np.broadcast_to(np.asarray(radii, np.float64), len(path))
-    ahead = unit(np.gradient(path, axis=0))
-    side = across(ahead[0])
-    angles = 2.0 * math.pi * np.arange(sides) / sides
-    sections = np.zeros((len(path), sides, 3))
-    for i, (point, radius) in enumerate(zip(path, radii, strict=True)):
-        side = unit(side - ahead[i] * float(side @ ahead[i]))
-        other = cross(ahead[i], side)
-        sections[i] = point + radius * (
-            np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-        )
-    return loft(sections)
+    rings = zip(path, radii, rings_along(path, sides), strict=True)
+    return loft(np.array([point + radius * ring for point, radius, ring in rings]))
 
 
 def arc(

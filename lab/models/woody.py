@@ -9,7 +9,17 @@ import numpy as np
 from scenec.lab.models.glb import Look, Model
 from scenec.lab.models.solids import Assembly, loft
 from scenec.lab.models.stems import Habit, Level, grown, meshed
-from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
+from scenec.lab.models.surfaces import (
+    UP,
+    Chance,
+    Floats,
+    Surface,
+    across,
+    azimuth,
+    band,
+    turned,
+    unit,
+)
 
 LOOKS = {
     "rose_bark": Look((0.090, 0.100, 0.045), 0.70),
@@ -98,12 +108,7 @@ def log() -> Model:
     # Broken ends are not cut at right angles.
     grid[0, :, 0] += 0.05 * np.cos(2.0 * math.pi * np.arange(sides) / sides)
     grid[-1, :, 0] += [chance.about(0.0, 0.035) for _ in range(sides)]
-    faces = []
-    for i in range(rings - 1):
-        for j in range(sides):
-            a, b = i * sides + j, i * sides + (j + 1) % sides
-            faces += [(a, b, b + sides), (a, b + sides, a + sides)]
-    bark.add(grid.reshape(-1, 3), faces, None)
+    bark.add(grid.reshape(-1, 3), band(rings, sides), None)
     for i, out in ((0, -1.0), (rings - 1, 1.0)):
         heart = grid[i].mean(axis=0) + np.array([-0.015 * out, 0.0, 0.0])
         fan = [(0, 1 + j, 1 + (j + 1) % sides) for j in range(sides)]
