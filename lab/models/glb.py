@@ -165,19 +165,24 @@ class _Buffer:
         self.views.append(entry)
         return len(self.views) - 1
 
+    def accessor(
+        self, view: int, component: int, count: int, kind: str, normalized: bool = False
+    ) -> int:
+        entry: dict[str, Any] = {"bufferView": view, "componentType": component}
+        entry |= {"normalized": True} if normalized else {}
+        self.accessors.append(entry | {"count": count, "type": kind})
+        return len(self.accessors) - 1
+
     def floats(self, name: str, values: NDArray[np.float64]) -> int:
         # Adding zero turns -0 into 0.
         rows = (np.round(values, _DECIMALS[name]) + 0.0).astype("<f4")
         kind = {2: "VEC2", 3: "VEC3"}[rows.shape[1]]
-        entry: dict[str, Any] = {
-            "bufferView": self.view(rows.tobytes(), None if name in _PLACES else _ARRAY),
-            "componentType": _FLOAT, "count": len(rows), "type": kind,
-        }  # fmt: skip
+        view = self.view(rows.tobytes(), None if name in _PLACES else _ARRAY)
+        place = self.accessor(view, _FLOAT, len(rows), kind)
         if name == "POSITION":
-            entry["min"] = [float(v) for v in rows.min(axis=0)]
-            entry["max"] = [float(v) for v in rows.max(axis=0)]
-        self.accessors.append(entry)
-        return len(self.accessors) - 1
+            self.accessors[place]["min"] = [float(v) for v in rows.min(axis=0)]
+            self.accessors[place]["max"] = [float(v) for v in rows.max(axis=0)]
+        return place
 
     def directions(self, normals: NDArray[np.float64], fine: bool) -> int:
         """Normals as signed integers (KHR_mesh_quantization).
@@ -190,24 +195,15 @@ class _Buffer:
         view = self.view(rows.tobytes(), _ARRAY)
         # Each vertex begins at a multiple of four bytes.
         self.views[view]["byteStride"] = 4 * rows.itemsize
-        entry = {
-            "bufferView": view, "componentType": kind, "normalized": True, "count": len(rows),
-            "type": "VEC3",
-        }  # fmt: skip
-        self.accessors.append(entry)
-        return len(self.accessors) - 1
+        return self.accessor(view, kind, len(rows), "VEC3", normalized=True)
 
     def places(self, places: Places) -> dict[str, int]:
         """The attributes of instances: turns of 16 bits, as the extension allows."""
         x, y, z, w = places.turns.T
         turns = np.round(32767.0 * np.stack([x, z, -y, w], axis=1)).astype("<i2")
-        entry = {
-            "bufferView": self.view(turns.tobytes(), None), "componentType": _SHORT,
-            "normalized": True, "count": len(turns), "type": "VEC4",
-        }  # fmt: skip
+        view = self.view(turns.tobytes(), None)
         moved = self.floats("TRANSLATION", _y_up(places.positions))
-        self.accessors.append(entry)
-        turned = len(self.accessors) - 1
+        turned = self.accessor(view, _SHORT, len(turns), "VEC4", normalized=True)
         sizes = self.floats("SCALE", np.repeat(places.sizes[:, None], 3, axis=1))
         return {"TRANSLATION": moved, "ROTATION": turned, "SCALE": sizes}
 
@@ -215,11 +211,7 @@ class _Buffer:
         if points > 65535:
             raise ValueError(f"{points} points in one part: 16-bit indices reach 65535")
         view = self.view(faces.astype("<u2").tobytes(), _ELEMENTS)
-        entry = {
-            "bufferView": view, "componentType": _USHORT, "count": faces.size, "type": "SCALAR",
-        }  # fmt: skip
-        self.accessors.append(entry)
-        return len(self.accessors) - 1
+        return self.accessor(view, _USHORT, faces.size, "SCALAR")
 
 
 def encode(model: Model, card: Card) -> bytes:
