@@ -1,4 +1,4 @@
-"""Writes docs/head_to_head.md: two workloads of other tools, CPU seconds by phase, memory, noise.
+"""Makes the tables of docs/head_to_head.md: two workloads of other tools, phase by phase.
 
     python lab/experiments/head_to_head.py [--fast] [--full] [--only A,B] [--backends A,B]
         [--work FOLDER] [-o FOLDER]
@@ -26,7 +26,7 @@ from scenec.backends.run.executors import make_executor
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
-from scenec.lab.runner import Cell, Page, apart, names, peak_mib, run, table
+from scenec.lab.runner import Cell, Page, apart, names, peak_mib, run
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import read_frame
 
@@ -38,42 +38,19 @@ SPP, MORE = 16, 64
 STEPS = ("load", "radiance", "write")
 PHASES = ("compile", "start", "load", "radiance", "annotation", "write")
 
-HEAD = """\
-# Head to head
-
-What does a frame cost here, and what elsewhere? Two workloads of other tools, each compiled once
-and rendered by every backend.
-
-`python lab/experiments/head_to_head.py{words}` made this page on {{cores}} cores
-({{versions}}). Seconds are CPU seconds of all threads. They still grow beside other work, as caches
-and memory are shared: the yardstick is 0.4 where little else runs. One process renders and is
-measured whole, another one compiles, and nothing is taken from a cache. *Start* is the
-interpreter, imports and what no other step counts; *load* reads the stage and gives it to the
-renderer (Mitsuba compiles its kernel in the first *radiance*); *annotation* casts the exact rays
-and makes every other pass. *Noise* is the relative rms error of a picture, as its sidecar states it
-by two halves, over all frames. pyrender is a rasterizer: its supersampled pictures have no noise,
-and no shadows of the sky.
-
-Rows in italics are stated, not measured by this page: they were taken side by side on such a
-machine earlier, with the tools' own settings, and nothing is known of their noise.
-"""
-
 
 @dataclass(frozen=True)
 class Workload:
     """What is rendered.
 
     Attributes:
-        name: For options and files.
-        title, about: Of its section.
+        name: For options, files, and numbers of the page.
         cfg: What is compiled.
         stated: Rows of other tools: name, CPU s a sample, CPU s in all, peak in GB, where known.
         aims: CPU s a sample with start and compile, by backend.
     """
 
     name: str
-    title: str
-    about: str
     cfg: dict[str, Any]
     stated: tuple[tuple[str, float, float | None, float | None], ...]
     aims: dict[str, float]
@@ -164,10 +141,6 @@ def paper() -> dict[str, Any]:
 WORKLOADS = (
     Workload(
         "paper",
-        "The workload of the OAISYS paper",
-        "Five classes of ground out of seven merged textures, 30,000 rocks of 16 models of 1,280 "
-        "triangles, color, two label levels, instances and depth; 320 × 240 pixels, 16 samples a "
-        "pixel, five samples of one batch, the sky drawn anew for each.",
         paper(),
         (
             ("OAISYS, adaptive subdivision", 188.0, None, None),
@@ -177,9 +150,6 @@ WORKLOADS = (
     ),
     Workload(
         "blenderproc",
-        "A scene of BlenderProc",
-        "30,000 rocks of 10 shapes on 100 m, plain colors, color, depth and instances; 640 × 480 "
-        "pixels, 16 samples a pixel, three frames.",
         rocks_on_hills(30_000, samples=3, outputs=["rgb", "instance", "depth"]),
         (("BlenderProc 2.8", 67.0 / 3.0, 67.0, 2.4),),
         {},
@@ -269,11 +239,13 @@ class Comparison:
         file = self.work / f"{one.name}_{what}.json"
         return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
 
-    def told(self, one: Workload) -> str:
-        """A section."""
+    def tell(self, one: Workload) -> None:
+        """Fills the two tables of a workload; they stay where it was not measured."""
         frames, compile_cost = int(one.cfg["samples"]), self.found(one, "compile")
         if compile_cost is None:
-            return f"## {one.title}\n\nNot measured.\n"
+            self.page.rows(None)
+            self.page.rows(None)
+            return
         rows: list[list[Cell]] = []
         noise: list[list[Cell]] = []
         aims = []
@@ -299,17 +271,11 @@ class Comparison:
         for name, each, total, peak in one.stated:
             dashes: list[Cell] = [None] * len(PHASES)
             rows.append([f"*{name}*", *dashes, total, each, peak, None])
-        text = f"## {one.title}\n\n{one.about}\n\n"
-        header = ["", *PHASES, "all", "a frame", "peak, GB", "noise"]
-        text += table(header, rows)
+        self.page.rows(rows)
+        self.page.rows(noise)
+        self.page.value(f"{one.name}_noise", _percent(goal) or "-")
         if aims:
-            text += f"\nAimed at, CPU seconds a frame in all: {'; '.join(aims)}.\n"
-        if noise:
-            text += f"\n### At equal noise, {_percent(goal)}\n\n"
-            header = ["", f"noise at {SPP}", f"at {MORE}, first frame", "error falls as",
-                      "samples needed", "radiance, CPU s a frame", "a frame in all"]  # fmt: skip
-            text += table(header, noise)
-        return text
+            self.page.value(f"{one.name}_aims", "; ".join(aims))
 
     def equal(
         self, one: Workload, backend: str, found: dict[str, Any], each: float, goal: float
@@ -340,15 +306,14 @@ def _rms(errors: list[float | None]) -> float:
 
 
 def main(page: Page) -> None:
-    """Measures, and writes the page."""
+    """Measures, and refreshes the page."""
     both = Comparison(page)
     for one in WORKLOADS:
         if not page.options.only or one.name in page.options.only:
             both.measure(one)
-    words = "".join(f" --{name}" for name in ("fast", "full") if getattr(page.options, name))
-    parts = [lambda _, one=one: both.told(one) for one in WORKLOADS]
-    packages = ("mitsuba", "bpy", "pyrender-maintained")
-    page.write(HEAD.format(words=words), packages, parts)
+    for one in WORKLOADS:
+        both.tell(one)
+    page.refresh(("mitsuba", "bpy", "pyrender-maintained"), ())
 
 
 if __name__ == "__main__":
