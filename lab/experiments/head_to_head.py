@@ -56,92 +56,14 @@ class Workload:
     aims: dict[str, float]
 
 
-def _texture(kind: str, color: tuple[float, ...]) -> dict[str, Any]:
-    maps = {"procedural": {"type": kind, "resolution": 512}}
-    return {"base_color": list(color), "specular": 0, "variation": 0.25, "maps": maps}
-
-
-#: Seven textures: name, class, surface, mean color.
-_TEXTURES = (
-    ("red_sand", "sand", "sand", (0.42, 0.27, 0.17)),
-    ("pale_sand", "sand", "sand", (0.5, 0.42, 0.31)),
-    ("coarse_gravel", "gravel", "gravel", (0.24, 0.2, 0.17)),
-    ("fine_gravel", "gravel", "gravel", (0.33, 0.29, 0.25)),
-    ("dried_mud", "dried_mud", "mud_cracks", (0.34, 0.27, 0.2)),
-    ("soil", "soil", "soil", (0.2, 0.14, 0.09)),
-    ("bedrock", "bedrock", "weathered", (0.25, 0.21, 0.17)),
-)
-
-
-def paper() -> dict[str, Any]:
-    """Five classes of ground out of seven merged textures, 30,000 rocks of 16 models, five samples.
-
-    A camera two meters above 100 m of relief, under a sky that each sample draws anew.
-    """
-    surfaces = dict.fromkeys(["sky", *(surface for _, surface, _, _ in _TEXTURES), "rock"])
-    ground: list[dict[str, Any]] = []
-    for name, surface, _, _ in _TEXTURES:
-        layer: dict[str, Any] = {
-            "material": name,
-            "labels": {"class": "ground", "surface": surface},
-        }
-        if ground:
-            layer |= {"noise": {"scale_m": 15, "octaves": 3}, "coverage": 0.35, "sharpness": 6}
-        ground.append(layer)
-    cfg = rocks_on_hills(30_000, cells=500)
-    cfg |= {
-        "name": "paper_workload",
-        "samples": 5,
-        "outputs": ["rgb", "label", "instance", "depth"],
-        "labels": {
-            "class": {"sky": 1, "ground": 2, "rock": 3},
-            "surface": {surface: i for i, surface in enumerate(surfaces, 1)},
-        },
-        "materials": {
-            "stone": _texture("basalt", (0.16, 0.13, 0.11)),
-            **{name: _texture(kind, color) for name, _, kind, color in _TEXTURES},
-        },
-    }
-    cfg["terrain"]["ground"] = ground
-    cfg["objects"]["rocks"] |= {
-        "prototypes": 16,
-        "subdivisions": 3,
-        "size_m": {"type": "log_uniform", "min": 0.04, "max": 0.5},
-        "labels": {"class": "rock", "surface": "rock"},
-    }
-    del cfg["objects"]["rocks"]["family"]
-    cfg["light"] = {
-        "sun": {
-            "elevation_deg": {"type": "uniform", "min": 20, "max": 70},
-            "azimuth_deg": {"type": "uniform", "min": 0, "max": 360},
-        },
-        "sky": {
-            "type": "atmosphere",
-            "planet": "earth",
-            "labels": {"class": "sky", "surface": "sky"},
-        },
-    }
-    cfg["rigs"]["rover"]["pose"] = {
-        "type": "random_target",
-        "position": {
-            "x_m": {"type": "uniform", "min": -30, "max": 30},
-            "y_m": {"type": "uniform", "min": -30, "max": 30},
-            "height_m": 2,
-        },
-        "target": {
-            "distance_m": 10,
-            "bearing_deg": {"type": "uniform", "min": 0, "max": 360},
-            "height_m": 0.5,
-        },
-    }
-    cfg["rigs"]["rover"]["sensors"]["mast"]["resolution"] = [320, 240]
-    return cfg
-
+#: Five classes of ground out of seven merged textures, 30,000 rocks of 16 models, five samples; a
+#: camera two meters above 100 m of relief, under a sky that each sample draws anew.
+PAPER = Path(__file__).with_name("paper_workload.json")
 
 WORKLOADS = (
     Workload(
         "paper",
-        paper(),
+        json.loads(PAPER.read_text(encoding="utf-8")),
         (
             ("OAISYS, adaptive subdivision", 188.0, None, None),
             ("OAISYS, without it", 26.0, None, None),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.scene.objects import Prototype
-from scenec.quality.ladder.points import triangle
+from scenec.quality.ladder.points import Floats, Integers, triangle
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -32,7 +32,7 @@ def apart(one: Prototype, other: Prototype) -> tuple[float, float]:
     return largest, float(np.sqrt(squares))
 
 
-def spread_over(mesh: Prototype) -> NDArray[np.float64]:
+def spread_over(mesh: Prototype) -> Floats:
     """Points spread evenly over the area of a mesh, float64 [n, 3]."""
     corners = mesh.points.astype(np.float64)[mesh.faces]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -44,13 +44,11 @@ def spread_over(mesh: Prototype) -> NDArray[np.float64]:
     # One to each of as many equal parts of the area.
     part = (np.arange(count) + 0.5) / count * before[-1]
     face = np.minimum(np.searchsorted(before, part, side="right"), len(corners) - 1)
-    points: NDArray[np.float64] = (triangle(count)[..., None] * corners[face]).sum(axis=1)
+    points: Floats = (triangle(count)[..., None] * corners[face]).sum(axis=1)
     return points
 
 
-def nearest(
-    at: NDArray[np.float64], points: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def nearest(at: Floats, points: Floats, faces: Integers) -> Floats:
     """Distance of each point to the nearest of all triangles, float64 [n].
 
     Args:

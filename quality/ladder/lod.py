@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.emit.layer import Appearance
 from scenec.compiler.emit.objects import write_scatter
@@ -20,6 +19,7 @@ from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.quality.ladder.apart import apart
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
+from scenec.quality.ladder.points import Floats, Integers
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.schemas.errors import SceneError
 
@@ -37,8 +37,8 @@ class _Measured:
         worst, rms: float64 [meshes].
     """
 
-    worst: NDArray[np.float64]
-    rms: NDArray[np.float64]
+    worst: Floats
+    rms: Floats
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _rung(
 def _measure(
     base: Base,
     classes: Sequence[_Class],
-    meshes: Sequence[NDArray[np.int64]],
+    meshes: Sequence[Integers],
     chosen: Sequence[tuple[Scatter, dict[str, Any]]],
     clock: Clock,
 ) -> Rung:
@@ -233,12 +233,12 @@ def _by_level(base: Base, classes: Sequence[_Class]) -> Ladder:
 
 
 def _at_levels(
-    classes: Sequence[_Class], meshes: Sequence[NDArray[np.int64]]
+    classes: Sequence[_Class], meshes: Sequence[Integers]
 ) -> list[tuple[Scatter, dict[str, Any]]]:
     return [_at_level(one.levels, mesh) for one, mesh in zip(classes, meshes, strict=True)]
 
 
-def _at_level(levels: Levels, mesh: NDArray[np.int64]) -> tuple[Scatter, dict[str, Any]]:
+def _at_level(levels: Levels, mesh: Integers) -> tuple[Scatter, dict[str, Any]]:
     used, prototype = np.unique(mesh, return_inverse=True)
     prototypes: tuple[Prototype, ...] = tuple(levels.meshes[i] for i in used)
     scatter = replace(levels.scatter, prototypes=prototypes, prototype=prototype.astype(np.int32))

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import Surface
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
 from scenec.quality.ladder.eyes import Eye
-from scenec.quality.ladder.points import square
+from scenec.quality.ladder.points import Bools, Floats, Integers, square
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -37,22 +36,20 @@ class Skylines:
         known: Whether a camera has such a bearing, bool [cameras, bearings].
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    away: NDArray[np.float64]
-    eye: NDArray[np.int64]
-    known: NDArray[np.bool_]
+    x: Floats
+    y: Floats
+    away: Floats
+    eye: Integers
+    known: Bools
 
 
-def spread(field: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def spread(field: HeightField) -> tuple[Floats, Floats]:
     """Points evenly over the terrain, and not on samples."""
     u, v = square(_OVER_ALL)
     return (u - 0.5) * field.grid.size_m[0], (v - 0.5) * field.grid.size_m[1]
 
 
-def looked_at(
-    field: HeightField, eyes: Sequence[Eye]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def looked_at(field: HeightField, eyes: Sequence[Eye]) -> tuple[Floats, Floats]:
     """Where rays through pixels, spread evenly over all pictures and scans, meet the ground first.
 
     The ground is the grid's triangles, which only decides where points lie, never what is measured
@@ -95,7 +92,7 @@ def _grown(ratio: float, count: int) -> float:
     return out
 
 
-def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rays(eyes: Sequence[Eye], each: int) -> tuple[Floats, Floats]:
     """Eyes and unit vectors of rays through pixels, float64 [n, 3] each."""
     u, v = square(each)
     directions = [eye.rays(u, v) for eye in eyes]
@@ -160,9 +157,7 @@ def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:
     return Skylines(x, y, np.broadcast_to(away, x.shape), chosen, known)
 
 
-def horizons(
-    lines: Skylines, eyes: Sequence[Eye], heights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def horizons(lines: Skylines, eyes: Sequence[Eye], heights: Floats) -> Floats:
     """Row of the picture that each bearing's horizon has, float64 [cameras, bearings].
 
     NaN where the ground under a bearing is not there or its horizon is out of the picture.
@@ -193,9 +188,9 @@ class Truth:
         lines: Skylines, or None without cameras.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
+    x: Floats
+    y: Floats
+    z: Floats
     checked: int
     lines: Skylines | None
 

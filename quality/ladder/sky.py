@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.emit.lights import write_lights
@@ -25,7 +24,7 @@ from scenec.compiler.scene.light import SkyLight, SunLight
 from scenec.compiler.scene.scene import Scene
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
-from scenec.quality.ladder.points import rms, upper_half, worst
+from scenec.quality.ladder.points import Floats, Integers, rms, upper_half, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.sky_truth import atmosphere_along, bilinear, clear_along
 from scenec.schemas.exr import write_rgb
@@ -155,8 +154,8 @@ def _rows(plan: AtmosphereSky, sun: SunLight, rungs: int) -> Ladder:
 def _of_rows(
     sizes: list[tuple[int, bool]],
     made: _Made,
-    to: NDArray[np.float64],
-    truth: NDArray[np.float64],
+    to: Floats,
+    truth: Floats,
     level: tuple[float, float],
 ) -> list[Rung]:
     # A night without light is shown without error.
@@ -205,7 +204,7 @@ def off(found: float, truth: float) -> float:
     return 1.0 if found > 0.0 else 0.0
 
 
-def irradiance(light: NDArray[np.float64], to: NDArray[np.float64]) -> tuple[float, float]:
+def irradiance(light: Floats, to: Floats) -> tuple[float, float]:
     """Luminance that reaches level ground, and how far a sum over so many directions may err.
 
     Args:
@@ -318,16 +317,14 @@ def _constants(plan: AtmosphereSky, sun: SunLight, rungs: int) -> list[Ladder]:
     return found
 
 
-def _written(
-    plan: AtmosphereSky, sun: SunLight, numbers: dict[str, int]
-) -> tuple[NDArray[np.float64], int]:
+def _written(plan: AtmosphereSky, sun: SunLight, numbers: dict[str, int]) -> tuple[Floats, int]:
     """A picture and the bytes of its file."""
     picture = _baked(plan, sun, **numbers)
     single = picture.astype(np.float32)
     return picture, written(lambda folder: write_rgb(folder / "sky.exr", single))
 
 
-def _texels(rows: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+def _texels(rows: int) -> tuple[Floats, Integers, Integers]:
     """Directions of all texels above the horizon's rows; their rows and columns."""
     to = directions(rows)[: rows // 2 - 1]
     row, column = np.indices(to.shape[:2])
@@ -336,15 +333,13 @@ def _texels(rows: int) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[
     return (np.ascontiguousarray(to.reshape(-1, 3)[half]), row.ravel()[half], column.ravel()[half])
 
 
-def _baked(
-    plan: AtmosphereSky, sun: SunLight, steps: int, bearings: int, count: int
-) -> NDArray[np.float64]:
+def _baked(plan: AtmosphereSky, sun: SunLight, steps: int, bearings: int, count: int) -> Floats:
     of_nodes = weights(count)
     medium = MEDIA[plan.planet](
         count, float(plan.air_density[0]), float(plan.dust_density[0]), float(plan.ozone_density[0])
     )
     above = sun.color[0] / luminance(sun.color[0] * of_nodes.sum(axis=0)) * sun.irradiance[0]
-    picture: NDArray[np.float64] = above * atmosphere.bake(
+    picture: Floats = above * atmosphere.bake(
         medium,
         of_nodes,
         float(plan.altitude_m[0]),

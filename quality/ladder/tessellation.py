@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.emit.layer import label_names
 from scenec.compiler.emit.terrain import write_terrain
@@ -18,7 +17,7 @@ from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
-from scenec.quality.ladder.points import rms, worst
+from scenec.quality.ladder.points import Bools, Floats, rms, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.seen import Truth, horizons
 from scenec.quality.ladder.tin import Heights, Index
@@ -114,12 +113,7 @@ def _warm(base: Base) -> None:
 
 
 def _rung(
-    base: Base,
-    tolerance_px: float,
-    used: bool,
-    truth: Truth,
-    index: Index,
-    pixels: NDArray[np.float64],
+    base: Base, tolerance_px: float, used: bool, truth: Truth, index: Index, pixels: Floats
 ) -> Rung:
     terrain = base.plan.terrain
     clock = Clock()
@@ -172,9 +166,7 @@ def _rung(
     )
 
 
-def distances(
-    truth: Truth, heights: Heights
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+def distances(truth: Truth, heights: Heights) -> tuple[Floats, Floats, Bools]:
     """How far a mesh is from the truth where it is, up or down and along its normal, meters [m].
 
     Returns:
@@ -187,7 +179,7 @@ def distances(
     return error, error * upright[there], there
 
 
-def holes(truth: Truth, there: NDArray[np.bool_], size_m: tuple[float, float]) -> int:
+def holes(truth: Truth, there: Bools, size_m: tuple[float, float]) -> int:
     """How many points have no triangle, but for those that the border's rounding leaves out.
 
     Args:

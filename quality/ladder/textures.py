@@ -23,7 +23,7 @@ from scenec.compiler.scene.material import Material
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.pixel_means import pixel_means
-from scenec.quality.ladder.points import rms, square, worst
+from scenec.quality.ladder.points import Floats, rms, square, worst
 from scenec.quality.ladder.results import Ladder, Rung, split
 
 #: Pixels that are looked through, of each material.
@@ -48,7 +48,7 @@ class _Picture:
     source: Source
     pixels: float
     halved: int
-    truth: NDArray[np.float64]
+    truth: Floats
     mean: float
 
 
@@ -149,7 +149,7 @@ def _pictures(materials: dict[str, MaterialPlan], seen: dict[str, Footprint]) ->
     return [one for one in found if one.mean > 0.0]
 
 
-def _through(planes: NDArray, pixels: float) -> NDArray[np.float64]:
+def _through(planes: NDArray, pixels: float) -> Floats:
     """Luminance that pixels show which are spread over a repeat, float64 [n].
 
     Args:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.scene.ground import Tile
+from scenec.quality.ladder.points import Floats, Integers
 from scenec.schemas.kernels import kernel
 
 #: Points to a cell of the index.
@@ -27,8 +27,8 @@ class Heights(NamedTuple):
         upright: Cosine of the triangle's slope there, float64 [n].
     """
 
-    z: NDArray[np.float64]
-    upright: NDArray[np.float64]
+    z: Floats
+    upright: Floats
 
 
 class _Cells(NamedTuple):
@@ -43,10 +43,10 @@ class _Cells(NamedTuple):
         size: Of a cell, meters.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
+    x: Floats
+    y: Floats
+    order: Integers
+    starts: Integers
     columns: int
     x0: float
     y0: float
@@ -56,7 +56,7 @@ class _Cells(NamedTuple):
 class Index:
     """Points, sorted into cells of a grid."""
 
-    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64]):
+    def __init__(self, x: Floats, y: Floats):
         """Sorts points.
 
         Args:

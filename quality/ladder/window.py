@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.mesh.surface import Surface
@@ -15,6 +14,7 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import written
+from scenec.quality.ladder.points import Floats
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,8 @@ def emitted(base: Base, field: HeightField) -> tuple[int, int]:
     return size, int(report["faces"])
 
 
-def in_pixels(
-    base: Base, x: NDArray[np.float64], y: NDArray[np.float64], error: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def in_pixels(base: Base, x: Floats, y: Floats, error: Floats) -> Floats:
     """Errors of height at points of the terrain, in pixels of the view that shows them largest."""
     z = base.surface.field.height_at(x, y)
-    shown: NDArray[np.float64] = error * base.pixels(np.stack([x, y, z], axis=1))
+    shown: Floats = error * base.pixels(np.stack([x, y, z], axis=1))
     return shown
