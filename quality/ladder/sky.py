@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,54 +45,32 @@ type _Made = Callable[[int], SkyAndSun]
 
 
 def sky(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladders of the sky's first picture, or why there are none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladders of the sky's first picture, or why there are none."""
     plan, sun = base.plan.light.sky, base.plan.light.sun
+    sun = None if sun is None else replace(_first(sun), gobo=None)
     if plan is None:
         return "the scene has no sky"
     if not base.color:
         return "no output shows color, so there is no sky"
     if isinstance(plan, ClearSky):
-        return [_clear(_first_clear(plan), None if sun is None else _first_sun(sun), rungs)]
+        return [_clear(_first(plan), sun, rungs)]
     if isinstance(plan, AtmosphereSky):
         assert sun is not None
         if plan.planet == "moon":
             return "the sky is black: there is no air"
-        one, above = _first_atmosphere(plan), _first_sun(sun)
-        return [_rows(one, above, rungs), *_constants(one, above, rungs)]
+        one = _first(plan)
+        return [_rows(one, sun, rungs), *_constants(one, sun, rungs)]
     return "the sky is a picture from a file, which is taken as it is"
 
 
-def _first_sun(sun: SunLight) -> SunLight:
-    return SunLight(
-        sun.azimuth_deg[:1], sun.elevation_deg[:1], sun.irradiance[:1], sun.diameter_deg[:1],
-        sun.color[:1],
-    )  # fmt: skip
-
-
-def _first_clear(plan: ClearSky) -> ClearSky:
-    return replace(
-        plan,
-        irradiance=plan.irradiance[:1],
-        zenith_color=plan.zenith_color[:1],
-        horizon_color=plan.horizon_color[:1],
-        ground_color=plan.ground_color[:1],
-    )
-
-
-def _first_atmosphere(plan: AtmosphereSky) -> AtmosphereSky:
-    return replace(
-        plan,
-        air_density=plan.air_density[:1],
-        dust_density=plan.dust_density[:1],
-        ozone_density=plan.ozone_density[:1],
-        altitude_m=plan.altitude_m[:1],
-        ground_color=plan.ground_color[:1],
-    )
+def _first[S: (ClearSky, AtmosphereSky, SunLight)](light: S) -> S:
+    """Of all samples the first."""
+    of_samples = {
+        one.name: getattr(light, one.name)[:1]
+        for one in fields(light)
+        if isinstance(getattr(light, one.name), np.ndarray)
+    }
+    return replace(light, **of_samples)
 
 
 def _sizes(resolution: int, rungs: int) -> list[tuple[int, bool]]:
@@ -175,25 +153,19 @@ def _of_rows(
         )
         error = facts.get(light.texture[0], {}).get("resolution_error")
         arriving = float(luminance(horizontal_irradiance(picture)))
-        found.append(
-            Rung(
-                value=float(rows),
-                used=used,
-                worst=worst(away),
-                rms=rms(away),
-                claimed=None if error is None else float(error),
-                seconds=clock.seconds,
-                bytes=size,
-                details={
-                    "rms_off_horizon": rms(away[inner]),
-                    "worst_off_horizon": worst(away[inner]),
-                    "irradiance_error": off(arriving, level[0]),
-                    # Of the sum that it is held against.
-                    "irradiance_noise": level[1],
-                    "directions": len(to),
-                },
-            )
+        rung = Rung.of(
+            away,
+            clock,
+            size,
+            rms_off_horizon=rms(away[inner]),
+            worst_off_horizon=worst(away[inner]),
+            irradiance_error=off(arriving, level[0]),
+            # Of the sum that it is held against.
+            irradiance_noise=level[1],
+            directions=len(to),
         )
+        claimed = None if error is None else float(error)
+        found.append(replace(rung, value=float(rows), used=used, claimed=claimed))
     return found
 
 
@@ -290,18 +262,8 @@ def _constants(plan: AtmosphereSky, sun: SunLight, rungs: int) -> list[Ladder]:
             clock = Clock()
             picture, size = clock.mean(partial(_written, plan, sun, {**usual, key: value}))
             away = np.abs(luminance(picture[row, column] - truth)) / mean
-            rung_list.append(
-                Rung(
-                    value=float(value),
-                    used=value == usual[key],
-                    worst=worst(away),
-                    rms=rms(away),
-                    claimed=None,
-                    seconds=clock.seconds,
-                    bytes=size,
-                    details={"directions": len(to)},
-                )
-            )
+            rung = Rung.of(away, clock, size, directions=len(to))
+            rung_list.append(replace(rung, value=float(value), used=value == usual[key]))
         found.append(
             Ladder(
                 name="sky",

@@ -21,7 +21,7 @@ from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock
-from scenec.quality.ladder.points import Floats, rms, worst
+from scenec.quality.ladder.points import Floats, rms
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.window import Window, emitted, in_pixels
 
@@ -43,12 +43,7 @@ class _Step:
 
 
 def smoothing(base: Base, rungs: int) -> list[Ladder] | str:
-    """Ladders of all operators that smooth or wear the relief, or why there are none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """Ladders of all operators that smooth or wear the relief, or why there are none."""
     terrain = base.plan.terrain
     places = [
         (place, inner)
@@ -219,17 +214,5 @@ def _rung(
         "points": len(error),
     }
     details |= {key: report[key] for key in ("last_iteration_m", "error_rms_m") if key in report}
-    if base.rigs:
-        pixels = in_pixels(base, x[inside], y[inside], error)
-        details |= {"worst_px": worst(pixels), "rms_px": rms(pixels)}
-    return Rung(
-        value=0.0,
-        used=False,
-        worst=worst(error),
-        rms=rms(error),
-        claimed=None,
-        seconds=clock.seconds,
-        bytes=size,
-        triangles=triangles,
-        details=details,
-    )
+    details |= in_pixels(base, x[inside], y[inside], error)
+    return Rung.of(error, clock, size, triangles, **details)

@@ -35,12 +35,7 @@ _CLAIM = (
 
 
 def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladder of ``terrain.mesh.tolerance_px``, or why there is none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladder of ``terrain.mesh.tolerance_px``, or why there is none."""
     meshing = base.plan.terrain.meshing
     if isinstance(base.surface.field, MeshSurface):
         return "the terrain is a mesh, which is kept as it is"
@@ -136,16 +131,12 @@ def _rung(
     error, normal, there = distances(truth, heights)
     shown = error * pixels[there]
     order = np.sort(shown, kind="stable")
-    return Rung(
-        value=tolerance_px,
-        used=used,
-        worst=worst(shown),
-        rms=rms(shown),
-        claimed=None,
-        seconds=clock.seconds,
-        bytes=size,
-        triangles=int(report["faces"]),
-        details={
+    rung = Rung.of(
+        shown,
+        clock,
+        size,
+        int(report["faces"]),
+        **{
             "worst_m": worst(error),
             "rms_m": rms(error),
             "worst_normal_m": worst(normal),
@@ -164,6 +155,7 @@ def _rung(
             "points_in_holes": holes(truth, there, base.surface.field.grid.size_m),
         },
     )
+    return replace(rung, value=tolerance_px, used=used)
 
 
 def distances(truth: Truth, heights: Heights) -> tuple[Floats, Floats, Bools]:

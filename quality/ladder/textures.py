@@ -23,7 +23,7 @@ from scenec.compiler.scene.material import Material
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.pixel_means import pixel_means
-from scenec.quality.ladder.points import Floats, rms, square, worst
+from scenec.quality.ladder.points import Floats, square
 from scenec.quality.ladder.results import Ladder, Rung, split
 
 #: Pixels that are looked through, of each material.
@@ -53,12 +53,7 @@ class _Picture:
 
 
 def textures(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladder of the pictures' texels, or why there is none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladder of the pictures' texels, or why there is none."""
     if not base.color:
         return "no output shows color, so there are no pictures"
     objects = base.built["objects"]
@@ -200,21 +195,16 @@ def _rung(pictures: list[_Picture], times: int) -> Rung:
         texels.append(min(planes.shape[:2]))
         least = min(least, texels[-1] / one.pixels)
     away = np.concatenate(errors)
-    return Rung(
-        value=2.0**-times,
-        used=times == 0,
-        worst=worst(away),
-        rms=rms(away),
-        claimed=None,
-        seconds=clock.seconds,
-        bytes=sum(small.size for small in made),
-        details={
-            "texels_per_pixel_least": float(least),
-            "texels_across_least": min(texels),
-            "texels_across_most": max(texels),
-            "pixels": len(away),
-        },
+    rung = Rung.of(
+        away,
+        clock,
+        sum(small.size for small in made),
+        texels_per_pixel_least=float(least),
+        texels_across_least=min(texels),
+        texels_across_most=max(texels),
+        pixels=len(away),
     )
+    return replace(rung, value=2.0**-times, used=times == 0)
 
 
 def _only(one: _Picture, source: Source) -> Material:

@@ -14,7 +14,7 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import written
-from scenec.quality.ladder.points import Floats
+from scenec.quality.ladder.points import Floats, rms, worst
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,13 @@ def emitted(base: Base, field: HeightField) -> tuple[int, int]:
     return size, int(report["faces"])
 
 
-def in_pixels(base: Base, x: Floats, y: Floats, error: Floats) -> Floats:
-    """Errors of height at points of the terrain, in pixels of the view that shows them largest."""
+def in_pixels(base: Base, x: Floats, y: Floats, error: Floats) -> dict[str, float]:
+    """Errors of height at points of the terrain, in pixels of the view that shows them largest.
+
+    Nothing without cameras.
+    """
+    if not base.rigs:
+        return {}
     z = base.surface.field.height_at(x, y)
     shown: Floats = error * base.pixels(np.stack([x, y, z], axis=1))
-    return shown
+    return {"worst_px": worst(shown), "rms_px": rms(shown)}
