@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.api.options import RenderOptions
 from scenec.api.steps import render_output
+from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import FrameError
 from scenec.schemas.manifest import STAGE_SUFFIXES, find_batches, read_manifest
 
@@ -85,10 +86,10 @@ class OutputFolder:
         if self._is_folder:
             manifest = read_manifest(Path(self.path))
             rows |= {
-                "cfg": manifest.get("name", ""),
-                "seed": manifest.get("seed", ""),
-                "batches": len(manifest["batches"]),
-                "made by": f"scenec {manifest.get('scenec', '')}",
+                "cfg": manifest.name or "",
+                "seed": "" if manifest.seed is UNSET else manifest.seed,
+                "batches": len(manifest.batches),
+                "made by": f"scenec {manifest.scenec or ''}",
             }
         try:
             with scratch_folder() as folder:

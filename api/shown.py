@@ -24,6 +24,7 @@ from scenec.datasets import pictures
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, paint_labels
 from scenec.datasets.source import FrameRef, LoadedFrame, Source
 from scenec.schemas.manifest import REPORT, Batch, find_batches
+from scenec.schemas.records import FrameRecord
 
 #: Pixels that a shown picture is wide at most.
 _WIDE = 480
@@ -137,7 +138,7 @@ class FrameView:
         return tuple(self.loaded.passes)
 
     @property
-    def sidecar(self) -> Mapping[str, Any]:
+    def sidecar(self) -> FrameRecord:
         """Intrinsics, pose, labels, errors, times: what its JSON sidecar says."""
         return self.loaded.sidecar
 
@@ -163,14 +164,14 @@ class FrameView:
         if depth is not None and np.isfinite(depth).any():
             near, far = np.percentile(depth[np.isfinite(depth)], [1, 99])
             shown.append(paint_depth(depth, float(near), float(far)))
-        error = frame.sidecar.get("estimated_error") or {}
+        error = frame.sidecar.error.relative_rms
         rows = {
             "frame": frame.ref.name,
-            "made by": frame.sidecar.get("backend_version", ""),
+            "made by": frame.sidecar.backend_version or "",
             "passes": ", ".join(frame.passes),
         }
-        if error.get("relative_rms") is not None:
-            rows["error"] = f"{100.0 * error['relative_rms']:.2g} %"
+        if error is not None:
+            rows["error"] = f"{100.0 * error:.2g} %"
         return table_html(rows) + "".join(picture_html(one) for one in shown)
 
 

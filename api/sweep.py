@@ -7,7 +7,7 @@ import html
 import io
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -232,14 +232,15 @@ def _compile(
         return
     executor.prepare(table.out)
     steps = listener.steps("compiled", unit="point")
-    for done, (each, outcome) in enumerate(run_all(executor, units), 1):
-        for line in outcome.warnings:
-            listener.warn(line)
-        assert isinstance(each, CompilePoint)
-        if outcome.error is not None:
-            listener.warn(f"{each.what}: {outcome.error}")
-        table.note(each.point, f"failed: {outcome.error}" if outcome.error else "compiled")
-        steps(done, len(units), each.what)
+    with closing(run_all(executor, units)) as ended:
+        for done, (each, outcome) in enumerate(ended, 1):
+            for line in outcome.warnings:
+                listener.warn(line)
+            assert isinstance(each, CompilePoint)
+            if outcome.error is not None:
+                listener.warn(f"{each.what}: {outcome.error}")
+            table.note(each.point, f"failed: {outcome.error}" if outcome.error else "compiled")
+            steps(done, len(units), each.what)
 
 
 def _render(
@@ -248,12 +249,12 @@ def _render(
     out = table.out / point.name
     options.listener.say(f"{point.name}:")
     try:
-        if lidars:
-            # First: where no camera is triggered rendering ends in an error.
-            scan_output(out, options, executor)
-        failed = len(render_output(out, options, executor).failed)
+        # First: where no camera is triggered rendering ends in an error.
+        scans = len(scan_output(out, options, executor).failed) if lidars else 0
+        frames = len(render_output(out, options, executor).failed)
     except ScenecError as error:
         options.listener.warn(f"{point.name}: {error}")
         table.note(point, f"failed: {error}")
         return
-    table.note(point, f"failed: {failed} frames were given up" if failed else "rendered")
+    lost = f"{frames} frames" if frames else f"{scans} scans" if scans else ""
+    table.note(point, f"failed: {lost} were given up" if lost else "rendered")

@@ -10,6 +10,7 @@ from pathlib import Path
 from scenec.api.declare import Spread
 from scenec.api.listener import Listener
 from scenec.api.options import ViewOptions
+from scenec.backends.run.executors import make_executor
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
 from scenec.datasets.view.space import three
@@ -67,18 +68,20 @@ def write_page(out: Path, options: ViewOptions, watched: str = "") -> ViewReport
     if not options.no_ground:
         rooms = rooms_of(out, options.budget_mb, listener)
         ground = partial(ground_of, rooms=rooms, listener=listener)
-    return write_view(
-        out,
-        page,
-        backends=options.backend,
-        budget_mb=options.budget_mb,
-        workers=options.workers or os.process_cpu_count() or 1,
-        faults=options.faults,
-        ground=ground,
-        watched=watched,
-        progress=listener.steps("frame"),
-        warn=listener.warn,
-    )
+    workers = options.workers or os.process_cpu_count() or 1
+    with make_executor(workers if workers > 1 else 0) as executor:
+        return write_view(
+            out,
+            page,
+            backends=options.backend,
+            budget_mb=options.budget_mb,
+            faults=options.faults,
+            ground=ground,
+            watched=watched,
+            executor=executor,
+            progress=listener.steps("frame"),
+            warn=listener.warn,
+        )
 
 
 def rooms_of(out: Path, budget_mb: float, listener: Listener) -> dict[int, int]:

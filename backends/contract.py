@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +48,17 @@ class Rays:
 
 @dataclass(frozen=True)
 class Visibility:
-    """First hit of each ray: ``row`` int32 [n] (NO_ROW: nothing) and ``face`` int32 [n]."""
+    """First hits of rays.
+
+    Attributes:
+        row: int32 [n]; NO_ROW: nothing.
+        face: int32 [n].
+        independent: Whether the renderer found them itself; the exact caster did otherwise.
+    """
 
     row: NDArray[np.int32]
     face: NDArray[np.int32]
+    independent: bool = True
 
 
 @dataclass(frozen=True)
@@ -122,69 +128,72 @@ def _triangles(scene: RenderScene) -> tuple[int, int]:
     return int(faces.sum()), int(faces[scene.rows.mesh].sum())
 
 
-class Backend(Protocol):
+class Backend:
     """A renderer with a scene loaded. Made by ``scenec.backends.registry.open_backend``.
 
-    Its class takes one keyword, ``device``: one of its ``devices``, or "auto" for the fastest one
-    that works here. It raises ``BackendError`` if that device does not.
+    A subclass takes one keyword, ``device``: one of its ``devices``, or "auto" for the fastest one
+    that works here; it raises ``BackendError`` if that device does not work. It says what it can do
+    by the class attributes below, and has at least ``version``, ``load`` and ``radiance``. A class
+    that does not derive from this one gets from it what it lacks (``registry.backend_class``).
+
+    Attributes:
+        name: On the command line.
+        devices: What ``--device`` takes beside "auto", such as ("cpu", "cuda").
+        device: Where it runs: one of ``devices``.
+        denoiser: Name of its denoiser; None if it has none, or its package is not installed.
+        denoiser_extra: Extra of scenec that brings the denoiser, or None.
+        follows_lenses: Whether ``radiance`` draws cameras with a lens by their own rays. Where it
+            does not, it draws pinhole views, and ``picture.resample`` makes the picture of them.
+        stochastic: Whether its radiance is a Monte Carlo estimate (``Radiance.stochastic``): what
+            draws many pictures for one must know before the first.
+        denoise: ``denoise(camera, sample, radiance, seed)`` gives a picture that it has drawn, or
+            the mean of several, with ``denoised`` and ``denoised_halves``. None: each is denoised
+            as it is drawn.
+        continues: Whether ``radiance`` takes one more argument, ``first``: how many samples per
+            pixel of the same seed were drawn before, which it goes on from. Pictures drawn so,
+            weighed by their samples, have the error of one picture, which where samples are spread
+            well is less than that of as many of seeds of their own.
+        load_cost: Bytes that loading takes, by what is in the scene: what cannot fit is refused
+            before. None: it does not say.
     """
 
-    #: Name on the command line.
     name: str
-    #: Devices that can be asked for beside "auto", such as ("cpu", "cuda").
-    #: What ``--device`` takes beside "auto".
     devices: tuple[str, ...]
-    #: Where it runs: one of ``devices``.
     device: str
-    #: Name of its denoiser; None if it has none, or its package is not installed.
-    denoiser: str | None
-    #: Extra of scenec that brings the denoiser. May be missing.
-    denoiser_extra: str
-    #: Whether ``radiance`` draws cameras with a lens by their own rays. Where it does not (nor
-    #: says so: the attribute may be missing), it draws pinhole views, and ``backends.resample``
-    #: makes the picture of them.
-    follows_lenses: bool
-    #: Whether its radiance is a Monte Carlo estimate, ``Radiance.stochastic`` (which it is where
-    #: this attribute is missing): what draws many pictures for one must know before the first.
-    stochastic: bool
+    denoiser: str | None = None
+    denoiser_extra: str | None = None
+    follows_lenses: bool = False
+    stochastic: bool = True
+    denoise: Callable[[Camera, int, Radiance, int], Radiance] | None = None
+    continues: bool = False
+    load_cost: LoadCost | None = None
 
-    #: ``denoise(camera, sample, radiance, seed)`` gives a picture that it has drawn, or the mean of
-    #: several, with ``denoised`` and ``denoised_halves``. May be missing: each is denoised as it is
-    #: drawn.
-    denoise: Callable[[Camera, int, Radiance, int], Radiance]
-    #: Whether ``radiance`` takes one more argument, ``first``: how many samples per pixel of the
-    #: same seed were drawn before, which it goes on from. Pictures drawn so, weighed by their
-    #: samples, have the error of one picture, which where samples are spread well is less than that
-    #: of as many of seeds of their own. May be missing: it does not.
-    continues: bool
-
-    #: Bytes that loading takes, by what is in the scene: what cannot fit is refused before. May be
-    #: missing.
-    load_cost: LoadCost
+    def __init__(self, device: str = "auto") -> None:
+        """Starts the renderer."""
 
     def version(self) -> str:
-        """Name and version of the renderer and its variant, for sidecars and resume keys."""
-        ...
+        """Returns name and version of renderer and variant, for sidecars and resume keys."""
+        raise NotImplementedError
 
     def warning(self) -> str | None:
-        """A line the user should see before rendering, or None."""
-        ...
+        """Returns a line that the user should see before rendering, or None."""
+        return None
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """A line for each thing in the scene's materials and lights that ``radiance`` leaves out.
+        """Lists what ``radiance`` leaves out of the scene's materials and lights, a line each.
 
         Asked once per batch, when ``rgb`` is wanted; shown as warnings and written to sidecars.
         """
-        ...
+        return ()
 
     def load(self, scene: RenderScene) -> None:
-        """Build the renderer's own scene, once per batch."""
-        ...
+        """Builds the renderer's own scene, once per batch."""
+        raise NotImplementedError
 
     def radiance(
         self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
     ) -> Radiance:
-        """Light that arrives, box-filtered over each pixel, in two halves of spp / 2 (up).
+        """Returns light that arrives, box-filtered over each pixel, in two halves of spp / 2 (up).
 
         Args:
             camera: The camera at this sample; a pinhole, unless ``follows_lenses``.
@@ -193,10 +202,10 @@ class Backend(Protocol):
             seed: Of the noise, 32 bits.
             denoise: Whether to fill ``Radiance.denoised``; only asked of backends with a denoiser.
         """
-        ...
+        raise NotImplementedError
 
     def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
-        """First hits as this renderer itself finds them; the method may be missing.
+        """Returns first hits as this renderer itself finds them.
 
         Args:
             rays: One a pixel. Hits of pixels without a ray are of no meaning.
@@ -205,7 +214,12 @@ class Backend(Protocol):
                 as of a camera with a lens.
 
         Returns:
-            The hits, back faces too; None if the backend cannot follow such rays (a rasterizer and
-            rays of no pinhole).
+            The hits, back faces too; None if the backend does not tell, or cannot follow such rays
+            (a rasterizer and rays of no pinhole).
         """
-        ...
+        return None
+
+
+def completed(made: type) -> type[Backend]:
+    """Returns a backend's class, or, if it does not derive from ``Backend``, a subclass of both."""
+    return made if issubclass(made, Backend) else type(made.__name__, (made, Backend), {})

@@ -1,7 +1,7 @@
 """Backends by name: ours, and those of third parties through entry points.
 
 A package adds one with an entry point in the group ``scenec.backends``: its name is the backend's,
-its value the class, which implements ``contract.Backend``. Nothing is
+its value the class, which is a ``contract.Backend``. Nothing is
 imported before it is asked for.
 """
 
@@ -10,26 +10,43 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from scenec.backends.contract import Backend
+from scenec.backends.contract import Backend, completed
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.plugins import entry_points_of, load, names_of, offered, origin, told
 
 GROUP = "scenec.backends"
 
-#: Name -> (module:class, extra of the package that brings what it needs).
-BUILT_IN: dict[str, tuple[str, str | None]] = {
-    "mitsuba": ("scenec.backends.mitsuba:Mitsuba", "mitsuba"),
-    "cycles": ("scenec.backends.cycles:Cycles", "cycles"),
-    "pyrender": ("scenec.backends.pyrender:Pyrender", "pyrender"),
+
+@dataclass(frozen=True)
+class Entry:
+    """A backend of ours.
+
+    Attributes:
+        target: Its class, ``module:class``.
+        extra: Of scenec, brings what it needs.
+        package: Draws for it.
+        also: What people call it, too.
+    """
+
+    target: str
+    extra: str
+    package: str
+    also: tuple[str, ...] = ()
+
+
+#: Backends of ours by name, in order of preference.
+BUILT_IN: dict[str, Entry] = {
+    "mitsuba": Entry("scenec.backends.mitsuba:Mitsuba", "mitsuba", "mitsuba"),
+    "cycles": Entry("scenec.backends.cycles:Cycles", "cycles", "bpy", ("blender", "bpy")),
+    "pyrender": Entry(
+        "scenec.backends.pyrender:Pyrender", "pyrender", "pyrender-maintained", ("opengl", "gl")
+    ),
 }
-#: The packages that draw for them.
-_PACKAGES = {"mitsuba": "mitsuba", "cycles": "bpy", "pyrender": "pyrender-maintained"}
-#: What people also call them.
-_OTHER_NAMES = {"blender": "cycles", "bpy": "cycles", "opengl": "pyrender", "gl": "pyrender"}
 #: In place of a name: the first that works (``scenec.backends.run.auto``).
 AUTO = "auto"
 
@@ -50,7 +67,8 @@ def require_name(name: str) -> None:
         return
     names = backend_names()
     if name not in names:
-        known = {**{other: other for other in names}, **_OTHER_NAMES}
+        known = {other: other for other in names}
+        known |= {other: name for name, entry in BUILT_IN.items() for other in entry.also}
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
         hint = f"did you mean {known[near[0]]!r}? " if near else ""
         there = ", ".join((*names, ANNOTATION))
@@ -59,8 +77,8 @@ def require_name(name: str) -> None:
 
 def distribution(name: str) -> tuple[str, ...]:
     """The package whose version a backend's pictures depend on; none for what is no renderer."""
-    if name in _PACKAGES:
-        return (_PACKAGES[name],)
+    if name in BUILT_IN:
+        return (BUILT_IN[name].package,)
     return tuple(point.dist.name for point in entry_points_of(GROUP, name) if point.dist)
 
 
@@ -71,7 +89,9 @@ def version_of(backend: Backend) -> str:
 
 
 def backend_class(name: str, device: str = "auto") -> type[Backend]:
-    """Import a backend's class, which says what it can do: no renderer starts.
+    """Imports a backend's class, which says what it can do: no renderer starts.
+
+    A class that does not derive from ``Backend`` is given what it lacks of it.
 
     Args:
         name: One of ``backend_names``.
@@ -96,7 +116,7 @@ def backend_class(name: str, device: str = "auto") -> type[Backend]:
         raise BackendError(
             f"backend {name} has no device {device!r}; it has auto, {', '.join(found.devices)}"
         )
-    return found
+    return completed(found)
 
 
 def open_backend(name: str, device: str = "auto") -> Backend:
@@ -112,7 +132,7 @@ def open_backend(name: str, device: str = "auto") -> Backend:
     """
     made = backend_class(name, device)
     try:
-        return made(device=device)  # type: ignore[call-arg]
+        return made(device=device)
     except ImportError as error:
         raise _not_imported(name, error, _target(name)[1]) from error
 
@@ -120,9 +140,9 @@ def open_backend(name: str, device: str = "auto") -> Backend:
 def _target(name: str) -> tuple[Callable[[], Any], str]:
     """What imports a backend's class, and what mends it if that fails."""
     if name in BUILT_IN:
-        target, extra = BUILT_IN[name]
-        module, _, attribute = target.partition(":")
-        mend = f"pip install 'scenec[{extra}]'" if extra else "pip install --force-reinstall scenec"
+        entry = BUILT_IN[name]
+        module, _, attribute = entry.target.partition(":")
+        mend = f"pip install 'scenec[{entry.extra}]'"
         return lambda: getattr(importlib.import_module(module), attribute), mend
     point = offered(GROUP, name, f"backend {name}", BackendError)
     package = point.dist.name if point.dist else name

@@ -56,6 +56,11 @@ def print_agreement(agreement: Agreement) -> None:
     for name, witness in agreement.witnesses.items():
         if witness.unseen:
             print(f"{name} does not tell what it sees of {witness.unseen} frames")
+        if witness.dependent:
+            print(
+                f"{name} has no independent witness of {witness.dependent} frames: it keeps their "
+                "instances, and the exact caster casts its rays; another backend's picture has one"
+            )
     if agreement.radiance:
         print("\nradiance of surfaces (rgb):")
         header = ["backends", "mean ratio R", "G", "B", "relMSE", "of it noise", "FLIP", "floor"]

@@ -18,4 +18,4 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(heard.made["scan"])
     say_next(("check", options.out))
-    return 0
+    return 1 if heard.made["scan"]["failed"] else 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.api.listener import Listener
 from scenec.cli.output import Progress, say
+from scenec.schemas.codec import encode
 
 if TYPE_CHECKING:
     from scenec.backends.run.render import RenderReport
@@ -119,11 +120,13 @@ class Terminal(Listener):
         self.made["scan"] = {
             "scans": [f"{stem}.json" for stem in report.scans],
             "made": report.made,
+            "failed": report.failed,
             "seconds": report.seconds,
             "warnings": report.warnings,
         }
-        there = len(report.scans) - report.made
-        rest = f", {there} were there already" if there else ""
+        if report.failed:
+            say(f"{len(report.failed)} scans were given up; run again to try them again")
+        rest = f", {report.skipped} were there already" if report.skipped else ""
         where = f": {report.scans[0].parent}/" if report.scans else ""
         say(f"{report.made} scans made{self._spent(report.seconds)}{rest}{where}")
 
@@ -161,7 +164,7 @@ def render_json(report: RenderReport) -> dict[str, object]:
     """The report for scripts."""
     return {
         "backend": report.backend,
-        "choice": report.choice,
+        "choice": encode(report.choice),
         "backend_version": report.backend_version,
         "device": report.device,
         "denoiser": report.denoiser,

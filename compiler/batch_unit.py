@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.cache.memo import Memo, memoizing
 from scenec.compiler.cache.store import Store
-from scenec.compiler.cfg.load import Spec, load
+from scenec.compiler.cfg.load import load
 from scenec.compiler.output import batch_name
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
@@ -55,7 +55,6 @@ class Compiled:
     taken: dict[str, int] | None = None
     cameras: Firing = field(default_factory=list)
     lidars: Firing = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -102,22 +101,8 @@ class CompileBatch:
             CfgError: The cfg is no more what it was.
             OutputError: A file cannot be written.
         """
-        lines: list[str] = []
+        say, step = keeper.say, keeper.step
         spec = keeper.keep(self.holds, lambda: load(self.cfg, text=self.text))
-        made = self.make(spec, lines.append)
-        made.lines = lines
-        return made
-
-    def make(self, spec: Spec, say: Tell, step: Tell | None = None) -> Compiled:
-        """Compile it, of a cfg that has been read.
-
-        Args:
-            step: Told when a step begins; None: what is said is heard when all is over.
-
-        Raises:
-            CfgError: The cfg is no more what it was.
-            OutputError: A file cannot be written.
-        """
         # Here, so that a faulty cfg is told without.
         from scenec.compiler.build import BuildLog, build
         from scenec.compiler.draw import draw

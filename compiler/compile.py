@@ -7,7 +7,6 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.strays import cut_short, stray_scans, strays, told
-from scenec.schemas.units import Executor, Outcome, run_all
+from scenec.schemas.units import Executor, Keeper, LocalExecutor, Outcome, Unit, run_all
 
 Tell = Callable[[str, tuple[int, int] | None], None]
 #: What to do about a batch that cannot be built.
@@ -182,33 +181,43 @@ def _compiled(
     def say(line: str) -> None:
         tell(line, None)
 
-    total = len(units)
+    total, done, ends = len(units), 0, 0
+    room = None
     if executor is None:
-        for done, unit in enumerate(units):
-            _require_room(spec, unit, total if done == 0 else None, say)
-            yield unit, unit.make(spec, say, partial(_step, tell, unit.what, (done, total)))
-        return
-    executor.prepare(units[0].folder.parent)
-    at_once = executor.room(total)
-    for number, unit in enumerate(units):
-        _require_room(spec, unit, total if number == 0 else None, say, at_once)
-    batches = f"{total} batches" if total > 1 else units[0].what
-    say(f"compiling {batches} of {spec.cfg['name']}, seed {units[0].seed}, {at_once[1]} at once")
-    ready: dict[str, Outcome] = {}
-    following = 0
-    with closing(run_all(executor, units)) as ended:
-        for done, (each, outcome) in enumerate(ended, 1):
-            for line in (*outcome.notes, *(f"warning: {line}" for line in outcome.warnings)):
+
+        def step(text: str) -> None:
+            tell(f"{units[done].what}: {text}", (done, total))
+
+        keeper = Keeper(say, step)
+        keeper.keep(units[0].holds, lambda: spec)
+        executor = LocalExecutor(keeper)
+    else:
+        executor.prepare(units[0].folder.parent)
+        room = executor.room(total)
+    # In this process the others are looked at when it is their turn.
+    for number, unit in enumerate(units[: total if room else 1]):
+        _require_room(spec, unit, None if number else total, say, room)
+    if room:
+        batches = f"{total} batches" if total > 1 else units[0].what
+        say(f"compiling {batches} of {spec.cfg['name']}, seed {units[0].seed}, {room[1]} at once")
+
+    def ended(unit: Unit, outcome: Outcome) -> None:
+        nonlocal ends
+        ends += 1
+        for line in outcome.warnings:
+            say(f"warning: {line}")
+        if room:
+            tell(f"{unit.what} is compiled", (ends, total))
+
+    # In their order: where one cannot be built, those before it are there, and no others.
+    with closing(run_all(executor, units, in_order=True, ended=ended)) as outcomes:
+        for unit, (_, outcome) in zip(units, outcomes, strict=True):
+            for line in outcome.notes:
                 say(line)
-            tell(f"{each.what} is compiled", (done, total))
-            ready[each.what] = outcome
-            # In their order: where one cannot be built, those before it are there, and no others.
-            while following < total and units[following].what in ready:
-                compiled: Compiled = ready.pop(units[following].what).result()
-                for line in compiled.lines:
-                    say(line)
-                following += 1
-                yield units[following - 1], compiled
+            yield unit, outcome.result()
+            done += 1
+            if not room and done < total:
+                _require_room(spec, units[done], None, say)
 
 
 def _require_room(
@@ -247,10 +256,6 @@ def _stopped(error: SceneError, name: str, made: list[int], total: int) -> Scene
     )
     stopped.batches = tuple(made)
     return stopped
-
-
-def _step(tell: Tell, name: str, place: tuple[int, int], text: str) -> None:
-    tell(f"{name}: {text}", place)
 
 
 def _strays(folder: Path, compiled: Compiled) -> list[str]:

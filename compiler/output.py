@@ -12,6 +12,7 @@ import json
 import os
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from scenec.compiler.cfg import licenses
 from scenec.compiler.cfg.load import Spec, digest_of
 from scenec.compiler.cfg.resources import PREFIX
 from scenec.compiler.views.needed import Keep
+from scenec.schemas.codec import UNSET, encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import (
     as_json,
@@ -40,6 +42,11 @@ from scenec.schemas.manifest import (
     REPORT,
     STAGE,
     TIMINGS,
+    BatchEntry,
+    CfgEntry,
+    FailedBatch,
+    FileEntry,
+    Manifest,
     read_manifest,
     stage_digest,
 )
@@ -92,7 +99,7 @@ class Output:
     Args:
         spec, seed, keep: What is compiled into it.
         chosen: The batches that are compiled now.
-        replace: Whether what was compiled from something else may go.
+        may_replace: Whether what was compiled from something else may go.
         say: Called with a line about what goes.
 
     Raises:
@@ -106,51 +113,49 @@ class Output:
         seed: int,
         keep: Keep,
         chosen: Collection[int],
-        replace: bool,
+        may_replace: bool,
         say: Callable[[str], None],
     ) -> None:
         self._out = out
         self._cfg = spec.text
         self._cfg_role = "the cfg, " + ("as it was given" if spec.is_verbatim else "in one piece")
-        self._replace = replace
+        self._replace = may_replace
         self._origin = _origin(spec, out)
         head = _head(spec, seed, keep)
         old = _old_manifest(out)
         #: What the compiler has written here: all else is not ours.
-        self._ours = set(old["files"])
+        self._ours = set(old.files)
         #: Files of batches that go with the first batch that comes.
         self._dropped: set[str] = set()
         self._stale = False
-        if not old["batches"] and not old.get("failed"):
-            self._manifest = {**head, "batches": [], "files": old["files"]}
+        if not old.batches and not old.failed:
+            self._manifest = replace(head, files=old.files)
             return
         other = _difference(old, head)
         count = int(spec.cfg["batches"])
-        kept = [] if other else [b for b in old["batches"] if b["index"] < count]
-        gone = [b for b in old["batches"] if b not in kept]
-        if gone and not replace:
+        kept = () if other else tuple(b for b in old.batches if b.index < count)
+        gone = [b for b in old.batches if b not in kept]
+        if gone and not may_replace:
             raise OutputError(
                 f"{out}: holds {_told(out, gone)}, {other or 'which this cfg has no more'}; "
                 "--replace throws that away, or choose another folder"
             )
         if gone:
             say(f"replacing {_told(out, gone)} in {out}")
-        paths = {b["path"] for b in kept}
+        paths = {b.path for b in kept}
         self._stale = bool(other)
-        files = {p: e for p, e in old["files"].items() if p.partition("/")[0] in paths or p == CFG}
-        self._dropped = set(old["files"]) - set(files)
+        files = {p: e for p, e in old.files.items() if p.partition("/")[0] in paths or p == CFG}
+        self._dropped = set(old.files) - set(files)
         for batch in gone:
             # Frames of batches that come again are judged when their stage is known.
-            if batch["index"] not in chosen:
-                self._dropped |= _names(out, rendered_files(out / batch["path"]))
-        failed = [] if other else [f for f in old.get("failed", ()) if f["index"] < count]
-        self._manifest = {**head, "batches": kept, "files": files}
-        self._note_failed(failed)
+            if batch.index not in chosen:
+                self._dropped |= _names(out, rendered_files(out / batch.path))
+        self._manifest = replace(head, batches=kept, files=files)
+        self._note_failed(() if other else [f for f in old.failed or () if f.index < count])
 
     def attempt(self, batch: int) -> int:
         """How often a batch was drawn again when it was compiled here before."""
-        entries = [b for b in self._manifest["batches"] if b["index"] == batch]
-        return int(entries[0].get("attempt", 0)) if entries else 0
+        return next((b.attempt or 0 for b in self._manifest.batches if b.index == batch), 0)
 
     def put(self, folder: Path, batch: int, samples: int, attempt: int) -> bool:
         """Brings a batch in, and lists it in the manifest.
@@ -167,7 +172,7 @@ class Output:
         name = batch_name(batch)
         files = {f"{name}/{path.as_posix()}": _entry(folder / name / path, path)
                  for path in tree(folder / name)}  # fmt: skip
-        before = {path for path in self._manifest["files"] if path.startswith(f"{name}/")}
+        before = {path for path in self._manifest.files if path.startswith(f"{name}/")}
         unchanged = before == set(files)
         for path, entry in files.items():
             if self._holds(path, entry):
@@ -179,15 +184,21 @@ class Output:
                 )
             else:
                 unchanged = False
-        entry = {"index": batch, "path": name, "stage": f"{name}/{STAGE}", "samples": samples}
-        entry |= {"attempt": attempt} if attempt else {}
-        others = [b for b in self._manifest["batches"] if b["index"] != batch]
-        self._manifest["batches"] = sorted([*others, entry], key=lambda b: b["index"])
-        self._manifest["files"] = {
-            **{path: e for path, e in self._manifest["files"].items() if path not in before},
-            **files,
-        }
-        self._note_failed([f for f in self._manifest.get("failed", ()) if f["index"] != batch])
+        made = BatchEntry(
+            index=batch,
+            path=name,
+            stage=f"{name}/{STAGE}",
+            samples=samples,
+            attempt=attempt or UNSET,
+        )
+        batches = [made, *(b for b in self._manifest.batches if b.index != batch)]
+        others = {path: e for path, e in self._manifest.files.items() if path not in before}
+        self._manifest = replace(
+            self._manifest,
+            batches=tuple(sorted(batches, key=lambda b: b.index)),
+            files=others | files,
+        )
+        self._note_failed([f for f in self._manifest.failed or () if f.index != batch])
         gone = (before | self._dropped) - set(files)
         if self._stale:
             digest = stage_digest(self._manifest, name)
@@ -195,34 +206,34 @@ class Output:
         self._commit(folder, gone)
         return unchanged
 
-    def _holds(self, path: str, entry: dict[str, Any]) -> bool:
+    def _holds(self, path: str, entry: FileEntry) -> bool:
         place = self._out / path
-        same = place.is_file() and place.stat().st_size == entry["bytes"]
-        return same and sha256(place) == entry["sha256"]
+        same = place.is_file() and place.stat().st_size == entry.bytes
+        return same and sha256(place) == entry.sha256
 
     def _commit(self, folder: Path, gone: set[str]) -> None:
         digest = hashlib.sha256(self._cfg).hexdigest()
-        entry = {"what": self._cfg_role, "bytes": len(self._cfg), "sha256": digest}
-        self._manifest["files"][CFG] = entry
-        self._manifest["files"] = dict(sorted(self._manifest["files"].items()))
-        for path, data in ((CFG, self._cfg), (MANIFEST, as_json(self._manifest).encode())):
+        entry = FileEntry(what=self._cfg_role, bytes=len(self._cfg), sha256=digest)
+        files = {**self._manifest.files, CFG: entry}
+        self._manifest = replace(self._manifest, files=dict(sorted(files.items())))
+        text = as_json(encode(self._manifest)).encode()
+        for path, data in ((CFG, self._cfg), (MANIFEST, text)):
             place = self._out / path
             if not place.is_file() or place.read_bytes() != data:
                 (folder / path).write_bytes(data)
         if tree(folder) or gone:
             replace_files(folder, self._out, sorted(gone))
-        self._ours = set(self._manifest["files"])
+        self._ours = set(self._manifest.files)
         self._dropped = set()
 
-    def _note_failed(self, failed: list[dict[str, Any]]) -> None:
-        self._manifest.pop("failed", None)
-        if failed:
-            self._manifest["failed"] = sorted(failed, key=lambda f: f["index"])
+    def _note_failed(self, failed: Collection[FailedBatch]) -> None:
+        ordered = tuple(sorted(failed, key=lambda f: f.index))
+        self._manifest = replace(self._manifest, failed=ordered or UNSET)
 
     def fail(self, batch: int, reason: str) -> None:
         """Lists a batch that cannot be built, from the next ``put`` or ``close`` on."""
-        others = [f for f in self._manifest.get("failed", ()) if f["index"] != batch]
-        entry = {"index": batch, "path": batch_name(batch), "reason": reason}
+        others = [f for f in self._manifest.failed or () if f.index != batch]
+        entry = FailedBatch(index=batch, path=batch_name(batch), reason=reason)
         self._note_failed([*others, entry])
         if self._stale:
             self._dropped |= _names(self._out, rendered_files(self._out / batch_name(batch)))
@@ -239,7 +250,7 @@ class Output:
             path
             for path in tree(self._out / name)
             if path.parts[0] not in (FRAMES, SCANS)
-            and f"{name}/{path.as_posix()}" not in self._manifest["files"]
+            and f"{name}/{path.as_posix()}" not in self._manifest.files
         ]
         more = f" (and {len(found) - 1} more in {name})" if len(found) > 1 else ""
         return [f"{self._out / name / path}{more}: no part of the stage; left as it is"
@@ -247,7 +258,7 @@ class Output:
 
     def write_timings(self, seconds: dict[str, dict[str, float]]) -> None:
         """Writes seconds of each pass by batch, beside those of batches of earlier compilations."""
-        known = {b["path"] for b in self._manifest["batches"]}
+        known = {b.path for b in self._manifest.batches}
         timings: dict[str, Any] = {}
         path = self._out / TIMINGS
         if path.exists():
@@ -261,25 +272,27 @@ class Output:
         write_json(path, {"compile": dict(sorted(merged.items())), **self._origin})
 
 
-def _head(spec: Spec, seed: int, keep: Keep) -> dict[str, Any]:
+def _head(spec: Spec, seed: int, keep: Keep) -> Manifest:
     """What the manifest says of all batches."""
     alone = {key: value for key, value in spec.cfg.items() if key != "batches"}
-    return {
-        "format": MANIFEST_FORMAT,
-        "name": spec.cfg["name"],
-        "cfg": {
-            "sha256": spec.digest,
-            "batch_sha256": digest_of(alone, spec.files, spec.plugins),
-            "inputs": {pointer: file.sha256 for pointer, file in spec.files.items()},
-            "licenses": {pointer: licenses.as_json(file) for pointer, file in spec.files.items()},
-            **({"settings": list(spec.settings)} if spec.settings else {}),
-        },
-        "seed": seed,
-        "keep": str(keep),
-        "scenec": version_of(),
-        "libraries": {name: version_of(name) for name in _LIBRARIES},
-        **({"plugins": dict(spec.plugins)} if spec.plugins else {}),
-    }
+    return Manifest(
+        format=MANIFEST_FORMAT,
+        name=spec.cfg["name"],
+        cfg=CfgEntry(
+            sha256=spec.digest,
+            batch_sha256=digest_of(alone, spec.files, spec.plugins),
+            inputs={pointer: file.sha256 for pointer, file in spec.files.items()},
+            licenses={pointer: licenses.as_json(file) for pointer, file in spec.files.items()},
+            settings=tuple(spec.settings) or UNSET,
+        ),
+        seed=seed,
+        keep=str(keep),
+        scenec=version_of(),
+        libraries={name: version_of(name) for name in _LIBRARIES},
+        plugins=dict(spec.plugins) or UNSET,
+        batches=(),
+        files={},
+    )
 
 
 def _origin(spec: Spec, out: Path) -> dict[str, str]:
@@ -298,12 +311,12 @@ def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | 
         OutputError: It is no output.
     """
     old = read_manifest(out)
-    lost = {path.partition("/")[0] for path in old["files"] if not (out / path).is_file()}
-    batches = {b["index"] for b in old["batches"] if b["path"] not in lost}
-    return batches, _difference(old, _head(spec, seed, keep)) if old["batches"] else None
+    lost = {path.partition("/")[0] for path in old.files if not (out / path).is_file()}
+    batches = {b.index for b in old.batches if b.path not in lost}
+    return batches, _difference(old, _head(spec, seed, keep)) if old.batches else None
 
 
-def _old_manifest(out: Path) -> dict[str, Any]:
+def _old_manifest(out: Path) -> Manifest:
     """The manifest that is there; one without batches where there is nothing.
 
     Raises:
@@ -316,32 +329,36 @@ def _old_manifest(out: Path) -> dict[str, Any]:
         raise OutputError(
             f"{out}: is not empty and holds no scenec output (no {MANIFEST}); choose another folder"
         )
-    return {"batches": [], "files": {}}
+    return Manifest(batches=(), files={})
 
 
-def _difference(old: dict[str, Any], head: dict[str, Any]) -> str | None:
+def _difference(old: Manifest, head: Manifest) -> str | None:
     """In words, what else an output was compiled from; None where its batches are the same.
 
     The number of batches is no part of it, nor are the terms of what went in.
     """
-    for key in ("seed", "keep", "scenec"):
-        if old.get(key) != head[key]:
-            return f"of {key} {old.get(key)}, not {head[key]}"
-    if old.get("libraries") != head["libraries"] or old.get("format") != head["format"]:
+    for key, then, asked in (
+        ("seed", old.seed, head.seed),
+        ("keep", old.keep, head.keep),
+        ("scenec", old.scenec, head.scenec),
+    ):
+        if then != asked:
+            return f"of {key} {None if then is UNSET else then}, not {asked}"
+    if (old.libraries, old.format) != (head.libraries, head.format):
         return "made with other versions of libraries"
-    was, now = old.get("cfg", {}), head["cfg"]
-    others = [old.get("plugins", {}), head.get("plugins", {})]
+    others = old.plugins or {}, head.plugins or {}
     for name in sorted(others[0].keys() & others[1].keys()):
         if others[0][name] != others[1][name]:
             return f"made with {others[0][name]}, not {others[1][name]}"
-    same = any(was.get(key) == now[key] for key in ("sha256", "batch_sha256"))
-    return None if same and was.get("inputs") == now["inputs"] else "of another cfg"
+    was, now = old.cfg or CfgEntry(), head.cfg or CfgEntry()
+    same = was.sha256 == now.sha256 or was.batch_sha256 == now.batch_sha256
+    return None if same and was.inputs == now.inputs else "of another cfg"
 
 
-def _told(out: Path, batches: list[dict[str, Any]]) -> str:
+def _told(out: Path, batches: list[BatchEntry]) -> str:
     """Batches in words, with what was rendered of them."""
-    frames, scans = count_rendered(out / batch["path"] for batch in batches)
-    first, last = batches[0]["path"], batches[-1]["path"]
+    frames, scans = count_rendered(out / batch.path for batch in batches)
+    first, last = batches[0].path, batches[-1].path
     parts = [first if len(batches) == 1 else f"{len(batches)} batches ({first} to {last})"]
     parts += [f"{n} {what}" for n, what in ((frames, "frames"), (scans, "scans")) if n]
     return " with ".join([parts[0], " and ".join(parts[1:])]) if parts[1:] else parts[0]
@@ -351,8 +368,8 @@ def _names(out: Path, paths: Iterator[Path]) -> set[str]:
     return {path.relative_to(out).as_posix() for path in paths}
 
 
-def _entry(file: Path, path: Path) -> dict[str, Any]:
-    return {"what": _role(path), "bytes": file.stat().st_size, "sha256": sha256(file)}
+def _entry(file: Path, path: Path) -> FileEntry:
+    return FileEntry(what=_role(path), bytes=file.stat().st_size, sha256=sha256(file))
 
 
 def _role(path: Path) -> str:

@@ -50,7 +50,7 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.plugins import blaming
-from scenec.schemas.units import Executor, Keeper, run_all, run_unit
+from scenec.schemas.units import Executor, run_all
 from scenec.schemas.update import finish_update, reading, replace_files
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
@@ -197,11 +197,8 @@ def _written(
     parts: Iterator[ExportPart], executor: Executor | None, partial: Path, say: Say
 ) -> Iterator[tuple[str, list[FrameFault]]]:
     """Name of each part that is there now, and the frames left out."""
-    if executor is None:
-        for part in parts:
-            yield part.what, run_unit(part, Keeper())
-        return
-    executor.prepare(partial)
+    if executor is not None:
+        executor.prepare(partial)
     with closing(run_all(executor, parts)) as ended:
         for unit, outcome in ended:
             for line in outcome.warnings:

@@ -151,8 +151,8 @@ def _counted(
         unheld: Name of a pass -> of how many frames; added to.
     """
     for frame in frames:
-        amodal = (AMODAL,) if frame.sidecar.get(AMODAL) else ()
-        unheld.update(name for name in (*frame.sidecar["passes"], *amodal) if not form.holds(name))
+        amodal = (AMODAL,) if frame.sidecar.amodal is not None else ()
+        unheld.update(name for name in (*frame.sidecar.passes, *amodal) if not form.holds(name))
         for kind in kinds(frame.sidecar):
             if kind not in form.beside:
                 what = f"{kind} pictures beside a sensor's, which format {form.name} does not hold"
@@ -172,7 +172,7 @@ def _index_line(frame: LoadedFrame, split: str) -> list[str]:
         ref.camera,
         str(ref.sample),
         repr(frame.time_s),
-        frame.sidecar["stage_digest"],
+        frame.sidecar.stage_digest,
         frame.annotation_digest(),
         frame.picture_digest,
     ]

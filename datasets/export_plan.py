@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from scenec.datasets.pictures import kinds, taken
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source, one_of_each
 from scenec.datasets.splits import assign
+from scenec.schemas.codec import UNSET, encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE
@@ -178,16 +179,18 @@ class Plan:
         manifest = self.source.manifest
         if manifest is None:
             return {"stage": self.out.name}
-        keys = ("name", "cfg", "seed", "scenec", "libraries", "plugins")
-        batches = {"batches": len(manifest["batches"])}
-        return {key: manifest[key] for key in keys if key in manifest} | batches
+        shown = replace(manifest, format=UNSET, keep=UNSET, failed=UNSET, batches=(), files={})
+        origin: dict[str, Any] = encode(shown) | {"batches": len(manifest.batches)}
+        del origin["files"]
+        return origin
 
     def cfg(self) -> str | None:
         """The cfg's text; None where there is none, or another than the manifest's."""
-        entry = (self.source.manifest or {"files": {}})["files"].get(CFG)
+        manifest = self.source.manifest
+        entry = None if manifest is None else manifest.files.get(CFG)
         path = self.out / CFG
         try:
-            if entry is not None and sha256(path) == entry["sha256"]:
+            if entry is not None and sha256(path) == entry.sha256:
                 return path.read_text(encoding="utf-8-sig")
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -235,7 +238,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     split_of = assign(there, choice.splits, choice.split_seed)
     names = tuple(choice.splits) or tuple(dict.fromkeys(split_of.values()))
     cameras = one_of_each(source.frames).values()
-    beside = {kind for sidecar in cameras for kind in kinds(sidecar)}
+    beside = {kind for record in cameras for kind in kinds(record)}
     info = Info(
         name=_dataset_name(source),
         labels=labels,
@@ -246,7 +249,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         sky=_sky(source, choice.remap),
         filters=tuple(map(str, choice.filters.conditions)),
         beside=tuple(kind for kind in BESIDE if kind in beside),
-        anywhere=tuple(dict.fromkeys(p for sidecar in cameras for p in sidecar.get("passes", ()))),
+        anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),
         imaging=any(map(taken, cameras)),
     )
     if folder is None:
@@ -275,11 +278,11 @@ def _check_options(kind: type[Format], options: Mapping[str, str]) -> None:
 
 def _dataset_name(source: Source) -> str:
     if source.manifest is not None:
-        return str(source.manifest.get("name", source.out.name))
+        return source.manifest.name or source.out.name
     return source.out.stem
 
 
 def _sky(source: Source, remap: Remap) -> dict[str, int]:
     """The sky's label per level, 0 where it has none, as the first frame has it."""
-    first = source.first_sidecar().get("sky_labels") or {}
+    first = source.first_sidecar().sky_labels or {}
     return {level: remap.number(level, int(n), source.labels()) for level, n in first.items()}

@@ -8,8 +8,9 @@ picture without noise, pattern, defects, mosaic and JPEG, and ``raw``, the conve
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.source import LoadedFrame
+from scenec.schemas.codec import JSON, UNSET, encode
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import sha256
-from scenec.schemas.frames import BESIDE, Frame, beside_path
+from scenec.schemas.frames import Frame, beside_path
 from scenec.schemas.picture import develop
+from scenec.schemas.records import FileDigest, FrameRecord
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -41,38 +44,46 @@ def picture(frame: LoadedFrame | Frame) -> NDArray[np.uint8]:
     """
     stem, sidecar = _stem(frame), frame.sidecar
     path = stem.with_suffix(".png")
-    if sidecar.get("png") and (path.is_file() or taken(sidecar)):
+    if sidecar.png and (path.is_file() or taken(sidecar)):
         pixels: NDArray[np.uint8] = _read(path, sidecar, "RGB")
         return pixels
     if "rgb" not in frame.passes:
         raise FrameError(f"{stem}.exr: has no rgb; render with --passes …,rgb")
-    return develop(frame.passes["rgb"], float(sidecar.get("exposure_ev", 0.0)))
+    return develop(frame.passes["rgb"], sidecar.exposure_ev)
 
 
 def has_picture(frame: LoadedFrame | Frame) -> bool:
     """Whether there is light in it at all."""
-    return bool(frame.sidecar.get("png")) or "rgb" in frame.passes
+    return frame.sidecar.png or "rgb" in frame.passes
 
 
-def taken(sidecar: Mapping[str, Any]) -> bool:
+def taken(record: FrameRecord) -> bool:
     """Whether the picture is a sensor's (``imaging``), and so more than radiance developed."""
-    return isinstance(sidecar.get("imaging"), dict)
+    return record.imaging is not None
 
 
-def kinds(sidecar: Mapping[str, Any]) -> tuple[str, ...]:
+def kinds(record: FrameRecord) -> tuple[str, ...]:
     """Which of ``BESIDE`` a frame has."""
-    told = sidecar.get("imaging") or {}
-    return tuple(kind for kind in BESIDE if told.get(kind))
+    return tuple(_digests(record))
 
 
-def imaging(sidecar: Mapping[str, Any]) -> dict[str, Any]:
+def _digests(record: FrameRecord) -> dict[str, FileDigest]:
+    if record.imaging is None:
+        return {}
+    both = {"clean": record.imaging.clean, "raw": record.imaging.raw}
+    return {kind: digest for kind, digest in both.items() if digest}
+
+
+def imaging(record: FrameRecord) -> dict[str, JSON]:
     """What a sidecar says of its sensor, which ``raw`` cannot be read without; {} without imaging.
 
     Colors of the mosaic, level of black, bits, exposure, gain and more, as in ``imaging``, but for
     what vouches for files.
     """
-    told = sidecar.get("imaging") or {}
-    return {name: value for name, value in told.items() if name not in BESIDE}
+    if record.imaging is None:
+        return {}
+    found: dict[str, JSON] = encode(replace(record.imaging, clean=UNSET, raw=UNSET))
+    return found
 
 
 def beside(frame: LoadedFrame | Frame, kind: str) -> NDArray[Any]:
@@ -91,11 +102,12 @@ def beside_file(frame: LoadedFrame | Frame, kind: str) -> Path:
         FrameError: It has none, or the file is not the one that its sidecar names.
     """
     path = beside_path(_stem(frame), kind)
-    if kind not in kinds(frame.sidecar):
+    digest = _digests(frame.sidecar).get(kind)
+    if digest is None:
         raise FrameError(f"{path}: its sensor was not asked for it (imaging, {kind!r})")
     if not path.is_file():
         raise FrameError(f"{path}: missing, though its sidecar names it; render it again")
-    if sha256(path) != frame.sidecar["imaging"][kind].get("sha256"):
+    if sha256(path) != digest.sha256:
         raise FrameError(
             f"{path}: truncated, damaged or changed since it was written (its checksum is not the "
             "sidecar's); render it again"
@@ -123,22 +135,23 @@ def vouch(frame: LoadedFrame, held: Collection[str]) -> None:
             image.verify()
 
 
-def mosaic(sidecar: Mapping[str, Any]) -> str:
+def mosaic(record: FrameRecord) -> str:
     """Colors of the first 2 x 2 pixels of ``raw``, as in ``rggb``."""
-    return str((sidecar["imaging"].get("parameters") or {}).get("mosaic", ""))
+    parameters = None if record.imaging is None else record.imaging.parameters
+    return str((parameters or {}).get("mosaic", ""))
 
 
 def _stem(frame: LoadedFrame | Frame) -> Path:
     return frame.path.with_suffix("") if isinstance(frame, Frame) else frame.ref.stem
 
 
-def _read(path: Path, sidecar: Mapping[str, Any], mode: str) -> NDArray[Any]:
-    with _opened(path, sidecar) as image:
+def _read(path: Path, record: FrameRecord, mode: str) -> NDArray[Any]:
+    with _opened(path, record) as image:
         return np.asarray(image.convert("RGB") if mode == "RGB" else image)
 
 
 @contextmanager
-def _opened(path: Path, sidecar: Mapping[str, Any]) -> Iterator[Image]:
+def _opened(path: Path, record: FrameRecord) -> Iterator[Image]:
     """A picture of the frame's size; errors of reading it are a ``FrameError``."""
     from PIL import Image, UnidentifiedImageError
 
@@ -146,8 +159,7 @@ def _opened(path: Path, sidecar: Mapping[str, Any]) -> Iterator[Image]:
         raise FrameError(f"{path}: missing, though its sidecar is there; render it again")
     try:
         with Image.open(path) as image:
-            width, height = (int(v) for v in sidecar["resolution"])
-            if image.size != (width, height):
+            if image.size != record.resolution:
                 raise FrameError(
                     f"{path}: is {image.width} x {image.height} pixels, unlike its EXR"
                 )

@@ -8,7 +8,7 @@ from pathlib import Path
 from scenec.datasets import pictures
 from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
 from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
-from scenec.datasets.source import FrameRef, LoadedFrame, Source, sidecar_values
+from scenec.datasets.source import FrameRef, LoadedFrame, Source, record_of
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import atomic, check_output
@@ -63,9 +63,9 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
     if not frames:
         raise FrameError(f"{out}: all frames are of another stage, such as {left_out[-1]}")
     first = frames[0].sidecar
-    heading = f"{out.resolve().name}: {first['backend']}"
-    if first.get("spp"):
-        heading += f", {first['spp']} samples per pixel"
+    heading = f"{out.resolve().name}: {first.backend}"
+    if first.spp:
+        heading += f", {first.spp} samples per pixel"
     if left_out:
         heading += f"; not shown: {len(left_out)} frames of another stage"
     picture = contact_sheet([_shown(frame) for frame in frames], source.labels(), heading)
@@ -79,14 +79,15 @@ def _is_foreign(source: Source, ref: FrameRef) -> bool:
     if source.manifest is None:
         return False
     digest = stage_digest(source.manifest, ref.batch_name)
-    return (sidecar_values(ref) or {}).get("stage_digest", digest) != digest
+    record = record_of(ref)
+    return record is not None and record.stage_digest != digest
 
 
 def _shown(frame: LoadedFrame) -> SheetFrame:
     passes = frame.passes
     clean = "clean" in pictures.kinds(frame.sidecar)
     return SheetFrame(
-        title=f"{frame.sidecar['camera']}, sample {frame.sidecar['sample']}",
+        title=f"{frame.sidecar.camera}, sample {frame.sidecar.sample}",
         picture=pictures.picture(frame) if pictures.has_picture(frame) else None,
         labels={
             name.removeprefix("label."): array

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas import rle
 from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
+from scenec.schemas.codec import encode
 from scenec.schemas.consistency import frame_faults, table_faults
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import sha256
@@ -31,7 +32,7 @@ from scenec.schemas.instances import (
     frame_table_path,
     read_frame_table,
 )
-from scenec.schemas.lens import Lens, from_sidecar
+from scenec.schemas.lens import Lens
 from scenec.schemas.manifest import (
     FRAMES,
     STAGE_SUFFIXES,
@@ -40,8 +41,8 @@ from scenec.schemas.manifest import (
     read_manifest,
     stage_digest,
 )
-from scenec.schemas.passes import AMODAL
-from scenec.schemas.sidecars import read_sidecar
+from scenec.schemas.records import FileDigest, FrameRecord
+from scenec.schemas.sidecars import lens_of, read_sidecar
 from scenec.schemas.spelling import nearest
 
 
@@ -105,7 +106,7 @@ class LoadedFrame:
     Attributes:
         ref: Where it was.
         passes: Arrays by pass name, see ``scenec.schemas.exr``.
-        sidecar: JSON values.
+        sidecar: What its sidecar holds.
         table: Columns of its table of instances (``scenec.schemas.instances``), one line each;
             ``{}`` where the frame has no pass ``instance``.
         labels: Level -> id -> name, without 0; after remapping, the new ones.
@@ -114,7 +115,7 @@ class LoadedFrame:
 
     ref: FrameRef
     passes: dict[str, NDArray[Any]]
-    sidecar: dict[str, Any]
+    sidecar: FrameRecord
     table: dict[str, NDArray[Any]]
     labels: dict[str, dict[int, str]]
     ignored: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
@@ -122,41 +123,43 @@ class LoadedFrame:
     @property
     def width(self) -> int:
         """Columns of pixels."""
-        return int(self.sidecar["resolution"][0])
+        return self.sidecar.resolution[0]
 
     @property
     def height(self) -> int:
         """Rows of pixels."""
-        return int(self.sidecar["resolution"][1])
+        return self.sidecar.resolution[1]
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
         """K, float64 [3, 3], pixels."""
-        return np.array(self.sidecar["intrinsics"], np.float64)
+        return np.array(self.sidecar.intrinsics, np.float64)
 
     @property
     def lens(self) -> Lens | None:
         """What bends the plane that the intrinsics take to pixels; None: a pinhole."""
-        return from_sidecar(self.sidecar.get("lens"))
+        return lens_of(self.sidecar.lens)
 
     @property
     def optics(self) -> dict[str, Any]:
         """``lens`` and ``shutter`` as the sidecar has them, of cameras that have such."""
-        return {name: self.sidecar[name] for name in ("lens", "shutter") if self.sidecar.get(name)}
+        held = {"lens": self.sidecar.lens, "shutter": self.sidecar.shutter}
+        return {name: encode(one) for name, one in held.items() if one is not None}
 
     @property
     def rolls(self) -> bool:
         """Whether rows of the picture have poses of their own (the frame's is the middle's)."""
-        shutter = self.sidecar.get("shutter") or {}
-        middle = self.sidecar["camera_to_world"]
-        return bool(shutter.get("readout_s")) and any(
-            pose != middle for pose in shutter.get("camera_to_world", ())
+        shutter, middle = self.sidecar.shutter, self.sidecar.camera_to_world
+        return (
+            shutter is not None
+            and shutter.readout_s != 0.0
+            and any(pose != middle for pose in shutter.camera_to_world)
         )
 
     @property
     def camera_to_world(self) -> NDArray[np.float64]:
         """Pose, float64 [4, 4], camera axes as OpenCV has them."""
-        return np.array(self.sidecar["camera_to_world"], np.float64)
+        return np.array(self.sidecar.camera_to_world, np.float64)
 
     @property
     def time_s(self) -> float:
@@ -164,14 +167,14 @@ class LoadedFrame:
 
         They count from the batch's start, or by a track's clock: from an epoch of its own.
         """
-        time = self.sidecar.get("time_s")
+        time = self.sidecar.time_s
         return float(self.ref.sample if time is None else time)
 
     @property
     def png(self) -> Path | None:
         """The picture on disk; None without ``rgb``."""
         path = self.ref.stem.with_suffix(".png")
-        return path if self.sidecar.get("png") else None
+        return path if self.sidecar.png else None
 
     @cached_property
     def picture_digest(self) -> str:
@@ -185,7 +188,7 @@ class LoadedFrame:
         Raises:
             FrameError: They cannot be read.
         """
-        return read_amodal(self.ref.stem) if self.sidecar.get(AMODAL) else None
+        return read_amodal(self.ref.stem) if self.sidecar.amodal is not None else None
 
     def annotation_digest(self) -> str:
         """sha256 over all passes but ``rgb``, in order of names: a line of text, then the pixels.
@@ -292,7 +295,7 @@ class Source:
             raise FrameError(f"{ref.stem}.exr: {told}; render it again")
         table = {}
         if "instance" in frame.passes:
-            path = _vouched(frame, "instance_table", frame_table_path(ref.stem))
+            path = _vouched(frame.sidecar.instance_table, frame_table_path(ref.stem))
             table = read_frame_table(path)
             # Amodal areas came later: all of them, or none.
             more = AMODAL_COLUMNS if set(AMODAL_COLUMNS) & table.keys() else ()
@@ -300,7 +303,7 @@ class Source:
                 raise FrameError(f"{path}: a table of instances without {', '.join(lacking)}")
             for told in table_faults(frame.passes["instance"], table, _label_names(frame)):
                 raise FrameError(f"{path}: {told}; render it again")
-            _vouched(frame, AMODAL, amodal_path(ref.stem))
+            _vouched(frame.sidecar.amodal, amodal_path(ref.stem))
         labels = _label_names(frame)
         loaded = LoadedFrame(ref, frame.passes, frame.sidecar, table, labels)
         loaded.ignored = np.zeros(len(table["id"]) if table else 0, np.bool_)
@@ -324,9 +327,9 @@ class Source:
         Raises:
             FrameError: No sidecar can be read.
         """
-        return tuple(self._first.sidecar["passes"])
+        return self._first.sidecar.passes
 
-    def first_sidecar(self) -> dict[str, Any]:
+    def first_sidecar(self) -> FrameRecord:
         """The first sidecar that can be read.
 
         Raises:
@@ -417,8 +420,8 @@ class Source:
 
     def _lengths(self) -> dict[int, int]:
         """Returns the samples of each batch, by the manifest."""
-        batches = (self.manifest or {"batches": []})["batches"]
-        return {int(entry["index"]): int(entry.get("samples", 0)) for entry in batches}
+        batches = () if self.manifest is None else self.manifest.batches
+        return {entry.index: entry.samples for entry in batches}
 
     def _folders(self, batches: Iterable[Batch]) -> list[str]:
         """Lists cameras of which any of some batches has frames."""
@@ -436,9 +439,8 @@ class Source:
             except FrameError:
                 # A damaged sidecar is told where its frame is read.
                 continue
-            if digest in (None, sidecar["stage_digest"]):
-                every, first = sidecar.get("trigger") or (1, 0)
-                return every, first
+            if digest in (None, sidecar.stage_digest):
+                return sidecar.firing
         return 1, 0
 
     def _numbers(self, batch: Batch, camera: str) -> set[int]:
@@ -454,17 +456,16 @@ class Source:
         return {batch.name: stage_digest(self.manifest, batch.name) for batch in self._batches}
 
     def _refuse_foreign(self, ref: FrameRef, frame: Frame) -> None:
-        digest = frame.sidecar["stage_digest"]
+        digest = frame.sidecar.stage_digest
         known = self._digests.setdefault(ref.batch_name, digest)
         if digest != known:
             raise ForeignFrameError(
                 f"{frame.path}: foreign: was rendered from another stage than the one beside it; "
                 "render it again"
             )
-        if frame.sidecar["camera"] != ref.camera or int(frame.sidecar["sample"]) != ref.sample:
+        if (frame.sidecar.camera, frame.sidecar.sample) != (ref.camera, ref.sample):
             raise ForeignFrameError(
-                f"{frame.path}: foreign: says it is {frame.sidecar['camera']} "
-                f"{frame.sidecar['sample']}"
+                f"{frame.path}: foreign: says it is {frame.sidecar.camera} {frame.sidecar.sample}"
             )
         if _label_names(frame) != self.labels():
             raise ForeignFrameError(
@@ -487,7 +488,7 @@ def _astray(sample: int, known: int, every: int, first: int) -> str:
     return f"not of this stage: {reason}, not at {sample}; delete it"
 
 
-def sidecar_values(ref: FrameRef) -> dict[str, Any] | None:
+def record_of(ref: FrameRef) -> FrameRecord | None:
     """A frame's sidecar; None where it cannot be read, which is told where its frame is."""
     try:
         return read_sidecar(ref.stem.with_suffix(".json"))
@@ -495,27 +496,26 @@ def sidecar_values(ref: FrameRef) -> dict[str, Any] | None:
         return None
 
 
-def one_of_each(frames: Iterable[FrameRef]) -> dict[str, dict[str, Any]]:
+def one_of_each(frames: Iterable[FrameRef]) -> dict[str, FrameRecord]:
     """A readable sidecar of each camera that has one."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, FrameRecord] = {}
     for ref in frames:
-        values = None if ref.camera in found else sidecar_values(ref)
+        values = None if ref.camera in found else record_of(ref)
         if values is not None:
             found[ref.camera] = values
     return found
 
 
-def _vouched(frame: Frame, key: str, path: Path) -> Path:
+def _vouched(known: FileDigest | None, path: Path) -> Path:
     """A file beside the frame, held against the sidecar's checksum where that has one.
 
     Raises:
         FrameError: It is another file, or missing.
     """
-    known = frame.sidecar.get(key)
-    if isinstance(known, dict):
+    if known is not None:
         if not path.is_file():
             raise FrameError(f"{path}: missing, though its sidecar names it; render it again")
-        if sha256(path) != known.get("sha256"):
+        if sha256(path) != known.sha256:
             raise FrameError(
                 f"{path}: truncated, damaged or changed since it was written (its checksum is not "
                 "the sidecar's); render it again"
@@ -526,7 +526,7 @@ def _vouched(frame: Frame, key: str, path: Path) -> Path:
 def _label_names(frame: Frame) -> dict[str, dict[int, str]]:
     return {
         level: {int(number): name for number, name in table.items()}
-        for level, table in frame.sidecar["labels"].items()
+        for level, table in frame.sidecar.labels.items()
     }
 
 

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from scenec.datasets import bins
 from scenec.datasets.idset import IdSet, packed
 from scenec.datasets.source import LoadedFrame
+from scenec.schemas.codec import UNSET, encode
+from scenec.schemas.picture import luminance
 
 #: Version of what stands in ``statistics.json``.
 VERSION = 1
@@ -32,7 +34,6 @@ _UNLABELED = ""
 #: arc tangent is not the same on every machine and round angles are common.
 _DECIMALS = 6
 #: Of a sidecar's shutter, what is the camera's.
-_SHUTTER = ("readout_s", "direction")
 
 
 def measure(frame: LoadedFrame) -> dict[str, Any]:
@@ -241,8 +242,8 @@ def _view(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
         )
     for axis, value in zip("xyz", pose[:3, 3].tolist(), strict=True):
         bounds[f"camera_{axis}_m"] = [value, value]
-    height = frame.sidecar.get("height_above_surface_m")
-    if height is not None:
+    height = frame.sidecar.height_above_surface_m
+    if height is not None and height is not UNSET:
         counts["height"] = bins.LENGTH.counts(np.array([height], np.float64))
         bounds["camera_height_m"] = [float(height), float(height)]
     return counts
@@ -266,44 +267,45 @@ def _angle(of: bins.Bins, degrees: float, closed: float | None = None) -> Counts
 
 def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     """Where the sun is; nothing where the sidecar is of a version that does not say."""
-    if "sun" not in frame.sidecar:
+    sun = frame.sidecar.sun
+    if sun is UNSET:
         return {}
-    sun = frame.sidecar["sun"]
     if sun is None:
         return {"without": 1}
-    elevation = round(float(sun["elevation_deg"]), _DECIMALS)
-    azimuth = round(float(sun["azimuth_deg"]), _DECIMALS) % 360.0
+    elevation = round(float(sun.elevation_deg), _DECIMALS)
+    azimuth = round(float(sun.azimuth_deg), _DECIMALS) % 360.0
     row = min(int((elevation + 90.0) // 10.0), 17)
     bounds["sun_elevation_deg"] = [elevation, elevation]
-    light = sun["irradiance"]
-    luminance = math.fsum(
-        w * float(e) for w, e in zip((0.2126, 0.7152, 0.0722), light, strict=True)
-    )
-    bounds["sun_irradiance"] = [luminance, luminance]
+    light = np.array(sun.irradiance, np.float64)
+    bounds["sun_irradiance"] = [float(luminance(light))] * 2
     return {"directions": {str(row): {str(int(azimuth // 30.0)): 1}}}
 
 
 def _made(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
     """How it was rendered, and by which camera."""
-    sidecar = frame.sidecar
+    record = frame.sidecar
     how = {
-        "backend": sidecar.get("backend"),
-        "version": sidecar.get("backend_version"),
-        "samples_per_pixel": sidecar.get("spp"),
-        "noise_seed": sidecar.get("noise_seed"),
-        "denoised": sidecar.get("denoised"),
-        "passes": sidecar.get("passes"),
+        "backend": record.backend,
+        "version": record.backend_version,
+        "samples_per_pixel": record.spp,
+        "noise_seed": record.noise_seed,
+        "denoised": record.denoised,
+        "passes": record.passes,
     }
-    shutter = sidecar.get("shutter")
+    shutter = record.shutter
     camera = {
         "camera": frame.ref.camera,
-        "resolution": sidecar["resolution"],
-        "intrinsics": sidecar["intrinsics"],
-        **({"lens": sidecar["lens"]} if sidecar.get("lens") else {}),
+        "resolution": record.resolution,
+        "intrinsics": record.intrinsics,
+        **({} if record.lens is None else {"lens": encode(record.lens)}),
         # Where it is while the shutter is open is another in each frame.
-        **({"shutter": {name: shutter[name] for name in _SHUTTER}} if shutter else {}),
+        **(
+            {}
+            if shutter is None
+            else {"shutter": {"readout_s": shutter.readout_s, "direction": shutter.direction}}
+        ),
     }
-    noise = (sidecar.get("estimated_error") or {}).get("relative_rms")
+    noise = record.error.relative_rms
     if noise is not None:
         bounds["noise"] = [float(noise), float(noise)]
     return {

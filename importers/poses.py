@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.poses import from_quaternion
+from scenec.schemas.affine import mirrored
 
 #: From a camera's axes in Blender and USD (y up, looking down -z) to those of a rig (y down, z
 #: ahead), and back.
@@ -31,6 +32,9 @@ def turns_of(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
     return math.degrees(x), math.degrees(y), math.degrees(z)
 
 
+#: Least and largest scale that is kept.
+_SCALES = (1e-6, 1e6)
+_MIRROR = np.diag((-1.0, 1.0, 1.0))
 #: Ratio of the largest to the smallest scale of an axis that counts as even: of float32 matrices.
 _EVEN = 1.0 + 1e-4
 
@@ -44,16 +48,29 @@ def lost_of(matrix: NDArray[np.float64]) -> str:
         axes = " x ".join(f"{float(length):.4g}" for length in np.linalg.norm(matrix, axis=0))
         even = f"{without_scale(matrix)[1]:.4g}"
         lost.append(f"a scale of {axes} (or a shear) becomes an even one of {even}")
-    if np.linalg.det(matrix) < 0.0:
+    if mirrored(matrix):
         lost.append("it is mirrored across its x axis, and here it is not")
     return "; ".join(lost)
 
 
-def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Returns the rotation nearest to a matrix [3, 3], and its scale: the volume's cube root.
+def similar(linear: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns the rotations nearest to matrices [n, 3, 3], and even scales; the rest is stretch.
 
-    Of a mirrored one, the rotation of what it is the mirror image of, across the x axis.
+    Of one that mirrors, x is what the turn takes for mirrored.
     """
-    volume = float(np.linalg.det(matrix))
-    u, _, v = np.linalg.svd(matrix if volume > 0.0 else matrix * (-1.0, 1.0, 1.0))
-    return u @ v, max(float(np.cbrt(abs(volume))), 1e-9)
+    u, sizes, v = np.linalg.svd(linear)
+    mirrors = np.linalg.det(u @ v) < 0.0
+    flat = sizes[:, 2] <= 1e-9 * sizes[:, 0]
+    # A flat one has no side: the axis across it may point either way.
+    u[flat & mirrors, :, 2] *= -1.0
+    turns = u @ v
+    turns[~flat & mirrors] = turns[~flat & mirrors] @ _MIRROR
+    with np.errstate(all="ignore"):
+        scales = np.where(flat, sizes[:, 0], np.cbrt(sizes.prod(axis=1)))
+    return turns, np.clip(scales, *_SCALES)
+
+
+def without_scale(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Returns what ``similar`` does of one matrix [3, 3]."""
+    turns, scales = similar(matrix[None])
+    return turns[0], float(scales[0])

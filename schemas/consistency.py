@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import rle
+from scenec.schemas.affine import mirrored, orthonormal
+from scenec.schemas.records import FrameRecord
 
 _NO_FACE = 0xFFFFFFFF
 #: Numbers of K in pixels, and meters of a pose, that single precision and squares hold.
@@ -19,40 +21,40 @@ _RIGID = 1e-4
 
 def frame_faults(
     passes: Mapping[str, NDArray[Any]],
-    sidecar: Mapping[str, Any],
+    record: FrameRecord,
     undecoded: Collection[str] = (),
 ) -> Iterator[str]:
     """Yields what is wrong in a frame's passes and sidecar, a text each; nothing of a sound one.
 
     Args:
         passes: Arrays by name, as in ``schemas.exr``.
-        sidecar: As of ``schemas.sidecars``.
+        record: As the sidecar has it.
         undecoded: Passes that are in the file and not among the arrays.
     """
-    width, height = sidecar["resolution"]
+    width, height = record.resolution
     for name, array in passes.items():
         if array.shape[:2] != (height, width):
             yield f"{name} is {array.shape[1]} x {array.shape[0]}, expected {width} x {height}"
             return
     there = {*passes, *undecoded}
-    missing = [name for name in sidecar["passes"] if name not in there]
+    missing = [name for name in record.passes if name not in there]
     if missing:
         yield f"lacks {', '.join(missing)}"
     if "rgb" in passes and not (np.isfinite(passes["rgb"]).all() and passes["rgb"].min() >= 0.0):
         yield "rgb holds values that are negative or not finite"
     if "depth" in passes:
-        yield from _depth_faults(passes, bool(sidecar.get("lens")))
+        yield from _depth_faults(passes, record.lens is not None)
     for name, array in passes.items():
         if name.startswith("label."):
-            known = {0, *map(int, sidecar["labels"].get(name.removeprefix("label."), {}))}
+            known = {0, *map(int, record.labels.get(name.removeprefix("label."), {}))}
             unknown = sorted(set(_values(array).tolist()) - known)
             if unknown:
                 yield f"{name} holds ids {unknown[:5]} that the table lacks"
-    k = np.array(sidecar["intrinsics"], np.float64)
+    k = np.array(record.intrinsics, np.float64)
     shaped = k[2].tolist() == [0.0, 0.0, 1.0] and k[1, 0] == 0.0
     if not shaped or k[0, 0] <= 0.0 or k[1, 1] <= 0.0 or np.abs(k).max() > _MOST_PX:
         yield "intrinsics are no K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], both f above 0"
-    yield from _pose_faults(sidecar)
+    yield from _pose_faults(record)
 
 
 def table_faults(
@@ -115,17 +117,15 @@ def _depth_faults(passes: Mapping[str, NDArray[Any]], has_lens: bool) -> Iterato
                 yield f"{count} pixels have a {name} but no depth"
 
 
-def _pose_faults(sidecar: Mapping[str, Any]) -> Iterator[str]:
-    shutter = sidecar.get("shutter") or {}
-    for pose in (sidecar["camera_to_world"], *shutter.get("camera_to_world", ())):
+def _pose_faults(record: FrameRecord) -> Iterator[str]:
+    moving = () if record.shutter is None else record.shutter.camera_to_world
+    for pose in (record.camera_to_world, *moving):
         matrix = np.array(pose, np.float64)
         turn = matrix[:3, :3]
-        with np.errstate(over="ignore", invalid="ignore"):
-            off = np.abs((turn[:, :, None] * turn[:, None, :]).sum(axis=0) - np.eye(3)).max()
         far = np.abs(matrix[:3, 3]).max() > _MOST_M
-        if far or not off <= _RIGID or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        if far or not orthonormal(turn, _RIGID) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
             yield "camera_to_world is no pose: it stretches, shears, projects or is too far away"
             return
-        if (np.cross(turn[0], turn[1]) * turn[2]).sum() < 0.0:
+        if mirrored(turn):
             yield "camera_to_world is mirrored (determinant -1), which no pose is"
             return

@@ -14,17 +14,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from numpy.typing import NDArray
 
 from scenec.schemas.amodal import amodal_path
+from scenec.schemas.codec import Unset
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import frame_stem_of, sha256
 from scenec.schemas.instances import frame_table_path
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.passes import AMODAL, BUILT_IN, origins
+from scenec.schemas.records import FileDigest, FrameRecord, ImagingRecord, RoundsRecord
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.versions import version_of
 
@@ -90,12 +91,12 @@ class Frame:
     Attributes:
         path: Of the sidecar.
         passes: Pass name -> array, as in ``exr.read_exr``.
-        sidecar: The sidecar as JSON values.
+        sidecar: What its sidecar holds.
     """
 
     path: Path
     passes: dict[str, NDArray]
-    sidecar: dict[str, Any]
+    sidecar: FrameRecord
 
 
 @dataclass(frozen=True)
@@ -166,23 +167,21 @@ def is_done(stem: Path, key: FrameKey) -> bool:
     One that holds more passes than are asked for, and is otherwise as asked, counts.
     """
     try:
-        sidecar = json.loads(stem.with_suffix(".json").read_bytes())
-        wider = replace(key, **_rgb_of(sidecar)) if "rgb" not in key.passes else key
-        done: bool = (
-            set(key.passes) <= _held(sidecar)
-            and sidecar["resume_key"] == replace(wider, passes=tuple(_held(sidecar))).digest()
-            and stem.with_suffix(".exr").stat().st_size == sidecar["exr"]["bytes"]
-            and (not sidecar["png"] or stem.with_suffix(".png").is_file())
-            and _is_there(frame_table_path(stem), sidecar["instance_table"])
-            and _is_there(amodal_path(stem), sidecar["amodal"])
-            and all(
-                _is_there(beside_path(stem, kind), sidecar.get("imaging", {}).get(kind))
-                for kind in BESIDE
-            )
+        record = read_sidecar(stem.with_suffix(".json"))
+        wider = key if "rgb" in key.passes else _with_rgb_of(record, key)
+        beside = record.imaging or ImagingRecord()
+        return (
+            set(key.passes) <= _held(record)
+            and record.resume_key == replace(wider, passes=tuple(_held(record))).digest()
+            and _is_there(stem.with_suffix(".exr"), record.exr)
+            and (not record.png or stem.with_suffix(".png").is_file())
+            and _is_there(frame_table_path(stem), record.instance_table)
+            and _is_there(amodal_path(stem), record.amodal)
+            and _is_there(beside_path(stem, "clean"), beside.clean)
+            and _is_there(beside_path(stem, "raw"), beside.raw)
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, FrameError):
         return False
-    return done
 
 
 def would_lose(stem: Path, key: FrameKey) -> str | None:
@@ -193,45 +192,45 @@ def would_lose(stem: Path, key: FrameKey) -> str | None:
         stage or damaged, or it differs by versions alone.
     """
     try:
-        sidecar = json.loads(stem.with_suffix(".json").read_bytes())
-        if sidecar["stage_digest"] != key.stage_digest or not stem.with_suffix(".exr").is_file():
+        record = read_sidecar(stem.with_suffix(".json"))
+        if record.stage_digest != key.stage_digest or not stem.with_suffix(".exr").is_file():
             return None
-        lost = sorted(_held(sidecar) - set(key.passes))
-        parts = [f"holding {', '.join(lost)}, not asked for"] if lost else []
-        was = _rgb_of(sidecar)
-        if "rgb" in key.passes and "rgb" in _held(sidecar):
-            now = {name: getattr(key, name) for name in was}
-            then, asked = (quality(of["spp"], of["error"], of["seconds"]) for of in (was, now))
-            parts += [f"rendered otherwise ({then}; asked for: {asked})"] if then != asked else []
-            if was["noise_seed"] != now["noise_seed"]:
-                parts.append(f"of noise seed {was['noise_seed']}, not {now['noise_seed']}")
-            if was["denoise"] != now["denoise"]:
-                parts.append("denoised" if was["denoise"] else "not denoised")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, FrameError):
         return None
+    lost = sorted(_held(record) - set(key.passes))
+    parts = [f"holding {', '.join(lost)}, not asked for"] if lost else []
+    was = _with_rgb_of(record, key)
+    if "rgb" in key.passes and "rgb" in _held(record):
+        then, asked = (quality(of.spp, of.error, of.seconds) for of in (was, key))
+        parts += [f"rendered otherwise ({then}; asked for: {asked})"] if then != asked else []
+        if was.noise_seed != key.noise_seed:
+            parts.append(f"of noise seed {was.noise_seed}, not {key.noise_seed}")
+        if was.denoise != key.denoise:
+            parts.append("denoised" if was.denoise else "not denoised")
     return ", ".join(parts) or None
 
 
-def _held(sidecar: dict[str, Any]) -> set[str]:
+def _held(record: FrameRecord) -> set[str]:
     """Returns the passes of a frame."""
-    return {*sidecar["passes"], *([AMODAL] if sidecar.get("amodal") else [])}
+    return {*record.passes, *([AMODAL] if record.amodal is not None else [])}
 
 
-def _rgb_of(sidecar: dict[str, Any]) -> dict[str, Any]:
-    """Returns the part of a frame's key that describes its ``rgb``."""
-    rounds = sidecar.get("rounds") or {}
-    return {
-        "spp": sidecar["spp"],
-        "noise_seed": sidecar["noise_seed"],
-        "denoise": sidecar.get("denoised") is not None,
-        "error": rounds.get("target_relative_rms"),
-        "seconds": rounds.get("target_seconds"),
-    }
+def _with_rgb_of(record: FrameRecord, key: FrameKey) -> FrameKey:
+    """Returns a key of a frame whose ``rgb`` was made as that of a record."""
+    rounds = record.rounds or RoundsRecord()
+    return replace(
+        key,
+        spp=record.spp or 0,
+        noise_seed=record.noise_seed or 0,
+        denoise=record.denoised is not None,
+        error=rounds.target_relative_rms,
+        seconds=rounds.target_seconds,
+    )
 
 
-def _is_there(path: Path, entry: dict[str, Any] | None) -> bool:
-    """Whether a file is as large as its sidecar says, or not said to be there."""
-    return entry is None or bool(path.stat().st_size == entry["bytes"])
+def _is_there(path: Path, entry: FileDigest | Unset | None) -> bool:
+    """Tells whether a file is as large as its sidecar says, or not said to be there."""
+    return not entry or path.stat().st_size == entry.bytes
 
 
 def read_frame(
@@ -250,25 +249,25 @@ def read_frame(
     """
     stem = frame_stem_of(Path(path))
     json_path, exr_path = stem.with_suffix(".json"), stem.with_suffix(".exr")
-    sidecar = read_sidecar(json_path)
+    record = read_sidecar(json_path)
     if not exr_path.is_file():
         raise FrameError(f"{exr_path}: missing, though its sidecar is there; render it again")
-    if sha256(exr_path) != sidecar["exr"].get("sha256"):
+    if sha256(exr_path) != record.exr.sha256:
         raise FrameError(
             f"{exr_path}: truncated, damaged or changed since it was written (its checksum is not "
             "the sidecar's); render it again"
         )
     # The checksum says that what the sidecar names is there, decoded or not.
-    undecoded = [name for name in unused if name in sidecar["passes"]]
-    if len(undecoded) == len(sidecar["passes"]):
+    undecoded = [name for name in unused if name in record.passes]
+    if len(undecoded) == len(record.passes):
         # A file of no parts is none.
         undecoded, unused = [], ()
     arrays = read_exr(exr_path, unused)
-    there = [*arrays, *undecoded, *([AMODAL] if sidecar.get("amodal") else [])]
+    there = [*arrays, *undecoded, *([AMODAL] if record.amodal is not None else [])]
     missing = [name for name in passes or () if name not in there]
     if missing:
         raise FrameError(
             f"{exr_path}: has no {', '.join(missing)} (it holds {', '.join(there)}); render with "
             f"--passes {','.join([*there, *missing])}"
         )
-    return Frame(json_path, arrays, sidecar)
+    return Frame(json_path, arrays, record)

@@ -38,10 +38,9 @@ has its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -455,12 +454,3 @@ def shown_at(lens: Lens | None, k: Array, points: Array) -> Array:
     plane, shown = project(lens, points)
     plane[~shown] = np.nan
     return to_pixels(k, plane)
-
-
-def from_sidecar(value: Mapping[str, Any] | None) -> Lens | None:
-    """The lens that a frame's sidecar states; None: a pinhole."""
-    if value is None:
-        return None
-    angle = math.radians(float(value.get("max_angle_deg", 180.0)))
-    coefficients = tuple(float(c) for c in value["coefficients"])
-    return Lens(str(value["model"]), coefficients, min(angle, math.pi))

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from scenec.schemas.codec import JSON, UNSET, Natural, Unset, natural, read_record
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.files import inside
-from scenec.schemas.shape import Each, natural, read_shaped
 from scenec.schemas.update import finish_update
 
 MANIFEST = "manifest.json"
@@ -54,22 +54,64 @@ def _samples(value: Any) -> str | None:
     return None if fine else f"a whole number from 0 to {_MOST_SAMPLES}"
 
 
-_SHAPE = {
-    "batches": [{"index": natural, "path": str, "stage": str, "samples?": _samples,
-                 "attempt?": natural}],
-    "files": Each({"sha256": str, "bytes?": natural, "what?": str}),
-    "failed?": [{"index": natural, "path": str, "reason": str}],
-    "name?": str,
-    "seed?": natural,
-    "keep?": str,
-    "scenec?": str,
-    "cfg?": {"sha256?": str, "batch_sha256?": str, "inputs?": Each(str), "licenses?": Each(dict),
-             "settings?": [str]},
-    "libraries?": Each(str),
-}  # fmt: skip
+@dataclass(frozen=True, kw_only=True)
+class CfgEntry:
+    """The cfg that an output was compiled from: see the module."""
+
+    sha256: str | Unset = UNSET
+    batch_sha256: str | Unset = UNSET
+    inputs: Mapping[str, str] | Unset = UNSET
+    licenses: Mapping[str, Mapping[str, JSON]] | Unset = UNSET
+    settings: tuple[str, ...] | Unset = UNSET
 
 
-def read_manifest(out: Path) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class BatchEntry:
+    """A batch: paths of its folder and root layer; ``attempt`` where it was drawn again."""
+
+    index: Natural
+    path: str
+    stage: str
+    samples: Annotated[int, _samples] = 0
+    attempt: Natural | Unset = UNSET
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileEntry:
+    """What a file is, and what tells whether it is still the one that was written."""
+
+    what: str | Unset = UNSET
+    bytes: Natural | Unset = UNSET
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailedBatch:
+    """A batch that could not be built, and why."""
+
+    index: Natural
+    path: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """The manifest of an output folder: see the module."""
+
+    format: JSON | Unset = UNSET
+    name: str | Unset = UNSET
+    cfg: CfgEntry | Unset = UNSET
+    seed: Natural | Unset = UNSET
+    keep: str | Unset = UNSET
+    scenec: str | Unset = UNSET
+    libraries: Mapping[str, str] | Unset = UNSET
+    plugins: Mapping[str, JSON] | Unset = UNSET
+    batches: tuple[BatchEntry, ...]
+    files: Mapping[str, FileEntry]
+    failed: tuple[FailedBatch, ...] | Unset = UNSET
+
+
+def read_manifest(out: Path) -> Manifest:
     """The manifest of an output folder; what a killed compilation began there is finished first.
 
     Raises:
@@ -83,19 +125,19 @@ def read_manifest(out: Path) -> dict[str, Any]:
     finish_update(out)
     path = out / MANIFEST
     try:
-        manifest: dict[str, Any] = read_shaped(path, _SHAPE, OutputError, "scenec manifest")
+        manifest = read_record(path, Manifest, OutputError, "scenec manifest")
     except (FileNotFoundError, NotADirectoryError) as error:
         raise OutputError(f"{out}: holds no {MANIFEST}; compile a cfg into it first") from error
     numbers: dict[int, int] = {}
-    for i, batch in enumerate(manifest["batches"]):
-        first = numbers.setdefault(batch["index"], i)
+    for i, batch in enumerate(manifest.batches):
+        first = numbers.setdefault(batch.index, i)
         if first != i:
             raise OutputError(
-                f"{path}: is no scenec manifest: /batches/{i}/index: {batch['index']} is the index "
+                f"{path}: is no scenec manifest: /batches/{i}/index: {batch.index} is the index "
                 f"of /batches/{first} too"
             )
-        for key in ("path", "stage"):
-            inside(out, batch[key], f"{path}: /batches/{i}/{key}")
+        for key, name in (("path", batch.path), ("stage", batch.stage)):
+            inside(out, name, f"{path}: /batches/{i}/{key}")
     return manifest
 
 
@@ -129,29 +171,27 @@ def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
         return [Batch(0, out.stem, out, out.parent)]
     manifest = read_manifest(out)
     found = {
-        entry["index"]: Batch(
-            entry["index"], entry["path"], out / entry["stage"], out / entry["path"]
-        )
-        for entry in manifest["batches"]
+        entry.index: Batch(entry.index, entry.path, out / entry.stage, out / entry.path)
+        for entry in manifest.batches
     }
     missing = [index for index in batches or () if index not in found]
     if missing or not found:
         there = ", ".join(map(str, found)) or "none"
         wanted = f"batch {missing[0]}" if missing else "a batch"
-        why = [f" ({e['reason']})" for e in manifest.get("failed", ()) if e["index"] in missing]
+        why = [f" ({e.reason})" for e in manifest.failed or () if e.index in missing]
         raise StageError(f"{out}: does not hold {wanted}{next(iter(why), '')}; it holds {there}")
     return [found[index] for index in (found if batches is None else sorted(batches))]
 
 
-def gaps(manifest: dict[str, Any]) -> list[str]:
+def gaps(manifest: Manifest) -> list[str]:
     """A line about each batch that is not there since it could not be built."""
     return [
-        f"{entry['path']} is not there: it could not be built: {entry['reason']}"
-        for entry in manifest.get("failed", ())
+        f"{entry.path} is not there: it could not be built: {entry.reason}"
+        for entry in manifest.failed or ()
     ]
 
 
-def stage_digest(manifest: dict[str, Any], batch: str) -> str:
+def stage_digest(manifest: Manifest, batch: str) -> str:
     """The digest that frames of a batch carry, as it follows from the manifest alone.
 
     A stage that the compiler wrote is composed of all the batch's files but its report and the
@@ -180,16 +220,16 @@ def files_of_stage(stage: Path) -> dict[str, str] | None:
         # Of no output, or beside a manifest of something else.
         return None
     name = f"{folder.name}/{stage.name}"
-    batch = next((b["path"] for b in manifest["batches"] if b["stage"] == name), None)
-    return None if batch is None else _files_of(manifest, str(batch))
+    batch = next((b.path for b in manifest.batches if b.stage == name), None)
+    return None if batch is None else _files_of(manifest, batch)
 
 
-def _files_of(manifest: dict[str, Any], batch: str) -> dict[str, str]:
+def _files_of(manifest: Manifest, batch: str) -> dict[str, str]:
     """Files of a batch's stage, relative to its folder, and their sha256."""
     begin = f"{batch}/"
     inside = {
-        path.removeprefix(begin): str(entry["sha256"])
-        for path, entry in manifest["files"].items()
+        path.removeprefix(begin): entry.sha256
+        for path, entry in manifest.files.items()
         if path.startswith(begin)
     }
     return {path: sha for path, sha in inside.items() if path not in (REPORT, LEFT_OUT)}

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.files import atomic
+from scenec.schemas.records import PictureRecord
 
 #: The curve is linear below this and rolls off to 1 above it.
 SHOULDER = 0.6
@@ -20,8 +20,8 @@ _AT_ONCE = 1 << 22
 #: ``BURNT``. Pictures are, if more than these shares of all pixels that show surfaces are.
 BLACK, BURNT = 2, 254
 BLACK_SHARE, BURNT_SHARE = 0.999, 0.5
-#: Of linear Rec.709.
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+#: Weights of linear Rec.709 in luminance.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
@@ -29,6 +29,11 @@ DESCRIPTION = (
     "0.6 + 0.4 * (1 - exp(-(x - 0.6) / 0.4)) above; "
     "sRGB transfer function (IEC 61966-2-1); rounded to 8 bits"
 )
+
+
+def luminance(rgb: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Returns Rec.709 luminance of linear colors [..., 3]; of float32 ones in float32."""
+    return LUMINANCE[0] * rgb[..., 0] + LUMINANCE[1] * rgb[..., 1] + LUMINANCE[2] * rgb[..., 2]
 
 
 def tone_map(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.float64]:
@@ -77,38 +82,33 @@ def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray
 
 def tally(
     pixels: NDArray[np.uint8], radiance: NDArray[np.floating], surfaces: NDArray[np.bool_]
-) -> dict[str, Any]:
-    """How bright a picture shows surfaces; the sky may be as black as the Moon's.
+) -> PictureRecord:
+    """Counts how bright a picture shows surfaces; the sky may be as black as the Moon's.
 
     Args:
         pixels: The picture, [h, w, 3].
         radiance: What it is of, [h, w, 3].
         surfaces: Where it shows any, [h, w].
-
-    Returns:
-        JSON: ``surfaces``, how many pixels show any, how many of them are ``black`` and ``burnt``,
-        and the ``mean_luminance`` of these surfaces, W/(m^2 sr).
     """
     seen = pixels[surfaces]
-    luminance = radiance[surfaces].astype(np.float64) @ LUMINANCE
-    return {
-        "surfaces": len(seen),
-        "black": int((seen < BLACK).all(axis=1).sum()),
-        "burnt": int((seen >= BURNT).all(axis=1).sum()),
-        "mean_luminance": float(luminance.mean()) if len(seen) else 0.0,
-    }
+    level = luminance(radiance[surfaces].astype(np.float64))
+    return PictureRecord(
+        surfaces=len(seen),
+        black=int((seen < BLACK).all(axis=1).sum()),
+        burnt=int((seen >= BURNT).all(axis=1).sum()),
+        mean_luminance=float(level.mean()) if len(seen) else 0.0,
+    )
 
 
-def fault(tallies: Sequence[Mapping[str, Any]]) -> str | None:
+def fault(tallies: Sequence[PictureRecord]) -> str | None:
     """What is wrong with all pictures of a camera together: "black", "burnt out" or None.
 
     Together, so that a sequence may begin in the dark and end in the sun.
     """
-    surfaces, black, burnt = (
-        sum(one[key] for one in tallies) for key in ("surfaces", "black", "burnt")
-    )
-    if black > BLACK_SHARE * surfaces:
+    surfaces = sum(one.surfaces for one in tallies)
+    if sum(one.black for one in tallies) > BLACK_SHARE * surfaces:
         return "black"
+    burnt = sum(one.burnt for one in tallies)
     return "burnt out" if burnt > BURNT_SHARE * surfaces else None
 
 

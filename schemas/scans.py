@@ -24,35 +24,24 @@ the scan was made from.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import encode, read_record
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import NUMPY_FAULTS, atomic, sha256, write_json
-from scenec.schemas.shape import Each, natural, read_shaped
+from scenec.schemas.records import FileDigest, ScanRecord
 
 #: In each batch's folder.
 SCANS = "scans"
+_WHAT = "sidecar of a scan"
 #: Version of a scan's shape; and of one that holds both angles of each ray.
 SCAN_VERSION, RAYS_VERSION = "1.0", "1.1"
-
-_SIDECAR = {
-    "lidar?": str,
-    "sample?": natural,
-    "time_s?": (None, float),
-    "lidar_to_world?": [[float] * 4] * 4,
-    "labels?": Each(Each(str)),
-    "stage_digest?": str,
-    "resume_key?": str,
-    "npz": {"sha256": str, "bytes?": natural},
-    "ply?": bool,
-}
 
 CONVENTIONS = {
     "frame": "x ahead, y left, z up, meters; lidar_to_world: 4x4, row-major, column vectors",
@@ -70,12 +59,12 @@ class Scan:
     Attributes:
         path: Of the sidecar.
         arrays: By name, as the module says.
-        sidecar: As JSON values.
+        sidecar: What its sidecar holds.
     """
 
     path: Path
     arrays: dict[str, NDArray]
-    sidecar: dict[str, Any]
+    sidecar: ScanRecord
 
 
 def scan_stem(folder: Path, lidar: str, sample: int) -> Path:
@@ -98,23 +87,23 @@ def is_scanned(stem: Path, key: str, ply: bool = False) -> bool:
         ply: Whether its cloud of points has to be there, too.
     """
     try:
-        sidecar = json.loads(stem.with_suffix(".json").read_bytes())
+        record = read_record(stem.with_suffix(".json"), ScanRecord, FrameError, _WHAT)
         size = stem.with_suffix(".npz").stat().st_size
-        whole = bool(sidecar["resume_key"] == key and sidecar["npz"]["bytes"] == size)
+        whole = record.resume_key == key and record.npz.bytes == size
         return whole and (not ply or stem.with_suffix(".ply").is_file())
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, FrameError):
         return False
 
 
 def write_scan(
-    stem: Path, arrays: Mapping[str, NDArray], sidecar: Mapping[str, Any], ply: bool = False
+    stem: Path, arrays: Mapping[str, NDArray], record: ScanRecord, ply: bool = False
 ) -> None:
     """Write a scan, each file by atomic rename, the sidecar last; the same scan, the same bytes.
 
     Args:
         stem: See ``scan_stem``.
         arrays: By name.
-        sidecar: More for the sidecar.
+        record: What there is to say of it but for its files.
         ply: Whether to write a cloud of the points as well.
 
     Raises:
@@ -130,12 +119,17 @@ def write_scan(
     if ply:
         with atomic(stem.with_suffix(".ply")) as temporary:
             temporary.write_bytes(as_ply(arrays))
-    vouched = {"bytes": path.stat().st_size, "sha256": sha256(path)}
-    head = {"version": SCAN_VERSION, **sidecar, "conventions": CONVENTIONS}
+    record = replace(
+        record,
+        version=SCAN_VERSION,
+        conventions=CONVENTIONS,
+        npz=FileDigest(bytes=path.stat().st_size, sha256=sha256(path)),
+        ply=ply,
+    )
     if np.ndim(arrays.get("elevation_deg", ())) == 2:
         order = "rows are beams, columns their rays in turn; both angles are of each ray"
-        head |= {"version": RAYS_VERSION, "conventions": CONVENTIONS | {"order": order}}
-    write_json(stem.with_suffix(".json"), {**head, "npz": vouched, "ply": ply})
+        record = replace(record, version=RAYS_VERSION, conventions=CONVENTIONS | {"order": order})
+    write_json(stem.with_suffix(".json"), encode(record))
 
 
 def read_scan(path: Path) -> Scan:
@@ -150,11 +144,11 @@ def read_scan(path: Path) -> Scan:
     stem = path.with_suffix("") if path.suffix in (".npz", ".json", ".ply") else path
     json_path, npz_path = stem.with_suffix(".json"), stem.with_suffix(".npz")
     try:
-        sidecar = read_shaped(json_path, _SIDECAR, FrameError, "sidecar of a scan")
+        sidecar = read_record(json_path, ScanRecord, FrameError, _WHAT)
     except FileNotFoundError as error:
         raise FrameError(f"{json_path}: no such scan (the sidecar is missing)") from error
     try:
-        if sha256(npz_path) != sidecar["npz"]["sha256"]:
+        if sha256(npz_path) != sidecar.npz.sha256:
             raise FrameError(f"{npz_path}: damaged or changed since it was written; scan again")
         with np.load(npz_path) as stored:
             return Scan(json_path, {name: stored[name] for name in stored.files}, sidecar)

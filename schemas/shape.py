@@ -18,17 +18,15 @@ a function         called with the value: None, or what was expected instead
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scenec.schemas.codec import NAMES, escaped, is_number, told
+from scenec.schemas.codec import natural as natural
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import read_json
 from scenec.schemas.spelling import closest, shown
-
-_NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number",
-          dict: "an object", list: "a list"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -36,19 +34,6 @@ class Each:
     """Of an object with any keys: what its values are."""
 
     shape: Any
-
-
-def natural(value: Any) -> str | None:
-    """A shape: a whole number from 0."""
-    return None if type(value) is int and value >= 0 else "a whole number from 0"
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value is a finite number that fits a float."""
-    try:
-        return type(value) in (int, float) and math.isfinite(value)
-    except OverflowError:
-        return False
 
 
 def read_shaped(path: Path, shape: Any, error: type[ScenecError], what: str) -> Any:
@@ -85,7 +70,7 @@ def _fault(value: Any, shape: Any, at: str) -> str | None:
     if isinstance(shape, dict) and isinstance(value, dict):
         return _fault_of_keys(value, shape, at)
     if isinstance(shape, Each) and isinstance(value, dict):
-        inner = ((f"{at}/{_escaped(key)}", value[key], shape.shape) for key in value)
+        inner = ((f"{at}/{escaped(key)}", value[key], shape.shape) for key in value)
     elif isinstance(shape, list) and isinstance(value, list):
         if len(shape) > 1 and len(value) != len(shape):
             return f"{at or '/'}: expected {len(shape)} values, not {len(value)}"
@@ -93,7 +78,7 @@ def _fault(value: Any, shape: Any, at: str) -> str | None:
         inner = ((f"{at}/{i}", value[i], one) for i, one in enumerate(shapes))
     else:
         expected = _expected(value, shape)
-        return expected and f"{at or '/'}: expected {expected}, not {_text(value)}"
+        return expected and f"{at or '/'}: expected {expected}, not {told(value)}"
     return next((fault for place, v, s in inner if (fault := _fault(v, s, place))), None)
 
 
@@ -102,7 +87,7 @@ def _fault_of_keys(value: dict[str, Any], shape: dict[str, Any], at: str) -> str
     for spelled, one in shape.items():
         key, may, other = spelled.partition("?")
         if key in value:
-            fault = _fault(value[key], one, f"{at}/{_escaped(key)}")
+            fault = _fault(value[key], one, f"{at}/{escaped(key)}")
             if fault:
                 return fault
         elif not may or (other and other in value):
@@ -118,19 +103,11 @@ def _expected(value: Any, shape: Any) -> str | None:
     if shape is None:
         return None if value is None else "null"
     if isinstance(shape, dict | Each):
-        return _NAMES[dict]
+        return NAMES[dict]
     if isinstance(shape, list):
-        return _NAMES[list]
+        return NAMES[list]
     if not isinstance(shape, type):
         expected: str | None = shape(value)
         return expected
     fine = is_number(value) if shape is float else type(value) is shape
-    return None if fine else _NAMES[shape]
-
-
-def _escaped(key: str) -> str:
-    return key.replace("~", "~0").replace("/", "~1")
-
-
-def _text(value: Any) -> str:
-    return _NAMES[type(value)] if isinstance(value, dict | list) else shown(value)
+    return None if fine else NAMES[shape]

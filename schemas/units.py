@@ -1,30 +1,52 @@
 """Units of work, and who runs them: what compiling, rendering, scanning and exporting agree on.
 
 All long work is cut into units: small, frozen descriptions that can be pickled. A unit can be run
-again (it renames what it makes into place), in any process that sees the same files. An executor
-runs them: here, in several processes, or on a cluster (``backends.run.executors``).
-It takes units as it has hands free, and tells what came of each in the order in which they end.
+again (it renames what it makes into place), in any process that sees the same files. A schedule
+gives them out, and an executor runs them: this process (``LocalExecutor``), several, or a cluster
+(``backends.run.executors``).
 """
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.lock import BusyError, Lock
+from scenec.schemas.memory import available
 from scenec.schemas.plugins import blaming
 
 T = TypeVar("T")
 
+#: Seconds between two looks at what another process is making.
+_LOOK_S = 0.1
+
 
 class Keeper:
-    """What a worker keeps from one unit to the next: one thing, such as a stage that was read."""
+    """What a worker keeps from one unit to the next: one thing, such as a stage that was read.
 
-    def __init__(self) -> None:
+    Attributes:
+        say: Told lines that a user should see.
+        step: Told when a step of a unit begins; None: nobody listens.
+    """
+
+    def __init__(
+        self, say: Callable[[str], None] | None = None, step: Callable[[str], None] | None = None
+    ) -> None:
         self._name: Hashable = None
         self._kept: Any = None
+        self._notes: list[str] = []
+        self.say, self.step = say or self._notes.append, step
+
+    def notes(self) -> list[str]:
+        """Returns lines that were said since the last call, where nobody listens."""
+        said, self._notes[:] = list(self._notes), []
+        return said
 
     def keep(self, name: Hashable, make: Callable[[], T]) -> T:
         """What is kept under a name, made if it is not; what was kept under another is let go."""
@@ -72,7 +94,7 @@ class Outcome:
         deaths: Workers that died, or were ended, over it.
         replaced: Workers that were replaced before it, as they had grown.
         warnings: A line for each death after which it was tried again.
-        notes: A line for each replacement.
+        notes: A line for each replacement, and those that the unit said.
     """
 
     value: Any = None
@@ -123,7 +145,7 @@ class Executor(Protocol):
         ...
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
-        """Take units and run them, until there are none.
+        """Takes units and runs them, until there are none; of those cut short nothing half is left.
 
         Args:
             take: Gives them out.
@@ -141,17 +163,172 @@ class Executor(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-def run_unit(unit: Unit, keeper: Keeper) -> Any:
-    """Runs a unit in this process; returns what it returns.
+class LocalExecutor:
+    """Runs units in this process, one after the other: nothing to start, nothing to survive.
+
+    A renderer's crash is this process's. For tests, and for programs that want no other process.
+
+    Args:
+        keeper: What is kept already, and who listens; None: nothing and nobody.
+    """
+
+    def __init__(self, keeper: Keeper | None = None) -> None:
+        self._keeper = keeper or Keeper()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._keeper = Keeper()
+
+    def prepare(self, folder: Path, device: str = "auto", backend: str = "") -> None:
+        """See ``Executor``: this process sees what it sees."""
+
+    def room(self, units: int) -> tuple[int, int]:
+        """See ``Executor``."""
+        return available(), 1
+
+    def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
+        """See ``Executor``."""
+        holds = None
+        while (unit := take(holds)) is not None:
+            outcome = Outcome()
+            try:
+                with blaming(unit.what):
+                    outcome.value = unit.run(self._keeper)
+            except ScenecError as error:
+                outcome.error = error
+            except BaseException:
+                clean(unit)
+                raise
+            outcome.notes = self._keeper.notes()
+            holds = unit.holds
+            yield unit, outcome
+
+
+def clean(unit: Unit) -> None:
+    """Removes what a worker that died over a unit left half written."""
+    getattr(unit, "clean", lambda: None)()
+
+
+class Schedule:
+    """Units that wait, given out so that workers rarely change what they keep.
+
+    A worker is given a unit of what it keeps; else one of what no worker has kept yet; else one of
+    what has most units waiting.
+
+    Args:
+        units: The first to wait.
+        most: How many may be given out and not yet let go; None: any number.
+        waiting: Told who runs a claimed unit that is waited for.
+    """
+
+    def __init__(
+        self,
+        units: Iterable[Unit] = (),
+        most: int | None = None,
+        waiting: Callable[[Any, str], None] = lambda _unit, _who: None,
+    ) -> None:
+        self._groups: dict[Hashable, deque[Unit]] = {}
+        self._begun: set[Hashable] = set()
+        self._claimed: list[Any] = []
+        self._most, self._out = most, 0
+        self._waiting = waiting
+        self.add(*units)
+
+    def add(self, *units: Unit) -> None:
+        """Adds units to those that wait."""
+        for unit in units:
+            self._groups.setdefault(unit.holds, deque()).append(unit)
+
+    def add_claimed(self, unit: Any) -> None:
+        """Adds a unit that another process is running: it waits until all others have ended.
+
+        Its ``claim`` is the lock file of who runs it.
+        """
+        self._claimed.append(unit)
+
+    def withdraw(self, holds: Hashable, which: Callable[[Unit], bool]) -> list[Unit]:
+        """Takes back units of one group that have not been given out; returns them."""
+        found = [unit for unit in self._groups.get(holds, ()) if which(unit)]
+        for unit in found:
+            self._groups[holds].remove(unit)
+        return found
+
+    def release(self) -> None:
+        """Lets go of a unit that has ended; whoever runs a schedule calls it once for each."""
+        self._out -= 1
+
+    def take(self, holds: Hashable) -> Unit | None:
+        """Gives out a unit to a worker that keeps something; see ``Take``."""
+        if self._most is not None and self._out >= self._most:
+            return None
+        group = self._groups.get(holds)
+        if not group:
+            fresh = (of for name, of in self._groups.items() if of and name not in self._begun)
+            group = next(fresh, None) or max(self._groups.values(), key=len, default=None)
+        if group:
+            unit = group.popleft()
+        elif self._claimed and not self._out:
+            unit = self._wait()
+        else:
+            return None
+        self._begun.add(unit.holds)
+        self._out += 1
+        return unit
+
+    def _wait(self) -> Unit:
+        """Returns the first unit that no other process is running any more."""
+        while True:
+            for unit in self._claimed:
+                try:
+                    with Lock(unit.claim, what=unit.what):
+                        pass
+                except BusyError as error:
+                    self._waiting(unit, str(error))
+                    continue
+                self._claimed.remove(unit)
+                return unit
+            time.sleep(_LOOK_S)
+
+
+def run_all(
+    executor: Executor | None,
+    units: Iterable[Unit],
+    *,
+    in_order: bool = False,
+    ahead: int | None = None,
+    ended: Callable[[Unit, Outcome], None] = lambda _unit, _outcome: None,
+) -> Generator[tuple[Unit, Outcome]]:
+    """Runs units that wait for nothing.
+
+    Args:
+        executor: Who runs them; None: this process.
+        units: In the order in which they are given out.
+        in_order: Whether to yield them in that order, not as they end.
+        ahead: In order, how many may be given out and not yet yielded; None: any number.
+        ended: Called with each as it ends.
+
+    Yields:
+        Each unit and what came of it.
 
     Raises:
-        ScenecError: It cannot be done; ``PluginError`` where another package's code fails.
+        ScenecError: Workers cannot be had.
     """
-    with blaming(unit.what):
-        return unit.run(keeper)
-
-
-def run_all(executor: Executor, units: Iterable[Unit]) -> Generator[tuple[Unit, Outcome]]:
-    """As ``Executor.work``, of units that wait for nothing."""
-    left = iter(units)
-    return executor.work(lambda _holds: next(left, None))
+    units = list(units)
+    schedule = Schedule(units, ahead)
+    ready: dict[int, Outcome] = {}
+    following = 0
+    with closing((executor or LocalExecutor()).work(schedule.take)) as outcomes:
+        for unit, outcome in outcomes:
+            ended(unit, outcome)
+            if not in_order:
+                schedule.release()
+                yield unit, outcome
+                continue
+            ready[id(unit)] = outcome
+            while following < len(units) and id(units[following]) in ready:
+                each = units[following]
+                following += 1
+                schedule.release()
+                yield each, ready.pop(id(each))

@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.contract import Backend, Radiance, Rays, Visibility
+from scenec.backends.contract import Backend, Radiance, Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.session import Session
 from scenec.backends.stage.scene import Camera, OpenShutter, RenderScene
@@ -21,11 +21,10 @@ from scenec.backends.testing.scenes import mesh, scene, surface
 from scenec.schemas.shutter import Shutter
 
 
-class Flat:
+class Flat(Backend):
     """Implements ``contract.Backend``: surfaces in their base color."""
 
     name, devices, device, denoiser, caster = "flat", ("cpu",), "cpu", "none", None
-    follows_lenses = False
 
     def __init__(self, stochastic: bool = True) -> None:
         self.stochastic = stochastic
@@ -35,23 +34,11 @@ class Flat:
         """Of this."""
         return "flat 1"
 
-    def warning(self) -> str | None:
-        """None."""
-        return None
-
-    def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """None."""
-        return ()
-
     def load(self, scene: RenderScene) -> None:
         """For the exact caster."""
         self._scene, self._exact = scene, ExactCaster(scene)
         colors = np.array([one.base_color for one in scene.surfaces])
         self._colors = colors[[m.layers[0] for m in scene.meshes]]
-
-    def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
-        """None: all is cast."""
-        return None
 
     def radiance(
         self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
@@ -122,7 +109,7 @@ def picture(
     made: Session, camera: Camera, spp: int = 64, seeds: Sequence[int] = (1,)
 ) -> NDArray[np.float64]:
     """One channel of a frame's rgb, the mean over some seeds."""
-    shown = [made.render(camera, 0, ("rgb",), spp, seed)[0]["rgb"][..., 0] for seed in seeds]
+    shown = [made.render(camera, 0, ("rgb",), spp, seed).arrays["rgb"][..., 0] for seed in seeds]
     return np.mean(shown, axis=0, dtype=np.float64)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
-from scenec.backends.picture.adaptive import Draw, Target, collect, round_seed
+from scenec.backends.noise_seeds import round_seed
+from scenec.backends.picture.adaptive import Draw, Target, collect
 from scenec.backends.picture.noise import estimate
 from scenec.backends.run.session import Session
 from scenec.compiler.compile import compile_cfg
@@ -69,7 +70,7 @@ class Truth:
         """True error beside what its halves tell."""
         halves = picture.halves.astype(np.float64)
         noise = estimate(halves, self.covered)
-        bound = noise.relative_rms_bound or 0.0
+        bound = noise.relative_rms_bound_95 or 0.0
         return Trial(picture.spp, self.error(halves), noise.relative_rms or 0.0, bound)
 
 

@@ -30,7 +30,7 @@ from scenec.schemas.instances import (
     write_frame_table,
     write_table,
 )
-from scenec.schemas.manifest import stage_digest
+from scenec.schemas.manifest import read_manifest, stage_digest
 from scenec.schemas.picture import develop, write_png
 
 LABELS = {"class": {1: "sky", 2: "ground", 3: "rock", 4: "lander"}}
@@ -193,7 +193,7 @@ def make_out(
     renamed = dict(ids or {})
     for index in range(batches):
         name = f"batch_{index:04d}"
-        digest = stage_digest(manifest, name)
+        digest = stage_digest(read_manifest(out), name)
         write_table(out / name / "frames" / BATCH_TABLE, _table(digest, renamed))
         for sensor in sensors:
             for sample in range(samples):

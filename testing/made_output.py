@@ -22,7 +22,7 @@ from scenec.schemas.instances import (
     frame_table_path,
     write_frame_table,
 )
-from scenec.schemas.manifest import stage_digest
+from scenec.schemas.manifest import read_manifest, stage_digest
 from scenec.schemas.picture import develop, write_png
 
 Passes = dict[str, NDArray[Any]]
@@ -138,7 +138,7 @@ def make_output(
         for camera in cameras:
             for sample in range(samples):
                 stem = frame_stem(folder / path, "annotation", camera, sample)
-                digest = stage_digest(manifest, path)
+                digest = stage_digest(read_manifest(folder), path)
                 _write(stem, make(number), camera, sample, digest, labels or LABELS)
                 number += 1
     return folder

@@ -248,7 +248,7 @@ def everything(batch: Path) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
             if camera.fires(sample):
                 wanted = [name for name in camera.outputs if name != "rgb"]
                 passes = session.passes((*wanted, *PASSES), camera)
-                yield f"{camera.name} {sample}", session.render(camera, sample, passes, 1, 1)[0]
+                yield f"{camera.name} {sample}", session.render(camera, sample, passes, 1, 1).arrays
         caster.pose(sample)
         for lidar in scene.lidars[sample]:
             yield f"{lidar.name} {sample}", scan(scene, caster, lidar, sample)

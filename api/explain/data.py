@@ -159,18 +159,18 @@ def read_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
 def _frames(folder: Path) -> list[FrameTimes]:
     found = []
     for backend in sorted(path for path in (folder / FRAMES).glob("*") if path.is_dir()):
-        sidecars = [read_sidecar(path) for path in sorted(backend.glob("*/*.json"))]
-        if not sidecars:
+        records = [read_sidecar(path) for path in sorted(backend.glob("*/*.json"))]
+        if not records:
             continue
         seconds: dict[str, float] = {}
         errors = []
-        for sidecar in sidecars:
-            for step, value in (sidecar.get("seconds") or {}).items():
+        for record in records:
+            for step, value in (record.seconds or {}).items():
                 seconds[step] = seconds.get(step, 0.0) + value
-            error = (sidecar.get("estimated_error") or {}).get("relative_rms")
-            errors += [] if error is None else [error]
+            if record.error.relative_rms is not None:
+                errors.append(record.error.relative_rms)
         mean = sum(errors) / len(errors) if errors else None
-        found.append(FrameTimes(backend.name, len(sidecars), seconds, mean))
+        found.append(FrameTimes(backend.name, len(records), seconds, mean))
     return found
 
 

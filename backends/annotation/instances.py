@@ -13,16 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.outlines import Outliner
-from scenec.backends.annotation.poses import (
-    Poses,
-    composed,
-    decomposed,
-    inverses_or_identity,
-    quaternions,
-)
+from scenec.backends.annotation.poses import Poses, decomposed
 from scenec.backends.contract import Rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
+from scenec.schemas.affine import boxes_around, composed, inverses_or_identity
 from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
@@ -33,6 +28,7 @@ from scenec.schemas.instances import (
     InstanceTable,
 )
 from scenec.schemas.kernels import kernel
+from scenec.schemas.quaternions import quaternions
 
 _IDENTITY = np.eye(4)[:3]
 #: By how much of itself an instance that only turns may seem to change its size: rounding.
@@ -84,12 +80,12 @@ class Instances:
         self._local: tuple[int, NDArray[np.float64]] | None = None
         every, first = np.arange(len(starts)), self._shown_first()
         poses = self.poses(every, first)
-        self._scale, self._box = poses.scale, _boxes(poses.linear, self._local_boxes(0))
+        self._scale, self._box = poses.scale, boxes_around(poses.linear, self._local_boxes(0))
         #: Instances whose scale or box is another at some sample, bool [n].
         self._resized = self._find_resized()
         for sample in np.unique(first[self._resized]).tolist():
             which = np.flatnonzero(self._resized & (first == sample))
-            self._box[which] = _boxes(poses.linear[which], self._local_boxes(sample)[which])
+            self._box[which] = boxes_around(poses.linear[which], self._local_boxes(sample)[which])
         self._labels = self._find_labels()
         bases = np.array(list(scene.instance_paths.values()) or [0], np.int64)
         self._classes = tuple(scene.instance_paths) or ("",)
@@ -281,7 +277,7 @@ class Instances:
             shown = (poses.linear != 0.0).any(axis=(1, 2))
             at = at[shown]
             scale[at] = poses.scale[shown]
-            box[at] = _boxes(poses.linear[shown], self._local_boxes(sample)[which[at]])
+            box[at] = boxes_around(poses.linear[shown], self._local_boxes(sample)[which[at]])
         return scale, box
 
     def _local_boxes(self, sample: int) -> NDArray[np.float64]:
@@ -341,14 +337,6 @@ class Instances:
             most = np.maximum.reduceat(of_row[:, 1], self._first)
             found[:, index] = np.where(least == most, least, 0)
         return found
-
-
-def _boxes(linear: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns boxes [n, 2, 3] around transformed ones [n, 2, 3], by matrices [n, 3, 3]."""
-    low, high = local[:, 0], local[:, 1]
-    center = (linear * (0.5 * (low + high))[:, None, :]).sum(axis=2)
-    half = (np.abs(linear) * (0.5 * (high - low))[:, None, :]).sum(axis=2)
-    return np.stack([center - half, center + half], axis=1)
 
 
 def _mesh_box(

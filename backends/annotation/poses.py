@@ -8,10 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.exact.bvh import inverses
 from scenec.schemas.kernels import kernel
-
-_IDENTITY = np.eye(4)[:3]
 
 
 @dataclass(frozen=True)
@@ -29,23 +26,6 @@ class Poses:
     rotation: NDArray[np.float64]
     scale: NDArray[np.float64]
     linear: NDArray[np.float64]
-
-
-def composed(parent: NDArray[np.float64], child: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns parent * child of affine matrices [n, 3, 4]."""
-    out = (parent[:, :, :3, None] * child[:, None, :, :]).sum(axis=2)
-    out[:, :, 3] += parent[:, :, 3]
-    return out
-
-
-def inverses_or_identity(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverts affine matrices [n, 3, 4]; returns the identity for singular ones."""
-    out = np.empty_like(matrices)
-    with np.errstate(all="ignore"):
-        out[:, :, :3], determinant = inverses(matrices[:, :, :3])
-        out[:, :, 3] = -(out[:, :, :3] * matrices[:, None, :, 3]).sum(axis=2)
-    out[~np.isfinite(determinant) | (determinant == 0.0)] = _IDENTITY
-    return out
 
 
 def decomposed(matrix: NDArray[np.float64]) -> Poses:
@@ -149,40 +129,3 @@ def _decompose(matrix, rotation, scale, rest, vectors):  # type: ignore[no-untyp
                 for n in range(3):
                     total += rotation[k, n, i] * m[n, j]
                 rest[k, i, j] = total
-
-
-def quaternions(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns quaternions (x, y, z, w), w >= 0, of rotation matrices [n, 3, 3]: float64 [n, 4].
-
-    Shepperd, "Quaternion from rotation matrix", 1978: the largest component first.
-    """
-    out = np.empty((len(rotation), 4))
-    _set_quaternions(np.ascontiguousarray(rotation), out)
-    return out
-
-
-@kernel
-def _set_quaternions(rotation, out):  # type: ignore[no-untyped-def]
-    for k in range(rotation.shape[0]):
-        m, q = rotation[k], out[k]
-        trace = m[0, 0] + m[1, 1] + m[2, 2]
-        best = 3
-        most = trace
-        for i in range(3):
-            if m[i, i] > most:
-                best, most = i, m[i, i]
-        if best == 3:
-            q[0], q[1], q[2] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-            q[3] = 1.0 + trace
-        else:
-            i, j, n = best, (best + 1) % 3, (best + 2) % 3
-            q[i] = 1.0 + 2.0 * m[i, i] - trace
-            q[j] = m[i, j] + m[j, i]
-            q[n] = m[i, n] + m[n, i]
-            q[3] = m[n, j] - m[j, n]
-        length = math.sqrt(((q[0] * q[0] + q[1] * q[1]) + q[2] * q[2]) + q[3] * q[3])
-        if q[3] < 0.0:
-            length = -length
-        for i in range(4):
-            # + 0: no -0 in tables.
-            q[i] = q[i] / length + 0.0

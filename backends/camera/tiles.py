@@ -76,13 +76,15 @@ def witness(look: Callable[[Rays, Camera], Visibility | None], camera: Camera) -
     """
     row = np.empty(camera.width * camera.height, np.int32)
     face = np.empty_like(row)
+    independent = True
     for rows in bands(camera):
         seen = look(camera_rays(camera, rows), crop(camera, rows))
         if seen is None:
             return None
         pixels = slice(rows.start * camera.width, rows.stop * camera.width)
         row[pixels], face[pixels] = seen.row, seen.face
-    return Visibility(row, face)
+        independent &= seen.independent
+    return Visibility(row, face, independent)
 
 
 def by_columns(look: Callable[[Camera], Visibility], camera: Camera, widest: int) -> Visibility:

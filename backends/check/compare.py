@@ -201,7 +201,7 @@ def _current(
         stem = frame_stem(batch.folder, backend, camera.name, sample)
         if stem.with_suffix(".json").is_file():
             frame = read_frame(stem)
-            if frame.sidecar.get("stage_digest") == scene.digest:
+            if frame.sidecar.stage_digest == scene.digest:
                 found.append((backend, frame))
     return found
 
@@ -337,7 +337,7 @@ class _Run:
             frame = read_frame(stem, wanted)
         except FrameError:
             return False
-        if "rgb" in wanted and frame.sidecar.get("denoised"):
+        if "rgb" in wanted and frame.sidecar.denoised:
             # A denoiser's error is no renderer's: compared are the pictures without it.
             return False
-        return bool(frame.sidecar.get("stage_digest") == scene.digest)
+        return frame.sidecar.stage_digest == scene.digest

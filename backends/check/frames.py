@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from scenec.backends.check.finding import Finding
 from scenec.backends.check.instances import check_batch_table, table_faults
-from scenec.backends.picture.brightness import brief, told, told_of_sky
+from scenec.backends.picture.brightness import FrameBrightness, brief, told, told_of_sky
+from scenec.schemas.codec import Unset
 from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import read_frame
@@ -56,7 +57,7 @@ def check_frames(
     backends |= {name.removeprefix(f"{FRAMES}/") for name in check.found if name != SCANS}
     for backend in sorted(backends):
         yield from check.missing(frames / backend, firing or ())
-    pictures: dict[Path, list[dict[str, Any]]] = {}
+    pictures: dict[Path, list[FrameBrightness]] = {}
     for path in sorted(frames.glob("*/*/*.json")):
         if path in astray:
             why = f"{astray[path]}; no render replaces it and exports pass it over"
@@ -68,11 +69,13 @@ def check_frames(
             yield check.finding(path, str(error))
             continue
         pictures.setdefault(path.parent, []).append(brief(frame.sidecar))
-        yield from check.stale(path, frame.sidecar, "was rendered from another stage; render again")
+        yield from check.stale(
+            path, frame.sidecar.stage_digest, "was rendered from another stage; render again"
+        )
         for message in (*frame_faults(frame.passes, frame.sidecar), *table_faults(frame)):
             yield check.finding(path, message)
-    for camera, sidecars in pictures.items():
-        for name, line in (("brightness", told(sidecars)), ("sky", told_of_sky(sidecars))):
+    for camera, briefs in pictures.items():
+        for name, line in (("brightness", told(briefs)), ("sky", told_of_sky(briefs))):
             if line is not None:
                 yield Finding(name, "warning", check.name(camera), line)
 
@@ -96,7 +99,9 @@ def check_scans(
         except FrameError as error:
             yield check.finding(path, str(error))
             continue
-        yield from check.stale(path, scan.sidecar, "was made of another stage; scan again")
+        yield from check.stale(
+            path, scan.sidecar.stage_digest, "was made of another stage; scan again"
+        )
 
 
 def _numbered(scans: Path, suffix: str) -> list[Path]:
@@ -153,6 +158,6 @@ class _Check:
     def astray(self, path: Path, why: str) -> Finding:
         return self.finding(path, f"not of this stage: {why}: delete {path.stem}.*", "warning")
 
-    def stale(self, path: Path, sidecar: Mapping[str, Any], message: str) -> Iterator[Finding]:
-        if self.digest is not None and sidecar.get("stage_digest") != self.digest:
+    def stale(self, path: Path, digest: str | Unset, message: str) -> Iterator[Finding]:
+        if self.digest is not None and digest != self.digest:
             yield self.finding(path, message, "warning")

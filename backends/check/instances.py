@@ -25,6 +25,7 @@ from scenec.schemas.instances import (
     read_table,
 )
 from scenec.schemas.passes import AMODAL
+from scenec.schemas.records import FileDigest
 
 if TYPE_CHECKING:
     from scenec.backends.annotation.instances import Seen
@@ -74,9 +75,9 @@ def _broken(table: InstanceTable) -> Iterator[str]:
 
 def table_faults(frame: Frame) -> Iterator[str]:
     """What a frame's table and masks say against its EXR, its sidecar and each other."""
-    entry = frame.sidecar.get("instance_table")
-    if not isinstance(entry, dict):
-        if "instance" in frame.sidecar["passes"]:
+    entry = frame.sidecar.instance_table
+    if entry is None:
+        if "instance" in frame.sidecar.passes:
             yield "has the pass instance but no table of instances; render it again"
         return
     path = frame_table_path(frame.path.with_suffix(""))
@@ -99,7 +100,7 @@ def table_faults(frame: Frame) -> Iterator[str]:
     ):
         yield f"{path.name}: pixels <= amodal <= amodal_full does not hold, or a flag is not 0 or 1"
     yield from _mask_faults(frame, table)
-    turn = np.array(frame.sidecar["camera_to_world"], np.float64)
+    turn = np.array(frame.sidecar.camera_to_world, np.float64)
     world, seen = (
         np.stack([table[f"{kind}{axis}"] for axis in "xyz"], axis=1) for kind in ("", "cam_")
     )
@@ -109,15 +110,15 @@ def table_faults(frame: Frame) -> Iterator[str]:
         yield f"{path.name}: poses in the camera's frame are not those in the world"
 
 
-def _require_whole(path: Path, entry: dict[str, str]) -> None:
-    if path.is_file() and sha256(path) != entry.get("sha256"):
+def _require_whole(path: Path, entry: FileDigest) -> None:
+    if path.is_file() and sha256(path) != entry.sha256:
         raise FrameError(f"{path.name} is truncated, damaged or changed since it was written")
 
 
 def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     """What amodal masks say against the table, and the pixels that show instances."""
-    entry = frame.sidecar.get("amodal")
-    if not isinstance(entry, dict):
+    entry = frame.sidecar.amodal
+    if entry is None:
         return
     path = amodal_path(frame.path.with_suffix(""))
     try:
@@ -126,7 +127,7 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     except FrameError as error:
         yield str(error)
         return
-    width, height = frame.sidecar["resolution"]
+    width, height = frame.sidecar.resolution
     if amodal.size != (height, width):
         yield f"{path.name} is {amodal.size[1]} x {amodal.size[0]}, expected {width} x {height}"
     elif not np.array_equal(amodal.ids, table["id"]):
@@ -143,7 +144,7 @@ def _mask_faults(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
 
 def _against_pixels(frame: Frame, table: dict[str, np.ndarray]) -> Iterator[str]:
     ids = frame.passes["instance"]
-    told = list(consistency.table_faults(ids, table, frame.sidecar["labels"]))
+    told = list(consistency.table_faults(ids, table, frame.sidecar.labels))
     yield from told
     if told or "depth" not in frame.passes:
         return
@@ -166,7 +167,7 @@ def against(truth: Seen, frame: Frame) -> Iterator[Found]:
     Raises:
         FrameError: They cannot be read.
     """
-    if frame.sidecar.get("instance_table"):
+    if frame.sidecar.instance_table is not None:
         table = read_frame_table(frame.path)
         pixels = int(truth.table["amodal_full"].sum())
         wrong = sum(
@@ -174,7 +175,7 @@ def against(truth: Seen, frame: Frame) -> Iterator[Found]:
             for name in ("amodal", "amodal_full")
         )
         yield AREAS, pixels, wrong
-    if frame.sidecar.get(AMODAL) and truth.amodal is not None:
+    if frame.sidecar.amodal is not None and truth.amodal is not None:
         own = read_amodal(frame.path)
         yield AMODAL, int(truth.amodal.areas().sum()), _differing_masks(truth.amodal, own)
 

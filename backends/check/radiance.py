@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.schemas.errors import OutputError
 from scenec.schemas.frames import Frame
 from scenec.schemas.picture import develop, write_png
+from scenec.schemas.records import FrameRecord
 
 #: Weight of the mean in relMSE's denominator, so that black pixels do not decide it.
 EPSILON = 0.01
@@ -73,9 +73,8 @@ def relative_mse(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.mean((b - a) ** 2 / np.where(denominator > 0.0, denominator, 1.0)))
 
 
-def _noise(sidecar: dict[str, Any]) -> float:
-    error = sidecar.get("estimated_error")
-    value = error.get("relative_mse") if isinstance(error, dict) else None
+def _noise(record: FrameRecord) -> float:
+    value = record.error.relative_mse
     return np.nan if value is None else float(value)
 
 
@@ -85,7 +84,7 @@ def flip(first: Frame, second: Frame) -> NDArray[np.float32] | None:
         evaluator = importlib.import_module("flip_evaluator")
     except ImportError:
         return None
-    exposure = float(first.sidecar["exposure_ev"])
+    exposure = first.sidecar.exposure_ev
     pictures = [
         develop(frame.passes["rgb"], exposure).astype(np.float32) / 255.0
         for frame in (first, second)
@@ -103,7 +102,7 @@ def write_differences(
     Raises:
         OutputError: It cannot be written.
     """
-    exposure = float(first.sidecar["exposure_ev"])
+    exposure = first.sidecar.exposure_ev
     panels = [
         develop(frame.passes["rgb"], exposure) for frame in (first, second) if "rgb" in frame.passes
     ]

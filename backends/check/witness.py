@@ -57,6 +57,7 @@ class Witness:
             where float32 is coarser; inf if none does.
         beyond: Those that take more than a hair.
         unseen: Frames whose rays the renderer cannot follow, or that it does not tell.
+        dependent: Frames whose first hits the exact caster found for the renderer.
     """
 
     pixels: int = 0
@@ -64,6 +65,7 @@ class Witness:
     farthest_px: float = 0.0
     beyond: int = 0
     unseen: int = 0
+    dependent: int = 0
 
     def add(self, caster: ExactCaster, rays: Rays, seen: Visibility) -> None:
         """Count a picture.
@@ -82,6 +84,7 @@ class Witness:
                 f"the witness has {seen.row.shape} rows and {seen.face.shape} faces; expected "
                 f"({n},) of each, one per ray"
             )
+        self.dependent += not seen.independent
         hits = caster.hits(rays)
         apart = (seen.row != hits.row) | ((seen.face != hits.face) & (hits.row != NO_ROW))
         if rays.known is not None:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.tiles import by_columns
-from scenec.backends.contract import BOUNCES, LoadCost, Radiance, Rays, Visibility
+from scenec.backends.contract import BOUNCES, Backend, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.cycles import blender, render
 from scenec.backends.cycles.built import Built
 from scenec.backends.cycles.camera import Lens, find_lens, place
 from scenec.backends.cycles.materials import FACE_PASS, ROW_PASS
 from scenec.backends.cycles.planetary import surfaces_by_law
+from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture.denoise import NAME, keep_rim
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.backends.surface.facets import deviation
@@ -40,7 +40,7 @@ PASSES = (ROW_PASS, FACE_PASS)
 LARGEST = 8192
 
 
-class Cycles:
+class Cycles(Backend):
     """Implements ``contract.Backend``: ``load`` once, then any number of samples.
 
     One Blender scene serves both questions. Lights come at the first radiance call, so annotation
@@ -51,7 +51,6 @@ class Cycles:
     devices = ("cpu", "cuda", "optix")
     denoiser = NAME
     load_cost = LoadCost(row=2700.0, triangle=300.0)
-    follows_lenses = False
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._bpy = blender.load_bpy()
@@ -62,10 +61,6 @@ class Cycles:
     def version(self) -> str:
         """Renderer, device and length of paths: whatever decides the picture."""
         return f"cycles {self._bpy.app.version_string} {self.device} path{self._bounces}"
-
-    def warning(self) -> str | None:
-        """Nothing to warn of."""
-        return None
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
         """Nothing of the shared surface model; light from around on what is not Lambert's."""
@@ -138,7 +133,8 @@ class Cycles:
                 bounces = loaded.shares.choose(share, bounces)
                 samples = loaded.shares.samples(share, each)
             for half in range(2):
-                noise = mix(seed, half + 2 * share)
+                # Blender's seeds have 31 bits.
+                noise = half_seed(seed, half + 2 * share) >> 1
                 render.for_radiance(loaded.scene, bounces, samples, noise, denoise)
                 pictures = [
                     picture[: camera.height, : camera.width]
@@ -177,9 +173,3 @@ def _whole(picture: NDArray[np.float32]) -> NDArray[np.int32]:
     """Whole numbers from two halves of 16 bits, [h, w, 4] -> int32 [h * w]."""
     low, high = (picture[..., i].astype(np.int64) for i in range(2))
     return (low + (high << 16)).ravel().astype(np.int32)
-
-
-def mix(seed: int, half: int) -> int:
-    """A 31-bit seed for one half, unrelated to any other's."""
-    digest = hashlib.blake2b(f"{seed}/{half}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "little") >> 1

@@ -64,43 +64,11 @@ def weight_name(merge: int) -> str:
 
 def scene_frame(scene: RenderScene) -> Frame:
     """Where Blender's origin lies, and how long its unit is."""
-    low, high = _bounds(scene)
+    low, high = scene.bounds
     center = 0.5 * (low + high)
     radius = float(np.max(0.5 * (high - low)))
     scale = 2.0 ** -_exponent(radius / _EXTENT)
     return Frame(center, scale, np.stack([low - center, high - center]) * scale)
-
-
-def _bounds(scene: RenderScene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bounds of boxes around all rows, float64 [3] each; zeros where there is nothing."""
-    boxes = np.zeros((len(scene.meshes), 2, 3))
-    filled = np.zeros(len(scene.meshes), bool)
-    for index, mesh in enumerate(scene.meshes):
-        if len(mesh.faces) and len(mesh.points):
-            filled[index] = True
-            boxes[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    rows = np.flatnonzero(filled[scene.rows.mesh])
-    if not len(rows):
-        return np.zeros(3), np.zeros(3)
-    found = [_box(scene.rows.to_world[rows], boxes[scene.rows.mesh[rows]])]
-    motion = scene.rows.motion
-    if motion is not None:
-        there = filled[scene.rows.mesh[motion.rows]]
-        moved = boxes[scene.rows.mesh[motion.rows[there]]]
-        found += [_box(at[there], moved) for at in motion.to_world if there.any()]
-    boxes = np.array(found)
-    return boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-
-
-def _box(
-    matrix: NDArray[np.float64], box: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bounds of local boxes [n, 2, 3] in the world."""
-    middle = 0.5 * (box[:, 0] + box[:, 1])
-    half = 0.5 * (box[:, 1] - box[:, 0])
-    center = (matrix[:, :, :3] * middle[:, None, :]).sum(axis=2) + matrix[:, :, 3]
-    reach = (np.abs(matrix[:, :, :3]) * half[:, None, :]).sum(axis=2)
-    return (center - reach).min(axis=0), (center + reach).max(axis=0)
 
 
 def _exponent(size: float) -> int:

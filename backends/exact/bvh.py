@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.exact.build import build_forest
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.affine import inverses
 from scenec.schemas.errors import BackendError
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -106,18 +107,6 @@ def _world_points(to_world: NDArray[np.float64], points: NDArray[np.float32]) ->
         [((m[i, 0] * p[:, 0] + m[i, 1] * p[:, 1]) + m[i, 2] * p[:, 2]) + m[i, 3] for i in range(3)],
         axis=1,
     )
-
-
-def inverses(m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Inverses by cofactors, [n, 3, 3], not finite where there is none; determinants, [n].
-
-    No last bit depends on the CPU.
-    """
-    c0, c1, c2 = m[:, :, 0], m[:, :, 1], m[:, :, 2]
-    cofactors = np.stack([np.cross(c1, c2), np.cross(c2, c0), np.cross(c0, c1)], axis=1)
-    with np.errstate(all="ignore"):
-        determinant = (cofactors[:, 0] * c0).sum(axis=1)
-        return cofactors / determinant[:, None, None], determinant
 
 
 def build_geometry(scene: RenderScene) -> Geometry:

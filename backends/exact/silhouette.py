@@ -6,12 +6,9 @@ ways lead there, and which one is taken changes the time alone:
 
 * *Rays*: each pixel of the window around a row walks the tree of the row's mesh until something is
   hit. Good for small pictures of meshes with many triangles.
-* *Spans*: each triangle is set against each line of pixels. With vertices relative to the eye, the
-  ray d lies within a triangle where d·(b×c), d·(c×a) and d·(a×b) have the sign of a·(b×c), on
-  either side of the camera's plane (Olano and Greer, "Triangle Scan Conversion using 2D Homogeneous
-  Coordinates", 1997). Along a line of pixels each is linear. Pixels where all three are beyond what
-  rounding could do (``_SURE``) are inside for certain; those within it are tested by the
-  definition.
+* *Triangles*: each triangle is tested at the pixels of the rectangle around its picture, but those
+  that lie beside it by more than rounding could be wrong (``_SURE``). Most have no pixel's center
+  in their rectangle.
 """
 
 from __future__ import annotations
@@ -23,21 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
-from scenec.backends.exact.bvh import inverses
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.trace import Ray, _enter, in_row, largest
 from scenec.backends.stage.scene import Camera
+from scenec.schemas.affine import inverses
 from scenec.schemas.kernels import inlined, kernel
 
 #: Pictures that the plane of the silhouettes goes on by on each side.
 MARGIN = 1
-#: Rounding errors of either way, relative to the magnitudes involved, are below 2**-43 (barycentric
-#: coordinates, see ``intersect``); the rest is reserve, which costs a test in some 10^6 pixels.
+#: Rounding errors, relative to the magnitudes involved, are below 2**-43 (barycentric coordinates,
+#: see ``intersect``); the rest is reserve.
 _SURE = 2.0**-36
 #: A ray through a mesh's tree costs about as much as so many triangles that show no pixel.
 RAY_COST = 8
-#: Below this a slope counts as 0 (what it changes along a line is below all rounding).
-_FLAT = 1e-250
 #: Padding of boxes beyond this is that of rows whose tree holds nothing back (``moving``).
 _WITHOUT_END = 1e100
 #: Instances are dealt out to so many lanes, whatever the number of threads.
@@ -108,16 +103,13 @@ class Scratch(NamedTuple):
     """What outlining an instance works with.
 
     Attributes:
-        vertices: Of a mesh, relative to the eye, then depth, columns, rows, and what errors make of
-            these, float64 [most vertices of a mesh, 7].
-        edges: Of a triangle: along a line of pixels slope, one over it, and value at column 0; then
-            the normal of the plane through the eye, and slope and value down, float64 [3, 8].
+        vertices: Of a mesh: columns, rows, depth, and what errors make of the first two, float64
+            [most vertices of a mesh, 4].
         direction: Of a ray, float64 [3].
         stack: Nodes yet to be visited, int32 [2 * STACK_SIZE].
     """
 
     vertices: NDArray[np.float64]
-    edges: NDArray[np.float64]
     direction: NDArray[np.float64]
     stack: NDArray[np.int32]
 
@@ -342,26 +334,6 @@ def _is_hit(g, row, face, view, x, y, direction):  # type: ignore[no-untyped-def
     return hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf
 
 
-@kernel
-def _span(edges, slack, start, stop):  # type: ignore[no-untyped-def]
-    """First column and end, within [start, stop), of where three edges reach ``slack``.
-
-    ``edges`` are as of ``Scratch``.
-    """
-    low, high = float(start), float(stop)
-    for i in range(3):
-        inverse, value = edges[i, 1], edges[i, 2]
-        if inverse > 0.0:
-            low = max(low, (slack - value) * inverse)
-        elif inverse < 0.0:
-            # One beyond the last column that reaches it, later rounded up.
-            high = min(high, np.floor((slack - value) * inverse) + 1.0)
-        elif not value >= slack:
-            return stop, stop
-    first = _first(low, start, stop)
-    return first, max(first, _first(high, start, stop))
-
-
 @inlined
 def _least(at, corners, column):  # type: ignore[no-untyped-def]
     a, b, c = at[corners[0], column], at[corners[1], column], at[corners[2], column]
@@ -375,96 +347,65 @@ def _most(at, corners, column):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _reach(at, n):  # type: ignore[no-untyped-def]
-    return abs(at[n, 0]) + abs(at[n, 1]) + abs(at[n, 2])
+def _area(at, i, j, x, y):  # type: ignore[no-untyped-def]
+    """Twice the area of a triangle of two vertices and a place, pixels; negative if wound so."""
+    return (at[j, 0] - at[i, 0]) * (y - at[i, 1]) - (at[j, 1] - at[i, 1]) * (x - at[i, 0])
+
+
+@kernel
+def _is_beside(at, corners, x, y, margin):  # type: ignore[no-untyped-def]
+    """Whether a place is off a triangle's picture by more than ``margin``, the error of areas."""
+    a, b, c = corners
+    whole = _area(at, a, b, at[c, 0], at[c, 1])
+    parts = _area(at, a, b, x, y), _area(at, b, c, x, y), _area(at, c, a, x, y)
+    if whole > margin:
+        return min(parts[0], min(parts[1], parts[2])) < -margin
+    return whole < -margin and max(parts[0], max(parts[1], parts[2])) > margin
 
 
 @kernel
 def _fill_rows(g, row, part, base, view, window, mask, scratch):  # type: ignore[no-untyped-def]
-    """Mark what the triangles of a row cover, line by line; ``base`` is its mesh's points."""
-    k, pose, origin = view.k, view.pose, view.eye
-    norm = _norm(view.inverse)
+    """Mark pixels by the triangles of a row; ``base`` is its mesh's points."""
+    origin = view.eye
     m = g.to_world[row]
-    count = base[1] - base[0]
-    at, edges = scratch.vertices, scratch.edges
+    at = scratch.vertices
     eye = abs(origin[0]) + abs(origin[1]) + abs(origin[2])
     size = eye
-    for n in range(count):
-        p0 = float(g.points[base[0] + n, 0])
-        p1 = float(g.points[base[0] + n, 1])
-        p2 = float(g.points[base[0] + n, 2])
+    for n in range(base[1] - base[0]):
+        p = g.points[base[0] + n]
+        p0, p1, p2 = float(p[0]), float(p[1]), float(p[2])
+        x, y, z = _relative(m, origin, p0, p1, p2)
         for i in range(3):
-            q0, q1, q2, q3 = m[i, 0] * p0, m[i, 1] * p1, m[i, 2] * p2, m[i, 3]
-            at[n, i] = q0 + q1 + q2 + q3 - origin[i]
-            size = max(size, abs(q0) + abs(q1) + abs(q2) + abs(q3) + eye)
-        at[n, 4], at[n, 5], at[n, 3], at[n, 6] = _seen_at(view, at[n, 0], at[n, 1], at[n, 2])
-    tolerance = _SURE * size * norm
-    # The largest that directions, and what stands in their place, can be.
-    far_y = (2.0 * max(abs(part[2]), abs(part[3])) + abs(k[1, 2]) + 1.0) / abs(k[1, 1])
-    far_x = 2.0 * (max(abs(part[0]), abs(part[1])) + abs(k[0, 2]) + abs(k[0, 1]) * far_y + 1.0)
-    longest = 0.0
-    for j in range(3):
-        longest = max(longest, abs(pose[0, j]) + abs(pose[1, j]) + abs(pose[2, j]))
-    longest *= 1.0 + far_x / abs(k[0, 0]) + far_y
+            reach = abs(m[i, 0] * p0) + abs(m[i, 1] * p1) + abs(m[i, 2] * p2) + abs(m[i, 3])
+            size = max(size, reach + eye)
+        at[n, 0], at[n, 1], at[n, 2], at[n, 3] = _seen_at(view, x, y, z)
+    tolerance = _SURE * size * _norm(view.inverse)
     for f in range(g.row_face[row], g.row_face[row] + g.row_faces[row]):
-        i0, i1, i2 = g.faces[f, 0] - base[0], g.faces[f, 1] - base[0], g.faces[f, 2] - base[0]
-        corners = i0, i1, i2
-        if _most(at, corners, 3) < -tolerance:
+        corners = g.faces[f, 0] - base[0], g.faces[f, 1] - base[0], g.faces[f, 2] - base[0]
+        if _most(at, corners, 2) < -tolerance:
             continue
         x0, x1, y0, y1 = part[0], part[1], part[2], part[3]
-        if _least(at, corners, 3) > tolerance:
-            slack = 0.5 + tolerance * _most(at, corners, 6)
-            low, high = _least(at, corners, 4) - slack, _most(at, corners, 4) + slack
+        margin = math.inf
+        if _least(at, corners, 2) > tolerance:
+            slack = 0.5 + tolerance * _most(at, corners, 3)
+            low, high = _least(at, corners, 0) - slack, _most(at, corners, 0) + slack
             # Most triangles of most meshes end here, between two pixels' centers.
             if np.ceil(low) + 1.0 > high:
                 continue
             x0, x1 = _first(low, x0, x1), _end(high, x0, x1)
-            low, high = _least(at, corners, 5) - slack, _most(at, corners, 5) + slack
+            low, high = _least(at, corners, 1) - slack, _most(at, corners, 1) + slack
             y0, y1 = _first(low, y0, y1), _end(high, y0, y1)
-            if x0 >= x1 or y0 >= y1:
-                continue
-        for i in range(3):
-            j, n = (i + 1) % 3, (i + 2) % 3
-            edges[0, 3 + i] = at[i1, j] * at[i2, n] - at[i1, n] * at[i2, j]
-            edges[1, 3 + i] = at[i2, j] * at[i0, n] - at[i2, n] * at[i0, j]
-            edges[2, 3 + i] = at[i0, j] * at[i1, n] - at[i0, n] * at[i1, j]
-        length = max(_reach(at, i0), max(_reach(at, i1), _reach(at, i2)))
-        volume = at[i0, 0] * edges[0, 3] + at[i0, 1] * edges[0, 4] + at[i0, 2] * edges[0, 5]
-        certain = abs(volume) > _SURE * size * length * length
-        slack = _SURE * size * length * longest
-        # Of a triangle that is seen from its edge either sign may be the right one.
-        for turn in range(1 if certain else 2):
-            sign = 1.0 if (volume > 0.0) == (turn == 0) else -1.0
-            for i in range(3):
-                along = 0.0
-                down = 0.0
-                ahead = 0.0
-                for j in range(3):
-                    along += edges[i, 3 + j] * pose[j, 0]
-                    down += edges[i, 3 + j] * pose[j, 1]
-                    ahead += edges[i, 3 + j] * pose[j, 2]
-                slope = sign * along / k[0, 0]
-                edges[i, 0], edges[i, 1] = slope, 1.0 / slope if abs(slope) > _FLAT else 0.0
-                edges[i, 6], edges[i, 7] = sign * down, sign * ahead
-            for y in range(y0, y1):
-                line = (y - window[2]) * (window[1] - window[0]) - window[0]
-                ray_y = (y + 0.5 - k[1, 2]) / k[1, 1]
-                zero = k[0, 2] - 0.5 + k[0, 1] * ray_y
-                for i in range(3):
-                    edges[i, 2] = edges[i, 6] * ray_y + edges[i, 7] - edges[i, 0] * zero
-                start, stop = _span(edges, -slack, x0, x1)
-                if start >= stop:
+            # Twice the area that errors could make of a triangle with a corner at the pixel.
+            reach = _most(at, corners, 0) - _least(at, corners, 0) + high - low + 2.0
+            far = abs(x0) + abs(x1) + abs(low) + abs(high) + reach
+            margin = 8.0 * (slack - 0.5 + _SURE * far) * reach
+        for y in range(y0, y1):
+            line = (y - window[2]) * (window[1] - window[0]) - window[0]
+            for x in range(x0, x1):
+                if mask[line + x] == 1 or _is_beside(at, corners, x + 0.5, y + 0.5, margin):
                     continue
-                sure, end = stop, stop
-                if certain:
-                    sure, end = _span(edges, slack, start, stop)
-                    for x in range(sure, end):
-                        mask[line + x] = 1
-                if sure - start + stop - end == 0:
-                    continue
-                for x in range(start, stop):
-                    if mask[line + x] == 0 and _is_hit(g, row, f, view, x, y, scratch.direction):
-                        mask[line + x] = 1
+                if _is_hit(g, row, f, view, x, y, scratch.direction):
+                    mask[line + x] = 1
 
 
 @kernel
@@ -525,8 +466,7 @@ def outline_all(first, last, g, members, order, masks, view, ray_cost):  # type:
     most = 0
     for r in range(members.bases.shape[0]):
         most = max(most, members.bases[r, 1] - members.bases[r, 0])
-    vertices, edges = np.empty((most, 7)), np.empty((3, 8))
-    scratch = Scratch(vertices, edges, np.empty(3), np.empty(2 * STACK_SIZE, np.int32))
+    scratch = Scratch(np.empty((most, 4)), np.empty(3), np.empty(2 * STACK_SIZE, np.int32))
     for lane in range(first, last):
         _outline_lane(g, members, order[lane::LANES], masks, view, ray_cost, scratch)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +21,12 @@ from scenec.backends.imaging.jpeg import compressed
 from scenec.backends.imaging.taken import Taken
 from scenec.backends.stage.scene import Camera
 from scenec.schemas import imaging as formulas
+from scenec.schemas.affine import inverses
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.kernels import kernel
+from scenec.schemas.picture import LUMINANCE, luminance
+from scenec.schemas.records import ImagingRecord
 from scenec.schemas.threads import over_threads
-
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int) -> Taken:
@@ -70,7 +70,7 @@ def take(rgb: NDArray[np.float32], camera: Camera, imaging: Imaging, sample: int
         clean,
         numbers[:, :, 0] if imaging.raw and mosaic != "none" else None,
         math.log2(shown),
-        _facts(imaging, time_s, iso, mosaic, how),
+        _record(imaging, time_s, iso, mosaic, how),
     )
 
 
@@ -91,8 +91,7 @@ def exposure(rgb: NDArray[np.float32], imaging: Imaging) -> tuple[float, float]:
         stops = sums[0] / sums[1] / math.log(2.0) if sums[1] else math.inf
     else:
         seen = optics.light(rgb, np.ones((1, 1), np.float32))
-        luminance = sum(weight * seen[:, :, c] for c, weight in enumerate(_LUMINANCE))
-        level = float(np.percentile(luminance, imaging.percentile))
+        level = float(np.percentile(luminance(seen), imaging.percentile))
         stops = math.log2(level) if level > 0.0 else math.inf
     if math.isinf(stops):
         return limits[0][1], limits[1][1]
@@ -134,27 +133,14 @@ def _color(
     per_value = np.array(formulas.electrons_per_value(Imaging(quantum_efficiency=efficiency), 1.0))
     seen = per_value * np.array(matrix).reshape(3, 3).sum(axis=1)
     balance = per_value[1] / seen
-    # What the balanced sensor sees of Rec.709, and its inverse by cofactors: no LAPACK.
-    a, b, c, d, e, f, g, h, i = (
-        (np.array(matrix).reshape(3, 3) * (per_value * balance / per_value[1])[:, None])
-        .ravel()
-        .tolist()
-    )
-    cofactors = np.array(
-        [
-            [e * i - f * h, c * h - b * i, b * f - c * e],
-            [f * g - d * i, a * i - c * g, c * d - a * f],
-            [d * h - e * g, b * g - a * h, a * e - b * d],
-        ]
-    )
-    return balance * np.array(wanted), cofactors / (
-        a * cofactors[0, 0] + b * cofactors[1, 0] + c * cofactors[2, 0]
-    )
+    # What the balanced sensor sees of Rec.709. Inverted by rows: its bits have always been those.
+    sees = np.array(matrix).reshape(3, 3) * (per_value * balance / per_value[1])[:, None]
+    return balance * np.array(wanted), np.ascontiguousarray(inverses(sees.T[None])[0][0].T)
 
 
-def _facts(
+def _record(
     imaging: Imaging, time_s: float, iso: float, mosaic: str, how: sensor.Exposed
-) -> dict[str, Any]:
+) -> ImagingRecord:
     stages = {
         "vignetting": imaging.vignetting_power > 0 or any(imaging.vignetting_polynomial),
         "bloom": imaging.bloom > 0.0 and imaging.bloom_sigma_px > 0.0,
@@ -173,21 +159,21 @@ def _facts(
         "tone_curve": True,
         "jpeg": imaging.jpeg_quality > 0,
     }
-    return {
-        "exposure_time_s": time_s,
-        "iso": iso,
-        "f_number": imaging.f_number,
-        "base_iso": formulas.base_iso(imaging),
-        "gain_e_per_dn": how.gain,
-        "electrons_per_value": list(formulas.electrons_per_value(imaging, time_s)),
-        "headroom_stops": imaging.headroom,
-        "stages": [name for name, on in stages.items() if on],
-        "parameters": {
+    return ImagingRecord(
+        exposure_time_s=time_s,
+        iso=iso,
+        f_number=imaging.f_number,
+        base_iso=formulas.base_iso(imaging),
+        gain_e_per_dn=how.gain,
+        electrons_per_value=formulas.electrons_per_value(imaging, time_s),
+        headroom_stops=imaging.headroom,
+        stages=tuple(name for name, on in stages.items() if on),
+        parameters={
             name: getattr(imaging, name)
             for name in formulas.TYPES
             if name not in ("time_s", "iso", "f_number", "headroom")
         },
-    }
+    )
 
 
 def _without_noise(
@@ -220,7 +206,7 @@ def _log_luminance(first, last, rgb, out):  # type: ignore[no-untyped-def]
             value = 0.0
             for c in range(3):
                 part = np.float64(rgb[y, x, c])
-                value += _LUMINANCE[c] * (min(part, 1e30) if part > 0.0 else 0.0)
+                value += LUMINANCE[c] * (min(part, 1e30) if part > 0.0 else 0.0)
             if value > 0.0:
                 out[y, 0] += log(value)
                 out[y, 1] += 1.0

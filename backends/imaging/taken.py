@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scenec.schemas.records import ImagingRecord
 
 #: What sidecars say of the picture beside them.
 TONE_CURVE = (
@@ -26,11 +27,11 @@ class Taken:
             not asked for.
         raw: The converter's numbers, uint16 [h, w]; None likewise.
         exposure_ev: A value of 1 shows as 2**this.
-        facts: For the sidecar.
+        record: For the sidecar; what vouches for the two files comes later.
     """
 
     picture: NDArray[np.uint8]
     clean: NDArray[np.uint8] | None
     raw: NDArray[np.uint16] | None
     exposure_ev: float
-    facts: dict[str, Any]
+    record: ImagingRecord

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 from dataclasses import replace
 from typing import Any
@@ -11,11 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import RayTable, ray_table
-from scenec.backends.contract import BOUNCES, NO_ROW, LoadCost, Radiance, Rays, Visibility
+from scenec.backends.contract import (
+    BOUNCES,
+    NO_ROW,
+    Backend,
+    LoadCost,
+    Radiance,
+    Rays,
+    Visibility,
+)
 from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.aligned import aligned
 from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.kept import KeptScene
+from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
@@ -36,7 +44,7 @@ class _LoadCost(LoadCost):
         return super().keeps(scene) and not any(surface.emits for surface in scene.surfaces)
 
 
-class Mitsuba:
+class Mitsuba(Backend):
     """Implements ``contract.Backend``: ``load`` once, then any number of samples.
 
     Light is built at the first radiance call, so annotation alone never pays for it; visibility
@@ -53,6 +61,7 @@ class Mitsuba:
 
     def __init__(self, bounces: int = BOUNCES, device: str = "auto") -> None:
         self._mi = variant.load_mitsuba(device)
+        self.device = "cuda" if self._mi.variant().startswith("cuda") else "cpu"
         self._bounces = bounces
         # It is of the variant, which is set by now.
         self._sampler = importlib.import_module("scenec.backends.mitsuba.sampler").Sobol
@@ -74,21 +83,9 @@ class Mitsuba:
         self._guided: tuple[Camera, int, int, Any] | None = None
         self._uploaded: tuple[RayTable, list[Any]] | None = None
 
-    @property
-    def device(self) -> str:
-        """Where it runs."""
-        return "cuda" if self._mi.variant().startswith("cuda") else "cpu"
-
     def version(self) -> str:
         """Renderer, variant and integrator: whatever decides the picture."""
         return f"mitsuba {self._mi.__version__} {self._mi.variant()} path{self._bounces} sobol"
-
-    def warning(self) -> None:
-        """None: it runs as fast as it can, or not at all."""
-
-    def losses(self, scene: RenderScene) -> tuple[str, ...]:
-        """None: it draws all of the surface model."""
-        return ()
 
     def load(self, scene: RenderScene) -> None:
         """Flatten the scene and build Mitsuba's hierarchy over it, or keep too many instances.
@@ -209,7 +206,7 @@ class Mitsuba:
             self._light.split(each if first == 0 else 4)
         self._dropped = 0
         for half in range(2):
-            halves[half], alpha = self._half(camera, first // 2, each, mix(seed, half))
+            halves[half], alpha = self._half(camera, first // 2, each, half_seed(seed, half))
             coverage += 0.5 * alpha
         covered = np.minimum(coverage, 1.0).astype(np.float32)
         if self._table is not None:
@@ -227,7 +224,7 @@ class Mitsuba:
         ):
             self._pose(self._loaded(), sample)
             self._table = None if camera.lens is None else ray_table(camera)
-            self._guided = (camera, sample, seed, self._guides(camera, mix(seed, 2)))
+            self._guided = (camera, sample, seed, self._guides(camera, half_seed(seed, 2)))
         halves = oidn.denoise(radiance.halves, radiance.coverage, *self._guided[3])
         mean = halves.mean(axis=0, dtype=np.float32)
         return replace(radiance, denoised=mean, denoised_halves=halves)
@@ -448,9 +445,3 @@ def split_samples(spp: int, pixels: int, most: int) -> list[int]:
     passes = max(1, -(-spp * pixels // most))
     passes = min(passes, spp)
     return [spp // passes + (i < spp % passes) for i in range(passes)]
-
-
-def mix(seed: int, half: int) -> int:
-    """A 32-bit seed for one half, unrelated to any other's."""
-    digest = hashlib.blake2b(f"{seed}/{half}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "little")

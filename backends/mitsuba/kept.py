@@ -117,7 +117,7 @@ class KeptScene:
     def witness(self, rays: Rays) -> Visibility:
         """First hits: the exact caster's, which no other ray tracer bears out here."""
         row, face, _ = self._caster.cast(rays)
-        return Visibility(row, face)
+        return Visibility(row, face, independent=False)
 
     def sample(self, light: Any, sampler: Any, ray: Any) -> tuple[Any, Any]:
         """Light from surfaces along camera rays, and whether these meet any.

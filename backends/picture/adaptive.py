@@ -9,19 +9,19 @@ says how many are left to draw, or of a sequence the slope that the last rounds 
 
 from __future__ import annotations
 
-import hashlib
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise_seeds import round_seed
 from scenec.backends.picture.compose import denoised_noise, noisy_pixels, through
-from scenec.backends.picture.noise import UNKNOWN, Noise, estimate
+from scenec.backends.picture.noise import UNKNOWN, estimate
+from scenec.schemas.records import ErrorEstimate, Round, RoundsRecord
 
 #: Most samples per pixel, where a user does not say.
 MOST_SPP = 4096
@@ -61,17 +61,6 @@ class Target:
     most: int
 
 
-@dataclass(frozen=True)
-class Round:
-    """One round, and the picture's estimates after it."""
-
-    spp: int
-    seed: int
-    seconds: float
-    relative_rms: float | None
-    relative_rms_bound_95: float | None
-
-
 @dataclass
 class Rounds:
     """Rounds that were made.
@@ -101,24 +90,24 @@ class Rounds:
         """Of all rounds."""
         return sum(one.seconds for one in self.made)
 
-    def as_json(self, bound: float | None) -> dict[str, Any]:
-        """As sidecars hold it.
+    def record(self, bound: float | None) -> RoundsRecord:
+        """Returns what sidecars hold.
 
         Args:
             bound: Of the finished picture, after denoising where that is known; haze comes after
                 the rounds.
         """
         goal = self.target.error
-        return {
-            "target_relative_rms": goal,
-            "target_seconds": self.target.seconds,
-            "most_samples_per_pixel": self.target.most,
-            "target_met": None if goal is None or bound is None else bound <= goal,
-            "stopped_by": self.stopped,
-            "seconds": self.seconds,
-            "reproducible": self.target.seconds is None,
-            "rounds": [asdict(one) for one in self.made],
-        }
+        return RoundsRecord(
+            target_relative_rms=goal,
+            target_seconds=self.target.seconds,
+            most_samples_per_pixel=self.target.most,
+            target_met=None if goal is None or bound is None else bound <= goal,
+            stopped_by=self.stopped,
+            seconds=self.seconds,
+            reproducible=self.target.seconds is None,
+            rounds=tuple(self.made),
+        )
 
 
 def collect(
@@ -169,19 +158,19 @@ def collect(
                 # More samples only add to the lead of the picture as it is.
                 lost = True
         rounds.made.append(
-            Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound)
+            Round(spp, name, clock() - start, noise.relative_rms, noise.relative_rms_bound_95)
         )
         spp, rounds.stopped = plan(rounds, noise)
         if rounds.stopped:
             return picture, rounds
 
 
-def plan(rounds: Rounds, noise: Noise) -> tuple[int, str]:
+def plan(rounds: Rounds, noise: ErrorEstimate) -> tuple[int, str]:
     """Samples per pixel of the next round, and "" or why there is none (``Rounds.stopped``)."""
     target, total = rounds.target, rounds.spp
     if noise.relative_rms is None:
         return 0, "unknown"
-    bound = noise.relative_rms_bound or 0.0
+    bound = noise.relative_rms_bound_95 or 0.0
     enough = total >= min(LEAST_TRUSTED, target.most)
     if target.error is not None and enough and bound <= target.error:
         return 0, "error"
@@ -226,13 +215,7 @@ def grid(spp: int, up: bool = True) -> int:
     return -(-spp // step) * step if up else spp // step * step
 
 
-def round_seed(seed: int, number: int) -> int:
-    """Seed of one round, 32 bits, unrelated to any other's."""
-    digest = hashlib.blake2b(f"{seed}/round/{number}".encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "little")
-
-
-def _noise_of(picture: Radiance) -> Noise:
+def _noise_of(picture: Radiance) -> ErrorEstimate:
     """Error of a picture; of a denoised one that after denoising, where it is known."""
     if not picture.stochastic:
         return UNKNOWN
@@ -246,9 +229,9 @@ def _undenoised(picture: Radiance) -> Radiance:
     return replace(picture, denoised=None, denoised_halves=None)
 
 
-def _below(one: Noise, other: Noise) -> bool:
+def _below(one: ErrorEstimate, other: ErrorEstimate) -> bool:
     """Whether an error has the lower bound."""
-    a, b = one.relative_rms_bound, other.relative_rms_bound
+    a, b = one.relative_rms_bound_95, other.relative_rms_bound_95
     return a is not None and b is not None and a < b
 
 

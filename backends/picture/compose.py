@@ -16,7 +16,6 @@ from scenec.backends.camera.rays import angle_between, camera_rays, subpixel_dir
 from scenec.backends.camera.tiles import bands
 from scenec.backends.contract import Radiance
 from scenec.backends.picture.noise import (
-    Noise,
     estimate,
     estimate_denoised,
     estimate_parts,
@@ -25,6 +24,7 @@ from scenec.backends.picture.noise import (
 from scenec.backends.picture.sky import MIN_SUN_DIAMETER_RAD, Sky, combine, lookup
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
 from scenec.backends.surface.gobo import passed
+from scenec.schemas.records import ErrorEstimate
 
 if TYPE_CHECKING:
     from scenec.backends.picture.haze import Veil
@@ -46,8 +46,8 @@ class Picture:
     """
 
     rgb: NDArray[np.float32]
-    noise: Noise
-    denoised: Noise | None = None
+    noise: ErrorEstimate
+    denoised: ErrorEstimate | None = None
 
 
 def compose(
@@ -92,7 +92,7 @@ def compose(
     return Picture(rgb, estimate_parts(each, radiance.stochastic), after)
 
 
-def denoised_noise(parts: Iterable[tuple[Radiance, Veil | None]]) -> Noise:
+def denoised_noise(parts: Iterable[tuple[Radiance, Veil | None]]) -> ErrorEstimate:
     """Error of a denoised picture, by parts; unknown unless its halves were denoised apart."""
 
     def each() -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +33,7 @@ from scenec.backends.picture.haze import Hazy
 from scenec.backends.picture.metering import Seen, look
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import imaging as formulas
+from scenec.schemas.records import ExposureRecord
 
 #: Display-linear value that the mean luminance is shown as.
 GRAY = 0.18
@@ -90,7 +90,7 @@ class Meter:
 
     def exposed(
         self, camera: Camera, sample: int, caster: Callable[[], ExactCaster]
-    ) -> tuple[Camera, dict[str, Any]]:
+    ) -> tuple[Camera, ExposureRecord]:
         """A camera with its exposure, and what sidecars say of where that comes from.
 
         Args:
@@ -100,24 +100,25 @@ class Meter:
         """
         # A sensor with a time and a speed, or one that meters each picture, has its own.
         if camera.imaging is not None and camera.imaging.rule != "metered":
-            return camera, {"rule": "picture" if camera.imaging.rule == "auto" else "given"}
+            rule = "picture" if camera.imaging.rule == "auto" else "given"
+            return camera, ExposureRecord(rule=rule)
         if camera.exposure_per is None:
-            return _at(camera, camera.exposure_ev), {"rule": "given"}
+            return _at(camera, camera.exposure_ev), ExposureRecord(rule="given")
         alone = sample if camera.exposure_per == "sample" else None
         place = camera.path, alone
         if place not in self._found:
             self._found[place] = self._meter(camera.path, alone, caster())
         found = self._found[place]
-        facts = {
-            "rule": "auto",
-            "per": camera.exposure_per,
-            "metered_samples": found.samples,
-            "luminance": found.level,
-            "luminance_p99": found.highlight,
-            "luminance_p95_with_sky": found.glare,
-            "of": found.of,
-        }
-        return _at(camera, found.ev), facts
+        record = ExposureRecord(
+            rule="auto",
+            per=camera.exposure_per,
+            metered_samples=found.samples,
+            luminance=found.level,
+            luminance_p99=found.highlight,
+            luminance_p95_with_sky=found.glare,
+            of=found.of,
+        )
+        return _at(camera, found.ev), record
 
     def _meter(self, path: str, sample: int | None, caster: ExactCaster) -> Exposure:
         views = [

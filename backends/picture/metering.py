@@ -26,6 +26,7 @@ from scenec.backends.camera.rays import rays_at
 from scenec.backends.camera.tiles import coarse
 from scenec.backends.contract import BOUNCES, Rays
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.noise_seeds import metering_paths, metering_places
 from scenec.backends.picture.airlight import ambient, arrive
 from scenec.backends.picture.haze import Hazy
 from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
@@ -43,7 +44,7 @@ from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.gobo import passed
 from scenec.backends.surface.maps import map_mean
 from scenec.backends.surface.pictures import Point, has_maps, values_at
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 
 #: Directions to the sky at the first hit; one at later ones.
 _SKY_RAYS = 8
@@ -51,7 +52,6 @@ _SKY_RAYS = 8
 _SKY_ROWS = 128
 #: Points are lifted by this share of their distance, so that they do not shade themselves.
 _LIFT = 1e-8
-_KEY = 0x5CE9EC
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,13 @@ def look(
     sky = np.zeros((int((~hit).sum()), 3))
     if paths.sky is not None:
         sky = lookup(paths.sky, table.directions[~hit]).astype(np.float64)
-    return Seen((surfaces * LUMINANCE).sum(axis=1), (sky * LUMINANCE).sum(axis=1))
+    return Seen(luminance(surfaces), luminance(sky))
 
 
 def _spread(camera: Camera, rays: int, sample: int) -> Rays:
     """Draws about so many rays, one anywhere in each cell of a grid, others at each sample."""
     cells = coarse(camera, rays)
-    random = np.random.Generator(np.random.Philox(key=(_KEY << 64) + sample))
-    jitter = random.random((2, cells.height, cells.width))
+    jitter = metering_places(sample).random((2, cells.height, cells.width))
     u = (np.arange(cells.width) + jitter[0]) * (camera.width / cells.width)
     v = (np.arange(cells.height)[:, None] + jitter[1]) * (camera.height / cells.height)
     return rays_at(camera, u.ravel(), v.ravel())
@@ -173,7 +172,7 @@ class _Paths:
         self._dome = None if self.sky is None else _Dome(self.sky)
         self._air = None if hazy is None else hazy.air(sample)
         self._rows = scene.rows_at(sample)
-        self._random = np.random.Generator(np.random.Philox(key=_KEY + sample))
+        self._random = metering_paths(sample)
 
     def radiance(self, rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Radiance along rays that hit something, float64 [n, 3], and which ones do."""
@@ -224,7 +223,7 @@ class _Paths:
     def _lamplight(self, points: _Points) -> NDArray[np.float64]:
         """One of the lamps, drawn by what each would give if nothing stood before it."""
         each = np.stack([_irradiance(lamp, points.at) for lamp in self._lamps], axis=1)
-        strength = (each * LUMINANCE).sum(axis=2)
+        strength = luminance(each)
         sums = np.cumsum(strength, axis=1)
         total = sums[:, -1]
         drawn = self._random.random(len(total)) * total
@@ -264,10 +263,7 @@ class _Paths:
         ways = np.asarray(radius * flat + np.sqrt(1.0 - u[:, 1:]) * normals)
         chance = np.ones((len(ways), 1))
         if points.through.any():
-            passed, kept = (
-                (part * LUMINANCE).sum(axis=1, keepdims=True)
-                for part in (points.through, points.diffuse)
-            )
+            passed, kept = (luminance(part)[:, None] for part in (points.through, points.diffuse))
             whole = passed + kept
             # Never all of them: other laws than Lambert's are not in ``diffuse``.
             share = np.minimum(passed / np.where(whole > 0.0, whole, 1.0), 0.5)
@@ -413,10 +409,10 @@ class _Dome:
         blocks = picture[: height * side, : width * side].reshape(height, side, width, side, 3)
         picture = blocks.mean(axis=(1, 3))
         rows = -np.diff(np.cos(np.arange(height + 1) * (np.pi / height)))
-        luminance = (picture * LUMINANCE).sum(axis=2)
-        self._sums = np.cumsum((luminance * rows[:, None]).ravel())
+        level = luminance(picture)
+        self._sums = np.cumsum((level * rows[:, None]).ravel())
         self.total = float(self._sums[-1]) * 2.0 * np.pi / width
-        colors = picture / np.where(luminance > 0.0, luminance, 1.0)[..., None]
+        colors = picture / np.where(level > 0.0, level, 1.0)[..., None]
         self._colors = colors.reshape(-1, 3)
         self._directions = (texel_directions(height, width) @ sky.to_world.T).reshape(-1, 3)
 

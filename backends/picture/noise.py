@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scenec.schemas.records import ErrorEstimate
 
 #: Share of pictures whose true error is to be below the bound.
 CONFIDENCE = 0.95
@@ -22,29 +23,6 @@ _NORMAL_QUANTILE = 2.0537
 BLOCK = 8
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Estimates of a picture's Monte Carlo error; None where it is unknown.
-
-    Attributes:
-        relative_rms: See ``estimate``.
-        relative_rms_bound: What the true relative rms error is below in 95 % of pictures.
-        relative_mse: See ``estimate``.
-    """
-
-    relative_rms: float | None
-    relative_rms_bound: float | None
-    relative_mse: float | None
-
-    def as_json(self) -> dict[str, float | None]:
-        """As sidecars hold it."""
-        return {
-            "relative_rms": self.relative_rms,
-            "relative_rms_bound_95": self.relative_rms_bound,
-            "relative_mse": self.relative_mse,
-        }
-
-
 def sky_differs(background: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Pixels where both halves have another background by more than rounding, bool [h, w].
 
@@ -56,13 +34,13 @@ def sky_differs(background: NDArray[np.floating]) -> NDArray[np.bool_]:
     return np.asarray(apart.any(axis=-1))
 
 
-UNKNOWN = Noise(None, None, None)
-NONE = Noise(0.0, 0.0, 0.0)
+UNKNOWN = ErrorEstimate(None, None, None)
+NONE = ErrorEstimate(0.0, 0.0, 0.0)
 
 
 def estimate(
     halves: NDArray[np.float64], covered: NDArray[np.bool_], stochastic: bool = True
-) -> Noise:
+) -> ErrorEstimate:
     """Error of the mean of two independent halves A and B.
 
     ``relative_rms`` is sqrt(mean(((A - B) / 2)**2)) / mean((A + B) / 2) over all covered pixels and
@@ -96,13 +74,14 @@ def estimate(
     variance = (0.5 * (halves[0] - halves[1])[covered]) ** 2
     rms = float(np.sqrt(variance.mean())) / level
     relative_mse = float((variance / (mean**2 + 0.01 * level**2)).mean())
-    return Noise(rms, rms * float(np.sqrt(bound_factor(variance.sum(axis=1)))), relative_mse)
+    bound = rms * float(np.sqrt(bound_factor(variance.sum(axis=1))))
+    return ErrorEstimate(rms, bound, relative_mse)
 
 
 def estimate_parts(
     parts: Callable[[], Iterable[tuple[NDArray[np.float64], NDArray[np.bool_]]]],
     stochastic: bool = True,
-) -> Noise:
+) -> ErrorEstimate:
     """As ``estimate``, of a picture in parts: the same but for the order of sums.
 
     Args:
@@ -131,12 +110,12 @@ def estimate_parts(
         relative += float((variance / ((mean / level) ** 2 + 0.01)).sum())
     rms = float(np.sqrt(squares / count))
     factor = _factor(squares, squared)
-    return Noise(rms, rms * float(np.sqrt(factor)), relative / count)
+    return ErrorEstimate(rms, rms * float(np.sqrt(factor)), relative / count)
 
 
 def estimate_denoised(
     parts: Iterable[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]],
-) -> Noise:
+) -> ErrorEstimate:
     """Error of the mean of two halves A and B that were denoised, each apart, to C and D.
 
     With m = (C + D) / 2 and t what an endless picture would show, (m - A) (m - B) + (C - D) (A - B)
@@ -169,7 +148,7 @@ def estimate_denoised(
     sums = np.concatenate(blocks) / (level**2 * count)
     square = max(float(sums.sum()), 0.0)
     margin = _NORMAL_QUANTILE * float(np.sqrt(len(sums)) * sums.std())
-    return Noise(float(np.sqrt(square)), float(np.sqrt(square + margin)), None)
+    return ErrorEstimate(float(np.sqrt(square)), float(np.sqrt(square + margin)), None)
 
 
 def bound_factor(squares: NDArray[np.float64]) -> float:
@@ -190,21 +169,8 @@ def _factor(total: float, squared: float) -> float:
     """By the sums of the pixels' estimates and of their squares."""
     if squared == 0.0:
         return 1.0
-    return _f_quantile(max(1.0, 3.0 * total**2 / squared - 2.0))
+    # Imported here: it takes 0.2 s.
+    from scipy.special import fdtri
 
-
-def _f_quantile(freedom: float) -> float:
-    """QUANTILE of Snedecor's F with as many degrees of freedom above as below, within 4e-5 of it.
-
-    Half of its logarithm is distributed as sech(z)**freedom, which is even (Fisher's z). It is
-    integrated here, as importing what would know it takes longer than a small picture (0.2 s).
-    """
-    # Beyond, less than e**-18 of it is left: its tail is exponential where there are few degrees,
-    # Gaussian where there are many.
-    z = np.linspace(0.0, 20.0 / freedom + 6.0 / np.sqrt(freedom), 4097)
-    density = np.cosh(z) ** -freedom
-    # Simpson's rule, up to each second place.
-    steps = density[:-2:2] + 4.0 * density[1:-1:2] + density[2::2]
-    below = np.concatenate([[0.0], np.cumsum(steps)])
-    half = np.interp((2.0 * QUANTILE - 1.0) * below[-1], below, z[::2])
-    return float(np.exp(2.0 * half))
+    freedom = max(1.0, 3.0 * total**2 / squared - 2.0)
+    return float(fdtri(freedom, freedom, QUANTILE))

@@ -18,17 +18,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import Projection, RayTable, local_rays, ray_table
 from scenec.backends.contract import Backend, Radiance
+from scenec.backends.noise_seeds import view_seed
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.kernels import kernel
+from scenec.schemas.records import LensRadiance
 from scenec.schemas.threads import over_threads
 
 #: Pixels of the views along a side of the picture's.
@@ -77,14 +79,15 @@ class Views:
     table: RayTable
     fineness: float
 
-    def as_json(self) -> dict[str, Any]:
-        """What sidecars say of them."""
-        return {
-            "views": len(self.cameras),
-            "view_pixels": sum(view.width * view.height for view in self.cameras),
-            "pixels_per_pixel_side": self.fineness,
-            "interpolation_px": self.table.error_px,
-        }
+    def record(self) -> LensRadiance:
+        """Returns what sidecars say of them."""
+        return LensRadiance(
+            way="resampled",
+            views=len(self.cameras),
+            view_pixels=sum(view.width * view.height for view in self.cameras),
+            pixels_per_pixel_side=self.fineness,
+            interpolation_px=self.table.error_px,
+        )
 
 
 def plan_views(camera: Camera) -> Views:
@@ -140,9 +143,7 @@ def draw(
     each = max(1, int(np.ceil(spp / views.fineness**2)))
     parts = []
     for i, view in enumerate(views.cameras):
-        # Another odd number than tiles of a view have between them (``bands``).
-        noise = (seed + 0x85EBCA6B * i) & 0xFFFFFFFF
-        parts.append(radiance(backend, view, sample, each, noise, denoise))
+        parts.append(radiance(backend, view, sample, each, view_seed(seed, i), denoise))
     clean = [_denoised(part) for part in parts]
     channels = 7 + 3 * len(clean[0])
     picture = np.zeros((camera.height, camera.width, channels), np.float32)

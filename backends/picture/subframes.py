@@ -27,11 +27,10 @@ are blurred is measured by ``blur``, which misses nothing that is seen.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +40,13 @@ from scenec.backends.camera.shutter import poses_at
 from scenec.backends.camera.tiles import bands, crop
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.noise_seeds import sub_frame_number, sub_frame_seed
 from scenec.backends.picture.blur import MOST, Blur
 from scenec.backends.picture.compose import background
 from scenec.backends.picture.sky import combine
 from scenec.backends.picture.tiles import radiance
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
+from scenec.schemas.records import BlurRecord
 
 if TYPE_CHECKING:
     from scenec.backends.picture.airlight import Air
@@ -107,7 +108,9 @@ def sub_frames(blur: Blur, count: int, seed: int, half: int) -> Iterator[SubFram
         half: Which half.
     """
     camera = replace(blur.camera, shutter=None, focus=None)
-    start, radius, turn = (_number(seed, half, what) for what in ("time", "radius", "turn"))
+    start, radius, turn = (
+        sub_frame_number(seed, half, what) for what in ("time", "radius", "turn")
+    )
     rows = np.arange(camera.height)
     times: NDArray[np.float64]
     if blur.shutter is None:
@@ -190,7 +193,7 @@ class Drawing:
         caster: Posed as at the sample, for haze.
 
     Attributes:
-        facts: What sidecars say of the pictures drawn so far.
+        record: What sidecars say of the pictures drawn so far.
     """
 
     def __init__(
@@ -205,8 +208,8 @@ class Drawing:
             from scenec.backends.picture.haze import air_at
 
             self._air = air_at(scene, sample)
-        self._stochastic = getattr(backend, "stochastic", True)
-        self.facts: dict[str, Any] = _facts(blur, 2 if self._stochastic else 1)
+        self._stochastic = backend.stochastic
+        self.record = _record(blur, 2 if self._stochastic else 1)
 
     def draw(self, spp: int, seed: int, most: int = MOST) -> Radiance:
         """A picture, complete with what is behind surfaces.
@@ -232,10 +235,10 @@ class Drawing:
                 # Haze is looked at in one place of the pixels. The same one moves a rasterizer's
                 # samples, which have theirs on a lattice, within its cells.
                 cell = 1.0 if self._stochastic else 1.0 / math.sqrt(share.each)
-                u, v = (_number(seed, half, f"{axis}/{one.index}") - 0.5 for axis in ("u", "v"))
+                u, v = (sub_frame_number(seed, half, f"{n}/{one.index}") - 0.5 for n in ("u", "v"))
                 there = _moved(one.camera, cell * u, cell * v)
                 view = one.camera if self._stochastic else there
-                drawn = self._still(view, share.each, _digest(seed, half, f"{one.index}") >> 32)
+                drawn = self._still(view, share.each, sub_frame_seed(seed, half, one.index))
                 light, behind = self._complete(one.camera, there, drawn)
                 own = slice(one.first, one.first + view.height)
                 halves[half, own] += light
@@ -263,7 +266,7 @@ class Drawing:
 
     def _still(self, camera: Camera, spp: int, seed: int) -> Radiance:
         """A picture of a camera without shutter and aperture."""
-        if camera.lens is None or getattr(self._backend, "follows_lenses", False):
+        if camera.lens is None or self._backend.follows_lenses:
             return radiance(self._backend, camera, self._sample, spp, seed)
         # Imported here: few cameras have a lens.
         from scenec.backends.picture import resample
@@ -300,44 +303,35 @@ class Drawing:
         return light, through[..., None] * behind
 
     def _count(self, share: Share, halves: int, pictures: int) -> None:
-        facts = self.facts
-        facts["sub_frames"] += pictures
-        facts["sub_frames_per_row"] += halves * share.count
-        facts["samples_per_sub_frame"] = share.each
+        before, timing = self.record, self.record.timing_px
         # Rounds know nothing of each other: their copies may lie anywhere between.
         spacing = self._blur.spacing_px(share.count)
-        if facts["spacing_px"] is None or spacing < facts["spacing_px"]:
-            facts["spacing_px"] = spacing
-            facts["timing_px"] = self._blur.timing_px(share.count)
+        if before.spacing_px is None or spacing < before.spacing_px:
+            timing = self._blur.timing_px(share.count)
+        else:
+            spacing = before.spacing_px
+        self.record = replace(
+            before,
+            sub_frames=before.sub_frames + pictures,
+            sub_frames_per_row=before.sub_frames_per_row + halves * share.count,
+            spacing_px=spacing,
+            timing_px=timing,
+            samples_per_sub_frame=share.each,
+        )
 
 
-def _facts(blur: Blur, halves: int) -> dict[str, Any]:
+def _record(blur: Blur, halves: int) -> BlurRecord:
     asked, drawn = blur.camera.shutter, blur.shutter
-    return {
-        "exposure_s": None if asked is None else asked.shutter.exposure_s,
-        "readout_s": None if asked is None else asked.shutter.readout_s,
-        "exposure_drawn_s": None if drawn is None else drawn.exposure_s,
-        "exposure_widened_px": blur.widened_px,
-        "motion_px": blur.motion_px,
-        "aperture_radius_m": None if blur.focus is None else blur.focus.aperture_radius_m,
-        "focus_distance_m": None if blur.focus is None else blur.focus.distance_m,
-        "circle_of_confusion_px": blur.disk_px,
-        "nearest_m": blur.nearest_m if math.isfinite(blur.nearest_m) else None,
-        "gap_px": blur.gap_px,
-        "sub_frames": 0,
-        "sub_frames_per_row": 0,
-        "sub_frames_wanted_per_row": halves * blur.wanted,
-        "spacing_px": None,
-        "timing_px": None,
-        "samples_per_sub_frame": None,
-    }
-
-
-def _digest(seed: int, half: int, what: str) -> int:
-    digest = hashlib.blake2b(f"{seed}/{half}/{what}".encode(), digest_size=8).digest()
-    return int.from_bytes(digest, "little")
-
-
-def _number(seed: int, half: int, what: str) -> float:
-    """A number in [0, 1) of its own for each name."""
-    return (_digest(seed, half, what) >> 11) * 2.0**-53
+    return BlurRecord(
+        exposure_s=None if asked is None else asked.shutter.exposure_s,
+        readout_s=None if asked is None else asked.shutter.readout_s,
+        exposure_drawn_s=None if drawn is None else drawn.exposure_s,
+        exposure_widened_px=blur.widened_px,
+        motion_px=blur.motion_px,
+        aperture_radius_m=None if blur.focus is None else blur.focus.aperture_radius_m,
+        focus_distance_m=None if blur.focus is None else blur.focus.distance_m,
+        circle_of_confusion_px=blur.disk_px,
+        nearest_m=blur.nearest_m if math.isfinite(blur.nearest_m) else None,
+        gap_px=blur.gap_px,
+        sub_frames_wanted_per_row=halves * blur.wanted,
+    )

@@ -9,6 +9,7 @@ import numpy as np
 from scenec.backends.camera import tiles
 from scenec.backends.camera.tiles import crop
 from scenec.backends.contract import Backend, Radiance
+from scenec.backends.noise_seeds import tile_seed
 from scenec.backends.stage.scene import Camera
 
 
@@ -38,8 +39,7 @@ def radiance(
     coverage = np.empty((height, width), np.float32)
     dropped, stochastic, drawn = 0, True, spp
     for number, (rows, columns) in enumerate(tiles.tiles(camera)):
-        # By an odd number near 2**32 over the golden ratio: none comes twice.
-        noise = (seed + 0x9E3779B1 * number) & 0xFFFFFFFF
+        noise = tile_seed(seed, number)
         part = backend.radiance(crop(camera, rows, columns), sample, spp, noise, **more)
         place = slice(rows.start, rows.stop), slice(columns.start, columns.stop)
         halves[:, *place] = part.halves

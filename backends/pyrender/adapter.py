@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.camera.tiles import by_columns
-from scenec.backends.contract import NO_ROW, LoadCost, Radiance, Rays, Visibility
+from scenec.backends.contract import NO_ROW, Backend, LoadCost, Radiance, Rays, Visibility
 from scenec.backends.pyrender import geometry, platforms
 from scenec.backends.pyrender.ambience import (
     CELLS,
@@ -43,7 +43,7 @@ MAX_SAMPLES = 1 << 23
 DETAIL = 1.0
 
 
-class Pyrender:
+class Pyrender(Backend):
     """Implements ``contract.Backend``: ``load`` once, then any number of samples.
 
     Args:
@@ -56,13 +56,12 @@ class Pyrender:
 
     name = "pyrender"
     devices = ("cpu", "cuda")
-    denoiser = None
     load_cost = LoadCost(row=500.0, triangle=200.0)
-    follows_lenses = False
     stochastic = False
 
     def __init__(self, device: str = "auto", culling: bool = True) -> None:
         self._context = platforms.acquire(device)
+        self.device = self._context.device
         self._culling = culling
         self._scene: RenderScene | None = None
         self._geometry = geometry.EMPTY
@@ -72,20 +71,11 @@ class Pyrender:
         self._ground: Ground | None = None
         self._ambience: tuple[int, Ambience] | None = None
 
-    @property
-    def device(self) -> str:
-        """Where it runs."""
-        return self._context.device
-
     def version(self) -> str:
         """pyrender, how its context came about, and what OpenGL calls itself."""
         import pyrender
 
         return f"pyrender {pyrender.__version__} {self._context.name} {self._context.renderer}"
-
-    def warning(self) -> str | None:
-        """Nothing to warn of."""
-        return None
 
     def losses(self, scene: RenderScene) -> tuple[str, ...]:
         """What the preview leaves out of this scene."""

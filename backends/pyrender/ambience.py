@@ -21,6 +21,7 @@ from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, Mesh, RenderScene
 from scenec.backends.surface.gobo import passed
+from scenec.schemas.affine import boxes_around
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -79,11 +80,9 @@ def world_bounds(scene: RenderScene) -> NDArray[np.float64]:
 def mesh_bounds(mesh: Mesh, to_world: NDArray[np.float64]) -> NDArray[np.float64]:
     """Box around a mesh's rows, float64 [2, 3]."""
     points = mesh.points.astype(np.float64)
-    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    half = 0.5 * (points.max(axis=0) - points.min(axis=0))
-    middle = (to_world[:, :, :3] * center).sum(axis=2) + to_world[:, :, 3]
-    reach = (np.abs(to_world[:, :, :3]) * half).sum(axis=2)
-    return np.stack([(middle - reach).min(axis=0), (middle + reach).max(axis=0)])
+    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    boxes = boxes_around(to_world[:, :, :3], box, to_world[:, :, 3])
+    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
 def view_from_above(bounds: NDArray[np.float64]) -> View:

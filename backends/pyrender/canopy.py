@@ -21,7 +21,7 @@ from scenec.backends.stage.scene import Mesh, RenderScene
 from scenec.backends.surface.maps import map_mean
 from scenec.backends.surface.pictures import has_maps
 from scenec.schemas.kernels import kernel
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 
 #: Cells along x, y and z.
 CELLS = (128, 128, 48)
@@ -91,7 +91,7 @@ def _dims(scene: RenderScene, mesh: Mesh) -> float:
         if has_maps(surface.maps, "base_color"):
             assert surface.maps is not None
             color = color * map_mean(surface.maps, "base_color")
-        scatters += float(color @ LUMINANCE) / len(surfaces)
+        scatters += float(luminance(color)) / len(surfaces)
     return float(np.sqrt(max(1.0 - scatters, 0.0)))
 
 

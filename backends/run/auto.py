@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 from scenec.backends.registry import AUTO, backend_class, backend_names
 from scenec.backends.run.doctor import start
@@ -17,6 +15,7 @@ from scenec.backends.run.executors import ask
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfBackend
 from scenec.schemas.errors import BackendError, PluginError
+from scenec.schemas.records import BackendChoice
 from scenec.schemas.units import Executor
 
 #: What ``scenec converge`` measured, in the output folder.
@@ -25,26 +24,7 @@ MEASURED = Path("converge", "converge.json")
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A backend, and why it.
-
-    Attributes:
-        backend: Name.
-        order: Names in the order of preference, and what that stands on.
-        left_out: Those before it that do not work here for what is asked, and why.
-    """
-
-    backend: str
-    order: str
-    left_out: dict[str, str]
-
-    def as_json(self) -> dict[str, Any]:
-        """As sidecars and ``--json`` hold it."""
-        return asdict(self)
-
-
-def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) -> Choice:
+def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) -> BackendChoice:
     """Choose the backend that is to render, and say why.
 
     Where ``scenec converge`` has measured the output, renderers with less variance times seconds
@@ -73,7 +53,7 @@ def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) ->
             say(f"auto: {name} is left out: {error}")
             continue
         say(f"auto: {name} renders: the first that works of {order}")
-        return Choice(name, order, left_out)
+        return BackendChoice(name, order, left_out)
     reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())
     raise BackendError(f"no backend works here for what is asked: {reasons}")
 

@@ -13,13 +13,12 @@ import json
 import logging
 import os
 import platform
-import queue
 import secrets
 import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Generator, Hashable, Mapping
+from collections.abc import Collection, Generator, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from scenec.backends.registry import distribution
 from scenec.backends.run import hands
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once
+from scenec.backends.run.slots import fill
 from scenec.backends.run.supervise import FrameLostError
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import TEMPORARY
@@ -41,8 +41,6 @@ PACKAGES = ("scenec", "numpy", "numba", "scipy", "usd-core", "OpenEXR", "pillow"
 GPUS = ("cuda", "optix")
 #: Seconds a cluster may take to answer, and may be without any worker.
 ANSWER_S, WORKER_S = 10.0, 60.0
-#: Seconds between two looks at which workers there are, where nothing else happens.
-LOOK_S = 2.0
 
 
 @dataclass(eq=False)
@@ -145,36 +143,14 @@ class Cluster:
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
-        ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        under_way: dict[Any, tuple[_Slot, Unit]] = {}
-        try:
-            while True:
-                self._refresh()
-                taken = [slot for slot, _ in under_way.values()]
-                free = [slot for slot in self._slots if slot not in taken]
-                for slot in sorted(free, key=lambda slot: slot.holds is None):
-                    unit = take(slot.holds)
-                    if unit is not None:
-                        slot.holds = unit.holds
-                        future = self._submit(unit, slot)
-                        under_way[future] = slot, unit
-                        future.add_done_callback(ended.put)
-                if free and not under_way:
-                    return
-                # Not for good: workers come and go.
-                with suppress(queue.Empty):
-                    future = ended.get(timeout=LOOK_S)
-                    _, unit = under_way.pop(future)
-                    yield unit, self._result(unit, future)
-        finally:
-            if under_way:
-                # Left amid work: by an error, an interrupt, or who had enough.
-                with suppress(Exception):
-                    self._client.cancel(list(under_way), force=True)
-                    while any(self._client.run(hands.stop, self._token).values()):
-                        time.sleep(0.05)
+        return fill(take, self._present, self._submit, self._stop, self._result)
+
+    def _present(self) -> list[_Slot]:
+        self._refresh()
+        return self._slots
 
     def _submit(self, unit: Unit, slot: _Slot) -> Any:
+        slot.holds = unit.holds
         return self._client.submit(
             hands.work,
             unit,
@@ -192,6 +168,12 @@ class Cluster:
     def _shares(self) -> Counter[Hashable]:
         """How many slots have the same cores."""
         return Counter(self._places[slot.address] for slot in self._slots)
+
+    def _stop(self, futures: Collection[Any]) -> None:
+        with suppress(Exception):
+            self._client.cancel(list(futures), force=True)
+            while any(self._client.run(hands.stop, self._token).values()):
+                time.sleep(0.05)
 
     def _result(self, unit: Unit, future: Any) -> Outcome:
         from distributed import KilledWorker

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from typing import Any
 
+from scenec.backends.noise_seeds import frame_seed
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
 from scenec.schemas.errors import BackendError, FrameError, StageError
 from scenec.schemas.files import inside
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem
-from scenec.schemas.manifest import FRAMES, Batch, stage_digest
+from scenec.schemas.manifest import FRAMES, Batch, Manifest, stage_digest
+from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
 
@@ -29,7 +29,7 @@ def frames_of(
     batch: Batch,
     plan: RenderPlan,
     opened: Opened,
-    choice: Mapping[str, Any] | None = None,
+    choice: BackendChoice | None = None,
     passes: Sequence[str] | None = None,
 ) -> list[RenderFrame]:
     """The frames that a plan asks of a batch, in the order of their samples.
@@ -72,7 +72,7 @@ def frames_of(
                 holds=holds,
                 what=f"{batch.name}/{camera.name}/{sample:06d}",
                 stem=stem.absolute(),
-                camera=camera.name,
+                sensor=camera.name,
                 number=number,
                 sample=sample,
                 key=plan.key(opened.digest, made, opened.backend, version),
@@ -84,7 +84,7 @@ def frames_of(
     return found
 
 
-def may_lose(batch: Batch, plan: RenderPlan, manifest: dict[str, Any] | None) -> bool:
+def may_lose(batch: Batch, plan: RenderPlan, manifest: Manifest | None) -> bool:
     """Tells whether a batch has frames of its stage that a plan could replace and may not.
 
     Args:
@@ -100,7 +100,7 @@ def may_lose(batch: Batch, plan: RenderPlan, manifest: dict[str, Any] | None) ->
     for name in sorted(names):
         for path in (batch.folder / FRAMES / name).glob("*/*.json"):
             with suppress(FrameError):
-                if digest in (None, read_sidecar(path)["stage_digest"]):
+                if digest in (None, read_sidecar(path).stage_digest):
                     return True
     return False
 
@@ -144,9 +144,3 @@ def unasked(cameras: Sequence[CameraFacts]) -> Iterator[str]:
                 f"camera {camera.name} did not ask for {', '.join(missing)}: what only that "
                 "would show may not be in the stage; compile with that output, or with --keep all"
             )
-
-
-def frame_seed(noise_seed: int, batch: str, camera: str, sample: int) -> int:
-    """Seed of one frame's noise, 32 bits: no two frames share their noise."""
-    text = f"{noise_seed}/{batch}/{camera}/{sample}"
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest(), "little")

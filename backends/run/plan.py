@@ -113,7 +113,7 @@ class RenderPlan:
         if self.device != "auto":
             backend_class(self.backend, self.device)
         if self.denoise and backend_class(self.backend).denoiser is None:
-            extra = getattr(backend_class(self.backend), "denoiser_extra", None)
+            extra = backend_class(self.backend).denoiser_extra
             mend = f" here: pip install 'scenec[{extra}]'" if extra else ""
             raise BackendError(f"backend {self.backend} has no denoiser{mend}{_denoisers()}")
 

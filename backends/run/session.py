@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.annotate import Annotation, annotate
-from scenec.backends.annotation.instances import Instances, Seen
+from scenec.backends.annotation.instances import Instances
 from scenec.backends.annotation.registry import select
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.camera.shutter import blurred_by, is_rolling, undenoised
@@ -22,12 +22,19 @@ from scenec.backends.contract import Backend, Radiance, Visibility
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.picture import tiles
 from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
-from scenec.backends.picture.compose import compose
+from scenec.backends.picture.compose import Picture, compose
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
 from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
-from scenec.backends.run.writer import annotated, annotation_facts, write_frame
+from scenec.backends.run.facts import (
+    FrameResult,
+    RendererFacts,
+    annotation_versions,
+    describe_frame,
+)
+from scenec.backends.run.reuse import find_annotation
+from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
@@ -35,10 +42,36 @@ from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, FrameKey
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
 from scenec.schemas.memory import GB
+from scenec.schemas.records import (
+    BackendChoice,
+    BlurRecord,
+    FrameRecord,
+    HazePixels,
+    LensRadiance,
+    SkyPixels,
+)
 from scenec.schemas.versions import version_of
 
 if TYPE_CHECKING:
     from scenec.backends.picture.haze import Hazy, Veil
+    from scenec.backends.picture.subframes import Drawing
+
+
+@dataclass(frozen=True)
+class SurfaceLight:
+    """Light from surfaces, and how it was drawn.
+
+    Attributes:
+        radiance: What the backend returned, or the sum of rounds.
+        rounds: Of adaptive sampling; None for a picture drawn at once.
+        lens: How it came through a lens; None: a pinhole.
+        blur: What is approximated of shutter and aperture; None without either.
+    """
+
+    radiance: Radiance
+    rounds: Rounds | None
+    lens: LensRadiance | None
+    blur: BlurRecord | None
 
 
 class Session:
@@ -81,24 +114,19 @@ class Session:
             return cls(scene, None)
         return cls(scene, open_backend(backend, device))
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> RendererFacts:
         """What draws the pictures, for sidecars, resume keys and messages."""
         backend = self.backend
         if backend is None:
-            return {
-                "backend": ANNOTATION,
-                "version": f"{ANNOTATION} (scenec {version_of()})",
-                "device": "cpu",
-                "denoiser": None,
-                "warning": None,
-            }
-        return {
-            "backend": backend.name,
-            "version": version_of_backend(backend),
-            "device": backend.device,
-            "denoiser": backend.denoiser,
-            "warning": backend.warning(),
-        }
+            version = f"{ANNOTATION} (scenec {version_of()})"
+            return RendererFacts(ANNOTATION, version, "cpu", None, None)
+        return RendererFacts(
+            backend.name,
+            version_of_backend(backend),
+            backend.device,
+            backend.denoiser,
+            backend.warning(),
+        )
 
     @cached_property
     def losses(self) -> tuple[str, ...]:
@@ -147,7 +175,8 @@ class Session:
         seed: int,
         denoise: bool = False,
         target: Target | None = None,
-    ) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        ready: Annotation | None = None,
+    ) -> FrameResult:
         """Render one frame.
 
         Args:
@@ -158,48 +187,22 @@ class Session:
             seed: Noise seed of this very frame.
             denoise: Whether to denoise ``rgb``.
             target: What to render ``rgb`` to, in rounds; None renders ``spp`` at once.
-
-        Returns:
-            (arrays by pass, none for ``amodal``; details for the sidecar: ``device``, ``seconds``,
-            ``denoised``, ``losses``; ``estimated_error`` ... with ``rgb``).
+            ready: Its annotation, where that is there already.
 
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
         """
-        return self._render(camera, sample, passes, spp, seed, denoise, target, None)[:2]
-
-    def _render(
-        self,
-        camera: Camera,
-        sample: int,
-        passes: Sequence[str],
-        spp: int,
-        seed: int,
-        denoise: bool,
-        target: Target | None,
-        ready: Annotation | None,
-    ) -> tuple[dict[str, NDArray], dict[str, Any], Seen | None, NDArray[np.bool_] | None]:
-        """As ``render``, what is seen of instances (with ``instance``), and where surfaces are.
-
-        What is ``ready`` is not annotated again.
-        """
         seconds: dict[str, float] = {}
-        details: dict[str, Any] = {
-            "device": self.facts()["device"],
-            "denoised": None,
-            "losses": self.scene.losses,
-            "seconds": seconds,
-        }
         arrays: dict[str, NDArray] = {}
-        radiance = rounds = None
+        light = None
         if "rgb" in passes:
-            radiance, rounds = self._radiance(camera, sample, spp, seed, denoise, details, target)
+            light = self._light(camera, sample, spp, seed, denoise, seconds, target)
             # First of the passes, whatever is known of it only later.
-            arrays["rgb"] = radiance.halves[0]
+            arrays["rgb"] = light.radiance.halves[0]
+        record = describe_frame(self.scene, camera, sample, self.facts())
         annotation = [name for name in passes if name != "rgb"]
         found = ready
         if annotation:
-            details["annotation"] = annotation_facts(annotation)
             if found is None:
                 listing = self.instances if "instance" in annotation else None
                 caster = self.caster(seconds)
@@ -207,15 +210,26 @@ class Session:
                 for step, took in found.seconds.items():
                     seconds[step] = seconds.get(step, 0.0) + took
             arrays |= {name: found.arrays[name] for name in annotation if name in found.arrays}
-            details["height_above_surface_m"] = found.height_m
-            if found.sky is not None:
-                details["sky"] = dict(zip(("pixels", "below_horizon"), found.sky, strict=True))
-        if radiance is not None:
+            sky = found.sky
+            record = replace(
+                record,
+                annotation=annotation_versions(annotation),
+                height_above_surface_m=found.height_m,
+                sky=None if sky is None else SkyPixels(pixels=sky[0], below_horizon=sky[1]),
+            )
+        if light is not None:
             hits = None if found is None else found.hits
-            veil = self._veil(radiance, camera, sample, hits, details)
-            arrays["rgb"] = self._compose(radiance, camera, sample, veil, details, rounds)
-        listed = None if found is None else found.seen
-        return arrays, details, listed, None if radiance is None else radiance.coverage > 0.0
+            veil = self._veil(light.radiance, camera, sample, hits, seconds)
+            with _timed(seconds, "compose"):
+                picture = compose(light.radiance, self.scene, camera, sample, veil)
+            arrays["rgb"] = picture.rgb
+            record = self._describe_light(record, light, picture, veil)
+        return FrameResult(
+            arrays,
+            replace(record, seconds=seconds),
+            None if found is None else found.seen,
+            None if light is None else light.radiance.coverage > 0.0,
+        )
 
     def write_instances(self, folder: Path) -> None:
         """Write the batch's table of instances, unless it is there.
@@ -237,11 +251,11 @@ class Session:
         sample: int,
         key: FrameKey,
         seed: int,
-        choice: Mapping[str, Any] | None = None,
-    ) -> dict[str, Any]:
-        """Render a frame and write it; returns its details, with the seconds of writing.
+        choice: BackendChoice | None = None,
+    ) -> FrameRecord:
+        """Render a frame and write it; returns its record, with the seconds of writing.
 
-        A ``choice`` of this backend (``auto.Choice``) is noted in the sidecar.
+        A ``choice`` of this backend is noted in the sidecar.
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
@@ -254,7 +268,7 @@ class Session:
         camera = self._camera(camera_index, sample)
         memory.reset_peak()
         annotation = [name for name in key.passes if name != "rgb"]
-        ready = annotated(stem, self.scene.digest, annotation) if annotation else None
+        ready = find_annotation(stem, self.scene.digest, annotation) if annotation else None
         once = key.error is None and key.seconds is None
         target = None if once else Target(key.error, key.seconds, key.spp)
         exposure, metering = None, dict[str, float]()
@@ -264,71 +278,70 @@ class Session:
                     camera, sample, lambda: self.caster(metering)
                 )
             metering["exposure"] -= metering.get("load", 0.0)
-        arrays, details, listed, surfaces = self._render(
-            camera, sample, key.passes, key.spp, seed, key.denoise, target, ready
-        )
-        details |= {} if exposure is None else {"exposure": exposure}
-        for step, seconds in metering.items():
-            details["seconds"][step] = details["seconds"].get(step, 0.0) + seconds
+        result = self.render(camera, sample, key.passes, key.spp, seed, key.denoise, target, ready)
+        seconds = dict(result.record.seconds or {})
+        for step, took in metering.items():
+            seconds[step] = seconds.get(step, 0.0) + took
         peak = memory.peak()
-        details["peak_memory_gb"] = None if peak is None else round(peak / GB, 3)
-        if choice is not None:
-            details["choice"] = choice
         taken = None
-        if camera.imaging is not None and "rgb" in arrays:
+        if camera.imaging is not None and "rgb" in result.arrays:
             # Imported here: few cameras have any.
             from scenec.backends.imaging.camera import take
 
-            with _timed(details["seconds"], "imaging"):
-                taken = take(arrays["rgb"], camera, camera.imaging, sample)
-        with _timed(details["seconds"], "write"):
-            more = details, listed, taken, surfaces
-            write_frame(stem, arrays, key, self.scene, camera, sample, *more)
-        return details
+            with _timed(seconds, "imaging"):
+                taken = take(result.arrays["rgb"], camera, camera.imaging, sample)
+        record = replace(
+            result.record,
+            exposure=exposure,
+            peak_memory_gb=None if peak is None else round(peak / GB, 3),
+            choice=choice,
+            seconds=dict(seconds),
+        )
+        with _timed(seconds, "write"):
+            result = replace(result, record=record)
+            record = write_frame(stem, result, key, self.scene, camera, taken)
+        return replace(record, seconds=seconds)
 
     def witness(self, camera_index: int, sample: int) -> Visibility | None:
         """What the backend itself sees of a frame, for checks.
 
         Returns:
-            None if it does not tell: a backend may have no such method, or be unable to follow this
-            camera's rays.
+            None if it does not tell, or cannot follow this camera's rays.
 
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
         """
         camera = self._camera(camera_index, sample)
         backend = self._renderer({})
-        look = getattr(backend, "witness", None)
-        if look is None:
-            return None
         plain = camera.lens is None and not is_rolling(camera)
-        return witness(lambda rays, part: look(rays, sample, part if plain else None), camera)
+        return witness(
+            lambda rays, part: backend.witness(rays, sample, part if plain else None), camera
+        )
 
-    def _radiance(
+    def _light(
         self,
         camera: Camera,
         sample: int,
         spp: int,
         seed: int,
         denoise: bool,
-        details: dict[str, Any],
+        seconds: dict[str, float],
         target: Target | None,
-    ) -> tuple[Radiance, Rounds | None]:
+    ) -> SurfaceLight:
         """Light from surfaces; with a target, in rounds."""
-        seconds = details["seconds"]
         backend = self._renderer(seconds)
-        views = None
+        views = through_lens = None
         if camera.lens is not None:
             # Imported here: few cameras have a lens.
             from scenec.backends.camera import lens
             from scenec.backends.picture import resample
 
-            if getattr(backend, "follows_lenses", False):
+            if backend.follows_lenses:
                 error = lens.ray_table(camera).error_px
-                details["lens_radiance"] = {"way": "rays", "interpolation_px": error}
+                through_lens = LensRadiance(way="rays", interpolation_px=error)
             else:
                 views = resample.plan_views(camera)
-                details["lens_radiance"] = {"way": "resampled", **views.as_json()}
+                through_lens = views.record()
 
         def draw(count: int, noise: int, first: int = 0) -> Radiance:
             if views is not None:
@@ -339,25 +352,25 @@ class Session:
                 raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
             return found
 
-        blurred = self._blurred(camera, sample, denoise, details)
+        blurred = self._blurred(camera, sample, denoise, seconds)
         # What can denoise a mean of rounds does so, and no round.
-        clean = getattr(backend, "denoise", None) if denoise and views is None else None
+        clean = backend.denoise if denoise and views is None else None
         later = None if clean is None or target is None else partial(clean, camera, sample)
         draws_clean = denoise and later is None
-        goes_on = getattr(backend, "continues", False) and views is None and blurred is None
+        goes_on = backend.continues and views is None and blurred is None
         rounds = None
         with _timed(seconds, "radiance"):
+            drawing: Draw = draw if blurred is None else blurred.draw
             if target is None:
-                radiance = (blurred or draw)(spp, seed)
+                radiance = drawing(spp, seed)
             else:
-                radiance, rounds = collect(
-                    blurred or draw, seed, target, continues=goes_on, denoise=later
-                )
-        return radiance, rounds
+                radiance, rounds = collect(drawing, seed, target, continues=goes_on, denoise=later)
+        blur = None if blurred is None else blurred.record
+        return SurfaceLight(radiance, rounds, through_lens, blur)
 
     def _blurred(
-        self, camera: Camera, sample: int, denoise: bool, details: dict[str, Any]
-    ) -> Draw | None:
+        self, camera: Camera, sample: int, denoise: bool, seconds: dict[str, float]
+    ) -> Drawing | None:
         """What draws a camera with an open shutter or an aperture; None where there is neither.
 
         Raises:
@@ -371,16 +384,13 @@ class Session:
         # Imported here: few cameras have either.
         from scenec.backends.picture import blur, subframes
 
-        caster = self.caster(details["seconds"])
+        caster = self.caster(seconds)
         caster.pose(sample)
-        with _timed(details["seconds"], "blur"):
+        with _timed(seconds, "blur"):
             found = blur.measure(camera, caster)
         if found is None:
             return None
-        backend = self._renderer(details["seconds"])
-        drawing = subframes.Drawing(found, backend, self.scene, sample, caster)
-        details["blur"] = drawing.facts
-        return drawing.draw
+        return subframes.Drawing(found, self._renderer(seconds), self.scene, sample, caster)
 
     def _veil(
         self,
@@ -388,7 +398,7 @@ class Session:
         camera: Camera,
         sample: int,
         hits: Hits | None,
-        details: dict[str, Any],
+        seconds: dict[str, float],
     ) -> Veil | None:
         """The haze before a picture, if there is any; without annotation it casts its own rays."""
         if not self.scene.haze or self.scene.haze[sample] is None:
@@ -399,49 +409,44 @@ class Session:
         # Imported here: few scenes have any.
         from scenec.backends.picture.haze import veil
 
-        caster = self.caster(details["seconds"])
-        with _timed(details["seconds"], "haze"):
+        caster = self.caster(seconds)
+        with _timed(seconds, "haze"):
             rays = camera_rays(camera)
             air = self._hazy.air(sample)
             assert air is not None
             caster.pose(sample)
             if hits is None:
                 hits = caster.hits(rays)
-            made = veil(air, camera, caster, rays, hits.t, radiance.coverage)
-        details["haze"] = {
-            "subsampled_pixels": made.subsampled,
-            "changing_pixels": made.changing,
-        }
-        return made
+            return veil(air, camera, caster, rays, hits.t, radiance.coverage)
 
-    def _compose(
-        self,
-        radiance: Radiance,
-        camera: Camera,
-        sample: int,
-        veil: Veil | None,
-        details: dict[str, Any],
-        rounds: Rounds | None,
-    ) -> NDArray[np.float32]:
-        """``rgb``, with what there is to say of it."""
-        with _timed(details["seconds"], "compose"):
-            picture = compose(radiance, self.scene, camera, sample, veil)
-        noise = picture.noise.as_json()
-        details["losses"] = self.losses
-        details["samples_per_pixel"] = radiance.spp
-        details["samples_dropped"] = radiance.dropped
-        if radiance.denoised is None:
-            details["estimated_error"] = noise
-        else:
-            details["denoised"] = self.facts()["denoiser"]
-            assert picture.denoised is not None
-            details["estimated_error"] = picture.denoised.as_json()
-            details["estimated_error_before_denoising"] = noise
-        if rounds is not None:
-            after = details["estimated_error"]["relative_rms_bound_95"]
-            bound = picture.noise.relative_rms_bound if after is None else after
-            details["rounds"] = rounds.as_json(bound)
-        return picture.rgb
+    def _describe_light(
+        self, record: FrameRecord, light: SurfaceLight, picture: Picture, veil: Veil | None
+    ) -> FrameRecord:
+        """Adds what there is to say of ``rgb``."""
+        radiance, rounds = light.radiance, None
+        denoised = radiance.denoised is not None
+        error = picture.denoised if denoised else picture.noise
+        assert error is not None
+        if light.rounds is not None:
+            after = error.relative_rms_bound_95
+            rounds = light.rounds.record(
+                picture.noise.relative_rms_bound_95 if after is None else after
+            )
+        return replace(
+            record,
+            losses=tuple(self.losses),
+            denoised=self.facts().denoiser if denoised else None,
+            lens_radiance=light.lens,
+            blur=light.blur,
+            haze=None
+            if veil is None
+            else HazePixels(subsampled_pixels=veil.subsampled, changing_pixels=veil.changing),
+            samples_per_pixel=radiance.spp,
+            samples_dropped=radiance.dropped,
+            estimated_error=error,
+            estimated_error_before_denoising=picture.noise if denoised else None,
+            rounds=rounds,
+        )
 
     def caster(self, seconds: dict[str, float] | None = None) -> ExactCaster:
         """The exact caster, of the scene as it was posed last; what building it takes is added."""
@@ -470,8 +475,7 @@ class Session:
             )
         with _timed(seconds, "load"):
             if not self._loaded:
-                cost = getattr(self.backend, "load_cost", None)
-                memory.require_room(self.backend.name, cost, self.scene)
+                memory.require_room(self.backend.name, self.backend.load_cost, self.scene)
                 self.backend.load(self._hazy.lit() if any(self.scene.haze) else self.scene)
                 self._loaded = True
         return self.backend

@@ -20,7 +20,7 @@ from scenec.schemas.budget import THREADS
 from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
 from scenec.schemas.native import CRASHES, SIZE, Note, crashed
-from scenec.schemas.units import Outcome, Unit
+from scenec.schemas.units import Outcome, Unit, clean
 
 
 def _tries(count: int) -> str:
@@ -106,42 +106,43 @@ class Supervisor:
         """
         outcome = Outcome()
         self._stopped = False
-        try:
-            outcome.value = self._do(unit, outcome)
-        except ScenecError as error:
-            outcome.error = error
-        return outcome
-
-    def _do(self, unit: Unit, outcome: Outcome) -> Any:
         if self._process is not None and unit.holds != self._holds:
             if self._holds is not None:
                 self.close()
             self._done = 0
         self._replace_if_grown(outcome)
-        for attempt in range(self._limits.retries + 1):
+        while True:
             try:
                 if self._process is None:
                     self._start()
                 self._holds = unit.holds
-                value = self._exchange(unit)
+                outcome.value = self._exchange(unit, outcome.notes)
                 self._done += 1
-                return value
+            except ScenecError as error:
+                outcome.error = error
             except WorkerDiedError as death:
                 outcome.deaths += 1
-                file = self._note.read()
-                self.close()
-                getattr(unit, "clean", lambda: None)()
-                if self._stopped:
-                    raise BackendError(f"{unit.what}: stopped") from death
-                if death.crashed and file:
-                    raise StageError(crashed(file, f"the worker process {death}")) from death
-                if attempt == self._limits.retries:
-                    raise FrameLostError(
-                        f"{unit.what}: given up after {_tries(attempt + 1)}: the last worker "
-                        f"process {death}"
-                    ) from death
-                outcome.warnings.append(f"{unit.what}: the worker process {death}; trying again")
-        raise AssertionError("unreachable")
+                outcome.error = self._verdict(unit, death, outcome.deaths)
+                if outcome.error is None:
+                    line = f"{unit.what}: the worker process {death}; trying again"
+                    outcome.warnings.append(line)
+                    continue
+            return outcome
+
+    def _verdict(self, unit: Unit, death: WorkerDiedError, deaths: int) -> ScenecError | None:
+        """Clears up after a worker; returns why its unit is given up, None if it is not."""
+        file = self._note.read()
+        self.close()
+        clean(unit)
+        if self._stopped:
+            return BackendError(f"{unit.what}: stopped")
+        if death.crashed and file:
+            return StageError(crashed(file, f"the worker process {death}"))
+        if deaths <= self._limits.retries:
+            return None
+        return FrameLostError(
+            f"{unit.what}: given up after {_tries(deaths)}: the last worker process {death}"
+        )
 
     def stop(self) -> None:
         """End the worker amid its unit, which is not tried again; called by another thread.
@@ -227,7 +228,7 @@ class Supervisor:
             outcome.replaced += 1
             outcome.notes.append(f"the worker process {reason}: replaced by a fresh one")
 
-    def _exchange(self, unit: Unit) -> Any:
+    def _exchange(self, unit: Unit, notes: list[str]) -> Any:
         process, watch, pipe = self._process, self._watch, self._pipe
         assert process is not None
         assert watch is not None
@@ -235,7 +236,8 @@ class Supervisor:
         try:
             watch.begin(fresh=self._done < 2)
             pipe.send(unit)
-            fine, value, peak = self._wait(pipe, watch)
+            fine, value, peak, said = self._wait(pipe, watch)
+            notes += said
             # The worker's own count misses nothing between two looks.
             self._peak = peak or 0
             if not fine:
@@ -255,7 +257,7 @@ class Supervisor:
             process.wait()
             raise
 
-    def _wait(self, pipe: Connection, watch: Watch) -> tuple[bool, Any, int | None]:
+    def _wait(self, pipe: Connection, watch: Watch) -> tuple[bool, Any, int | None, list[str]]:
         """The next message.
 
         Raises:
@@ -273,7 +275,7 @@ class Supervisor:
             if verdict is not None:
                 watch.kill()
                 raise WorkerDiedError(verdict)
-        message: tuple[bool, Any, int | None] = pipe.recv()
+        message: tuple[bool, Any, int | None, list[str]] = pipe.recv()
         return message
 
     def _cause(self, status: int, memory: int) -> str:

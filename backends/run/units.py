@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenec.backends.picture.brightness import FrameBrightness, brief
 from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.native import native_reading
+from scenec.schemas.records import BackendChoice, FrameRecord
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
@@ -76,14 +80,17 @@ class Opened:
 
     Attributes:
         digest: Of the stage.
-        cameras: Of each sample.
+        cameras, lidars: Of each sample; names of lidars.
         losses: A line for each thing that is not read, or that ``rgb`` leaves out.
+        read_s: Seconds that opening it took.
         backend, version, device, denoiser, warning: Of who draws.
     """
 
     digest: str
     cameras: list[list[CameraFacts]]
+    lidars: list[list[str]]
     losses: tuple[str, ...]
+    read_s: float
     backend: str
     version: str
     device: str
@@ -133,36 +140,43 @@ class OfBackend:
         return self.do(self.backend)
 
 
-def open_stage(opening: Opening) -> OfSession:
-    """Open a stage, and say what there is to render; returns ``Opened``."""
-    every_but_rgb = opening.passes is None and opening.backend in ANNOTATION_NAMES
-    do = partial(_opened, opening.passes, every_but_rgb)
-    return OfSession(opening, f"opening {opening.stage}", do)
+@dataclass(frozen=True)
+class OpenStage:
+    """Opens a stage, and tells what there is to render and to scan: ``Opened``."""
 
+    holds: Opening
 
-def _opened(passes: tuple[str, ...] | None, every_but_rgb: bool, session: Session) -> Opened:
-    def wanted(camera: Camera) -> Sequence[str] | None:
-        return [n for n in camera.outputs if n != "rgb"] if every_but_rgb else passes
+    @property
+    def what(self) -> str:
+        """In messages."""
+        return f"opening {self.holds.stage}"
 
-    cameras = [
-        [
-            CameraFacts(
-                name=camera.name,
-                passes=session.passes(wanted(camera), camera),
-                fires=camera.fires(sample),
-                outputs=tuple(camera.outputs),
-                undenoised=session.undenoised(camera),
-            )
-            for camera in cameras
-        ]
-        for sample, cameras in enumerate(session.scene.cameras)
-    ]
-    return Opened(session.scene.digest, cameras, session.losses, **session.facts())
+    def run(self, keeper: Keeper) -> Opened:
+        """Reads it, unless it is held."""
+        start = time.perf_counter()
+        session = self.holds.session(keeper)
+        scene, passes = session.scene, self.holds.passes
+        every_but_rgb = passes is None and self.holds.backend in ANNOTATION_NAMES
+
+        def facts(camera: Camera, sample: int) -> CameraFacts:
+            outputs = tuple(camera.outputs)
+            wanted = [n for n in outputs if n != "rgb"] if every_but_rgb else passes
+            made, fires = session.passes(wanted, camera), camera.fires(sample)
+            return CameraFacts(camera.name, made, fires, outputs, session.undenoised(camera))
+
+        return Opened(
+            scene.digest,
+            [[facts(camera, n) for camera in of] for n, of in enumerate(scene.cameras)],
+            [[lidar.name for lidar in of] for of in scene.lidars],
+            session.losses,
+            time.perf_counter() - start,
+            **session.facts()._asdict(),
+        )
 
 
 @dataclass(frozen=True)
 class Made:
-    """What came of a frame.
+    """What came of a frame or a scan.
 
     Attributes:
         busy: Who else is making it, in words; None: it is there.
@@ -170,6 +184,7 @@ class Made:
         seconds: Per step.
         peak_memory_gb: At most, 10^9 bytes; None where the system does not say.
         text: One line about it.
+        sight: What ``picture.brightness`` takes from a frame's sidecar; None of one not made now.
     """
 
     busy: str | None = None
@@ -177,122 +192,167 @@ class Made:
     seconds: dict[str, float] = field(default_factory=dict)
     peak_memory_gb: float | None = None
     text: str = "there already"
+    sight: FrameBrightness | None = None
 
 
 @dataclass(frozen=True)
-class RenderFrame:
-    """Make a frame, unless it is there or another process is making it; returns ``Made``.
+class MakeFile(ABC):
+    """Makes a frame or a scan, unless it is there or another process is making it: ``Made``.
 
     Attributes:
         holds: Its stage.
         what: Its name in messages.
-        stem: Its path without a suffix.
-        camera: Whose frame it is, by name.
-        number: Of the camera.
+        stem: Its path without a suffix, absolute.
+        sensor: The camera or the lidar, by name.
+        number: Of that at this sample.
         sample: Time code.
-        key: What it is made with.
-        seed: Of its noise.
-        choice: Why this backend, for the sidecar (``auto.Choice``), or None.
-        replace: As of ``RenderPlan``.
     """
 
     holds: Opening
     what: str
     stem: Path
-    camera: str
+    sensor: str
     number: int
     sample: int
-    key: FrameKey
-    seed: int
-    choice: Mapping[str, Any] | None = None
-    replace: bool = False
+
+    @abstractmethod
+    def is_done(self) -> bool:
+        """Tells whether it is there, made as asked."""
+
+    def loss(self) -> str | None:
+        """Describes what would go that is not to be replaced; it is not done. None: nothing."""
+        return None
 
     @property
     def claim(self) -> Path:
         """The lock file of who makes it."""
         return self.stem.with_name(f"{LOCK}-{self.stem.name}")
 
+    @abstractmethod
     def run(self, keeper: Keeper) -> Made:
-        """Make it.
+        """Makes it.
 
         Raises:
             BackendError: The renderer failed, or cannot do what is asked.
             StageError: The stage is no more what it was.
             OutputError: A file cannot be written, or is not to be replaced.
         """
-        session = self.holds.session(keeper)
-        if not self.key.backend_version.startswith(session.facts()["version"]):
-            # A process that was replaced has imported it again.
-            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
-        if self.stem.parent not in session.folders:
-            folder = self.stem.parent
+
+    @contextmanager
+    def claimed(self, session: Session) -> Iterator[Made | None]:
+        """Keeps other processes from making it; yields what came of it if there is nothing to do.
+
+        Raises:
+            OutputError: A file cannot be written, or is not to be replaced.
+        """
+        folder = self.stem.parent
+        if folder not in session.folders:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
             # On this machine one may have been killed, of whom nobody else can say so.
             self.clean()
-            session.folders.add(self.stem.parent)
+            session.folders.add(folder)
         try:
-            with Lock(self.claim, what=self.what):
-                # It may have come while nobody looked.
-                if is_done(self.stem, self.key):
-                    return Made()
-                require_replaceable([self])
-                place = self.number, self.sample
-                details = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+            lock = Lock(self.claim, what=self.what)
         except BusyError as error:
-            return Made(busy=str(error))
-        return Made(
-            now=True,
-            seconds=dict(details["seconds"]),
-            peak_memory_gb=details["peak_memory_gb"],
-            text=describe(details),
-        )
+            yield Made(busy=str(error))
+            return
+        with lock:
+            # It may have come while nobody looked.
+            if self.is_done():
+                yield Made()
+            else:
+                require_replaceable([self])
+                yield None
 
     def clean(self) -> None:
-        """Remove what a worker that died left half written."""
+        """Removes what a worker that died left half written."""
         sweep([self.stem.parent])
 
 
-def require_replaceable(frames: Iterable[RenderFrame]) -> None:
+@dataclass(frozen=True)
+class RenderFrame(MakeFile):
+    """Makes a frame.
+
+    Attributes:
+        key: What it is made with.
+        seed: Of its noise.
+        choice: Why this backend, for the sidecar, or None.
+        replace: As of ``RenderPlan``.
+    """
+
+    key: FrameKey
+    seed: int
+    choice: BackendChoice | None = None
+    replace: bool = False
+
+    def is_done(self) -> bool:
+        """Tells whether it is there, or one with more passes."""
+        return is_done(self.stem, self.key)
+
+    def loss(self) -> str | None:
+        """Describes what the frame that is there has of this stage, and this one would not have."""
+        return None if self.replace else would_lose(self.stem, self.key)
+
+    def run(self, keeper: Keeper) -> Made:
+        """Renders and writes it.
+
+        Raises:
+            ScenecError: See ``MakeFile``.
+        """
+        session = self.holds.session(keeper)
+        if not self.key.backend_version.startswith(session.facts().version):
+            # A process that was replaced has imported it again.
+            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
+        with self.claimed(session) as found:
+            if found is not None:
+                return found
+            place = self.number, self.sample
+            record = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+        return Made(
+            now=True,
+            seconds=dict(record.seconds or {}),
+            peak_memory_gb=record.peak_memory_gb,
+            text=describe(record),
+            sight=brief(record),
+        )
+
+
+def require_replaceable(files: Iterable[MakeFile]) -> None:
     """Refuses to replace frames of the same stage by others that lack something of them.
 
     Args:
-        frames: Of one batch.
+        files: Of one batch, none of them done.
 
     Raises:
         OutputError: One of them would be; says which, and what it has.
     """
-    found = [
-        (frame, lost)
-        for frame in frames
-        if not (frame.replace or is_done(frame.stem, frame.key))
-        and (lost := would_lose(frame.stem, frame.key)) is not None
-    ]
+    found = [(file, lost) for file in files if (lost := file.loss()) is not None]
     if found:
-        frame, lost = found[0]
+        file, lost = found[0]
         more = f" (and {len(found) - 1} more like it)" if len(found) > 1 else ""
         raise OutputError(
-            f"{frame.stem.with_suffix('.exr')}{more} is there, {lost}; --replace renders it again "
+            f"{file.stem.with_suffix('.exr')}{more} is there, {lost}; --replace renders it again "
             "as asked now; to keep both, compile into another folder"
         )
 
 
-def describe(details: Mapping[str, Any]) -> str:
+def describe(record: FrameRecord) -> str:
     """One line about a frame: seconds by step, and how far ``rgb`` is from converged."""
-    seconds = details["seconds"]
+    seconds = record.seconds or {}
     parts = [f"{sum(seconds.values()):.2f} s"]
     parts += [f"{step} {value:.2f}" for step, value in seconds.items() if value >= 0.005]
-    if details.get("estimated_error"):
-        error = details["estimated_error"]["relative_rms"]
+    if record.estimated_error is not None:
+        error = record.estimated_error.relative_rms
         parts.append("error unknown" if error is None else f"error {100 * error:.1f} %")
-        before = (details.get("estimated_error_before_denoising") or {}).get("relative_rms")
-        if before is not None:
-            parts[-1] += f" ({100 * before:.1f} % before denoising)"
-    if details.get("rounds"):
-        made = len(details["rounds"]["rounds"])
-        parts.append(f"{details['samples_per_pixel']} samples per pixel in {made} rounds")
-        if details["rounds"]["target_met"] is False:
+        noisy = record.estimated_error_before_denoising
+        if noisy is not None and noisy.relative_rms is not None:
+            parts[-1] += f" ({100 * noisy.relative_rms:.1f} % before denoising)"
+    if record.rounds is not None:
+        made = len(record.rounds.rounds)
+        parts.append(f"{record.samples_per_pixel} samples per pixel in {made} rounds")
+        if record.rounds.target_met is False:
             parts.append("target not met")
     return ", ".join(parts)

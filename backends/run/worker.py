@@ -1,9 +1,9 @@
 """A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE``, two descriptors.
 
 Units come pickled over the pipe, and for each one message goes back: ``(True, what it returned,
-peak)``, or ``(False, the ScenecError it raised, peak)``, with the highest memory of this process
-meanwhile, bytes or None. Any other error ends the process; the parent
-(``scenec.backends.run.supervise``) sees that, looks at the note of what was being read
+peak, notes)``, or ``(False, the ScenecError it raised, peak, notes)``, with the highest memory of
+this process meanwhile, bytes or None, and what the unit said. Any other error ends the process; the
+parent (``scenec.backends.run.supervise``) sees that, looks at the note of what was being read
 (``schemas.native``), and starts another. The process ends when the pipe does: with its parent.
 """
 
@@ -18,10 +18,8 @@ import sys
 import threading
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 from scenec.schemas import native, notice
-from scenec.schemas.units import Keeper, run_unit
 
 
 def main() -> None:
@@ -32,27 +30,29 @@ def main() -> None:
     pipe = Connection(int(sys.argv[1]))
     units: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(units, pipe), daemon=True).start()
+    # Imported here: Ctrl-C already finds a process that ignores it.
+    from scenec.backends.run import memory
+    from scenec.schemas.errors import ScenecError
+    from scenec.schemas.plugins import blaming
+    from scenec.schemas.units import Keeper
+
     native.share(int(sys.argv[2]))
     notice.share(int(sys.argv[2]))
     keeper = Keeper()
     while True:
-        answer = _answer(units.get(), keeper)
+        pickled = units.get()
+        memory.reset_peak()
+        try:
+            unit = pickle.loads(pickled)  # noqa: S301 (from the parent's pipe)
+            with blaming(unit.what):
+                answer = True, unit.run(keeper)
+        except ScenecError as error:
+            answer = False, error
         # A parent that is gone: the listener ends this process.
         with contextlib.suppress(BrokenPipeError):
-            pipe.send(answer)
-
-
-def _answer(pickled: bytes, keeper: Keeper) -> tuple[bool, Any, int | None]:
-    # Imported here: after it, Ctrl-C finds a process that ignores it.
-    from scenec.backends.run import memory
-    from scenec.schemas.errors import ScenecError
-
-    memory.reset_peak()
-    try:
-        value = run_unit(pickle.loads(pickled), keeper)  # noqa: S301 (from the parent's pipe)
-    except ScenecError as error:
-        return False, error, memory.peak()
-    return True, value, memory.peak()
+            pipe.send((*answer, memory.peak(), keeper.notes()))
+        # An error would keep what its frames held.
+        del answer
 
 
 def _listen(units: queue.SimpleQueue[bytes], pipe: Connection) -> None:

@@ -20,6 +20,7 @@ from scenec.backends.stage.scene import Camera, Focus, OpenShutter
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
+from scenec.schemas.affine import mirrored, orthonormal
 from scenec.schemas.depth_camera import DepthCamera, of_numbers
 from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging
@@ -396,11 +397,9 @@ def _shutter(
             f"{names.ATTR_SHUTTER_TIMES}; expected one for each"
         )
     turns = steps[:, :3, :3]
-    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    proper = (np.linalg.det(turns) > 0.0) & (
-        np.abs(steps[..., 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) <= _RIGID
-    )
-    rigid = np.isfinite(steps).all(axis=(1, 2)) & (off <= _RIGID) & proper
+    affine = np.abs(steps[..., 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) <= _RIGID
+    rigid = np.isfinite(steps).all(axis=(1, 2)) & affine
+    rigid &= orthonormal(turns, _RIGID) & ~mirrored(turns)
     rigid |= times == 0.0
     if not rigid.all():
         at = int(np.argmin(rigid))

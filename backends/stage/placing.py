@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom
 from scenec.backends.stage import values
 from scenec.schemas.errors import StageError
 from scenec.schemas.kernels import kernel
+from scenec.schemas.quaternions import rotation_entries_in_kernels
 
 
 def instance_matrices(
@@ -107,15 +108,9 @@ def _set_rotations(quaternions, out):  # type: ignore[no-untyped-def]
         x, y, z, w = 0.0, 0.0, 0.0, 1.0
         if length > 0.0:
             x, y, z, w = q[0] / length, q[1] / length, q[2] / length, q[3] / length
-        out[k, 0, 0] = 1 - 2 * (y * y + z * z)
-        out[k, 0, 1] = 2 * (x * y - z * w)
-        out[k, 0, 2] = 2 * (x * z + y * w)
-        out[k, 1, 0] = 2 * (x * y + z * w)
-        out[k, 1, 1] = 1 - 2 * (x * x + z * z)
-        out[k, 1, 2] = 2 * (y * z - x * w)
-        out[k, 2, 0] = 2 * (x * z - y * w)
-        out[k, 2, 1] = 2 * (y * z + x * w)
-        out[k, 2, 2] = 1 - 2 * (x * x + y * y)
+        entries = rotation_entries_in_kernels(x, y, z, w, 2.0)
+        for n in range(9):
+            out[k, n // 3, n % 3] = entries[n]
 
 
 def _array(

@@ -22,6 +22,7 @@ from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.times import sample_times, time_codes
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
+from scenec.schemas.affine import boxes_around
 from scenec.schemas.errors import StageError
 
 
@@ -157,32 +158,25 @@ def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
     """World bounds at all samples: of the corners of each row's local bounds, a little generous."""
     if not len(rows.mesh):
         return np.zeros((2, 3))
-    low = np.full((len(meshes), 3), 0.0)
-    high = np.full((len(meshes), 3), 0.0)
+    local = np.zeros((len(meshes), 2, 3))
     for index, mesh in enumerate(meshes):
         if len(mesh.points):
-            low[index], high[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    center, half = 0.5 * (low + high), 0.5 * (high - low)
-    boxes = [_world_box(rows.to_world, rows.mesh, center, half)]
+            local[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    boxes = [_world_box(rows.to_world, rows.mesh, local)]
     if rows.motion is not None:
         mesh_of = rows.mesh[rows.motion.rows]
-        boxes += [_world_box(at, mesh_of, center, half) for at in rows.motion.to_world]
+        boxes += [_world_box(at, mesh_of, local) for at in rows.motion.to_world]
     return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
 
 def _world_box(
-    to_world: NDArray[np.float64],
-    mesh: NDArray[np.int32],
-    center: NDArray[np.float64],
-    half: NDArray[np.float64],
+    to_world: NDArray[np.float64], mesh: NDArray[np.int32], local: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     box = np.array([np.full(3, np.inf), np.full(3, -np.inf)])
     # In parts: the products of a million rows at once would be most of what reading takes.
     for start in range(0, len(mesh), 1 << 16):
-        part = slice(start, start + (1 << 16))
-        linear, index = to_world[part, :, :3], mesh[part]
-        middle = (linear * center[index][:, None, :]).sum(axis=2) + to_world[part, :, 3]
-        reach = (np.abs(linear) * half[index][:, None, :]).sum(axis=2)
-        box[0] = np.minimum(box[0], (middle - reach).min(axis=0))
-        box[1] = np.maximum(box[1], (middle + reach).max(axis=0))
+        at, part = to_world[start : start + (1 << 16)], mesh[start : start + (1 << 16)]
+        boxes = boxes_around(at[:, :, :3], local[part], at[:, :, 3])
+        box[0] = np.minimum(box[0], boxes[:, 0].min(axis=0))
+        box[1] = np.maximum(box[1], boxes[:, 1].max(axis=0))
     return box

@@ -10,6 +10,7 @@ from pxr import Gf, Usd
 
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
+from scenec.schemas import affine
 from scenec.schemas.errors import StageError
 
 #: By how much lengths of axes may differ, and their angles be off a right one: rounding of floats.
@@ -105,9 +106,7 @@ def flat(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def mirrored(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tells which matrices [..., 3, 4] are mirrored: right hands become left ones."""
-    x, y, z = np.moveaxis(matrices[..., :3] / _lengths(matrices)[..., None, :], -1, 0)
-    found: NDArray[np.bool_] = (np.cross(x, y) * z).sum(axis=-1) < 0.0
-    return found
+    return affine.mirrored(matrices[..., :3] / _lengths(matrices)[..., None, :])
 
 
 def stretched(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -20,6 +20,7 @@ from scenec.backends.stage.scene import (
     Sun,
     Surface,
 )
+from scenec.schemas.quaternions import rotation_entries
 
 #: Rotation of a dome on a Z-up stage: rotateX 90, pole +Y to world +Z.
 DOME_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -204,13 +205,7 @@ def rotation(rng: np.random.Generator) -> NDArray:
     """A random rotation matrix, uniform over all."""
     q = rng.normal(size=4)
     w, x, y, z = q / np.sqrt((q * q).sum())
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.reshape(rotation_entries(x, y, z, w, 2.0), (3, 3))
 
 
 def icosphere(subdivisions: int) -> tuple[NDArray, NDArray]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.quaternions import rotation_entries
 
 #: Rows of the rotation that turns each upward axis to +z.
 TO_Z_UP: dict[str, tuple[tuple[float, ...], ...]] = {
@@ -47,13 +48,8 @@ def of_quaternion(x: float, y: float, z: float, w: float) -> NDArray[np.float64]
 def rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotations of quaternions (x, y, z, w) of any length but 0, float64 [k, 3, 3]."""
     x, y, z, w = quaternions.T
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    rows = [
-        [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-        [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
-        [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+    entries = rotation_entries(x, y, z, w, 2.0 / (x * x + y * y + z * z + w * w))
+    return np.stack(entries, axis=1).reshape(-1, 3, 3)
 
 
 def turned(rows: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.quaternions import rotation_entries
 
 
 def look_at(
@@ -42,13 +43,9 @@ def from_quaternion(
 ) -> NDArray[np.float64]:
     """Matrix of a pose given as position [3] and quaternion (w, x, y, z) of any length, [4, 4]."""
     w, x, y, z = quaternion
-    s = 2.0 / (w * w + x * x + y * y + z * z)
     matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-        [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
-        [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
-    ]
+    entries = rotation_entries(x, y, z, w, 2.0 / (w * w + x * x + y * y + z * z))
+    matrix[:3, :3] = np.reshape(entries, (3, 3))
     matrix[:3, 3] = position
     return matrix
 

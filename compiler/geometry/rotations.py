@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.kernels import kernel
+from scenec.schemas.quaternions import quaternion_product, rotation_entries_in_kernels
 
 
 def align_to_normals(
@@ -20,17 +21,8 @@ def align_to_normals(
     w = 1.0 + normals[:, 2]
     turn = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(w)), w], axis=1)
     turn /= np.sqrt((turn * turn).sum(axis=1))[:, None]
-    ax, ay, az, aw = turn.T
-    bx, by, bz, bw = orientations.T
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=1,
-    )
+    w, x, y, z = quaternion_product(turn.T[[3, 0, 1, 2]], orientations.T[[3, 0, 1, 2]])
+    return np.stack([x, y, z, w], axis=1)
 
 
 def upright_to(normals: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -57,12 +49,7 @@ def products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float
 def rotation_rows(q: NDArray) -> tuple[float, ...]:
     """The nine entries, row by row, of the rotation of a quaternion (x, y, z, w) of any length."""
     x, y, z, w = q
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    return (
-        1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
-        s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
-        s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y),
-    )  # fmt: skip
+    return rotation_entries_in_kernels(x, y, z, w, 2.0 / (x * x + y * y + z * z + w * w))
 
 
 def turned(orientations: NDArray[np.float16], scales: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.kernels import inlined, kernel
+from scenec.schemas.quaternions import quaternion_product_in_kernels as _times
+from scenec.schemas.quaternions import rotation_entries
 
 LINEAR: Final = 0
 SCREW: Final = 1
@@ -71,28 +73,10 @@ def matrices(
     """Pose matrices, float64 [n, 4, 4], of positions [n, 3] and unit quaternions [n, 4]."""
     w, x, y, z = quaternion.T
     out = np.zeros((len(position_m), 4, 4))
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    for i, row in enumerate(rows):
-        for j, values in enumerate(row):
-            out[:, i, j] = values
+    out[:, :3, :3] = np.stack(rotation_entries(x, y, z, w, 2.0), axis=1).reshape(-1, 3, 3)
     out[:, :3, 3] = position_m
     out[:, 3, 3] = 1.0
     return out
-
-
-@inlined
-def _times(a, b):  # type: ignore[no-untyped-def]
-    """The quaternion product a * b."""
-    return (
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
 
 
 @inlined

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.schemas.errors import SceneError
+from scenec.schemas.picture import luminance as luminance
 
-#: Luminance of linear Rec.709.
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 #: Angle below the horizon over which far ground fades by 1/e into the horizon's haze.
 _HAZE_RAD = 2.0 * elementary.PI / 180.0
 
@@ -81,11 +80,6 @@ def far_ground(picture: NDArray[np.float64], ground: NDArray[np.float64]) -> Non
         below = elementary.PI * ((np.arange(sky_rows, height) + 0.5) / height - 0.5)
         haze = elementary.exp_array(-np.maximum(below, 0.0) / _HAZE_RAD)[:, None]
         picture[sky_rows:] = (haze * horizon + (1.0 - haze) * ground)[:, None, :]
-
-
-def luminance(rgb: NDArray) -> NDArray[np.float64]:
-    """Rec.709 luminance of linear colors [..., 3]."""
-    return LUMINANCE[0] * rgb[..., 0] + LUMINANCE[1] * rgb[..., 1] + LUMINANCE[2] * rgb[..., 2]
 
 
 def read_picture(file: Path) -> NDArray[np.float32]:

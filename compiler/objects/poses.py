@@ -23,6 +23,7 @@ from scenec.compiler.objects.models import (
     draw_models,
     draw_rules,
 )
+from scenec.schemas.quaternions import quaternion_product
 
 if TYPE_CHECKING:
     from scenec.compiler.objects.placed import PlacedPlan
@@ -159,19 +160,5 @@ def quaternion_of(degrees: Sequence[float]) -> NDArray[np.float64]:
         s = elementary.sin(half)
         turn = np.array([elementary.cos(half), 0.0, 0.0, 0.0])
         turn[1 + axis] = s
-        out = multiplied(turn, out)
+        out = np.array(quaternion_product(turn, out))
     return out
-
-
-def multiplied(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The product of two quaternions (w, x, y, z): the turn b, then a, [4]."""
-    w, x, y, z = a
-    v, i, j, k = b
-    return np.array(
-        [
-            w * v - x * i - y * j - z * k,
-            w * i + x * v + y * k - z * j,
-            w * j - x * k + y * v + z * i,
-            w * k + x * j - y * i + z * v,
-        ]
-    )

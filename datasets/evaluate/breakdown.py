@@ -13,6 +13,7 @@ from scenec.datasets.evaluate.evaluation import Cell
 from scenec.datasets.filters import QUANTITIES, quantity
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.errors import OutputError
+from scenec.schemas.records import FrameRecord
 from scenec.schemas.spelling import nearest
 
 
@@ -114,10 +115,9 @@ def parse_bins(texts: Sequence[str]) -> dict[str, Attribute]:
     return found
 
 
-def sun_elevation(sidecar: Mapping[str, Any]) -> float:
+def sun_elevation(record: FrameRecord) -> float:
     """Degrees; NaN where there is no sun or the sidecar does not say."""
-    sun = sidecar.get("sun")
-    return float(sun["elevation_deg"]) if sun else float("nan")
+    return record.sun.elevation_deg if record.sun else float("nan")
 
 
 def pixel_bins(frame: LoadedFrame, attributes: Attributes) -> dict[str, NDArray[np.int64]]:

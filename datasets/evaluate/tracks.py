@@ -101,14 +101,14 @@ def track_of(source: Source) -> Track:
     sidecars = [read_sidecar(ref.stem.with_suffix(".json")) for ref in found[0]]
     times = np.array(
         [
-            float(ref.sample if one.get("time_s") is None else one["time_s"])
+            float(ref.sample if one.time_s is None else one.time_s)
             for ref, one in zip(found[0], sidecars, strict=True)
         ]
     )
     if (np.diff(times) <= 0.0).any():
         at = found[0][int(np.argmax(np.diff(times) <= 0.0)) + 1]
         raise OutputError(f"{at.stem}.json: its time is not after that of the frame before")
-    poses = np.array([one["camera_to_world"] for one in sidecars], np.float64)
+    poses = np.array([one.camera_to_world for one in sidecars], np.float64)
     sun = np.array([sun_elevation(one) for one in sidecars])
     return Track(source.out, times, poses[:, :3, 3], quaternions(poses[:, :3, :3]), sun)
 

@@ -75,7 +75,7 @@ def place_picture(frame: LoadedFrame, path: Path, how: str) -> bool:
 
 def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, Any]:
     """A frame's line of ``images``: what COCO has, then what else is known of it."""
-    sun = frame.sidecar.get("sun")
+    sun = frame.sidecar.sun
     return {
         "id": number,
         "file_name": file_name,
@@ -85,7 +85,7 @@ def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, An
         "camera": frame.ref.camera,
         "sample": frame.ref.sample,
         "time_s": frame.time_s,
-        **({"sun_elevation_deg": sun["elevation_deg"]} if sun else {}),
+        **({"sun_elevation_deg": sun.elevation_deg} if sun else {}),
         "intrinsics": frame.intrinsics.tolist(),
         **frame.optics,
         "camera_to_world": frame.camera_to_world.tolist(),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format
 from scenec.datasets.pictures import picture
-from scenec.datasets.source import FrameRef, LoadedFrame, sequences, sidecar_values
+from scenec.datasets.source import FrameRef, LoadedFrame, record_of, sequences
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 
@@ -37,8 +37,8 @@ def resolutions(frames: Sequence[FrameRef]) -> Iterator[tuple[FrameRef, tuple[in
 
 
 def _resolution(ref: FrameRef) -> tuple[int, int] | None:
-    sidecar = sidecar_values(ref)
-    return None if sidecar is None else (sidecar["resolution"][0], sidecar["resolution"][1])
+    record = record_of(ref)
+    return None if record is None else record.resolution
 
 
 def whole_option(form: Format, name: str, lowest: int = 0) -> int:

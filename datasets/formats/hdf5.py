@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -40,11 +41,13 @@ from scenec.datasets.formats.encode import (
     resolutions,
     whole_option,
 )
-from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
+from scenec.datasets.source import FrameRef, LoadedFrame, record_of
+from scenec.schemas.codec import UNSET, encode
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import BESIDE, CONVENTIONS, SHUTTER_CONVENTION
 from scenec.schemas.picture import DESCRIPTION
+from scenec.schemas.records import FrameRecord
 from scenec.schemas.versions import optional
 
 if TYPE_CHECKING:
@@ -218,10 +221,10 @@ def _mixed(sized: Sequence[tuple[FrameRef, tuple[int, int]]]) -> set[tuple[int, 
     held: dict[tuple[int, int], dict[str, tuple[Any, ...]]] = {}
     for ref, size in sized:
         cameras = held.setdefault(size, {})
-        sidecar = None if ref.camera in cameras else sidecar_values(ref)
-        if sidecar is not None:
-            of = pictures.taken(sidecar), pictures.kinds(sidecar)
-            cameras[ref.camera] = (*of, *sidecar.get("passes", ()))
+        record = None if ref.camera in cameras else record_of(ref)
+        if record is not None:
+            of = pictures.taken(record), pictures.kinds(record)
+            cameras[ref.camera] = (*of, *record.passes)
     return {size for size, cameras in held.items() if len(set(cameras.values())) > 1}
 
 
@@ -271,12 +274,12 @@ class _File:
             else:
                 dataset[self.count] = array
         if frame.lens is not None:
-            self._lenses[f"{frame.ref.batch_name}/{frame.ref.camera}"] = frame.sidecar["lens"]
+            self._lenses[f"{frame.ref.batch_name}/{frame.ref.camera}"] = encode(frame.sidecar.lens)
         values = {
             "camera_to_world": frame.camera_to_world,
             "intrinsics": frame.intrinsics,
             "time_s": frame.time_s,
-            "exposure_ev": float(frame.sidecar["exposure_ev"]),
+            "exposure_ev": float(frame.sidecar.exposure_ev),
             "batch": frame.ref.batch,
             "sample": frame.ref.sample,
             "camera": frame.ref.camera,
@@ -284,11 +287,10 @@ class _File:
         }
         for column in self._columns:
             column.add([values[column.name]])
-        shutter = dict(frame.sidecar.get("shutter") or {})
-        # Said once, as the column's convention.
-        shutter.pop("convention", None)
-        self._add_block("shutter", shutter)
-        partner = frame.sidecar.get("partner")
+        shutter = frame.sidecar.shutter
+        # The convention is said once, as the column's.
+        self._add_block("shutter", encode(shutter and replace(shutter, convention=UNSET)) or {})
+        partner = frame.sidecar.partner
         self._add_block("stereo", {"partner": partner} if partner else {})
         self._add_block("imaging", pictures.imaging(frame.sidecar))
         if self._table:
@@ -364,10 +366,10 @@ class _File:
         if "instance" in frame.passes:
             self._begin_table(frame)
 
-    def _describe(self, dataset: h5py.Dataset, name: str, sidecar: Mapping[str, Any]) -> None:
+    def _describe(self, dataset: h5py.Dataset, name: str, record: FrameRecord) -> None:
         """Unit and convention of a pass, as attributes."""
         kind = "label" if name.startswith("label.") else name
-        conventions = {**sidecar.get("conventions", {}), **CONVENTIONS, **_TOLD}
+        conventions = {**(record.conventions or {}), **CONVENTIONS, **_TOLD}
         dataset.attrs["convention"] = conventions.get(kind, "")
         if kind in _UNITS:
             dataset.attrs["unit"] = _UNITS[kind]

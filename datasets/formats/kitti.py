@@ -57,6 +57,7 @@ from scenec.datasets.formats.poses import (
 )
 from scenec.datasets.formats.stereo import before_partners, pair_up, partner_of
 from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.codec import UNSET
 from scenec.schemas.correspondence import VISIBLE
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
@@ -239,7 +240,7 @@ class Kitti(Format):
         """Write flow; returns whether any of it leads to the following sample."""
         values = _pass(frame, "flow")
         known = bool(np.isfinite(values).all(axis=2).any())
-        every = int((frame.sidecar.get("trigger") or (1, 0))[0])
+        every = frame.sidecar.firing[0]
         leads = following == frame.ref.sample + every
         if known and not leads:
             _count(written.left_out, _ASTRAY, 1)
@@ -263,8 +264,8 @@ class Kitti(Format):
             if not side:
                 _count(written.left_out, "left pictures of pairs without the pass disparity", 1)
             return
-        partner = frame.sidecar.get("partner", other)
-        if partner != other:
+        partner = frame.sidecar.partner
+        if partner is not UNSET and partner != other:
             raise OutputError(
                 f"{frame.ref.name}: its disparity goes to {partner or 'a camera without frames'}, "
                 f"and format kitti has it beside {other}; choose one pair with --cameras, or give "
@@ -403,7 +404,7 @@ def _pass(frame: LoadedFrame, name: str) -> NDArray[Any]:
     if name not in frame.passes:
         raise FrameError(
             f"{frame.ref.stem}.exr: has no {name}; render with --passes "
-            f"{','.join([*frame.sidecar['passes'], name])}"
+            f"{','.join([*frame.sidecar.passes, name])}"
         )
     return frame.passes[name]
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.errors import OutputError
+from scenec.schemas.quaternions import rotation_entries
 
 #: Relative poses of cameras on one rig may differ by this much from frame to frame (meters, and
 #: entries of the rotation): they are composed in float64, kilometers from the origin.
@@ -24,13 +25,7 @@ def rotation_matrix(xyzw: NDArray[np.floating]) -> NDArray[np.float64]:
     """The rotation matrix of a quaternion (x, y, z, w) of any length but 0, float64 [3, 3]."""
     q = np.asarray(xyzw, np.float64)
     x, y, z, w = q / np.sqrt((q * q).sum())
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return np.reshape(rotation_entries(x, y, z, w, 2.0), (3, 3))
 
 
 def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:

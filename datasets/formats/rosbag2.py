@@ -57,6 +57,7 @@ from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, W
 from scenec.datasets.formats.poses import distortion, opencv_intrinsics, product
 from scenec.datasets.formats.stereo import baseline, pair_up, partner_of
 from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.frames import BESIDE
@@ -298,7 +299,7 @@ class _Bag:
         """Writes disparity of a pair's left camera, the only one that there is a message for."""
         name = frame.ref.camera
         other, apart = self._pairs.get(name, ("", 0.0))
-        if not apart or frame.lens is not None or frame.sidecar.get("partner", other) != other:
+        if not apart or frame.lens is not None or frame.sidecar.partner not in (UNSET, other):
             what = "of right cameras" if name in self._right else "to no camera of a rectified pair"
             self.left_out[f"pictures of disparity {what}, for which ROS has no message"] += 1
             return

@@ -156,8 +156,8 @@ def _path(kind: str, name: str, number: int) -> str:
 
 def _runs(members: Sequence[FrameRef]) -> Iterator[list[FrameRef]]:
     """Frames of a camera, parted where the next is not the one that flow leads to."""
-    sidecar = one_of_each(members).get(members[0].camera, {})
-    every = int((sidecar.get("trigger") or (1, 0))[0])
+    record = one_of_each(members).get(members[0].camera)
+    every = 1 if record is None else record.firing[0]
     run: list[FrameRef] = []
     for ref in members:
         if run and ref.sample != run[-1].sample + every:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from scenec.datasets.formats.poses import RIGID, relative
-from scenec.datasets.source import FrameRef, sidecar_values
+from scenec.datasets.source import FrameRef, record_of
+from scenec.schemas.codec import UNSET
+from scenec.schemas.records import FrameRecord
 
 
 def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
@@ -42,19 +43,19 @@ def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
 
 def partner_of(frames: Sequence[FrameRef]) -> str | None:
     """Returns the camera that disparity goes to, by the first readable sidecar."""
-    partner = _first_sidecar(frames).get("partner")
-    return partner if isinstance(partner, str) else None
+    record = _first_record(frames)
+    return None if record is None else record.partner or None
 
 
 def before_partners(frames: Sequence[FrameRef]) -> bool:
     """Tells whether a camera's frames have disparity and do not say to which camera."""
-    sidecar = _first_sidecar(frames)
-    return "disparity" in sidecar.get("passes", ()) and "partner" not in sidecar
+    record = _first_record(frames)
+    return record is not None and "disparity" in record.passes and record.partner is UNSET
 
 
-def _first_sidecar(frames: Sequence[FrameRef]) -> dict[str, Any]:
-    """Finds the first sidecar that can be read."""
-    return next((s for s in map(sidecar_values, frames) if s is not None), {})
+def _first_record(frames: Sequence[FrameRef]) -> FrameRecord | None:
+    """Finds the first record that can be read."""
+    return next((one for one in map(record_of, frames) if one is not None), None)
 
 
 def baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
@@ -63,12 +64,12 @@ def baseline(a: Sequence[FrameRef], b: Sequence[FrameRef]) -> float:
     for ref in a:
         if ref.sample not in others:
             continue
-        one, two = sidecar_values(ref), sidecar_values(others[ref.sample])
+        one, two = record_of(ref), record_of(others[ref.sample])
         if one is None or two is None:
             continue
-        if one["resolution"] != two["resolution"] or one["intrinsics"] != two["intrinsics"]:
+        if (one.resolution, one.intrinsics) != (two.resolution, two.intrinsics):
             return 0.0
-        offset = relative(np.array(one["camera_to_world"]), np.array(two["camera_to_world"]))
+        offset = relative(np.array(one.camera_to_world), np.array(two.camera_to_world))
         aligned = np.eye(4)
         aligned[0, 3] = offset[0, 3]
         if np.abs(offset - aligned).max() > RIGID or abs(offset[0, 3]) <= RIGID:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats.contract import Format, Option
 from scenec.datasets.pictures import picture
-from scenec.datasets.source import FrameRef, LoadedFrame, sidecar_values
+from scenec.datasets.source import FrameRef, LoadedFrame, record_of
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
@@ -120,8 +120,10 @@ def stamp_on_disk(form: Format, ref: FrameRef, ticks: int) -> int | None:
     """Reads the time stamp of a frame that is not loaded; None where its sidecar has none."""
     if form.option("times") == "samples":
         return _to_ticks(form, float(ref.sample), ticks)
-    seconds = (sidecar_values(ref) or {}).get("time_s")
-    return _to_ticks(form, seconds, ticks) if isinstance(seconds, int | float) else None
+    record = record_of(ref)
+    if record is None or record.time_s is None:
+        return None
+    return _to_ticks(form, record.time_s, ticks)
 
 
 def _to_ticks(form: Format, seconds: float, ticks: int) -> int:
@@ -161,8 +163,8 @@ def rigs(frames: Sequence[FrameRef]) -> list[tuple[str, str, dict[str, list[Fram
         cameras.setdefault((ref.batch_name, ref.camera), []).append(ref)
     found: dict[tuple[str, str], dict[str, list[FrameRef]]] = {}
     for (batch, camera), refs in cameras.items():
-        sidecar = next((s for s in map(sidecar_values, refs) if s is not None), {})
-        parts = str(sidecar.get("camera_prim") or "").strip("/").split("/")
+        known = (record.camera_prim for record in map(record_of, refs) if record is not None)
+        parts = (next(known, None) or "").strip("/").split("/")
         on_rig = len(parts) >= 3 and parts[-3] == "Rigs"
         found.setdefault((batch, parts[-2] if on_rig else camera), {})[camera] = refs
     return [(batch, rig, members) for (batch, rig), members in found.items()]

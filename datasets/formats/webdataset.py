@@ -215,7 +215,7 @@ class WebDataset(Format):
         for line, ignored in zip(lines, frame.ignored.tolist(), strict=True):
             line["ignored"] = ignored
         imaging = pictures.imaging(frame.sidecar)
-        partner = frame.sidecar.get("partner")
+        partner = frame.sidecar.partner
         return {
             "name": frame.ref.name,
             "batch": frame.ref.batch,
@@ -227,7 +227,7 @@ class WebDataset(Format):
             **frame.optics,
             "camera_to_world": frame.camera_to_world.tolist(),
             **({"partner": partner} if partner else {}),
-            "exposure_ev": float(frame.sidecar["exposure_ev"]),
+            "exposure_ev": float(frame.sidecar.exposure_ev),
             **({"imaging": imaging} if imaging else {}),
             "instances": lines,
         }

@@ -10,9 +10,7 @@ Vertices are split where labels or texture coordinates change. The root node tur
 from __future__ import annotations
 
 import io
-import json
 import math
-import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,13 +20,12 @@ from PIL import Image
 
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.glb import ARRAY, INDICES, GlbBuffer
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.picture import luminance
 from scenec.schemas.quaternions import quaternions
 from scenec.schemas.versions import version_of
 
-_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-_FLOAT, _UINT, _USHORT = 5126, 5125, 5123
-_ARRAY, _INDICES = 34962, 34963
 _REPEAT, _CLAMP = 10497, 33071
 #: Bits of an id that float32 holds.
 _ID_BITS = 24
@@ -62,17 +59,12 @@ def write_gltf(model: Model, path: Path) -> Written:
     """
     file = _File(model)
     file.build()
-    text = json.dumps(file.json, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-len(text) % 4)
-    file.bytes += bytes(-len(file.bytes) % 4)
-    size = 12 + 8 + len(text) + 8 + len(file.bytes)
-    if size >= 1 << 32:
-        raise OutputError(f"{path}: {size / 1e9:.1f} GB; a glTF file holds 4.3 at most")
+    try:
+        chunks = file.buffer.chunks(file.json)
+    except OutputError as error:
+        raise OutputError(f"{path}: {error}") from None
     with atomic(path) as temporary, temporary.open("wb") as out:
-        out.write(struct.pack("<III", _MAGIC, 2, size))
-        out.write(struct.pack("<II", len(text), _JSON) + text)
-        out.write(struct.pack("<II", len(file.bytes), _BINARY))
-        out.write(file.bytes)
+        out.writelines(chunks)
     return Written(model.triangles, model.instances, (*model.losses, *file.losses))
 
 
@@ -82,7 +74,7 @@ class _File:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._levels = sorted(model.label_names)
-        self.bytes = bytearray()
+        self.buffer = GlbBuffer()
         self.losses: list[str] = []
         self.json: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": f"scenec {version_of()}"},
@@ -90,13 +82,13 @@ class _File:
             "scenes": [{"nodes": [0]}],
             "nodes": [],
             "meshes": [],
-            "accessors": [],
-            "bufferViews": [],
+            "accessors": self.buffer.accessors,
+            "bufferViews": self.buffer.views,
             "materials": [],
         }
 
     def build(self) -> None:
-        """Fills ``json`` and ``bytes``."""
+        """Fills ``json`` and ``buffer``."""
         model = self._model
         origin = model.origin.tolist()
         extras: dict[str, Any] = {
@@ -120,7 +112,6 @@ class _File:
         self._cameras()
         extras["losses"] = [*model.losses, *self.losses]
         root["children"] = list(range(1, len(self.json["nodes"])))
-        self.json["buffers"] = [{"byteLength": len(self.bytes) + -len(self.bytes) % 4}]
         self.json = {name: value for name, value in self.json.items() if value != []}
 
     def _uses(self, extension: str) -> None:
@@ -129,38 +120,8 @@ class _File:
             used.append(extension)
             used.sort()
 
-    def _view(self, data: bytes, target: int | None = None) -> int:
-        self.bytes += bytes(-len(self.bytes) % 4)
-        view = {"buffer": 0, "byteOffset": len(self.bytes), "byteLength": len(data)}
-        if target is not None:
-            view["target"] = target
-        self.bytes += data
-        self.json["bufferViews"].append(view)
-        return len(self.json["bufferViews"]) - 1
-
-    def _accessor(
-        self, values: NDArray[Any], target: int | None = None, bounds: bool = False
-    ) -> int:
-        """An accessor of float32 [n] or [n, c], or of indices [n]."""
-        floating = values.dtype.kind == "f"
-        kind = _FLOAT if floating else _USHORT if values.dtype.itemsize == 2 else _UINT
-        stored = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
-        shape = 1 if values.ndim == 1 else values.shape[1]
-        accessor: dict[str, Any] = {
-            "bufferView": self._view(stored.tobytes(), target),
-            "componentType": kind,
-            "count": len(values),
-            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[shape],
-        }
-        if bounds:
-            rows = values.reshape(len(values), -1)
-            accessor["min"] = rows.min(axis=0).tolist()
-            accessor["max"] = rows.max(axis=0).tolist()
-        self.json["accessors"].append(accessor)
-        return len(self.json["accessors"]) - 1
-
     def _floats(self, values: NDArray[Any], target: int | None = None) -> int:
-        return self._accessor(np.asarray(values, np.float32), target)
+        return self.buffer.accessor(np.asarray(values, np.float32), target)
 
     # Looks.
 
@@ -211,7 +172,7 @@ class _File:
         if sampler not in samplers:
             samplers.append(sampler)
         images = self.json.setdefault("images", [])
-        images.append({"name": look.name, "bufferView": self._view(data), "mimeType": kind})
+        images.append({"name": look.name, "bufferView": self.buffer.view(data), "mimeType": kind})
         textures = self.json.setdefault("textures", [])
         textures.append({"sampler": samplers.index(sampler), "source": len(images) - 1})
         return len(textures) - 1
@@ -225,30 +186,32 @@ class _File:
         vertex, corner, faces = split(part, self._levels)
         narrow = np.uint16 if len(vertex) < 65535 else np.uint32
         attributes = {
-            "POSITION": self._accessor(part.points[vertex].astype(np.float32), _ARRAY, bounds=True)
+            "POSITION": self.buffer.accessor(
+                part.points[vertex].astype(np.float32), ARRAY, bounds=True
+            )
         }
         if part.normals is not None:
             normals = part.normals[vertex].astype(np.float64)
             length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
             if (length > 0.0).all():
-                attributes["NORMAL"] = self._floats(normals / length, _ARRAY)
+                attributes["NORMAL"] = self._floats(normals / length, ARRAY)
         if part.uv is not None:
             # glTF's v runs down.
             uv = part.uv.reshape(-1, 2)[corner]
             uv = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
-            attributes["TEXCOORD_0"] = self._floats(uv, _ARRAY)
+            attributes["TEXCOORD_0"] = self._floats(uv, ARRAY)
         if part.colors is not None:
-            attributes["COLOR_0"] = self._floats(np.clip(part.colors[vertex], 0, 1), _ARRAY)
+            attributes["COLOR_0"] = self._floats(np.clip(part.colors[vertex], 0, 1), ARRAY)
         sets = []
         for number, level in enumerate(self._levels):
             if level in part.labels:
                 ids = part.labels[level][corner // 3]
-                attributes[f"_FEATURE_ID_{number}"] = self._floats(ids, _ARRAY)
+                attributes[f"_FEATURE_ID_{number}"] = self._floats(ids, ARRAY)
                 count = int(ids.max()) + 1
                 sets.append({"featureCount": count, "attribute": number, "label": level})
         primitive: dict[str, Any] = {
             "attributes": attributes,
-            "indices": self._accessor(faces.ravel().astype(narrow), _INDICES),
+            "indices": self.buffer.accessor(faces.ravel().astype(narrow), INDICES),
             "material": part.look,
         }
         if sets:
@@ -312,12 +275,12 @@ class _File:
         ):
             self.losses.append("light: suns stand where they are at the first sample")
         lights = []
-        total = sum(float(_LUMINANCE @ irradiance) for _, irradiance in suns)
+        total = sum(float(luminance(irradiance)) for _, irradiance in suns)
         for number, (to_light, irradiance) in enumerate(suns):
             most = float(irradiance.max())
-            own = float(_LUMINANCE @ irradiance)
+            own = float(luminance(irradiance))
             color = irradiance / most if most > 0.0 else np.ones(3)
-            shown = own / total * math.pi / float(_LUMINANCE @ color) if total > 0.0 else 0.0
+            shown = own / total * math.pi / float(luminance(color)) if total > 0.0 else 0.0
             lights.append({"type": "directional", "color": color.tolist(), "intensity": shown})
             self.json["nodes"].append(
                 {
@@ -343,7 +306,7 @@ class _File:
         channels: list[dict[str, Any]] = []
         samplers: list[dict[str, Any]] = []
         moving = any(len(view.poses) > 1 for view in self._model.views)
-        times = self._accessor(self._times(), bounds=True) if moving else -1
+        times = self.buffer.accessor(self._times(), bounds=True) if moving else -1
         for view in self._model.views:
             k = view.intrinsics
             cameras = self.json.setdefault("cameras", [])
@@ -391,9 +354,6 @@ class _File:
             return times
         self.losses.append("cameras: the animation's seconds are numbers of samples")
         return np.arange(len(times), dtype=np.float32)
-
-
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def _unit(value: float) -> float:

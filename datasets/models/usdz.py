@@ -7,8 +7,9 @@ their pictures where they have one. MaterialX and scenec's own description of su
 
 from __future__ import annotations
 
+import os
 import shutil
-import zipfile
+import time
 from collections import defaultdict
 from pathlib import Path
 
@@ -30,8 +31,8 @@ _TEXTURES = "textures"
 _OF_MATERIALS = ("scenec:surface:", "outputs:mtlx:", "config:mtlx:")
 _OF_GROUND = ("primvars:scenec_weight_", "primvars:scenec_variation", "scenec:layers")
 _FAMILY = "labels"
-#: 1980-01-01, 00:00, as archives have it: the same bytes each time.
-_NO_TIME = b"\x00\x00\x21\x00"
+#: The first time that archives know, in the local zone, which they have theirs in.
+_FIRST_TIME = (1980, 1, 1, 0, 0, 0, 0, 0, -1)
 
 
 def write_usdz(model: Model, stage: Path, path: Path) -> Written:
@@ -54,9 +55,11 @@ def write_usdz(model: Model, stage: Path, path: Path) -> Written:
         root = folder / "stage.usdc"
         layer.Export(str(root))
         made = folder / "package.usdz"
+        # Archives have the times of files: the same, for the same bytes each time.
+        for file in (root, *(folder / _TEXTURES).iterdir()):
+            os.utime(file, times=(time.mktime(_FIRST_TIME),) * 2)
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(root)), str(made)):
             raise OutputError(f"{path}: OpenUSD could not make the package")
-        _forget_times(made)
         with atomic(path) as temporary:
             shutil.copyfile(made, temporary)
     # Of what glTF and the page leave out, a stage keeps light, lenses and motion.
@@ -247,18 +250,3 @@ def _take_pictures(layer: Sdf.Layer, folder: Path) -> None:
         return taken[str(file)]
 
     UsdUtils.ModifyAssetPaths(layer, of)
-
-
-def _forget_times(package: Path) -> None:
-    """Takes the times of files out of an archive; their places stay."""
-    with zipfile.ZipFile(package) as archive:
-        members, start = archive.infolist(), archive.start_dir
-    with package.open("r+b") as file:
-        at = start
-        for member in members:
-            for place in (member.header_offset + 10, at + 12):
-                file.seek(place)
-                file.write(_NO_TIME)
-            file.seek(at + 28)
-            sizes = np.frombuffer(file.read(6), "<u2")
-            at += 46 + int(sizes.sum())

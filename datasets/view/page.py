@@ -5,22 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
-from scenec.datasets.source import Source, pictures_first, sidecar_values
+from scenec.datasets.source import Source, pictures_first, record_of
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text
-from scenec.datasets.view.jobs import Fault, Pool, Task
+from scenec.datasets.view.jobs import Fault, Pool, SourceNames, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
 from scenec.datasets.view.space import space_text, three
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
+from scenec.schemas.units import Executor
 from scenec.schemas.versions import version_of
 
 _SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "space",
@@ -75,10 +77,10 @@ def write_view(
     *,
     backends: Sequence[str] | None = None,
     budget_mb: float = 200.0,
-    workers: int = 1,
     faults: str = "skip",
     ground: Callable[[Batch], Ground | None] | None = None,
     watched: str = "",
+    executor: Executor | None = None,
     progress: Callable[[int, int, str], None] = lambda done, total, text: None,
     warn: Callable[[str], None] = lambda line: None,
 ) -> ViewReport:
@@ -89,10 +91,10 @@ def write_view(
         output: The page.
         backends: Whose frames; None takes those of all.
         budget_mb: Size of the page at most, in 10^6 bytes; frames are stored as finely as fits.
-        workers: Processes.
         faults: ``skip`` names frames that cannot be read and goes on, ``stop`` stops at the first.
         ground: The ground of a batch from above, called in the processes; None where there is none.
         watched: State that the page loads itself again after (``watching``); "": it never does.
+        executor: Who works; None: this process.
         progress: Called with done, total, and what was done.
         warn: Called with a line a fault.
 
@@ -102,7 +104,8 @@ def write_view(
         OutputError: The page cannot be written, or not within its budget.
     """
     check_output(output)
-    sources = _sources(out, backends)
+    names = _names(out, backends)
+    sources = names.open()
     tasks = [
         Task(index, ref, Fineness())
         for index, source in enumerate(sources)
@@ -110,22 +113,28 @@ def write_view(
     ]
     tasks.sort(key=lambda t: (t.ref.batch, t.ref.camera, t.ref.sample, t.ref.backend))
     budget = round(budget_mb * 1e6)
-    with Pool(sources, min(workers, len(tasks))) as pool:
-        longest, raw = _sizes(sources)
-        ladder = fit(pool, tasks, longest, raw, budget)
-        for fineness in ladder:
-            book = _Book(out, sources, tasks, fineness, budget, faults, watched, progress, warn)
-            try:
-                with atomic(output) as temporary, temporary.open("wb") as file:
-                    book.write(file, pool, ground)
-            except _OverBudgetError:
-                continue
-            book.report.path = output
-            return book.report
+    pool = Pool(names, executor)
+    longest, raw = _sizes(sources)
+    ladder = fit(pool, tasks, longest, raw, budget)
+    for fineness in ladder:
+        book = _Book(out, sources, tasks, fineness, budget, faults, watched, progress, warn)
+        try:
+            with atomic(output) as temporary, temporary.open("wb") as file:
+                book.write(file, pool, ground)
+        except _OverBudgetError:
+            continue
+        book.report.path = output
+        return book.report
     raise too_small(budget, 1.5 * budget)
 
 
-def _sources(out: Path, backends: Sequence[str] | None) -> list[Source]:
+def _ground(
+    ground: Callable[[Batch], Ground | None], _sources: Sequence[Source], batch: Batch
+) -> Ground | None:
+    return ground(batch)
+
+
+def _names(out: Path, backends: Sequence[str] | None) -> SourceNames:
     names = {
         path.name
         for batch in find_batches(out)
@@ -136,7 +145,7 @@ def _sources(out: Path, backends: Sequence[str] | None) -> list[Source]:
     there = pictures_first(names)
     # Without any, the source says what to do.
     chosen: Sequence[str | None] = backends or there or [None]
-    return [Source(out, backend) for backend in chosen]
+    return SourceNames(out, tuple(chosen))
 
 
 def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
@@ -144,12 +153,12 @@ def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
     longest, most = 1, 1
     for source in sources:
         for ref in {r.camera: r for r in source.frames}.values():
-            sidecar = sidecar_values(ref)
-            if sidecar is None:
+            record = record_of(ref)
+            if record is None:
                 # A damaged frame is named when it is its turn.
                 continue
-            width, height = sidecar["resolution"]
-            layers = 3 + sum(_PLANES.get(name, 1) for name in sidecar["passes"])
+            width, height = record.resolution
+            layers = 3 + sum(_PLANES.get(name, 1) for name in record.passes)
             longest = max(longest, width, height)
             most = max(most, width * height * (2 * layers + 2) + 40_000)
     return longest, most
@@ -271,7 +280,9 @@ class _Book:
         if ground is None:
             return
         side = int(min(_MOST_CELLS, max(_LEAST_CELLS, (room / _CELL_BYTES) ** 0.5)))
-        for place, found in enumerate(pool.over(ground, chosen)):
+        for place, found in enumerate(
+            pool.over(partial(_ground, ground), chosen, lambda batch: batch.name)
+        ):
             if found is not None:
                 self._element(file, f"g{place}", ground_text(found, side))
                 if found.model is not None:

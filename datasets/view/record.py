@@ -17,6 +17,7 @@ from scenec.datasets.motion_colors import UNITS, lengths
 from scenec.datasets.source import LoadedFrame
 from scenec.datasets.view.layers import Fineness, Layer, depth_error
 from scenec.datasets.view.storing import store_frame
+from scenec.schemas.records import FrameRecord
 
 #: Edges of the histograms' bins: bin k is from edge k - 1 to edge k. Bin 0 of ``hidden`` is exactly
 #: 0, its last one exactly 1.
@@ -112,7 +113,7 @@ def record(frame: LoadedFrame, fineness: Fineness) -> Record:
     told = _table(frame.table, shown)
     if told:
         layers.append(Layer({"name": "table", "code": "json"}, zlib.compress(plain_json(told), 9)))
-    intrinsics, pose = frame.intrinsics, frame.camera_to_world
+    intrinsics, pose, shutter = frame.intrinsics, frame.camera_to_world, frame.sidecar.shutter
     facts = {
         "size": [frame.width, frame.height],
         "stored": list(size),
@@ -120,16 +121,16 @@ def record(frame: LoadedFrame, fineness: Fineness) -> Record:
         "pose": [short(v, 14) for v in pose[:3].ravel().tolist()],
         **({} if frame.lens is None else {"lens": frame.lens.model}),
         # Its rows have poses of their own.
-        **({"rolls": True} if (frame.sidecar.get("shutter") or {}).get("readout_s") else {}),
+        **({"rolls": True} if shutter is not None and shutter.readout_s else {}),
         "layers": [layer.facts for layer in layers],
-        "facts": {k: frame.sidecar[k] for k in _FACTS if frame.sidecar.get(k) is not None},
+        "facts": {k: v for k in _FACTS if (v := getattr(frame.sidecar, k)) is not None},
     }
     text = b"\n".join([plain_json(facts), *(layer.text() for layer in layers)])
     errors = [depth_error(layer.facts) for layer in layers if layer.facts["code"] == "steps"]
     tally = _measure(frame)
     index = {
-        "seconds": _numbers(frame.sidecar.get("seconds")),
-        "error": short((frame.sidecar.get("estimated_error") or {}).get("relative_rms"), 4),
+        "seconds": {k: short(v, 4) for k, v in (frame.sidecar.seconds or {}).items()},
+        "error": short(frame.sidecar.error.relative_rms, 4),
         "eye": [short(v, 9) for v in pose[:3, 3].tolist()],
         "ahead": [short(v, 4) for v in pose[:3, 2].tolist()],
         "half": short(_half(frame), 4),
@@ -152,10 +153,6 @@ def short(value: object, digits: int) -> float | int | None:
         return value
     rounded = float(f"{value:.{digits}g}")
     return int(rounded) if rounded.is_integer() and abs(rounded) < 2**53 else rounded
-
-
-def _numbers(values: object) -> dict[str, Any]:
-    return {str(k): short(v, 4) for k, v in values.items()} if isinstance(values, dict) else {}
 
 
 def plain_json(value: object) -> bytes:
@@ -210,9 +207,8 @@ def _counter(counts: bins.Counts) -> Counter[int]:
     return Counter({int(number): count for number, count in counts.items()})
 
 
-def _sun(sidecar: dict[str, Any]) -> list[Any] | None:
+def _sun(record: FrameRecord) -> list[float | int | None] | None:
     """Elevation and bearing of the brightest sun, degrees; None where the sidecar has none."""
-    sun = sidecar.get("sun")
-    if not isinstance(sun, dict):
+    if not record.sun:
         return None
-    return [short(sun.get("elevation_deg"), 4), short(sun.get("azimuth_deg"), 4)]
+    return [short(record.sun.elevation_deg, 4), short(record.sun.azimuth_deg, 4)]

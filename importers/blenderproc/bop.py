@@ -13,6 +13,7 @@ from scenec.importers.blenderproc.scene import Kind, Object, Scene, model_folder
 from scenec.importers.output import Imported
 from scenec.importers.report import APPROXIMATED, TRANSLATED
 from scenec.importers.source import Item, Source, check
+from scenec.schemas.affine import mirrored, orthonormal
 from scenec.schemas.spelling import shown
 
 #: Meters per unit.
@@ -82,7 +83,7 @@ def _rigid(turn: Item, place: Item) -> NDArray[np.float64]:
     """A rotation by row and a place in millimeters, as a matrix in meters."""
     matrix = np.eye(4)
     rotation = np.array(turn.numbers(9)).reshape(3, 3)
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+    if not orthonormal(rotation, 1e-3) or mirrored(rotation):
         turn.fault(f"{shown(turn.value)}: expected a rotation matrix, by row")
         return matrix
     matrix[:3, :3] = rotation

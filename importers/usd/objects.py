@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Motion, RenderScene
+from scenec.importers.poses import similar
 from scenec.importers.usd.scene import Scene
 
 #: By how much of themselves matrices may differ that count as equal.
@@ -16,8 +17,6 @@ _SAME = 1e-7
 #: Scale of an object at samples where it is hidden.
 HIDDEN = 1e-9
 #: Scales beyond these are of the model.
-_SCALES = (1e-6, 1e6)
-_MIRROR = np.diag((-1.0, 1.0, 1.0))
 
 type Matrices = NDArray[np.float64]
 
@@ -134,23 +133,6 @@ def _thing(scene: Scene, number: int, rows: Sequence[int], notes: tuple[str, ...
         tuple(zip(meshes, even, strict=True)),
         notes,
     )
-
-
-def similar(linear: Matrices) -> tuple[Matrices, NDArray[np.float64]]:
-    """Returns the rotations nearest to matrices [n, 3, 3], and even scales; the rest is stretch.
-
-    Of one that mirrors, x is what the turn takes for mirrored.
-    """
-    u, sizes, v = np.linalg.svd(linear)
-    mirrors = np.linalg.det(u @ v) < 0.0
-    flat = sizes[:, 2] <= 1e-9 * sizes[:, 0]
-    # A flat one has no side: the axis across it may point either way.
-    u[flat & mirrors, :, 2] *= -1.0
-    turns = u @ v
-    turns[~flat & mirrors] = turns[~flat & mirrors] @ _MIRROR
-    with np.errstate(all="ignore"):
-        scales = np.where(flat, sizes[:, 0], np.cbrt(sizes.prod(axis=1)))
-    return turns, np.clip(scales, *_SCALES)
 
 
 def key_of(content: Sequence[tuple[int, Matrices]]) -> bytes:

@@ -1,4 +1,4 @@
-"""What levels of detail of plants change in frames of Mitsuba, and what they save.
+"""Measures what levels of detail of plants change in frames of Mitsuba, and save.
 
     python lab/benchmarks/foliage.py [--models A,B] [--spp 32] [--fast]
 
@@ -22,7 +22,7 @@ from scenec.backends.run.render import render
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import Cell, Study, run
 from scenec.schemas.frames import read_frame
-from scenec.schemas.picture import LUMINANCE
+from scenec.schemas.picture import luminance
 
 MODELS = ("oak", "birch_old", "spruce_old", "pine_old", "grass_tall", "fern")
 RUNGS = (0.5, 1.0, 2.0, 4.0)
@@ -65,7 +65,7 @@ def _averaged(picture: NDArray[Any]) -> NDArray[np.float64]:
 def _seen(
     study: Study, name: str, lod_px: float, seed: int
 ) -> tuple[tuple[NDArray[Any], NDArray[np.float64]], int]:
-    """Where plants are, the luminance of each pixel, and how many triangles there are."""
+    """Renders plants: where they are, the luminance of each pixel, the number of triangles."""
     size = 9.0 if name.startswith(SMALL) else 55.0
     plants = {
         "type": "meshes",
@@ -84,7 +84,7 @@ def _seen(
     drawn = render(batch.parent, "mitsuba", spp=spp, noise_seed=seed, replace=True)
     passes = read_frame(drawn.frames[0]).passes
     report = json.loads((batch / "report.json").read_text(encoding="utf-8"))
-    light = (passes["rgb"].astype(np.float64) * LUMINANCE).sum(axis=-1)
+    light = luminance(passes["rgb"].astype(np.float64))
     return (passes["label.class"] == 3, light), int(report["objects"]["plants"]["triangles"])
 
 

@@ -102,8 +102,7 @@ def rendered(out: Path, backend: str, spp: int, first: bool) -> dict[str, Any]:
     found = dict.fromkeys(PHASES[1:], 0.0)
     for step, seconds in report.seconds.items():
         found[step if step in STEPS else "annotation"] += seconds
-    sidecars = [read_frame(stem).sidecar for stem in report.frames]
-    errors = [(one.get("estimated_error") or {}).get("relative_rms") for one in sidecars]
+    errors = [read_frame(stem).sidecar.error.relative_rms for stem in report.frames]
     total, peak = _spent()
     found["start"] = total - sum(found.values())
     return {"phases": found, "total": total, "peak": peak, "errors": errors}

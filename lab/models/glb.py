@@ -6,25 +6,23 @@ Models are made with z up and written with y up, as the format asks: (x, y, z) b
 from __future__ import annotations
 
 import io
-import json
-import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from scenec.schemas.glb import ARRAY, INDICES, GlbBuffer, decode_glb
+from scenec.schemas.quaternions import rotation_entries
+
 #: Decimals that coordinates are rounded to, so that the last bit of a sine reaches no byte.
 _DECIMALS = {"POSITION": 5, "TEXCOORD_0": 4, "TRANSLATION": 4, "SCALE": 3}
-_FLOAT, _USHORT, _SHORT, _BYTE = 5126, 5123, 5122, 5120
-_STORED = {_FLOAT: "<f4", _USHORT: "<u2", _SHORT: "<i2", _BYTE: "i1"}
 _BYTES, _SPECULAR = "KHR_mesh_quantization", "KHR_materials_specular"
 _THROUGH = "KHR_materials_diffuse_transmission"
 _COPIES = "EXT_mesh_gpu_instancing"
 #: Whose materials are smoother than this mirrors: coarse normals would show in it.
 _MIRROR = 0.1
-_ARRAY, _ELEMENTS = 34962, 34963
 #: Attributes of instances, not of vertices.
 _PLACES = ("TRANSLATION", "SCALE")
 #: By how much values of two machines may differ: integers that stand for normals.
@@ -86,13 +84,8 @@ class Places(NamedTuple):
 
     def applied(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of one copy as those of all, float64 [k, n, 3]."""
-        x, y, z, w = self.turns.T
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        turned = np.einsum("ijk,nj->kni", np.array(rows), points)
+        rows = np.reshape(rotation_entries(*self.turns.T, 2.0), (3, 3, -1))
+        turned = np.einsum("ijk,nj->kni", rows, points)
         return turned * self.sizes[:, None, None] + self.positions[:, None]
 
 
@@ -150,68 +143,37 @@ def triangles(model: Model) -> int:
     )
 
 
-@dataclass
-class _Buffer:
-    data: bytearray = field(default_factory=bytearray)
-    views: list[dict[str, Any]] = field(default_factory=list)
-    accessors: list[dict[str, Any]] = field(default_factory=list)
-
-    def view(self, data: bytes, target: int | None) -> int:
-        self.data.extend(b"\0" * (-len(self.data) % 4))
-        entry = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
-        if target is not None:
-            entry["target"] = target
-        self.data.extend(data)
-        self.views.append(entry)
-        return len(self.views) - 1
-
-    def accessor(
-        self, view: int, component: int, count: int, kind: str, normalized: bool = False
-    ) -> int:
-        entry: dict[str, Any] = {"bufferView": view, "componentType": component}
-        entry |= {"normalized": True} if normalized else {}
-        self.accessors.append(entry | {"count": count, "type": kind})
-        return len(self.accessors) - 1
+class _Buffer(GlbBuffer):
+    """Values as these files have them: rounded, and small."""
 
     def floats(self, name: str, values: NDArray[np.float64]) -> int:
         # Adding zero turns -0 into 0.
         rows = (np.round(values, _DECIMALS[name]) + 0.0).astype("<f4")
-        kind = {2: "VEC2", 3: "VEC3"}[rows.shape[1]]
-        view = self.view(rows.tobytes(), None if name in _PLACES else _ARRAY)
-        place = self.accessor(view, _FLOAT, len(rows), kind)
-        if name == "POSITION":
-            self.accessors[place]["min"] = [float(v) for v in rows.min(axis=0)]
-            self.accessors[place]["max"] = [float(v) for v in rows.max(axis=0)]
-        return place
+        return self.accessor(rows, None if name in _PLACES else ARRAY, bounds=name == "POSITION")
 
     def directions(self, normals: NDArray[np.float64], fine: bool) -> int:
         """Normals as signed integers (KHR_mesh_quantization).
 
         Of eight bits, to a quarter of a degree or so; ``fine`` ones, for mirrors, of sixteen.
         """
-        kind, most, stored = (_SHORT, 32767.0, "<i2") if fine else (_BYTE, 127.0, "i1")
-        rows = np.zeros((len(normals), 4), stored)
-        rows[:, :3] = np.round(most * normals)
-        view = self.view(rows.tobytes(), _ARRAY)
-        # Each vertex begins at a multiple of four bytes.
-        self.views[view]["byteStride"] = 4 * rows.itemsize
-        return self.accessor(view, kind, len(rows), "VEC3", normalized=True)
+        most, stored = (32767.0, "<i2") if fine else (127.0, "i1")
+        return self.accessor(np.round(most * normals).astype(stored), ARRAY, normalized=True)
 
     def places(self, places: Places) -> dict[str, int]:
         """The attributes of instances: turns of 16 bits, as the extension allows."""
         x, y, z, w = places.turns.T
         turns = np.round(32767.0 * np.stack([x, z, -y, w], axis=1)).astype("<i2")
-        view = self.view(turns.tobytes(), None)
-        moved = self.floats("TRANSLATION", _y_up(places.positions))
-        turned = self.accessor(view, _SHORT, len(turns), "VEC4", normalized=True)
-        sizes = self.floats("SCALE", np.repeat(places.sizes[:, None], 3, axis=1))
-        return {"TRANSLATION": moved, "ROTATION": turned, "SCALE": sizes}
+        stored = self.view(turns.tobytes())
+        return {
+            "TRANSLATION": self.floats("TRANSLATION", _y_up(places.positions)),
+            "ROTATION": self.accessor(turns, normalized=True, view=stored),
+            "SCALE": self.floats("SCALE", np.repeat(places.sizes[:, None], 3, axis=1)),
+        }
 
     def indices(self, faces: NDArray[np.int64], points: int) -> int:
         if points > 65535:
             raise ValueError(f"{points} points in one part: 16-bit indices reach 65535")
-        view = self.view(faces.astype("<u2").tobytes(), _ELEMENTS)
-        return self.accessor(view, _USHORT, faces.size, "SCALAR")
+        return self.accessor(faces.ravel().astype("<u2"), INDICES)
 
 
 def encode(model: Model, card: Card) -> bytes:
@@ -274,7 +236,7 @@ def encode(model: Model, card: Card) -> bytes:
         if look.picture is not None:
             if look.picture not in pictures:
                 pictures.append(look.picture)
-                view = buffer.view(look.picture, None)
+                view = buffer.view(look.picture)
                 image = {"bufferView": view, "mimeType": "image/png", "name": name}
                 document.setdefault("images", []).append(image)
                 document.setdefault("textures", []).append({"source": len(pictures) - 1})
@@ -292,36 +254,14 @@ def encode(model: Model, card: Card) -> bytes:
             material["extensions"] = more
             document["extensionsUsed"] += [n for n in more if n not in document["extensionsUsed"]]
         document["materials"].append(material)
-    document["accessors"] = buffer.accessors
-    document["bufferViews"] = buffer.views
-    binary = bytes(buffer.data) + b"\0" * (-len(buffer.data) % 4)
-    document["buffers"] = [{"byteLength": len(binary)}]
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    length = 28 + len(text) + len(binary)
-    return b"".join(
-        (
-            struct.pack("<4sII", b"glTF", 2, length), struct.pack("<I4s", len(text), b"JSON"),
-            text, struct.pack("<I4s", len(binary), b"BIN\0"), binary,
-        )
-    )  # fmt: skip
+    return b"".join(buffer.chunks(document))
 
 
 def decode(data: bytes) -> tuple[dict[str, Any], list[NDArray[Any]], list[NDArray[np.uint8]]]:
     """Of a file that ``encode`` made: its JSON, its accessors' values, its pictures."""
-    size = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + size])
-    binary = data[28 + size :]
-    pieces = [
-        binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-        for view in document["bufferViews"]
-    ]
-    values: list[NDArray[Any]] = [
-        np.frombuffer(pieces[a["bufferView"]], _STORED[a["componentType"]]).reshape(a["count"], -1)
-        for a in document["accessors"]
-    ]
+    document, views, values = decode_glb(data)
     pictures = [
-        np.asarray(Image.open(io.BytesIO(pieces[image["bufferView"]])))
+        np.asarray(Image.open(io.BytesIO(views[image["bufferView"]])))
         for image in document.get("images", [])
     ]
     return document, values, pictures

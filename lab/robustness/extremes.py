@@ -185,9 +185,9 @@ def lit(
     spp: int = 16,
 ) -> Found:
     """Mean radiance of a level plane against a closed form, relative; absolute where that is 0."""
-    from scenec.backends.run.executors import Here
     from scenec.backends.run.render import render
     from scenec.schemas.frames import read_frame
+    from scenec.schemas.units import LocalExecutor
 
     cfg = _cfg(folder, (0.0, 0.0, 20.0), sensor)
     cfg["terrain"]["relief"][0]["slope"] = [0, 0]
@@ -196,7 +196,7 @@ def lit(
     cfg["terrain"]["ground"][0]["labels"] = {"class": "ground"}
     cfg["materials"] = {"sand": {"specular": 0} | material}
     batch = _compiled(folder, cfg)
-    report = render(batch.parent, "mitsuba", passes=("rgb",), spp=spp, executor=Here())
+    report = render(batch.parent, "mitsuba", passes=("rgb",), spp=spp, executor=LocalExecutor())
     rgb = read_frame(report.frames[0]).passes["rgb"]
     assert all(np.isfinite(row).all() for row in rgb)
     # Row by row: a sum of 800 million numbers in float32, or a copy in float64, is none.

@@ -381,17 +381,17 @@ def _outputs() -> dict[str, Kind]:
 
 def _seen(folder: Path) -> None:
     """An output with a frame's table of instances and a scan."""
-    from scenec.backends.run.executors import Here
     from scenec.backends.run.render import render
     from scenec.backends.run.scan import scan_output
     from scenec.compiler.compile import compile_cfg
+    from scenec.schemas.units import LocalExecutor
 
     cfg = _tiny_cfg() | {"samples": 1}
     beams = {"beams": 3, "elevation_deg": [-20, 0], "azimuths": 8}
     cfg["rigs"]["rover"]["lidars"] = {"top": beams}
     out = compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out").out
-    render(out, "annotation", passes=("instance",), executor=Here())
-    scan_output(out, executor=Here())
+    render(out, "annotation", passes=("instance",), executor=LocalExecutor())
+    scan_output(out, executor=LocalExecutor())
 
 
 def _compiled(folder: Path) -> dict[str, str]:

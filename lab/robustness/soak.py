@@ -110,13 +110,18 @@ def _cfg(folder: Path, samples: int, seed: int = 0) -> Path:
 
 def frames(backend: str, out: Path, count: int) -> Count:
     """Renders all frames of an output."""
-    from scenec.backends.run.executors import Here
     from scenec.backends.run.render import render
+    from scenec.schemas.units import LocalExecutor
 
     passes = PASSES if backend == "annotation" else ("rgb", *PASSES)
     return _counted(
         lambda progress: render(
-            out, backend, passes=passes, spp=RENDERERS[backend], executor=Here(), progress=progress
+            out,
+            backend,
+            passes=passes,
+            spp=RENDERERS[backend],
+            executor=LocalExecutor(),
+            progress=progress,
         ),
         count,
     )
@@ -124,10 +129,11 @@ def frames(backend: str, out: Path, count: int) -> Count:
 
 def scans(out: Path, count: int) -> Count:
     """Scans all samples of an output."""
-    from scenec.backends.run.executors import Here
     from scenec.backends.run.scan import scan_output
+    from scenec.schemas.units import LocalExecutor
 
-    return _counted(lambda progress: scan_output(out, executor=Here(), progress=progress), count)
+    here = LocalExecutor()
+    return _counted(lambda progress: scan_output(out, executor=here, progress=progress), count)
 
 
 def _counted(work: Callable[[Callable[..., None]], Any], count: int) -> Count:

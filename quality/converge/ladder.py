@@ -13,7 +13,7 @@ from scenec.backends.picture.adaptive import MOST_SPP
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import frames_of, opening_of
 from scenec.backends.run.plan import RenderPlan
-from scenec.backends.run.units import Opened, RenderFrame, open_stage
+from scenec.backends.run.units import Opened, OpenStage, RenderFrame
 from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch
@@ -170,7 +170,7 @@ class _Climb:
         )
         start = time.perf_counter()
         # Opened with every pass that is asked for later; requests name those of each frame.
-        self._opened: Opened = self._ask(open_stage(opening_of(batch, self._wanted)))
+        self._opened: Opened = self._ask(OpenStage(opening_of(batch, self._wanted)))
         self._opening_s = time.perf_counter() - start
         self._warm = False
 
@@ -179,8 +179,7 @@ class _Climb:
         first = self._render(
             "reference/first", spp=ladder.reference, seed=_REFERENCE_SEED, all_=True
         )
-        sidecars = [shown.read().sidecar for shown in first]
-        estimates = [sidecar["estimated_error"]["relative_rms"] for sidecar in sidecars]
+        estimates = [shown.read().sidecar.error.relative_rms for shown in first]
         stochastic = any(value is not None for value in estimates)
         references: tuple[list[Shown], ...] = (first,)
         rungs: list[tuple[Rung, bool, list[list[Shown]]]] = []
@@ -249,15 +248,17 @@ class _Climb:
             self._say(f"{self._batch.name}: {self._wanted.backend} {name}, {len(todo)} frames")
         if todo and not self._warm:
             self._warm_up()
-        for frame in todo:
-            self._ask(replace(frame, what=f"{plan.backend} {name} {frame.what}"))
+        self._ask(*(replace(frame, what=f"{plan.backend} {name} {frame.what}") for frame in todo))
         return [Shown(frame.stem, frame.what) for frame in frames]
 
-    def _ask(self, unit: Unit) -> Any:
-        ((_, outcome),) = run_all(self._executor, [unit])
-        for line in outcome.warnings:
-            self._say(line)
-        return outcome.result()
+    def _ask(self, *units: Unit) -> Any:
+        """Runs units; returns what the last one returns."""
+        value = None
+        for _, outcome in run_all(self._executor, units):
+            for line in outcome.warnings:
+                self._say(line)
+            value = outcome.result()
+        return value
 
     def _frames(self, plan: RenderPlan, folder: Path, all_: bool) -> list[RenderFrame]:
         batch = replace(self._batch, folder=folder)

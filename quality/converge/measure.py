@@ -127,7 +127,8 @@ def _row(
     key = (against, shown.place)
     found: Errors = errors(frame.passes["rgb"][seen.masks[shown.place]], seen.references[key])
     map_ = flip(seen.frames[key], frame)
-    seconds = frame.sidecar["seconds"]
+    record = frame.sidecar
+    seconds = record.seconds or {}
     return Row(
         batch,
         shown.place,
@@ -136,7 +137,7 @@ def _row(
         against,
         rung.name if one.stochastic else "only",
         repeat,
-        int(frame.sidecar["samples_per_pixel"]),
+        record.samples_per_pixel or 0,
         float(seconds["radiance"]) + float(seconds.get("haze", 0.0)),
         found.relative_ms,
         found.relative_mse,
@@ -144,8 +145,8 @@ def _row(
         found.bias,
         None if map_ is None else float(map_.mean()),
         seen.references[key].level_error / max(seen.references[key].level, 1e-30),
-        frame.sidecar["estimated_error"]["relative_rms"],
-        frame.sidecar["estimated_error"]["relative_rms_bound_95"],
+        record.error.relative_rms,
+        record.error.relative_rms_bound_95,
     )
 
 
@@ -197,7 +198,7 @@ NOT_ANNOTATION = ("load", "radiance", "haze", "compose", "write")
 
 def annotation_seconds(one: Climbed) -> float:
     """Seconds of a frame's annotation: median over a backend's first references."""
-    seconds = [shown.read().sidecar["seconds"] for shown in one.references[0]]
+    seconds = [shown.read().sidecar.seconds or {} for shown in one.references[0]]
     return float(
         np.median([sum(v for k, v in each.items() if k not in NOT_ANNOTATION) for each in seconds])
     )
@@ -205,5 +206,5 @@ def annotation_seconds(one: Climbed) -> float:
 
 def pixels(one: Climbed) -> float:
     """Pixels of a picture, the mean over a backend's references."""
-    sizes = [shown.read().sidecar["resolution"] for shown in one.references[0]]
+    sizes = [shown.read().sidecar.resolution for shown in one.references[0]]
     return float(np.mean([width * height for width, height in sizes]))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.views.needed import Keep
@@ -16,8 +15,9 @@ from scenec.quality.ladder.sky import sky
 from scenec.quality.ladder.smoothing import smoothing
 from scenec.quality.ladder.tessellation import tessellation
 from scenec.quality.ladder.textures import textures
+from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import CfgError, OutputError, ScenecError
-from scenec.schemas.manifest import CFG, MANIFEST, find_batches, read_manifest
+from scenec.schemas.manifest import CFG, MANIFEST, CfgEntry, find_batches, read_manifest
 from scenec.schemas.spelling import closest, shown
 
 #: Fewest and most rungs of a ladder.
@@ -66,13 +66,13 @@ def climb(
     out = Path(out)
     manifest = read_manifest(out)
     index = find_batches(out, None if batch is None else [batch])[0].index
-    said = manifest.get("cfg", {})
-    if "sha256" not in said or "seed" not in manifest:
+    said = manifest.cfg or CfgEntry()
+    if said.sha256 is UNSET or manifest.seed is UNSET:
         raise OutputError(f"{out / MANIFEST}: does not say what it was compiled from")
     spec = _load(out, said, None if cfg is None else Path(cfg))
-    attempt = next(b.get("attempt", 0) for b in manifest["batches"] if b["index"] == index)
-    keep = _keep(out, manifest.get("keep", Keep.SEEN))
-    base = Base(spec, int(manifest["seed"]), index, keep, attempt)
+    attempt = next(b.attempt or 0 for b in manifest.batches if b.index == index)
+    keep = _keep(out, manifest.keep or Keep.SEEN)
+    base = Base(spec, manifest.seed, index, keep, attempt)
     return climb_base(base, chosen, rungs, say)
 
 
@@ -115,7 +115,7 @@ def _keep(out: Path, word: object) -> Keep:
         ) from error
 
 
-def _load(out: Path, said: Mapping[str, Any], cfg: Path | None) -> Spec:
+def _load(out: Path, said: CfgEntry, cfg: Path | None) -> Spec:
     """The cfg of an output folder; one that is given instead must be the same.
 
     Args:
@@ -126,9 +126,9 @@ def _load(out: Path, said: Mapping[str, Any], cfg: Path | None) -> Spec:
     Raises:
         OutputError: It is another, or files that it names are not found.
     """
-    digest = said["sha256"]
+    digest = said.sha256
     if cfg is not None:
-        spec = load(cfg, said.get("settings", ()))
+        spec = load(cfg, said.settings or ())
         if spec.digest != digest:
             raise OutputError(
                 f"{cfg}: is not the cfg that {out} was compiled from, or a file that it names or "

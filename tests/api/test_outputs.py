@@ -85,7 +85,7 @@ def test_a_cfg_in_python_is_no_file_and_names_files_of_the_working_directory(
             cfg, tmp_path / "out", seed=3, executor=executor, listener=Watching(there)
         )
     assert set(there) == {"dem.npy"}
-    assert list(read_manifest(output.path)["cfg"]["inputs"]) == ["terrain/relief/0/file"]
+    assert list(read_manifest(output.path).cfg.inputs) == ["terrain/relief/0/file"]
 
 
 def test_a_stage_shows_what_its_cameras_see(output: scenec.OutputFolder) -> None:

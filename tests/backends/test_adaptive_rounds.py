@@ -14,14 +14,16 @@ from scipy.stats import f as snedecor
 from third_party import LEVEL, NOISE, install, square_stage
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise_seeds import round_seed
 from scenec.backends.picture import adaptive as rounds
-from scenec.backends.picture.adaptive import Target, collect, grid, round_seed
-from scenec.backends.picture.noise import QUANTILE, Noise, bound_factor, estimate
+from scenec.backends.picture.adaptive import Target, collect, grid
+from scenec.backends.picture.noise import QUANTILE, bound_factor, estimate
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
+from scenec.schemas.records import ErrorEstimate
 from scenec.testing import drawn_scenes
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -92,7 +94,7 @@ def test_the_bound_holds_in_90_to_99_of_100_pictures_of_unequal_noise(pixels):
         noise = deviation * rng.standard_normal((2, *pixels, 1)) * [1.0, 0.8, 0.5]
         found = estimate(100.0 + noise, covered)
         true = np.sqrt((noise.mean(axis=0) ** 2).mean()) / (100.0 + noise).mean()
-        held += true <= found.relative_rms_bound
+        held += true <= found.relative_rms_bound_95
     assert 540 <= held <= 594
 
 
@@ -103,7 +105,7 @@ def test_nothing_covered_or_lit_has_no_error_and_what_overflowed_an_unknown_one(
     assert estimate(black + 1.0, ~everywhere).relative_rms == 0.0
     bright = black + np.inf
     assert estimate(bright, everywhere).relative_rms is None
-    assert estimate(black + 1.0, everywhere, stochastic=False).relative_rms_bound is None
+    assert estimate(black + 1.0, everywhere, stochastic=False).relative_rms_bound_95 is None
 
 
 @given(st.integers(1, 2**20), st.booleans())
@@ -120,11 +122,13 @@ def test_rounds_end_when_the_bound_meets_the_error_and_not_long_after(goal):
     picture, made = collect(draw, 3, target(goal, most=2**16))
     found = estimate(halves_of(picture), np.ones(SHAPE, bool))
     assert made.stopped == "error"
-    assert found.relative_rms_bound <= goal
+    assert found.relative_rms_bound_95 <= goal
     assert true_error(picture) <= goal
     # Independent samples: sigma^2 / goal^2 of them, or what is needed to trust an estimate.
     assert made.spp <= max(rounds.LEAST_TRUSTED, 1.7 * (SIGMA / goal) ** 2)
-    assert made.made[-1].relative_rms_bound_95 == pytest.approx(found.relative_rms_bound, rel=1e-5)
+    assert made.made[-1].relative_rms_bound_95 == pytest.approx(
+        found.relative_rms_bound_95, rel=1e-5
+    )
 
 
 def test_the_sum_of_rounds_is_the_mean_of_all_their_samples():
@@ -177,7 +181,7 @@ def test_a_sequence_is_drawn_as_far_as_its_own_slope_tells(fell, slope):
         both = [rounds.Round(32, 1, 1.0, error, 1.02 * error) for error in errors]
         return rounds.Rounds(target(0.2 * errors[1]), continued, made=both)
 
-    noise = Noise(0.1 * 2.0**-fell, 0.102 * 2.0**-fell, None)
+    noise = ErrorEstimate(0.1 * 2.0**-fell, 0.102 * 2.0**-fell, None)
     needed = 64 * 5.1 ** (1.0 / slope)
     spp, _ = rounds.plan(made(continued=True), noise)
     assert 64 + spp == min(grid(round(needed)), 512)
@@ -189,7 +193,7 @@ def test_the_most_samples_there_may_be_end_it():
         picture, made = collect(draw, 0, target(1e-4, most=most))
         assert made.stopped == "spp"
         assert most - 1 <= picture.spp <= most
-        assert made.as_json(1.0)["target_met"] is False
+        assert made.record(1.0).target_met is False
 
 
 @pytest.mark.parametrize(("seconds", "each"), [(0.5, 0.0), (3.0, 0.1), (10.0, 0.5)])
@@ -224,7 +228,7 @@ def test_a_picture_without_noise_takes_one_round():
 
     picture, made = collect(flat, 0, target(0.1))
     assert (len(made.made), made.stopped, picture.stochastic) == (1, "unknown", False)
-    assert made.as_json(None)["target_met"] is None
+    assert made.record(None).target_met is None
 
 
 @pytest.fixture
@@ -237,14 +241,13 @@ def test_the_sidecar_tells_of_the_rounds_and_a_frame_to_a_target_resumes(stage):
     options = {"samples": range(1), "passes": ["rgb"], "error": 0.001, "seconds": 30.0, "spp": 64}
     first = render(stage, "plain", **options)
     sidecar = read_frame(first.frames[0]).sidecar
-    told = sidecar["rounds"]
-    assert told["target_met"] is False
-    assert (told["stopped_by"], told["reproducible"]) == ("spp", False)
-    assert sum(one["spp"] for one in told["rounds"]) == sidecar["samples_per_pixel"] == 64
-    last = told["rounds"][-1]
-    found = sidecar["estimated_error"]
-    assert last["relative_rms"] == pytest.approx(found["relative_rms"], rel=1e-4)
-    assert found["relative_rms"] < found["relative_rms_bound_95"] < 2.0 * NOISE / LEVEL
+    told = sidecar.rounds
+    assert told.target_met is False
+    assert (told.stopped_by, told.reproducible) == ("spp", False)
+    assert sum(one.spp for one in told.rounds) == sidecar.samples_per_pixel == 64
+    found = sidecar.error
+    assert told.rounds[-1].relative_rms == pytest.approx(found.relative_rms, rel=1e-4)
+    assert found.relative_rms < found.relative_rms_bound_95 < 2.0 * NOISE / LEVEL
     assert render(stage, "plain", **options).skipped == len(first.frames)
     other = {**options, "seconds": None, "replace": True}
     assert render(stage, "plain", **other).skipped == 0
@@ -255,9 +258,9 @@ def test_after_denoising_the_bound_is_no_longer_stated(stage):
         stage, "smooth", samples=range(1), passes=["rgb"], error=0.001, spp=16, denoise=True
     ).frames[0]
     sidecar = read_frame(frame).sidecar
-    assert set(sidecar["estimated_error"].values()) == {None}
-    assert sidecar["estimated_error_before_denoising"]["relative_rms_bound_95"] > 0.0
-    assert sidecar["denoised"]
+    assert sidecar.estimated_error == ErrorEstimate()
+    assert sidecar.estimated_error_before_denoising.relative_rms_bound_95 > 0.0
+    assert sidecar.denoised
 
 
 @pytest.mark.parametrize("value", [0.0, -0.1, float("nan"), float("inf")])

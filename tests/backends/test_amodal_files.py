@@ -58,9 +58,9 @@ def test_masks_stand_beside_the_frame_and_agree_with_its_table(rendered):
     for i, (number, mask) in enumerate(masks.masks()):
         assert mask.sum() == table["amodal"][i]
         assert mask[frame.passes["instance"] == number].all()
-    entry = frame.sidecar["amodal"]
+    entry = frame.sidecar.amodal
     path = amodal_path(stem_in(rendered))
-    assert entry == {"bytes": path.stat().st_size, "sha256": sha256(path)}
+    assert (entry.bytes, entry.sha256) == (path.stat().st_size, sha256(path))
 
 
 def test_the_same_frame_has_the_same_masks_to_the_byte(rendered, tmp_path):
@@ -82,7 +82,7 @@ def test_lost_masks_are_made_again_and_stale_ones_removed(copied):
     passes = ("depth", "instance", "normal")
     render(stage, "reference", passes=passes, replace=True, **ask)
     assert not path.exists()
-    assert read_frame(stem_in(copied, 1)).sidecar["amodal"] is None
+    assert read_frame(stem_in(copied, 1)).sidecar.amodal is None
     with pytest.raises(FrameError, match="has no amodal"):
         read_frame(stem_in(copied, 1), ("amodal",))
 

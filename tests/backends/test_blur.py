@@ -66,9 +66,9 @@ def test_a_speck_that_no_coarse_ray_meets_leaves_a_streak_as_long_as_its_way() -
     lit, dark = mesh(*plate(z, left, right, top, bottom)), mesh(*plate(*FAR_WALL))
     of = scene([lit, replace(dark, layers=(1,))], [surface((1.0,) * 3), surface((0.0,) * 3)])
     made = session(of)
-    facts = made.render(camera, 0, ("rgb",), 48, 1)[1]["blur"]
-    assert facts["motion_px"] == pytest.approx(12.0, rel=1e-6)
-    assert facts["sub_frames_wanted_per_row"] == 24
+    facts = made.render(camera, 0, ("rgb",), 48, 1).record.blur
+    assert facts.motion_px == pytest.approx(12.0, rel=1e-6)
+    assert facts.sub_frames_wanted_per_row == 24
     along = picture(made, camera, 48, range(6)).sum(axis=0)
     columns = np.flatnonzero(along)
     assert along.sum() == pytest.approx(2.1 * 0.8, rel=0.05)
@@ -209,8 +209,9 @@ def test_renderers_draw_the_whole_streak_of_a_speck_that_shines(name: str) -> No
     lit = replace(surface((0.0,) * 3), emission=(5.0,) * 3)
     of = scene([speck, replace(wall, layers=(1,))], [lit, surface((0.0,) * 3)])
     backend = open_backend(name)
-    rgb, details = Session(of, backend).render(camera, 0, ("rgb",), 256, 1)
-    assert details["blur"]["motion_px"] == pytest.approx(12.0, rel=1e-6)
+    result = Session(of, backend).render(camera, 0, ("rgb",), 256, 1)
+    rgb, record = result.arrays, result.record
+    assert record.blur.motion_px == pytest.approx(12.0, rel=1e-6)
     along = rgb["rgb"][..., 0].sum(axis=0, dtype=float)
     columns = np.flatnonzero(along > 1e-6)
     assert along.sum() == pytest.approx(5.0 * 2.1 * 0.8, rel=0.15)

@@ -43,7 +43,7 @@ def labeled(folder, value):
     (sidecar,) = folder.rglob("000000.json")
     frame = read_frame(sidecar)
     labels = frame.passes["label.class"]
-    k, pose = (np.array(frame.sidecar[key]) for key in ("intrinsics", "camera_to_world"))
+    k, pose = (np.array(m) for m in (frame.sidecar.intrinsics, frame.sidecar.camera_to_world))
     v, u = np.mgrid[0.5 : labels.shape[0], 0.5 : labels.shape[1]]
     rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], axis=-1)
     rays = rays @ pose[:3, :3].T

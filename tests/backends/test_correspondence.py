@@ -64,7 +64,10 @@ def camera(pose, k=K, name="rig_a", partner=None, size=(64, 48)) -> Camera:
 
 def with_cameras(scene: RenderScene, cameras: list[list[Camera]]) -> RenderScene:
     return dataclasses.replace(
-        scene, samples=len(cameras), cameras=tuple(tuple(some) for some in cameras)
+        scene,
+        samples=len(cameras),
+        cameras=tuple(tuple(some) for some in cameras),
+        lighting=scene.lighting[:1] * len(cameras),
     )
 
 
@@ -77,7 +80,7 @@ class Quiet(RenderScene):
 
 def render(scene: RenderScene, sample: int, index: int = 0, passes=MONO) -> dict[str, np.ndarray]:
     session = Session(scene, None)
-    return session.render(scene.cameras[sample][index], sample, passes, 1, 0)[0]
+    return session.render(scene.cameras[sample][index], sample, passes, 1, 0).arrays
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +258,7 @@ def test_what_moves_takes_its_points_along(tmp_path):
     scene = with_cameras(scene, [[camera(eye)]] * 3)
     session = Session(scene, None)
     for sample in (1, 0, 1):
-        made = session.render(scene.cameras[sample][0], sample, (*MONO, "instance"), 1, 0)[0]
+        made = session.render(scene.cameras[sample][0], sample, (*MONO, "instance"), 1, 0).arrays
         on_ball = made["depth"] < 10
         assert on_ball.sum() > 50
         turn = np.radians(turns[sample + 1] - turns[sample])
@@ -283,7 +286,7 @@ def test_what_moves_takes_its_points_along(tmp_path):
         assert (code[facing < -0.15] == HIDDEN).all()
         still = ~on_ball
         np.testing.assert_allclose(made["flow"][still], 0.0, atol=1e-10)
-    assert (session.render(scene.cameras[2][0], 2, MONO, 1, 0)[0]["occlusion"] == NOTHING).all()
+    assert (session.render(scene.cameras[2][0], 2, MONO, 1, 0).arrays["occlusion"] == NOTHING).all()
 
 
 def test_first_and_last_samples_have_nothing_before_and_after(bumps):
@@ -369,7 +372,7 @@ def test_all_renderers_give_the_same_bits(bumps):
     poses = looking((1, -8, 3), (0, 2, 0)), looking((2.0, -7.5, 3.2), (0.5, 2, 0), 0.1)
     scene = with_cameras(bumps, [[camera(pose)] for pose in poses])
     truth = render(scene, 0, passes=MONO)
-    made = Session(scene, open_backend("mitsuba")).render(scene.cameras[0][0], 0, MONO, 1, 0)[0]
+    made = Session(scene, open_backend("mitsuba")).render(scene.cameras[0][0], 0, MONO, 1, 0).arrays
     for name in MONO:
         assert made[name].tobytes() == truth[name].tobytes(), name
 
@@ -413,7 +416,7 @@ def test_a_pair_of_a_cfg_has_its_disparity(tmp_path, cfg):
     left = next(c for c in scene.cameras[1] if c.name.endswith("left"))
     assert left.partner == left.path.replace("left", "right")
     session = Session(scene, None)
-    made = session.render(left, 1, session.passes(None, left), 1, 0)[0]
+    made = session.render(left, 1, session.passes(None, left), 1, 0).arrays
     hit = np.isfinite(made["depth"])
     np.testing.assert_allclose(
         made["disparity"][hit], left.intrinsics[0, 0] * 0.12 / made["depth"][hit], rtol=1e-9

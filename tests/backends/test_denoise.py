@@ -13,8 +13,9 @@ from scipy.ndimage import uniform_filter
 from test_mitsuba_kept import field, loaded
 
 from scenec.backends.contract import Radiance
+from scenec.backends.noise_seeds import round_seed
 from scenec.backends.picture import denoise
-from scenec.backends.picture.adaptive import Target, collect, round_seed
+from scenec.backends.picture.adaptive import Target, collect
 from scenec.backends.picture.compose import denoised_noise
 from scenec.backends.picture.noise import estimate, estimate_denoised
 from scenec.backends.registry import open_backend
@@ -82,7 +83,7 @@ def test_the_error_after_denoising_is_stated_with_its_bias(deviation):
         error = np.sqrt(((clean.mean(axis=0) - true)[covered] ** 2).mean()) / level
         whole = estimate_denoised([(clean, halves, covered)])
         ratios.append((whole.relative_rms / error) ** 2)
-        held += error <= whole.relative_rms_bound
+        held += error <= whole.relative_rms_bound_95
         rows = [np.s_[:, :40], np.s_[:, 40:]]
         parts = [(clean[own], halves[own], covered[own[1]]) for own in rows]
         assert estimate_denoised(parts).relative_rms == pytest.approx(whole.relative_rms)

@@ -124,7 +124,7 @@ def step_scene(tmp_path_factory):
 def test_stereo_has_no_answer_in_the_shadow_beside_what_stands_out(step_scene):
     one = camera(STEREO)
     scene = dataclasses.replace(step_scene, cameras=((one,),), samples=1)
-    made = Session(scene, None).render(one, 0, ("depth", MEASURED), 1, 0)[0]
+    made = Session(scene, None).render(one, 0, ("depth", MEASURED), 1, 0).arrays
     row_depth, row = made["depth"][24], made[MEASURED][24]
     # The other camera stands right: it sees the wall right of the board, not all of it left.
     hole = np.flatnonzero((row == 0) & (row_depth > 3))
@@ -151,7 +151,7 @@ def test_without_a_hit_or_a_model_there_is_no_answer(step_scene):
     away = dataclasses.replace(away, camera_to_world=pose)
     scene = dataclasses.replace(step_scene, cameras=((away,),), samples=1)
     session = Session(scene, None)
-    assert not session.render(away, 0, (MEASURED,), 1, 0)[0][MEASURED].any()
+    assert not session.render(away, 0, (MEASURED,), 1, 0).arrays[MEASURED].any()
     with pytest.raises(BackendError, match="needs a depth camera"):
         session.render(dataclasses.replace(away, depth_camera=None), 0, (MEASURED,), 1, 0)
 
@@ -173,7 +173,7 @@ def test_a_cfg_asks_for_it(tmp_path, kind):
     one = scene.cameras[1][0]
     assert kind_of(one.depth_camera.model) == kind
     session = Session(scene, None)
-    made, again = (session.render(one, 1, ("depth", MEASURED), 1, 0)[0] for _ in range(2))
+    made, again = (session.render(one, 1, ("depth", MEASURED), 1, 0).arrays for _ in range(2))
     assert made[MEASURED].tobytes() == again[MEASURED].tobytes()
     there = made[MEASURED] > 0
     assert there.mean() > 0.1

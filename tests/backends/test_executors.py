@@ -26,7 +26,7 @@ from scenec.backends.run.executors import Processes, make_executor
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
-from scenec.backends.run.units import OfBackend, OfSession, Opening, open_stage
+from scenec.backends.run.units import OfBackend, OfSession, Opening, OpenStage
 from scenec.compiler.batch_unit import CompileBatch
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -107,7 +107,7 @@ def children() -> list[psutil.Process]:
 def test_units_are_the_same_after_a_journey(tmp_path):
     opening = Opening(str(tmp_path / "stage.usda"), "mitsuba", passes=("rgb",))
     units = [
-        open_stage(opening),
+        OpenStage(opening),
         OfSession(opening, "a table", methodcaller("write_instances", tmp_path)),
         OfBackend("mitsuba", print),
         CompileBatch(
@@ -271,14 +271,14 @@ def test_a_worker_that_started_a_renderer_takes_a_stage_and_no_second_one(tmp_pa
     first, second = (square_stage(tmp_path / f"{name}.usda", width=8) for name in "ab")
     units = [
         OfBackend("plain", partial(start, "auto")),
-        *(open_stage(Opening(str(path), "plain")) for path in (first, first, second)),
+        *(OpenStage(Opening(str(path), "plain")) for path in (first, first, second)),
     ]
     pids = []
     with Processes(1) as executor:
         for unit, outcome in run_all(executor, units):
             outcome.result()
-            pids.append(executor._hands[0].pid)
-            assert executor._hands[0].holds == unit.holds
+            pids.append(executor._slots[0].pid)
+            assert executor._slots[0].holds == unit.holds
     assert len(set(pids[:3])) == 1
     assert pids[3] != pids[0]
 
@@ -413,6 +413,6 @@ def test_a_memory_limit_is_each_processs_however_many_are_asked_for(monkeypatch,
     monkeypatch.setattr("scenec.backends.run.executors.available", lambda: 10**12)
     with Processes(1000, Limits(memory_bytes=3 * 10**9)) as executor:
         assert executor.room(1000) == (3 * 10**9, 1)
-        assert executor._hands[0]._most() == 3 * 10**9
+        assert executor._slots[0]._most() == 3 * 10**9
     assert len(said) == 1
     assert said[0].startswith("1 process works on this machine, of 1000 asked for: ")

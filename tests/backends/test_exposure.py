@@ -35,6 +35,7 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.imaging import Imaging, shown_per_value
 from scenec.schemas.lens import Lens
 from scenec.schemas.picture import LUMINANCE, develop, fault, tally
+from scenec.schemas.records import ExposureRecord
 from scenec.testing.examples import examples
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -64,7 +65,7 @@ def ground(lights, color: float = 0.18, camera: Camera | None = None, samples: i
 
 def ev_of(made: RenderScene, sample: int = 0) -> float:
     camera, facts = Meter(made).exposed(made.cameras[sample][0], sample, lambda: ExactCaster(made))
-    assert facts["rule"] == "auto"
+    assert facts.rule == "auto"
     return camera.exposure_ev
 
 
@@ -284,7 +285,7 @@ def test_a_metered_sensor_shows_what_the_exposure_says() -> None:
     # It follows an exposure that is given, too.
     given = dataclasses.replace(camera, exposure_per=None, exposure_ev=-3.0)
     followed, facts = Meter(made).exposed(given, 0, lambda: ExactCaster(made))
-    assert facts == {"rule": "given"}
+    assert facts == ExposureRecord(rule="given")
     assert followed.imaging is not None
     shown = shown_per_value(4.0, followed.imaging.time_s, followed.imaging.iso, 2.0)
     assert np.log2(shown) == pytest.approx(-3.0, abs=1e-9)

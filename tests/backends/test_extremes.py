@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,7 @@ def test_every_camera_shows_the_plane_where_the_closed_form_has_it(extremes: Pat
     seen = 0
     for case, camera in _cases(session.scene):
         name = "depth" if camera.lens is None else "range"
-        found, _ = session.render(camera, 0, ("label.class", name), 1, 0)
+        found = session.render(camera, 0, ("label.class", name), 1, 0).arrays
         hit, exact = true_plane(camera)
         ground = found["label.class"] == GROUND
         # Stones may stand before the plane, or beyond its border.
@@ -89,7 +90,7 @@ def test_a_terrain_of_512_m_fills_24_x_24_pixels_from_100_km(extremes: Path) -> 
     session = Session.open(extremes / "batch_0000" / "stage.usda", "reference")
     camera = dict(_cases(session.scene))["far"]
     # A pixel is 2 tan(0.3 degrees) 100 km / 48 = 21.817 m wide: 256 m are 11.73 pixels.
-    found, _ = session.render(camera, 0, ("depth",), 1, 0)
+    found = session.render(camera, 0, ("depth",), 1, 0).arrays
     hit = np.isfinite(found["depth"])
     assert np.flatnonzero(hit.any(axis=0)).tolist() == list(range(12, 36))
     assert np.flatnonzero(hit.any(axis=1)).tolist() == list(range(6, 30))
@@ -103,13 +104,14 @@ def test_mitsuba_resolves_to_the_definition_and_covers_what_it_should(extremes: 
         if case in ("column", "narrow", "flat", "aside"):
             continue
         passes = ("label.class", "instance", "depth", "range", "face")
-        found, details = session.render(camera, 0, ("rgb", *passes), 2, 0)
-        exact, _ = truth.render(camera, 0, passes, 1, 0)
+        result = session.render(camera, 0, ("rgb", *passes), 2, 0)
+        found, record = result.arrays, result.record
+        exact = truth.render(camera, 0, passes, 1, 0).arrays
         for name in passes:
             np.testing.assert_array_equal(found[name], exact[name], err_msg=f"{case} {name}")
         assert np.isfinite(found["rgb"]).all(), case
         assert (found["rgb"][np.isfinite(exact["range"])] >= 0.0).all(), case
-        assert details["samples_dropped"] == 0, case
+        assert record.samples_dropped == 0, case
         radiance = session.backend.radiance(camera, 0, 2, 0)
         inside = _shrunk(np.isfinite(exact["range"]))
         # Seldom a ray in float32 slips between two triangles: a sample of 200,000.
@@ -122,7 +124,7 @@ def test_near_and_far_in_a_ratio_of_1e9_keep_their_digits(tmp_path: Path) -> Non
     for backend in ("reference", "mitsuba"):
         session = Session.open(stage, backend)
         camera = session.scene.cameras[0][0]
-        found, _ = session.render(camera, 0, ("depth",), 1, 0)
+        found = session.render(camera, 0, ("depth",), 1, 0).arrays
         # Vertices are float32: 0.01 is off by 2e-8 of it.
         near = np.arange(camera.width) < camera.width // 2
         expected = np.where(near, float(np.float32(0.01)), 1e7)
@@ -202,8 +204,8 @@ def test_a_picture_composed_in_bands_is_the_same(
     monkeypatch.setattr(tiles, "PIXELS", 4 * 23)
     parts = compose.compose(radiance, made, camera, 0, veil)
     np.testing.assert_array_equal(parts.rgb, whole.rgb)
-    for key, value in whole.noise.as_json().items():
-        assert parts.noise.as_json()[key] == pytest.approx(value, rel=1e-12), key
+    for key, value in asdict(whole.noise).items():
+        assert getattr(parts.noise, key) == pytest.approx(value, rel=1e-12), key
 
 
 def test_noise_of_a_black_picture_and_of_nothing_is_nothing_in_bands(

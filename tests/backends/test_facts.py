@@ -31,9 +31,9 @@ def compiled(folder: Path, cfg: dict, seed: int) -> Path:
     return folder / "out" / "batch_0000" / "stage.usda"
 
 
-def annotation(session: Session, sample: int) -> tuple[dict[str, np.ndarray], dict]:
+def annotation(session: Session, sample: int) -> dict[str, np.ndarray]:
     camera = session.scene.cameras[sample][0]
-    return session.render(camera, sample, session.passes(PASSES, camera), 0, 0)
+    return session.render(camera, sample, session.passes(PASSES, camera), 0, 0).arrays
 
 
 def drawn_cfg(seed: int) -> dict:
@@ -86,7 +86,7 @@ def test_labels_are_those_of_the_merge_function_at_the_hit_points(tmp_path):
     ids = cfg["labels"]["surface"]
     ground, wrong = 0, 0
     for sample in range(4):
-        found, _ = annotation(session, sample)
+        found = annotation(session, sample)
         on_ground = (found["label.class"] == cfg["labels"]["class"]["ground"]).ravel()
         x, y, _ = found["position"].reshape(-1, 3)[on_ground].T
         side = merge.side(np.ascontiguousarray(x), np.ascontiguousarray(y))
@@ -110,7 +110,7 @@ def test_an_instance_keeps_its_id_over_a_batch(tmp_path):
     session = Session.open(stage, "mitsuba")
     seen: dict[int, set[int]] = {}
     for sample in range(6):
-        found, _ = annotation(session, sample)
+        found = annotation(session, sample)
         rock = found["label.class"] == cfg["labels"]["class"]["rock"]
         assert ((found["instance"] > 0) == rock).all()
         for number in np.unique(found["instance"][rock]).tolist():
@@ -126,9 +126,9 @@ def test_a_class_without_ids_resolves_to_none_and_moves_no_others(tmp_path):
     cfg = small_cfg(samples=1)
     more = cfg["objects"]["rocks"] | {"count": 50}
     cfg["objects"] = {"first": cfg["objects"]["rocks"], "second": more}
-    with_ids, _ = annotation(Session.open(compiled(tmp_path, cfg, 2), "reference"), 0)
+    with_ids = annotation(Session.open(compiled(tmp_path, cfg, 2), "reference"), 0)
     cfg["objects"]["first"]["instances"] = False
-    without, _ = annotation(Session.open(compiled(tmp_path, cfg, 2), "reference"), 0)
+    without = annotation(Session.open(compiled(tmp_path, cfg, 2), "reference"), 0)
     first = (with_ids["instance"] > 0) & (with_ids["instance"] <= 300)
     assert first.any()
     assert (without["instance"][first] == 0).all()
@@ -167,7 +167,7 @@ def test_depth_of_an_inclined_plane_is_exact_in_memory_and_on_disk(backend, tmp_
     # 8 - t = y t / 4.
     v = (np.arange(480) + 0.5 - camera.intrinsics[1, 2]) / camera.intrinsics[1, 1]
     expected = np.repeat(8.0 / (1.0 - v[:, None] / 4.0), 640, axis=1)
-    found, _ = annotation(session, 0)
+    found = annotation(session, 0)
     assert np.abs(found["depth"] / expected - 1.0).max() <= 1e-12
     report = render(stage, backend, passes=["depth"])
     on_disk = read_frame(report.frames[0]).passes["depth"].astype(np.float64)
@@ -181,11 +181,12 @@ def test_light_that_float32_cannot_hold_is_left_out_and_counted(tmp_path):
     cfg["rigs"]["rover"]["allow_below"] = True
     session = Session.open(compiled(tmp_path, cfg, 3), "mitsuba")
     camera = session.scene.cameras[0][0]
-    arrays, details = session.render(camera, 0, ("rgb",), 8, 0)
+    result = session.render(camera, 0, ("rgb",), 8, 0)
+    arrays, record = result.arrays, result.record
     assert np.isfinite(arrays["rgb"]).all()
     assert arrays["rgb"].min() >= 0.0
-    assert details["samples_dropped"] > 0
+    assert record.samples_dropped > 0
     ordinary = Session.open(compiled(tmp_path, small_cfg(samples=1), 3), "mitsuba")
     assert (
-        ordinary.render(ordinary.scene.cameras[0][0], 0, ("rgb",), 8, 0)[1]["samples_dropped"] == 0
+        ordinary.render(ordinary.scene.cameras[0][0], 0, ("rgb",), 8, 0).record.samples_dropped == 0
     )

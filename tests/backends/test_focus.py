@@ -78,10 +78,10 @@ def test_a_blurred_plate_is_as_wide_as_the_circle_of_confusion_makes_it(distance
     v, u = np.mgrid[:24, :32] + 0.5
     beyond = np.hypot(np.maximum(abs(u - 19.0) - 2.5, 0), np.maximum(abs(v - 12.0) - 2.5, 0))
     assert shown[beyond > 0.5 * c + 0.01].max(initial=0.0) == 0.0
-    facts = made.render(camera, 0, ("rgb",), 64, 1)[1]["blur"]
+    facts = made.render(camera, 0, ("rgb",), 64, 1).record.blur
     sky = 2.0 * 0.15 * 40.0 / distance
-    assert facts["circle_of_confusion_px"] == pytest.approx(max(c, sky), rel=1e-6)
-    assert facts["sub_frames_per_row"] == 2 * min(16, facts["sub_frames_wanted_per_row"] // 2)
+    assert facts.circle_of_confusion_px == pytest.approx(max(c, sky), rel=1e-6)
+    assert facts.sub_frames_per_row == 2 * min(16, facts.sub_frames_wanted_per_row // 2)
 
 
 def test_what_is_in_focus_is_as_sharp_as_through_a_pinhole() -> None:
@@ -94,9 +94,10 @@ def test_what_is_in_focus_is_as_sharp_as_through_a_pinhole() -> None:
 
 def test_an_aperture_of_no_size_is_the_plain_frame_bit_for_bit() -> None:
     made = session(of_plates([SMALL]))
-    plain, _ = made.render(ahead(32, 24, 40.0), 0, ("rgb",), 8, 5)
-    arrays, details = made.render(focused(2.0, 0.0), 0, ("rgb",), 8, 5)
-    assert "blur" not in details
+    plain = made.render(ahead(32, 24, 40.0), 0, ("rgb",), 8, 5).arrays
+    result = made.render(focused(2.0, 0.0), 0, ("rgb",), 8, 5)
+    arrays, record = result.arrays, result.record
+    assert record.blur is None
     assert arrays["rgb"].tobytes() == plain["rgb"].tobytes()
 
 
@@ -152,8 +153,8 @@ def test_blur_is_measured_where_there_is_something_to_see() -> None:
 
 def test_annotation_is_that_of_the_pinhole() -> None:
     made = Session(of_plates([SMALL]), Flat())
-    plain = made.render(ahead(32, 24, 40.0), 0, ("depth", "instance"), 1, 1)[0]
-    through = made.render(focused(1.0, 0.3), 0, ("rgb", "depth", "instance"), 4, 1)[0]
+    plain = made.render(ahead(32, 24, 40.0), 0, ("depth", "instance"), 1, 1).arrays
+    through = made.render(focused(1.0, 0.3), 0, ("rgb", "depth", "instance"), 4, 1).arrays
     for name in ("depth", "instance"):
         assert through[name].tobytes() == plain[name].tobytes()
 

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from scenec.backends.run.facts import FrameResult, RendererFacts, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame
+from scenec.schemas.records import ErrorEstimate
 
 H, W = 24, 32
 KEY = FrameKey("d" * 64, ("rgb", "label.class", "instance", "depth"), 64, 0, "mitsuba", "m 1")
@@ -40,12 +42,14 @@ def arrays() -> dict[str, NDArray]:
     }
 
 
-def written(tmp_path: Path, details: dict | None = None) -> Path:
+def written(tmp_path: Path, error: ErrorEstimate | None = None) -> Path:
     camera = ms.look_at((0, 0, 1), (5, 0, 0), W, H)
     scene = ms.scene([ms.mesh(*ms.plane())], cameras=[camera])
     stem = frame_stem(tmp_path, "mitsuba", "rig_cam", 3)
     wanted = {name: arrays()[name] for name in KEY.passes}
-    write_frame(stem, wanted, KEY, scene, camera, 0, details or {"seconds": {"load": 0.5}})
+    renderer = RendererFacts("mitsuba", "m 1", "cpu", None, None)
+    record = dataclasses.replace(describe_frame(scene, camera, 0, renderer), estimated_error=error)
+    write_frame(stem, FrameResult(wanted, record), KEY, scene, camera)
     return stem
 
 
@@ -126,7 +130,7 @@ def test_a_frame_is_found_by_any_of_its_files(tmp_path: Path):
 
 
 def test_the_sidecar_says_what_a_user_needs_in_strict_json(tmp_path: Path):
-    stem = written(tmp_path, {"estimated_error": {"relative_rms": float("inf")}})
+    stem = written(tmp_path, ErrorEstimate(float("inf")))
 
     def refuse(name: str) -> None:
         raise AssertionError(f"{name} is not JSON")

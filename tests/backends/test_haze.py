@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from third_party import LEVEL, Raster
 
 from scenec.backends.camera.rays import camera_rays
-from scenec.backends.contract import Radiance, Rays, Visibility
+from scenec.backends.contract import Radiance, Rays, Visibility, completed
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.airlight import _halves
 from scenec.backends.picture.compose import compose
@@ -305,17 +305,18 @@ def test_haze_is_bit_identical_whatever_the_renderer_saw_and_is_asked_for():
     scene = replace(edge(0.3), haze=(haze(300.0, shown=own),), cameras=((camera,),))
     pictures = []
     for backend, passes in (
-        (Raster(), ["rgb"]),
-        (Raster(), ["rgb", "depth"]),
-        (Blind(), ["rgb", "depth", "instance"]),
+        (completed(Raster)(), ["rgb"]),
+        (completed(Raster)(), ["rgb", "depth"]),
+        (completed(Blind)(), ["rgb", "depth", "instance"]),
     ):
         session = Session(scene, backend)
-        arrays, details = session.render(camera, 0, session.passes(passes, camera), 2, 0)
+        result = session.render(camera, 0, session.passes(passes, camera), 2, 0)
+        arrays, record = result.arrays, result.record
         pictures.append(arrays["rgb"])
         assert next(iter(arrays)) == "rgb"
-        assert details["seconds"]["haze"] > 0.0
-        assert details["haze"]["subsampled_pixels"] > 0
-        assert any("haze" in line for line in details["losses"])
+        assert record.seconds["haze"] > 0.0
+        assert record.haze.subsampled_pixels > 0
+        assert any("haze" in line for line in record.losses)
     np.testing.assert_array_equal(pictures[0], pictures[1])
     np.testing.assert_array_equal(pictures[0], pictures[2])
     # LEVEL near, more of the airlight far.
@@ -328,9 +329,10 @@ def test_haze_is_bit_identical_whatever_the_renderer_saw_and_is_asked_for():
 def test_without_haze_nothing_is_done_or_imported(monkeypatch):
     monkeypatch.delitem(sys.modules, "scenec.backends.picture.haze")
     camera = scenes.camera(8, 6)
-    session = Session(replace(edge(0.0), cameras=((camera,),)), Raster())
-    arrays, details = session.render(camera, 0, ("rgb", "depth"), 2, 0)
+    session = Session(replace(edge(0.0), cameras=((camera,),)), completed(Raster)())
+    result = session.render(camera, 0, ("rgb", "depth"), 2, 0)
+    arrays, record = result.arrays, result.record
     assert "scenec.backends.picture.haze" not in sys.modules
-    assert "haze" not in details["seconds"]
-    assert "haze" not in details
+    assert "haze" not in record.seconds
+    assert record.haze is None
     np.testing.assert_array_equal(arrays["rgb"], np.float32(LEVEL))

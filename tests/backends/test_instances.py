@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from scenec.backends.annotation.instances import Instances
-from scenec.backends.annotation.poses import quaternions
 from scenec.backends.check.frames import check_frames
 from scenec.backends.exact import ExactCaster
 from scenec.backends.run.render import render
@@ -29,6 +28,7 @@ from scenec.schemas.instances import (
     write_frame_table,
     write_table,
 )
+from scenec.schemas.quaternions import quaternions
 from scenec.testing import scenes
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -310,4 +310,4 @@ def test_a_frame_without_instances_has_an_empty_table(tmp_path):
 def test_frames_with_tables_read_back(rendered):
     frames, _ = rendered
     frame = read_frame(frames / "annotation" / "front" / "000000")
-    assert frame.sidecar["instance_table"]["bytes"] > 0
+    assert frame.sidecar.instance_table.bytes > 0

@@ -16,7 +16,7 @@ from scenec.backends.run.render import render
 from scenec.backends.run.scan import scan_output
 from scenec.backends.run.session import Session
 from scenec.backends.run.supervise import Supervisor
-from scenec.backends.run.units import Opening, open_stage
+from scenec.backends.run.units import Opening, OpenStage
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
@@ -131,7 +131,7 @@ def test_what_is_read_is_what_the_manifest_lists(compiled, tmp_path):
         file.symlink_to(original)
     assert read_stage(stage_of(linked)).digest == there.digest
     report = render(linked, "reference", passes=ANNOTATION, samples=[0], batches=[0])
-    assert read_frame(report.frames[0]).sidecar["stage_digest"] == there.digest
+    assert read_frame(report.frames[0]).sidecar.stage_digest == there.digest
 
 
 @pytest.mark.parametrize("name", ["batch_0000/../../theirs", "batch_0000//etc/passwd"])
@@ -461,7 +461,7 @@ def test_bad_input_costs_a_worker_one_try(tmp_path, kind):
         (tmp_path / "foreign.usda").write_text("#usda 1.0\ndef {\n", encoding="utf-8")
     told = "is of type string, expected" if kind == "type" else "foreign.usda:2:"
     with closing(Supervisor()) as worker:
-        outcome = worker.do(open_stage(Opening(str(tmp_path / "foreign.usda"), "annotation")))
+        outcome = worker.do(OpenStage(Opening(str(tmp_path / "foreign.usda"), "annotation")))
     assert outcome.deaths == 0
     with pytest.raises(StageError, match=told):
         outcome.result()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.camera.lens import TOLERANCE_PX, ray_table
 from scenec.backends.camera.rays import camera_rays, subpixel_directions
-from scenec.backends.contract import Radiance, Rays
+from scenec.backends.contract import Radiance, Rays, completed
 from scenec.backends.exact import ExactCaster
 from scenec.backends.mitsuba.adapter import Mitsuba
 from scenec.backends.picture import resample
@@ -349,18 +349,19 @@ def test_a_backend_that_knows_pinholes_alone_draws_lenses_and_the_sidecar_says_h
     """It is never shown a lens; annotation is cast."""
     camera = CAMERAS["kannala_brandt"]
     world = scene([mesh(*plane())], [surface()], cameras=[camera])
-    backend = Pinholes()
-    session = Session(world, backend)  # type: ignore[arg-type]
-    arrays, details = session.render(camera, 0, ["rgb", "depth"], 4, 1)
+    backend: Any = completed(Pinholes)()
+    session = Session(world, backend)
+    result = session.render(camera, 0, ["rgb", "depth"], 4, 1)
+    arrays, record = result.arrays, result.record
     assert session.witness(0, 0) is None
     assert backend.seen == [None]
-    assert details["lens_radiance"]["way"] == "resampled"
-    assert details["lens_radiance"]["views"] == 5
+    assert record.lens_radiance.way == "resampled"
+    assert record.lens_radiance.views == 5
     assert arrays["rgb"].max() == 1.0
     mitsuba = Session(world, Mitsuba(bounces=0))
-    _, details = mitsuba.render(camera, 0, ["rgb"], 1, 1)
-    assert details["lens_radiance"]["way"] == "rays"
-    assert details["lens_radiance"]["interpolation_px"] <= TOLERANCE_PX
+    record = mitsuba.render(camera, 0, ["rgb"], 1, 1).record
+    assert record.lens_radiance.way == "rays"
+    assert record.lens_radiance.interpolation_px <= TOLERANCE_PX
 
 
 def test_a_lens_that_shows_nothing_is_one_message() -> None:

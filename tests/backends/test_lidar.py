@@ -242,7 +242,7 @@ def test_scans_of_a_cfg_are_written_read_and_not_made_twice(tmp_path):
     # The lidar looks where the rig's camera looks: its x is the camera's z.
     scene = read_stage(out / "batch_0000" / "stage.usda")
     camera = scene.cameras[0][0].camera_to_world
-    pose = np.array(got.sidecar["lidar_to_world"])
+    pose = np.array(got.sidecar.lidar_to_world)
     np.testing.assert_allclose(pose[:3, 0], camera[:3, 2], atol=1e-12)
     np.testing.assert_allclose(pose[:3, 2], -camera[:3, 1], atol=1e-12)
     np.testing.assert_allclose(pose[:3, 3] - camera[:3, 3], -0.4 * camera[:3, 1], atol=1e-12)

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import Mitsuba, variant
-from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, mix, split_samples
+from scenec.backends.mitsuba.adapter import MAX_WAVEFRONT, split_samples
 from scenec.backends.picture.guide import sky_guide
 from scenec.backends.picture.sky import Sky, combine, lookup, texel_directions
 from scenec.backends.stage.scene import Dome, RenderScene
@@ -62,10 +62,6 @@ def test_sample_counts_split_into_passes_that_fit_and_add_up(spp):
         assert sum(parts) == spp
         assert min(parts) >= 1
         assert max(parts) == 1 or (max(parts) - 1) * pixels < MAX_WAVEFRONT
-
-
-def test_seeds_of_halves_are_all_different():
-    assert len({mix(seed, half) for seed in range(200) for half in range(2)}) == 400
 
 
 about_llvm = pytest.mark.skipif(

@@ -90,6 +90,9 @@ def test_a_witness_of_kept_instances_names_their_rows_and_faces():
     np.testing.assert_array_equal(seen.row, row)
     np.testing.assert_array_equal(seen.face, face)
     assert len(np.unique(row)) > 60
+    # They are the caster's own, which bears out nothing.
+    assert not seen.independent
+    assert loaded(scene, np.inf).witness(rays, 0).independent
 
 
 def test_what_moves_is_drawn_where_it_is_at_the_sample():

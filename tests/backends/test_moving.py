@@ -35,9 +35,9 @@ def moving(tmp_path_factory) -> RenderScene:
 def truth(moving: RenderScene) -> list[dict[str, np.ndarray]]:
     """Annotation of each sample from a scene that stands still as it is then."""
     return [
-        Session(still(moving, sample), None).render(
-            moving.cameras[sample][0], sample, PASSES, 1, 0
-        )[0]
+        Session(still(moving, sample), None)
+        .render(moving.cameras[sample][0], sample, PASSES, 1, 0)
+        .arrays
         for sample in range(ms.SAMPLES)
     ]
 
@@ -186,7 +186,9 @@ def test_a_box_that_moves_over_a_plane_has_the_depths_of_slabs_and_plane(tmp_pat
             np.isfinite(plane) & on_plane & (origin[:, 0] + plane < 500), plane, np.inf
         )
         box = np.where((near <= far) & (near > 0), near, np.inf)
-        arrays, _ = session.render(scene.cameras[sample][0], sample, ("depth", "instance"), 1, 0)
+        arrays = session.render(
+            scene.cameras[sample][0], sample, ("depth", "instance"), 1, 0
+        ).arrays
         depth, mask = arrays["depth"].ravel(), arrays["instance"].ravel() == 7
         # Only rays within rounding of an edge may fall on either side.
         edge = np.abs(near - far) < 1e-6 * far
@@ -200,7 +202,7 @@ def test_a_box_that_moves_over_a_plane_has_the_depths_of_slabs_and_plane(tmp_pat
 def test_annotation_of_every_sample_in_any_order_is_that_of_a_scene_that_stands(moving, truth):
     session = Session(moving, None)
     for sample in ORDER:
-        arrays, _ = session.render(moving.cameras[sample][0], sample, PASSES, 1, 0)
+        arrays = session.render(moving.cameras[sample][0], sample, PASSES, 1, 0).arrays
         for channel in PASSES:
             assert same(arrays[channel], truth[sample][channel]), (sample, channel)
 

@@ -79,7 +79,7 @@ def test_a_renderer_and_the_exact_caster_build_a_pairs_scene_once(
         assert [camera.name for camera in cameras] == ["rover_left", "rover_right"]
         for camera in cameras:
             passes = work.passes(["rgb", "depth", "label"], camera)
-            arrays, _ = work.render(camera, sample, passes, 2, 0)
+            arrays = work.render(camera, sample, passes, 2, 0).arrays
             pictures.append(arrays["depth"])
     assert backend.loads == 1
     assert len(built) == 1
@@ -104,7 +104,7 @@ def test_a_render_starts_and_loads_a_backend_once_a_batch_whatever_the_cameras(
 def test_a_second_camera_in_the_same_place_adds_not_one_byte_of_geometry(tmp_path: Path) -> None:
     one = compiled(tmp_path / "one", {"a": SENSOR}, batches=1)
     two = compiled(tmp_path / "two", {"a": SENSOR, "b": SENSOR}, batches=1)
-    first, second = (read_manifest(out)["files"] for out in (one, two))
+    first, second = (read_manifest(out).files for out in (one, two))
     assert list(first) == list(second)
     changed = {name.partition("/")[2] or name for name in first if first[name] != second[name]}
     assert changed <= {*OF_CAMERAS, "cfg.json"}
@@ -116,6 +116,6 @@ def test_a_second_camera_in_the_same_place_adds_not_one_byte_of_geometry(tmp_pat
 
 
 def test_a_pair_has_one_terrain_and_one_prototype_each(pair: Path) -> None:
-    files = [name.partition("/")[2] for name in read_manifest(pair)["files"] if "/" in name]
+    files = [name.partition("/")[2] for name in read_manifest(pair).files if "/" in name]
     geometry = [name for name in files if name == "terrain.usdc" or name.startswith("objects/")]
     assert sorted(geometry) == sorted([*dict.fromkeys(geometry)] * 2), "once in each of 2 batches"

@@ -98,8 +98,8 @@ def test_frames_hold_it_and_are_read_without_its_package(output: Path) -> None:
     assert list(frame.passes) == ["depth", "slope", "place", "flow"]
     assert frame.passes["slope"].dtype == np.float32
     assert frame.passes["place"].shape == (64, 96, 2)
-    assert frame.sidecar["conventions"]["slope"].startswith("angle between the surface")
-    assert frame.sidecar["annotation"]["slope"].startswith("scenec_slope 1.0 (code ")
+    assert frame.sidecar.conventions["slope"].startswith("angle between the surface")
+    assert frame.sidecar.annotation["slope"].startswith("scenec_slope 1.0 (code ")
     source = Source(output / "out")
     assert source.load(source.frames[0]).annotation_digest()
 
@@ -116,7 +116,7 @@ def test_a_renderers_frame_takes_it_from_there(
         read_frame(frames / name / "rover_front" / "000000") for name in ("mitsuba", "annotation")
     )
     assert list(made.passes) == ["rgb", "slope"]
-    assert "annotate" not in made.sidecar["seconds"]
+    assert "annotate" not in made.sidecar.seconds
     np.testing.assert_array_equal(made.passes["slope"], first.passes["slope"])
 
 

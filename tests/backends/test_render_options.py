@@ -20,6 +20,7 @@ from scenec.cli.main import main, parser
 from scenec.compiler.cfg.load import load
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import Frame, read_frame
+from scenec.schemas.records import ErrorEstimate
 from scenec.schemas.versions import version_of
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -91,12 +92,12 @@ def test_a_third_partys_own_device_is_taken(stage, tmp_path, monkeypatch):
 def test_sidecar_and_report_say_where_it_ran_and_what_annotated(stage):
     report = run(stage, "plain", device="cpu")
     sidecar = read_frame(report.frames[0]).sidecar
-    assert sidecar["device"] == report.device == "cpu"
+    assert sidecar.device == report.device == "cpu"
     assert report.backend_version.startswith("plain 1.0 of third-party 1.0 (code ")
-    assert sidecar["annotation"] == {"scenec": version_of()}
-    assert sidecar["denoised"] is None
-    assert sidecar["peak_memory_gb"] > 0.01
-    assert one(stage, "raster", passes=["rgb"]).sidecar.get("annotation") is None
+    assert sidecar.annotation == {"scenec": version_of()}
+    assert sidecar.denoised is None
+    assert sidecar.peak_memory_gb > 0.01
+    assert one(stage, "raster", passes=["rgb"]).sidecar.annotation is None
 
 
 @pytest.mark.usefixtures("worker_here")
@@ -116,13 +117,13 @@ def test_a_denoised_frame_states_its_denoiser_and_that_its_error_is_unknown(stag
     assert np.ptp(rgb) == 0.0
     assert rgb[0, 0, 0] == pytest.approx(LEVEL, abs=5 * NOISE / np.sqrt(2 * rgb.size))
     assert noisy.passes["rgb"].std() == pytest.approx(NOISE / np.sqrt(2), rel=0.1)
-    assert denoised.sidecar["denoised"] == "mean"
-    assert set(denoised.sidecar["estimated_error"].values()) == {None}
-    before = denoised.sidecar["estimated_error_before_denoising"]
-    assert before["relative_rms"] == pytest.approx(NOISE / np.sqrt(2) / LEVEL, rel=0.1)
-    assert noisy.sidecar["denoised"] is None
-    assert noisy.sidecar["estimated_error"] == before
-    assert "estimated_error_before_denoising" not in noisy.sidecar
+    assert denoised.sidecar.denoised == "mean"
+    assert denoised.sidecar.estimated_error == ErrorEstimate()
+    before = denoised.sidecar.estimated_error_before_denoising
+    assert before.relative_rms == pytest.approx(NOISE / np.sqrt(2) / LEVEL, rel=0.1)
+    assert noisy.sidecar.denoised is None
+    assert noisy.sidecar.estimated_error == before
+    assert noisy.sidecar.estimated_error_before_denoising is None
     assert "error unknown (17." in texts[0] or "error unknown (18." in texts[0]
     assert "denoised by mean" in lines[0]
 
@@ -156,7 +157,7 @@ def test_the_error_of_a_picture_without_noise_is_unknown_and_not_zero(stage):
     report = run(stage, "raster", progress=lambda done, total, text: texts.append(text))
     frame = read_frame(report.frames[0])
     assert np.all(frame.passes["rgb"] == LEVEL)
-    assert set(frame.sidecar["estimated_error"].values()) == {None}
+    assert frame.sidecar.estimated_error == ErrorEstimate()
     assert all(text.endswith("error unknown") for text in texts)
 
 
@@ -166,8 +167,8 @@ def test_annotation_is_the_same_to_the_bit_with_a_renderer_and_without(stage):
         own = one(stage, "smooth", passes=passes)
         other = one(stage, "annotation", passes=ANNOTATION)
     assert_same(own, other)
-    assert own.sidecar["annotation"] == other.sidecar["annotation"]
-    assert (own.sidecar["backend"], other.sidecar["backend"]) == ("smooth", "annotation")
+    assert own.sidecar.annotation == other.sidecar.annotation
+    assert (own.sidecar.backend, other.sidecar.backend) == ("smooth", "annotation")
 
 
 def test_what_is_annotated_once_is_not_cast_again(stage):
@@ -214,10 +215,10 @@ def test_what_a_backend_leaves_out_is_said_once_and_written_to_every_sidecar(sta
     assert lines == [line]
     assert (report.losses, report.warnings) == ([line], [line])
     for path in report.frames:
-        assert read_frame(path).sidecar["losses"] == [line]
+        assert read_frame(path).sidecar.losses == (line,)
     report = run(stage, "plain", samples=None, passes=["depth"])
     assert (report.losses, report.warnings) == ([], [])
-    assert read_frame(report.frames[0]).sidecar["losses"] == []
+    assert read_frame(report.frames[0]).sidecar.losses == ()
 
 
 @pytest.mark.slow

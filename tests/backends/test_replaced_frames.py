@@ -124,11 +124,12 @@ def test_no_batch_is_rendered_where_a_later_one_holds_what_would_go(
         render(out, "annotation", passes=("depth", "range"))
     assert not (out / "batch_0000" / "frames").exists()
     # Another process made them since they were looked at.
+    from scenec.backends.run import batches as shared
     from scenec.backends.run import render as module
 
     shutil.rmtree(out / "batch_0001" / "frames")
     monkeypatch.setattr(module, "may_lose", lambda *_: False)
-    monkeypatch.setattr(module, "require_replaceable", lambda frames: None)
+    monkeypatch.setattr(shared, "require_replaceable", lambda frames: None)
     render(out, "annotation", passes=("depth", "normal"), batches=[1])
     with pytest.raises(OutputError, match="is there, holding normal"):
         render(out, "annotation", passes=("depth", "range"))

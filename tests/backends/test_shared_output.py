@@ -21,6 +21,7 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import frame_stem, is_done, read_frame
 from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.records import NOT_WRITTEN, ScanRecord
 from scenec.schemas.scans import is_scanned, read_scan, scan_stem, write_scan
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -64,7 +65,7 @@ def test_a_scan_is_whole_or_not_there_whenever_its_process_is_killed(tmp_path):
 
     def write(key: str) -> None:
         arrays = points | {"range_true": np.full((1, 2), len(key))}
-        write_scan(stem, arrays, {"resume_key": key}, ply=True)
+        write_scan(stem, arrays, ScanRecord(resume_key=key, npz=NOT_WRITTEN), ply=True)
 
     stem.parent.mkdir(parents=True)
     write("old")
@@ -159,3 +160,28 @@ def test_two_renders_at_once_make_each_frame_once(copy):
     assert sum(one["rendered"] for one in told) == 6
     assert all(one["rendered"] + one["skipped"] == 6 for one in told)
     assert not list(copy.rglob(".scenec-*"))
+
+
+def test_a_scan_that_another_process_is_making_is_left_to_it_until_the_end(copy):
+    folder = copy / "batch_0000" / "scans" / "rover_top"
+    folder.mkdir(parents=True)
+    claim = Lock(folder / f"{LOCK}-000001")
+    order: list[str] = []
+
+    def progress(_done: int, _total: int, text: str) -> None:
+        order.append(text.partition(":")[0][-6:])
+        if len(order) == 2:
+            claim.release()
+
+    report = scan_output(copy, batches=[0], progress=progress)
+    assert order == ["000000", "000002", "000001"]
+    assert (report.made, report.skipped, report.failed) == (3, 0, [])
+    assert not list(copy.rglob(".scenec-*"))
+
+
+def test_a_stage_that_cannot_be_read_costs_no_other_its_scans(copy):
+    (copy / "batch_0001" / "stage.usda").write_text("#usda 1.0\n(")
+    report = scan_output(copy)
+    assert report.made == 3
+    (line,) = report.failed
+    assert line.startswith("batch_0001: ")

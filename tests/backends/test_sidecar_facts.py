@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scenec.backends.run.facts import sun_record
 from scenec.backends.run.render import render
-from scenec.backends.run.writer import sun_facts
 from scenec.backends.stage.scene import Lighting, Sun
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.frames import CONVENTIONS
@@ -24,12 +24,12 @@ def sun(x: float, y: float, z: float, irradiance: tuple[float, float, float]) ->
 
 def test_the_brightest_sun_is_the_one_stated() -> None:
     blue, green = sun(0, 0, 1, (0, 0, 5)), sun(0.6, 0, 0.8, (0, 1, 0))
-    found = sun_facts(Lighting((blue, green), ()))
+    found = sun_record(Lighting((blue, green), ()))
     assert found is not None
-    assert found["irradiance"] == [0, 1, 0]
-    assert found["azimuth_deg"] == pytest.approx(90.0)
-    assert found["elevation_deg"] == pytest.approx(np.degrees(np.arcsin(0.8)))
-    assert sun_facts(Lighting((), ())) is None
+    assert found.irradiance == (0, 1, 0)
+    assert found.azimuth_deg == pytest.approx(90.0)
+    assert found.elevation_deg == pytest.approx(np.degrees(np.arcsin(0.8)))
+    assert sun_record(Lighting((), ())) is None
 
 
 @pytest.mark.parametrize(
@@ -37,9 +37,9 @@ def test_the_brightest_sun_is_the_one_stated() -> None:
                               ((-1, 0, 0), 270.0)],
 )  # fmt: skip
 def test_bearings_are_clockwise_from_north(to_light, azimuth: float) -> None:
-    found = sun_facts(Lighting((sun(*to_light, (1, 1, 1)),), ()))
+    found = sun_record(Lighting((sun(*to_light, (1, 1, 1)),), ()))
     assert found is not None
-    assert found["azimuth_deg"] == pytest.approx(azimuth)
+    assert found.azimuth_deg == pytest.approx(azimuth)
 
 
 def test_a_frame_states_the_cfg_s_sun_and_the_camera_s_height(tmp_path: Path) -> None:

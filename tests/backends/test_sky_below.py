@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def frames(out: Path):
     found = []
     for stem in report.frames:
         frame = read_frame(stem.with_suffix(".json"))
-        k, pose = np.array(frame.sidecar["intrinsics"]), np.array(frame.sidecar["camera_to_world"])
+        k, pose = np.array(frame.sidecar.intrinsics), np.array(frame.sidecar.camera_to_world)
         height, width = frame.passes["depth"].shape
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         x, y = (u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1]
@@ -79,7 +80,7 @@ def test_labels_below_on_every_level_leave_nothing_to_say(tmp_path: Path) -> Non
     out = output(tmp_path, labels_below={"class": "far", "surface": "sand"})
     found, warnings = frames(out)
     assert not [line for line in warnings if "below the horizon" in line]
-    assert all(frame.sidecar["sky"]["below_horizon"] == 0 for frame, _, _ in found)
+    assert all(frame.sidecar.sky.below_horizon == 0 for frame, _, _ in found)
 
 
 def test_without_it_the_sky_has_one_label_and_its_share_below_is_said(plain: Path) -> None:
@@ -88,7 +89,7 @@ def test_without_it_the_sky_has_one_label_and_its_share_below_is_said(plain: Pat
     for frame, sky, down in found:
         assert (frame.passes["label.class"][sky] == SKY).all()
         counts = {"pixels": sky.sum(), "below_horizon": (sky & down).sum()}
-        assert frame.sidecar["sky"] == counts
+        assert asdict(frame.sidecar.sky) == counts
         skies, below = skies + sky.sum(), below + (sky & down).sum()
     (line,) = [line for line in warnings if "below the horizon" in line]
     assert line.startswith("batch_0000/rover_front: ")

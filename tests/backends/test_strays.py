@@ -21,6 +21,7 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
+from scenec.schemas.records import NOT_WRITTEN, ScanRecord
 from scenec.schemas.scans import scan_stem, write_scan
 from scenec.schemas.strays import strays
 from scenec.testing.small import small_cfg, write_cfg
@@ -123,7 +124,8 @@ def test_compile_scan_and_check_name_what_an_earlier_stage_left(tmp_path, capsys
 def test_check_says_which_scans_are_cut_short_damaged_or_of_another_stage(tmp_path):
     for i in range(4):
         stem = scan_stem(tmp_path / "b", "rover_top", i)
-        write_scan(stem, {"range": np.zeros((1, 2))}, {"stage_digest": "this" if i else "other"})
+        record = ScanRecord(stage_digest="this" if i else "other", npz=NOT_WRITTEN)
+        write_scan(stem, {"range": np.zeros((1, 2))}, record)
     stem = scan_stem(tmp_path / "b", "rover_top", 1)
     stem.with_suffix(".npz").write_bytes(b"PK")
     stem.with_name("000002.json").unlink()

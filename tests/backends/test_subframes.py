@@ -99,10 +99,10 @@ def test_a_moving_edge_is_a_ramp_of_the_way_that_it_moves() -> None:
     area = np.cumsum(np.concatenate([[0.0], 1.0 - 0.05 * (share[1:] + share[:-1])]))
     # Kinks of the ramp lie at whole pixels, so trapezoids are exact.
     assert shown == pytest.approx(np.diff(area), abs=0.03)
-    facts = made.render(camera, 0, ("rgb",), 40, 1)[1]["blur"]
-    assert facts["motion_px"] == pytest.approx(10.0, rel=1e-6)
-    assert facts["sub_frames_per_row"] == 20
-    assert facts["spacing_px"] == pytest.approx(1.0, rel=1e-6)
+    facts = made.render(camera, 0, ("rgb",), 40, 1).record.blur
+    assert facts.motion_px == pytest.approx(10.0, rel=1e-6)
+    assert facts.sub_frames_per_row == 20
+    assert facts.spacing_px == pytest.approx(1.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("upward", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -121,13 +121,14 @@ def test_an_instant_of_each_row_is_widened_by_no_more_than_is_said() -> None:
     shutter = Shutter(0.0, 0.04)
     camera = panning(shutter, 200.0)
     made = session(of_plates([HALF]))
-    arrays, details = made.render(camera, 0, ("rgb",), 32, 1)
-    facts = details["blur"]
-    assert facts["exposure_s"] == 0.0
-    assert facts["exposure_widened_px"] <= measuring.QUANTUM_PX + 1e-9
+    result = made.render(camera, 0, ("rgb",), 32, 1)
+    arrays, record = result.arrays, result.record
+    facts = record.blur
+    assert facts.exposure_s == 0.0
+    assert facts.exposure_widened_px <= measuring.QUANTUM_PX + 1e-9
     wanted = 16.0 - 200.0 * shutter.middles(np.arange(24) + 0.5, 24)
     off = edges(arrays["rgb"][..., 0]) - wanted
-    assert np.abs(off).max() <= 0.5 * facts["exposure_widened_px"] + 0.2
+    assert np.abs(off).max() <= 0.5 * facts.exposure_widened_px + 0.2
     assert abs(off.mean()) < 0.08
 
 
@@ -149,9 +150,10 @@ def test_without_time_or_motion_a_frame_is_the_plain_one_bit_for_bit(shutter: Sh
     camera = ahead(32, 24, FOCAL)
     speed = 300.0 if shutter.half_span == 0.0 else 0.0
     moved = panning(shutter, speed)
-    plain, _ = made.render(camera, 0, ("rgb",), 8, 3)
-    arrays, details = made.render(moved, 0, ("rgb",), 8, 3)
-    assert "blur" not in details
+    plain = made.render(camera, 0, ("rgb",), 8, 3).arrays
+    result = made.render(moved, 0, ("rgb",), 8, 3)
+    arrays, record = result.arrays, result.record
+    assert record.blur is None
     assert arrays["rgb"].tobytes() == plain["rgb"].tobytes()
 
 
@@ -189,7 +191,7 @@ def test_halves_tell_the_error_with_that_of_times_and_points(kind: str) -> None:
         means.append(halves.mean(axis=0))
         squares.append((0.5 * (halves[0] - halves[1])) ** 2)
     # Of times and points beside that of pixels: so few copies are far apart.
-    assert drawing.facts["spacing_px"] > 0.4
+    assert drawing.record.spacing_px > 0.4
     true = np.var(means, axis=0, ddof=1).mean()
     assert np.mean(squares) == pytest.approx(true, rel=0.3)
 
@@ -209,11 +211,12 @@ def test_rounds_to_a_target_add_up_with_what_is_behind() -> None:
     of = scene([mesh(*plate(*HALF))], [surface((1.0,) * 3)], lights=[dome(0.5)])
     camera = panning(Shutter(0.02), 300.0)
     made = session(of)
-    arrays, details = made.render(camera, 0, ("rgb",), 0, 1, target=Target(0.02, None, 256))
-    rounds = details["rounds"]
-    assert len(rounds["rounds"]) > 1
-    assert rounds["stopped_by"] == "error"
-    assert details["blur"]["sub_frames_per_row"] > 8
+    result = made.render(camera, 0, ("rgb",), 0, 1, target=Target(0.02, None, 256))
+    arrays, record = result.arrays, result.record
+    rounds = record.rounds
+    assert len(rounds.rounds) > 1
+    assert rounds.stopped_by == "error"
+    assert record.blur.sub_frames_per_row > 8
     # Right of the edge's way there is nothing but sky.
     assert arrays["rgb"][:, 22:] == pytest.approx(0.5, rel=1e-6)
     assert arrays["rgb"][:, :10] == pytest.approx(1.0, rel=1e-6)
@@ -222,11 +225,12 @@ def test_rounds_to_a_target_add_up_with_what_is_behind() -> None:
 def test_a_rasterizers_samples_are_spread_over_pixels_and_its_error_stays_unknown() -> None:
     camera = panning(Shutter(0.02), 150.0)
     made = session(of_plates([(2.0, -9.0, 0.013, -9.0, 9.0)]), stochastic=False)
-    arrays, details = made.render(camera, 0, ("rgb",), 64, 1)
+    result = made.render(camera, 0, ("rgb",), 64, 1)
+    arrays, record = result.arrays, result.record
     shown = arrays["rgb"][..., 0]
-    assert details["estimated_error"]["relative_rms"] is None
-    assert details["blur"]["sub_frames_per_row"] == 3
-    assert details["blur"]["samples_per_sub_frame"] == 16
+    assert record.estimated_error.relative_rms is None
+    assert record.blur.sub_frames_per_row == 3
+    assert record.blur.samples_per_sub_frame == 16
     # An odd count: its middle one is anywhere in the middle third.
     assert edges(shown).mean() == pytest.approx(16.0 + 0.013 * 20.0, abs=0.5 / 3.0 + 0.13)
 
@@ -273,8 +277,9 @@ def test_a_single_pixel_and_an_empty_view_are_pictures_too() -> None:
     camera = replace(panning(Shutter(0.0, 0.03), 300.0, ahead(1, 1, 2.0)), focus=Focus(1.0, 0.2))
     behind = scene([mesh(*plate(-2.0, -1.0, 1.0, -1.0, 1.0))], lights=[dome(0.5)])
     made = session(behind)
-    arrays, details = made.render(camera, 0, ("rgb",), 4, 1)
+    result = made.render(camera, 0, ("rgb",), 4, 1)
+    arrays, record = result.arrays, result.record
     assert arrays["rgb"] == pytest.approx(0.5)
-    assert np.isfinite(details["blur"]["circle_of_confusion_px"])
+    assert np.isfinite(record.blur.circle_of_confusion_px)
     black = picture(session(of_plates([(-2.0, -1.0, 1.0, -1.0, 1.0)])), camera, 1)
     assert black.tolist() == [[0.0]]

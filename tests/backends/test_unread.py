@@ -505,7 +505,7 @@ def test_losses_reach_the_report_the_sidecars_and_the_check(tmp_path, capsys):
     report = render(path, "reference", passes=["depth"])
     assert (report.losses, report.warnings) == ([line], [line])
     (frame,) = report.frames
-    assert read_frame(frame).sidecar["losses"] == [line]
+    assert read_frame(frame).sidecar.losses == (line,)
     capsys.readouterr()
     assert main(["check", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["findings"]

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from third_party import square_stage
 
-from scenec.backends.registry import open_backend
-from scenec.backends.run.frames import frame_seed
+from scenec.backends.registry import BUILT_IN, Entry, open_backend
 from scenec.backends.run.limits import RETRIES
 from scenec.backends.run.render import render
 from scenec.backends.run.supervise import Supervisor
@@ -42,13 +41,13 @@ def assassin(monkeypatch: pytest.MonkeyPatch, sample: int, times: int) -> list[i
     killed: list[int] = []
     exchange = Supervisor._exchange
 
-    def deadly(self: Supervisor, unit: Unit) -> Any:
+    def deadly(self: Supervisor, unit: Unit, notes: list[str]) -> Any:
         aimed = isinstance(unit, RenderFrame) and unit.sample == sample
         if aimed and len(killed) < times and self._pipe is not None and self.pid is not None:
             self._pipe.send(unit)
             os.kill(self.pid, signal.SIGKILL)
             killed.append(self.pid)
-        return exchange(self, unit)
+        return exchange(self, unit, notes)
 
     monkeypatch.setattr(Supervisor, "_exchange", deadly)
     return killed
@@ -130,9 +129,9 @@ def test_a_worker_goes_with_its_parent(stage):
     code = (
         "import sys, time\n"
         "from scenec.backends.run.supervise import Supervisor\n"
-        "from scenec.backends.run.units import Opening, open_stage\n"
+        "from scenec.backends.run.units import Opening, OpenStage\n"
         "w = Supervisor()\n"
-        f"w.do(open_stage(Opening({str(stage)!r}, 'annotation'))).result()\n"
+        f"w.do(OpenStage(Opening({str(stage)!r}, 'annotation'))).result()\n"
         "print(w.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
@@ -156,22 +155,11 @@ def test_what_libraries_print_does_not_reach_the_protocol(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_no_two_frames_share_their_noise():
-    seeds = {
-        frame_seed(n, b, c, s)
-        for n in range(3)
-        for b in ("batch_0000", "batch_0001")
-        for c in ("left", "right")
-        for s in range(20)
-    }
-    assert len(seeds) == 240
-
-
 def test_a_backend_that_is_not_installed_says_what_to_install(monkeypatch):
     monkeypatch.setitem(
-        __import__("scenec.backends.registry", fromlist=["BUILT_IN"]).BUILT_IN,
+        BUILT_IN,
         "mitsuba",
-        ("scenec_no_such_module:Mitsuba", "mitsuba"),
+        Entry("scenec_no_such_module:Mitsuba", "mitsuba", "mitsuba"),
     )
     with pytest.raises(BackendError, match=r"pip install 'scenec\[mitsuba\]'"):
         open_backend("mitsuba")

@@ -24,7 +24,7 @@ from scenec.backends.run.executors import Processes
 from scenec.backends.run.limits import RETRIES, Growth, Limits, Watch
 from scenec.backends.run.render import render
 from scenec.backends.run.supervise import Supervisor
-from scenec.backends.run.units import Opening, open_stage
+from scenec.backends.run.units import Opening, OpenStage
 from scenec.schemas import memory as machine
 from scenec.schemas.errors import BackendError
 from scenec.schemas.frames import read_frame
@@ -298,7 +298,7 @@ def test_workers_offer_themselves_to_the_kernel_before_their_parent(stage, tmp_p
     if not os.path.exists("/proc/self/oom_score_adj"):
         pytest.skip("no such system call here")
     with closing(Supervisor()) as worker:
-        worker.do(open_stage(Opening(str(stage), "plain"))).result()
+        worker.do(OpenStage(Opening(str(stage), "plain"))).result()
         own = int(Path("/proc/self/oom_score_adj").read_text())
         its = int(Path(f"/proc/{worker.pid}/oom_score_adj").read_text())
     assert its > own
@@ -314,7 +314,7 @@ def test_workers_offer_themselves_to_the_kernel_before_their_parent(stage, tmp_p
 def test_a_worker_that_cannot_be_started_is_said_with_the_reason_and_may_be_later(
     stage, which, most, words
 ):
-    unit = open_stage(Opening(str(stage), "plain"))
+    unit = OpenStage(Opening(str(stage), "plain"))
     soft, hard = resource.getrlimit(which)
     before = psutil.Process().num_fds()
     with closing(Supervisor()) as worker:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from scenec.backends.run.executors import Here
 from scenec.backends.run.render import render
 from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import export
 from scenec.schemas.files import sha256
+from scenec.schemas.units import LocalExecutor
 from scenec.testing.small import small_cfg, write_cfg
 
 COMMANDS = ("run", "compile", "settle", "import", "render", "scan", "check", "sheet", "view",
@@ -101,7 +101,7 @@ def test_letters_beyond_ascii_work_where_the_locale_has_none(cfg, tmp_path):
 def called(cfg, tmp_path_factory) -> dict[str, str]:
     """Digests of what Python calls make in a folder with a plain name."""
     out = compile_cfg(cfg, seed=1, out=tmp_path_factory.mktemp("called") / "out").out
-    render(out, "reference", executor=Here())
+    render(out, "reference", executor=LocalExecutor())
     export(out, "coco", out / "set")
     return digests(out)
 

@@ -18,7 +18,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.run import climb
 from scenec.schemas.errors import ScenecError, SceneError, StageError
-from scenec.schemas.manifest import find_batches, read_manifest
+from scenec.schemas.manifest import FailedBatch, find_batches, read_manifest
 from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -65,7 +65,7 @@ def redrawn(cfg: Path) -> Path:
 def test_it_stops_the_compilation_which_says_what_else_can_be_done(cfg, tmp_path):
     with pytest.raises(SceneError, match=r"batch_0002: rigs/rover/pose: .*2 batches before.*skip"):
         compile_cfg(cfg, seed=1, out=tmp_path / "out")
-    assert [b["index"] for b in read_manifest(tmp_path / "out")["batches"]] == [0, 1]
+    assert [b.index for b in read_manifest(tmp_path / "out").batches] == [0, 1]
     with pytest.raises(ScenecError, match="expected one of stop, skip, redraw"):
         compile_cfg(cfg, seed=1, out=tmp_path / "out", faults="ignore")
 
@@ -73,9 +73,9 @@ def test_it_stops_the_compilation_which_says_what_else_can_be_done(cfg, tmp_path
 def test_a_batch_that_was_passed_over_is_known_to_every_later_command(cfg, skipped, tmp_path):
     manifest = read_manifest(skipped)
     reason = "rigs/rover/pose: there is no object of the class rocks to look at"
-    assert manifest["failed"] == [
-        {"index": i, "path": f"batch_000{i}", "reason": reason} for i in (2, 3)
-    ]
+    assert manifest.failed == tuple(
+        FailedBatch(index=i, path=f"batch_000{i}", reason=reason) for i in (2, 3)
+    )
     with pytest.raises(StageError, match=rf"batch 2 \({reason}\)"):
         find_batches(skipped, [2])
     told = [str(finding) for finding in check_files(skipped, manifest)]
@@ -108,8 +108,8 @@ def test_drawing_again_changes_no_other_batch_and_is_the_same_each_time(cfg, ski
     assert {**contents(again.out), "timings.json": b""} == {**ours, "timings.json": b""}
     reports = [json.loads(ours[f"batch_{i:04d}/report.json"]) for i in range(4)]
     assert [report.get("attempt") for report in reports] == [None, None, 2, 3]
-    entries = read_manifest(redrawn)["batches"]
-    assert [entry.get("attempt") for entry in entries] == [None, None, 2, 3]
+    entries = read_manifest(redrawn).batches
+    assert [entry.attempt or None for entry in entries] == [None, None, 2, 3]
     # What was drawn again stays what it is, however it is compiled next.
     assert compile_cfg(cfg, seed=1, out=redrawn).unchanged == 4
 
@@ -118,7 +118,7 @@ def test_what_was_passed_over_can_be_drawn_again_later(cfg, skipped, redrawn):
     compile_cfg(cfg, seed=1, out=skipped, faults="redraw")
     ours = {n: b for n, b in contents(redrawn).items() if n != "timings.json"}
     assert {n: b for n, b in contents(skipped).items() if n in ours} == ours
-    assert "failed" not in read_manifest(skipped)
+    assert not read_manifest(skipped).failed
 
 
 def test_approximations_are_varied_of_the_attempt_that_is_there(cfg, redrawn, monkeypatch):

@@ -243,7 +243,7 @@ def test_compiling_again_changes_nothing_and_keeps_frames(tmp_path):
 def test_batches_can_be_compiled_in_parts(reference, tmp_path):
     cfg = write_cfg(tmp_path, small_cfg(batches=2))
     compile_cfg(cfg, seed=11, out=tmp_path / "out", batches=range(1, 2))
-    assert [b["index"] for b in read_manifest(tmp_path / "out")["batches"]] == [1]
+    assert [b.index for b in read_manifest(tmp_path / "out").batches] == [1]
     compile_cfg(cfg, seed=11, out=tmp_path / "out", batches=range(1))
     assert hashes(tmp_path / "out") == hashes(reference)
 
@@ -265,7 +265,7 @@ def test_an_interrupted_run_can_be_gone_on_with(reference, tmp_path, monkeypatch
         compile_cfg(cfg, seed=11, out=out)
     monkeypatch.undo()
     # The first batch is finished and listed; a killed run would leave a folder with a dot behind.
-    assert [b["index"] for b in read_manifest(out)["batches"]] == [0]
+    assert [b.index for b in read_manifest(out).batches] == [0]
     (out / ".batch_0001.0123abcd").mkdir()
     assert compile_cfg(cfg, seed=11, out=out).unchanged == 1
     (out / ".batch_0001.0123abcd").rmdir()
@@ -276,7 +276,7 @@ def test_batches_of_another_cfg_are_not_left_beside_new_ones(tmp_path):
     compile_cfg(write_cfg(tmp_path, small_cfg(batches=2)), seed=1, out=tmp_path / "out")
     with pytest.raises(OutputError, match=r"2 batches \(batch_0000 to batch_0001\), of seed 1"):
         compile_cfg(write_cfg(tmp_path, small_cfg()), seed=2, out=tmp_path / "out")
-    assert read_manifest(tmp_path / "out")["seed"] == 1
+    assert read_manifest(tmp_path / "out").seed == 1
     out = tmp_path / "out"
     assert compile_cfg(write_cfg(tmp_path), seed=2, out=out, replace=True).unchanged == 0
     assert not (out / "batch_0001").exists()
@@ -287,10 +287,10 @@ def test_files_are_called_what_they_are_whatever_their_names(tmp_path):
     cfg = small_cfg()
     cfg["materials"]["lights"] = cfg["materials"].pop("stone")
     cfg["objects"] = {"terrain": cfg["objects"]["rocks"] | {"material": "lights"}}
-    files = read_manifest(compiled(tmp_path, cfg))["files"]
-    assert files["batch_0000/looks/lights.usda"]["what"] == "material"
-    assert files["batch_0000/objects/terrain.usdc"]["what"] == "object class"
-    assert files["batch_0000/lights.usdc"]["what"] == "suns, sky and lamps"
+    files = read_manifest(compiled(tmp_path, cfg)).files
+    assert files["batch_0000/looks/lights.usda"].what == "material"
+    assert files["batch_0000/objects/terrain.usdc"].what == "object class"
+    assert files["batch_0000/lights.usdc"].what == "suns, sky and lamps"
 
 
 def test_each_sensor_asks_for_its_own_outputs(tmp_path):

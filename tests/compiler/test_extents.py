@@ -27,7 +27,7 @@ PASSES = ("depth", "label", "instance", "face", "normal")
 def seen(stage: Path) -> tuple[dict[str, np.ndarray], Any]:
     session = Session.open(stage, "reference")
     camera = session.scene.cameras[0][0]
-    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1)[0], camera
+    return session.render(camera, 0, session.passes(PASSES, camera), 1, 1).arrays, camera
 
 
 def compiled(folder: Path, cfg: dict) -> tuple[Path, dict]:

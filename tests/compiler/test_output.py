@@ -300,7 +300,7 @@ def test_more_batches_of_the_same_cfg_are_no_other_cfg_and_fewer_are_said(tmp_pa
         with temporary_folder(out) as folder:
             write(folder / "batch_0004", NEXT)
             output.put(folder, 4, 3, 0)
-    assert [b["index"] for b in read_manifest(out)["batches"]] == [0, 4]
+    assert [b.index for b in read_manifest(out).batches] == [0, 4]
     write(out, {"batch_0004/frames/annotation/rover_front/000000.json": "{}"})
     fewer = write_cfg(tmp_path, small_cfg(batches=2))
     with pytest.raises(OutputError, match="batch_0004 with 1 frames, which this cfg has no more"):

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
+from scenec.backends.run.facts import FrameResult, RendererFacts, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.export import Choice, ExportReport, export
@@ -112,7 +113,8 @@ def test_a_sidecar_names_the_camera_that_disparity_goes_to(tmp_path: Path):
     depth = {"depth": np.ones((2, 4), np.float32)}
     told = []
     for camera in (left, right, replace(left, partner="/World/Gone")):
-        write_frame(tmp_path / "f", depth, key, scene, camera, 0, {})
+        record = describe_frame(scene, camera, 0, RendererFacts("r", "0", "cpu", None, None))
+        write_frame(tmp_path / "f", FrameResult(depth, record), key, scene, camera)
         told.append(json.loads((tmp_path / "f.json").read_bytes()).get("partner", "absent"))
     assert told == ["rig_b", "absent", None]
 

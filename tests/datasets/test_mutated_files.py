@@ -28,6 +28,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.instances import frame_table_path
 from scenec.schemas.left_out import ClassRecord, Reason, Record, read_left_out, write_left_out
 from scenec.schemas.manifest import find_batches, gaps, read_manifest
+from scenec.schemas.records import NOT_WRITTEN, ScanRecord
 from scenec.schemas.scans import read_scan, write_scan
 from scenec.schemas.shape import Each, natural, require_shape
 from scenec.testing.examples import examples
@@ -199,8 +200,15 @@ def test_a_frame_s_table_without_a_column_is_refused_with_its_name(tmp_path):
 @given(data=st.data())
 def test_a_scan_s_sidecar_is_taken_or_refused_in_one_line(tmp_path, data):
     stem = tmp_path / "batch" / "scans" / "rover_top" / "000000"
-    about = {"lidar": "rover_top", "sample": 0, "time_s": 0.5, "stage_digest": "this",
-             "lidar_to_world": np.eye(4).tolist(), "labels": {"class": {"1": "sky"}}}  # fmt: skip
+    about = ScanRecord(
+        lidar="rover_top",
+        sample=0,
+        time_s=0.5,
+        stage_digest="this",
+        lidar_to_world=np.eye(4).tolist(),
+        labels={"class": {"1": "sky"}},
+        npz=NOT_WRITTEN,
+    )
     write_scan(stem, {"range": np.zeros((1, 2))}, about)
     path = stem.with_suffix(".json")
     path.write_text(json.dumps(data.draw(mutated(json.loads(path.read_text())))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from scenec.datasets.filters import make_filters
 from scenec.datasets.idset import IdSet, packed
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.datasets.statistics import Statistics, measure
+from scenec.schemas.records import SunRecord
 from scenec.testing.examples import examples
 from scenec.testing.made_output import LABELS, make_output, some_passes
 
@@ -38,8 +40,7 @@ def one_frame(folder: Path, passes: dict, **more) -> LoadedFrame:
     out = make_output(folder / "out", lambda _: passes, batches=1, cameras=("a",), samples=1)
     source = Source(out)
     frame = source.load(source.frames[0])
-    frame.sidecar.update(more)
-    return frame
+    return replace(frame, sidecar=replace(frame.sidecar, **more))
 
 
 def summed(parts: list[dict]) -> Statistics:
@@ -222,11 +223,15 @@ def turned(heading: float, pitch: float, roll: float):
     return pose(right, np.cross(forward, right), forward)
 
 
+def posed(frame: LoadedFrame, camera_to_world) -> LoadedFrame:
+    told = replace(frame.sidecar, camera_to_world=camera_to_world)
+    return LoadedFrame(frame.ref, {}, told, {}, {})
+
+
 @examples(60)
 @given(st.integers(0, 359), st.integers(-89, 89), st.integers(-180, 179))
 def test_heading_pitch_and_roll_are_those_the_camera_was_turned_by(frames, heading, pitch, roll):
-    frame = LoadedFrame(frames[0].ref, {}, dict(frames[0].sidecar), {}, {})
-    frame.sidecar["camera_to_world"] = turned(heading, pitch, roll)
+    frame = posed(frames[0], turned(heading, pitch, roll))
     view = measure(frame)["counts"]["view"]
     assert view["heading"] == {str(heading // 15 + 1): 1}
     assert view["pitch"] == {str((pitch + 90) // 10 + 1): 1}
@@ -234,11 +239,10 @@ def test_heading_pitch_and_roll_are_those_the_camera_was_turned_by(frames, headi
 
 
 def test_a_camera_that_looks_straight_down_has_no_heading(frames) -> None:
-    frame = LoadedFrame(frames[0].ref, {}, dict(frames[0].sidecar), {}, {})
-    frame.sidecar["camera_to_world"] = pose((1, 0, 0), (0, -1, 0), (0, 0, -1))
+    frame = posed(frames[0], pose((1, 0, 0), (0, -1, 0), (0, 0, -1)))
     view = measure(frame)["counts"]["view"]
     assert view == {"pitch": {"1": 1}}
-    frame.sidecar["camera_to_world"] = pose((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    frame = posed(frames[0], pose((1, 0, 0), (0, 1, 0), (0, 0, 1)))
     assert measure(frame)["counts"]["view"] == {"pitch": {"18": 1}}
 
 
@@ -246,13 +250,11 @@ def test_suns_are_counted_by_where_they_stand(frames) -> None:
     total = Statistics()
     suns = [(90.0, 0.0), (12.0, 359.9999999), (12.0, 45.0), (-3.0, 200.0), None]
     for sun in suns:
-        frame = LoadedFrame(frames[0].ref, {}, dict(frames[0].sidecar), {}, {})
-        frame.sidecar["sun"] = sun and {
-            "elevation_deg": sun[0],
-            "azimuth_deg": sun[1],
-            "irradiance": [1.0, 2.0, 3.0],
-        }
-        total.add(measure(frame))
+        record = sun and SunRecord(
+            elevation_deg=sun[0], azimuth_deg=sun[1], irradiance=(1.0, 2.0, 3.0)
+        )
+        told = replace(frames[0].sidecar, sun=record)
+        total.add(measure(LoadedFrame(frames[0].ref, {}, told, {}, {})))
     found = total.as_json()["sun"]
     assert found["without"] == 1
     assert found["elevation_deg"] == [-3.0, 90.0]

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
+from scenec.backends.run.executors import Processes, make_executor
 from scenec.cli.main import main
 from scenec.datasets.view import layers as stored
 from scenec.datasets.view.fitting import steps
@@ -105,8 +106,8 @@ def test_ids_come_back_exactly_and_depth_within_the_stated_error(tmp_path):
         worst = np.abs(found[hit] / depth[hit] - 1).max()
         assert worst <= index["stored"]["depth_error"]
         assert index["stored"]["depth_error"] < 1e-4
-        assert facts["K"] == np.ravel(frame.sidecar["intrinsics"])[:6].tolist()
-        assert np.allclose(facts["pose"], np.ravel(frame.sidecar["camera_to_world"])[:12])
+        assert facts["K"] == np.ravel(frame.sidecar.intrinsics)[:6].tolist()
+        assert np.allclose(facts["pose"], np.ravel(frame.sidecar.camera_to_world)[:12])
 
 
 def test_the_picture_is_the_developed_one_to_jpegs_error(tmp_path):
@@ -266,8 +267,9 @@ def test_finer_steps_come_before_coarser_ones():
 def test_the_same_output_gives_the_same_bytes_whatever_the_number_of_processes(tmp_path):
     out = made_output.make_output(tmp_path / "out", samples=3)
     pages = []
-    for number, workers in enumerate((1, 1, 2)):
-        write_view(out, tmp_path / f"{number}.html", workers=workers)
+    for number, workers in enumerate((0, 0, 2)):
+        with make_executor(workers) as executor:
+            write_view(out, tmp_path / f"{number}.html", executor=executor)
         pages.append((tmp_path / f"{number}.html").read_bytes())
     assert pages[0] == pages[1] == pages[2]
     assert str(tmp_path).encode() not in pages[0]
@@ -459,7 +461,8 @@ def many_frames(folder: Path, batches: int, samples: int) -> Path:
 
 @pytest.mark.slow
 def test_thousands_of_frames_stay_within_the_budget(many, tmp_path):
-    report = write_view(many, tmp_path / "view.html", budget_mb=9.0, workers=2)
+    with Processes(2) as executor:
+        report = write_view(many, tmp_path / "view.html", budget_mb=9.0, executor=executor)
     assert report.frames == 2400
     assert report.reduced == 2400
     assert 5e6 < report.bytes <= 9e6

@@ -43,7 +43,7 @@ FLOORS = {
     ),
     "backends": (
         ("stage",),
-        ("contract", "registry"),
+        ("contract", "noise_seeds", "registry"),
         ("camera",),
         ("surface",),
         ("model",),
@@ -84,6 +84,7 @@ FLOORS = {
     "quality": (("converge", "ladder"),),
     "lab": (
         ("runner", "models"),
+        ("pictures",),
         ("benchmarks",),
         ("experiments", "pages"),
         ("robustness",),

@@ -231,7 +231,7 @@ def test_hovering_tells_the_values_of_the_arrays_at_that_pixel(page, out):
             continue
         meters, off = re.fullmatch(r"(\S+) m ± (\S+)", told["depth"]).groups()
         assert abs(float(meters) - depth) <= 1.05 * float(off) + 1e-5 * depth
-        k, pose = np.array(sidecar["intrinsics"]), np.array(sidecar["camera_to_world"])
+        k, pose = np.array(sidecar.intrinsics), np.array(sidecar.camera_to_world)
         ray = np.linalg.solve(k, [column + 0.5, row + 0.5, 1.0])
         world = pose[:3, :3] @ (depth * ray) + pose[:3, 3]
         assert (
