@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -58,10 +59,8 @@ def looked_at(field: HeightField, eyes: Sequence[Eye]) -> tuple[Floats, Floats]:
     if not eyes:
         return np.zeros(0), np.zeros(0)
     origin, toward = _rays(eyes, max(_RAYS // len(eyes), 1))
-    reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
-                          + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
     far = np.full(len(origin), -1.0)
-    growth = _growth(reach, _ALONG)
+    growth = _growth(field, _ALONG)
     over_threads(_march, len(origin), field.height, field.frame(), origin, toward, growth, far)
     met = np.flatnonzero(far > 0.0)
     place = origin[met] + far[met, None] * toward[met]
@@ -71,25 +70,10 @@ def looked_at(field: HeightField, eyes: Sequence[Eye]) -> tuple[Floats, Floats]:
     return np.ascontiguousarray(place[inside, 0]), np.ascontiguousarray(place[inside, 1])
 
 
-def _growth(reach: float, count: int) -> float:
-    """Ratio of places along a ray that goes from near the eye to ``reach``."""
-    low, high = 1.0, 2.0
-    while _grown(high, count) * _FIRST_M < reach:
-        high *= 2.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if _grown(middle, count) * _FIRST_M < reach:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-def _grown(ratio: float, count: int) -> float:
-    out = 1.0
-    for _ in range(count):
-        out = min(out * ratio, 1e300)
-    return out
+def _growth(field: HeightField, count: int) -> float:
+    """Ratio of places along a ray that goes from near the eye across all of the ground."""
+    reach = max(math.hypot(*field.grid.size_m), _FIRST_M)
+    return float((reach / _FIRST_M) ** (1.0 / count))
 
 
 def _rays(eyes: Sequence[Eye], each: int) -> tuple[Floats, Floats]:
@@ -133,14 +117,7 @@ def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:
     if not len(cameras):
         return None
     chosen = cameras[:: max(1, -(-len(cameras) // _VIEWS))]
-    reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
-                          + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
-    growth = _growth(reach, _PLACES)
-    away = np.empty(_PLACES)
-    at = _FIRST_M
-    for k in range(_PLACES):
-        away[k] = at
-        at *= growth
+    away = _FIRST_M * _growth(field, _PLACES) ** np.arange(_PLACES)
     x = np.empty((len(chosen), _BEARINGS, _PLACES))
     y = np.empty_like(x)
     known = np.empty((len(chosen), _BEARINGS), np.bool_)
