@@ -127,7 +127,7 @@ def lander() -> Model:
         for column in range(3):
             for row in range(4):
                 low = np.array([-0.42 + 0.283 * column, -0.46 + 0.232 * row])
-                panel.box((*low, 0.014), (*(low + [0.274, 0.222]), 0.018), frame, center)
+                panel.box((*low, 0.014), (low[0] + 0.274, low[1] + 0.222, 0.018), frame, center)
         deck.box((-0.44, -0.48, 0.0), (0.44, 0.48, 0.014), frame, center)
         legs.tube(
             np.array([[s * 0.56, 0.0, 0.92], center - UP * 0.01]), [0.022, 0.022], 8, closed=True

@@ -19,7 +19,6 @@ tool, a loop device, a file system that the kernel has) is left out, with a line
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import random
@@ -43,6 +42,7 @@ from scenec.lab.robustness.soak import scanned_cfg
 from scenec.lab.runner import SCENEC, Study, names, run
 from scenec.lab.runner import command as run_command
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.files import sha256, tree
 from scenec.testing.small import write_cfg
 
 #: Bytes of a disk that is full before anything is finished.
@@ -365,11 +365,16 @@ def _line(command: Command, cfg: Path, out: Path) -> list[str]:
 
 def digests(out: Path) -> dict[str, str]:
     """Of each file."""
-    return {
-        str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(out.rglob("*"))
-        if path.is_file()
-    }
+    return {str(path): sha256(out / path) for path in tree(out)}
+
+
+def _taken(command: Command, made: dict[str, Path], folder: Path) -> Path:
+    """A new folder with what a command takes."""
+    if command.after:
+        shutil.copytree(made[command.after], folder)
+    else:
+        folder.mkdir()
+    return folder
 
 
 def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[str]]]:
@@ -379,11 +384,7 @@ def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[st
     for name, command in COMMANDS.items():
         runs = []
         for turn in ("a", "b"):
-            out = folder / f"{name}_{turn}"
-            if command.after:
-                shutil.copytree(made[command.after], out)
-            else:
-                out.mkdir()
+            out = _taken(command, made, folder / f"{name}_{turn}")
             run_command(_line(command, cfg, out))
             runs.append(digests(out))
         made[name] = folder / f"{name}_a"
@@ -450,11 +451,7 @@ def tried(
     command = COMMANDS[name]
     place = study.scratch / "run"
     place.mkdir()
-    folder = place / "output"
-    if command.after:
-        shutil.copytree(made[command.after], folder)
-    else:
-        folder.mkdir()
+    folder = _taken(command, made, place / "output")
     line = _line(command, cfg, folder)
     on = Disturbed(folder, environment={"SCENEC_CACHE": ""})
     mark = str(rng.getrandbits(48))
@@ -470,12 +467,10 @@ def tried(
         wrong.append(f"does not go on: {text[-300:]}")
     whole, found = digests(made[name]), digests(folder)
     for file in sorted(whole.keys() | found.keys()):
-        if file not in found:
-            wrong.append(f"{file} is missing")
-        elif file not in whole:
-            wrong.append(f"{file} is left")
-        elif file not in timed and whole[file] != found[file]:
-            wrong.append(f"{file} differs")
+        if (file in timed and file in found) or whole.get(file) == found.get(file):
+            continue
+        how = "is missing" if file not in found else "is left" if file not in whole else "differs"
+        wrong.append(f"{file} {how}")
     shutil.rmtree(place)
     last = said.strip().splitlines()[-1:] or [""]
     return f"{ended}: {last[0][:120]}", wrong
