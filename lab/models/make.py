@@ -1,6 +1,6 @@
-"""Writes assets/models/*.glb, or says whether the files there are what it makes.
+"""Writes assets/models/*.glb.
 
-    .venv/bin/python lab/models/make.py [--check | --table] [NAME ...]
+    .venv/bin/python lab/models/make.py [--table] [NAME ...]
 
 Plants, stones and things of scenec's own: nothing is read, every model is made from the numbers in
 this folder, stones by the compiler. Files are the same bytes each time; across machines ``--check``
@@ -27,7 +27,7 @@ from scenec.lab.models import (
     vehicles,
     woody,
 )
-from scenec.lab.models.glb import Card, Model, encode, same, triangles
+from scenec.lab.models.glb import Card, Model, encode, triangles
 
 FOLDER = Path(__file__).resolve().parents[2] / "assets" / "models"
 
@@ -73,36 +73,24 @@ def made(name: str) -> tuple[Model, Card]:
     return maker(), Card((maker.__doc__ or "").splitlines()[0].rstrip("."), label)
 
 
-def main(arguments: list[str]) -> int:
-    """Writes or checks; returns the exit status."""
+def main(arguments: list[str]) -> None:
+    """Writes the files, or prints their rows."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; compare with the files"
-    )
     parser.add_argument("--table", action="store_true", help="write nothing; print the page's rows")
     parser.add_argument("names", nargs="*", metavar="NAME", help="models; all when none is named")
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in MODELS]
     if unknown:
         parser.error(f"no model {unknown[0]!r}: expected one of {', '.join(MODELS)}")
-    stale = 0
     for name in options.names or MODELS:
-        file = FOLDER / f"{name}.glb"
         model, card = made(name)
         if options.table:
             print(_row(name, model, card))
             continue
         data = encode(model, card)
-        if options.check:
-            fresh = file.is_file() and same(file.read_bytes(), data)
-            stale += not fresh
-            print(f"{name}: {'as made' if fresh else 'differs: run lab/models/make.py'}")
-            continue
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(data)
+        (FOLDER / f"{name}.glb").write_bytes(data)
         parts = ", ".join(dict.fromkeys(key for key, _, _ in model.meshes()))
         print(f"{name}: {triangles(model)} triangles, {len(data)} bytes, {parts}")
-    return 1 if stale else 0
 
 
 def _row(name: str, model: Model, card: Card) -> str:
@@ -114,4 +102,4 @@ def _row(name: str, model: Model, card: Card) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(sys.argv[1:])

@@ -20,7 +20,7 @@ from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.points import Bools, Floats, rms, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.seen import Truth, horizons
-from scenec.quality.ladder.tin import Heights, Index
+from scenec.quality.ladder.tin import Heights, heights
 
 #: How far float32 vertices may lie within the terrain's border, parts of its size.
 _ROUNDING = 1e-6
@@ -44,13 +44,12 @@ def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
     if meshing.tolerance_px is None:
         return "tolerance_px is 0: the whole grid is kept, and its triangles are the ground"
     truth = Truth.of(base.built["surface"], base.eyes)
-    index = Index(truth.x, truth.y)
     at = np.stack([truth.x, truth.y, truth.z], axis=1)
     pixels = base.pixels(at[: truth.checked])
     factors = steps(*split(rungs))
     _warm(base)
     found = [
-        _rung(base, meshing.tolerance_px * factor, factor == 1.0, truth, index, pixels)
+        _rung(base, meshing.tolerance_px * factor, factor == 1.0, truth, pixels)
         for factor in factors
     ]
     bound = [rung for rung in found if rung.details["budget_bound"]]
@@ -107,9 +106,7 @@ def _warm(base: Base) -> None:
     )
 
 
-def _rung(
-    base: Base, tolerance_px: float, used: bool, truth: Truth, index: Index, pixels: Floats
-) -> Rung:
+def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Floats) -> Rung:
     terrain = base.plan.terrain
     clock = Clock()
     tiles, report = clock.mean(partial(_tiles, base, tolerance_px))
@@ -127,8 +124,8 @@ def _rung(
     )
     mesh = report["mesh"]
     finer = mesh.get("finer", {})
-    heights = index.heights(tiles)
-    error, normal, there = distances(truth, heights)
+    mesh_heights = heights(tiles, truth.x, truth.y)
+    error, normal, there = distances(truth, mesh_heights)
     shown = error * pixels[there]
     order = np.sort(shown, kind="stable")
     rung = Rung.of(
@@ -141,7 +138,7 @@ def _rung(
             "rms_m": rms(error),
             "worst_normal_m": worst(normal),
             "99_9_percent_px": float(order[int(0.999 * (len(order) - 1))]) if len(order) else 0.0,
-            **_silhouettes(base, truth, heights),
+            **_silhouettes(base, truth, mesh_heights),
             "found_px": float(
                 max(mesh["height_error_max_px"], finer.get("surface_error_found_px", 0.0))
             ),
