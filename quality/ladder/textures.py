@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,19 +167,12 @@ def _nearest(one: _Picture, times: int) -> int:
     return next(own for own in range(max(times, 0), -1, -1) if _possible(one, own))
 
 
-class _Smaller(NamedTuple):
-    """A picture on a rung: what its colors are multiplied with, and its bytes in the stage."""
-
-    source: Source
-    factor: tuple[float, float, float]
-    size: int
-
-
-def _smaller(one: _Picture, times: int) -> _Smaller:
+def _smaller(one: _Picture, times: int) -> tuple[Source, tuple[float, float, float], int]:
+    """A picture on a rung, what its colors are multiplied with, and its bytes in the stage."""
     small = reduced(one.source, "base_color", times) if times else None
     source = one.source if small is None else small.picture
     size = written(lambda folder: copy_maps(folder, one.name, _only(one, source)))
-    return _Smaller(source, (1.0, 1.0, 1.0) if small is None else small.factor, size)
+    return source, (1.0, 1.0, 1.0) if small is None else small.factor, size
 
 
 def _rung(pictures: list[_Picture], times: int) -> Rung:
@@ -189,8 +181,8 @@ def _rung(pictures: list[_Picture], times: int) -> Rung:
         lambda: [_smaller(one, _nearest(one, one.halved + times)) for one in pictures]
     )
     errors, texels, least = [], [], np.inf
-    for one, small in zip(pictures, made, strict=True):
-        planes = colors(small.source) * np.array(small.factor)
+    for one, (source, factor, _) in zip(pictures, made, strict=True):
+        planes = colors(source) * np.array(factor)
         errors.append(np.abs(_through(planes, one.pixels) / one.mean - one.truth))
         texels.append(min(planes.shape[:2]))
         least = min(least, texels[-1] / one.pixels)
@@ -198,7 +190,7 @@ def _rung(pictures: list[_Picture], times: int) -> Rung:
     rung = Rung.of(
         away,
         clock,
-        sum(small.size for small in made),
+        sum(size for _, _, size in made),
         texels_per_pixel_least=float(least),
         texels_across_least=min(texels),
         texels_across_most=max(texels),

@@ -54,12 +54,7 @@ class Window:
 
 
 def emitted(base: Base, field: HeightField) -> tuple[int, int]:
-    """Bytes and triangles of a piece of ground, meshed as the cfg asks for, without its colors.
-
-    Args:
-        base: The scene.
-        field: Its heights.
-    """
+    """Bytes and triangles of a piece of ground, meshed as the cfg asks for, without its colors."""
     near = pixels_per_meter(field, base.views, base.unseen) if base.rigs else None
     meshing = base.plan.terrain.meshing
     tiles, report = build_tiles(
