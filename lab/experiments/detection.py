@@ -34,7 +34,7 @@ _ROCK = CLASSES.index("rock") + 1
 
 
 def recipe(steps: int) -> Recipe:
-    """How a network is trained."""
+    """Says how a network is trained."""
     return Recipe("small", steps, pictures=4, rate=1e-3)
 
 

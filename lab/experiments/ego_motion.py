@@ -115,7 +115,7 @@ class Experiment:
         return out
 
     def flights(self, page: Page) -> None:
-        """All flights as they are."""
+        """Flies all flights as they are."""
         figure, axes = plt.subplots(1, len(FLIGHTS), figsize=(14, 4.6), constrained_layout=True)
         rows = []
         for panel, flight in zip(axes, FLIGHTS, strict=True):
@@ -133,7 +133,7 @@ class Experiment:
         page.save(figure, "tracks")
 
     def varied(self, page: Page) -> None:
-        """One thing at a time; a dash is a lost track."""
+        """Varies one thing at a time; a dash is a lost track."""
         figure, axes = plt.subplots(
             1, len(self.vary), figsize=(15, 4.2), constrained_layout=True, squeeze=False
         )

@@ -120,7 +120,7 @@ def _spread(values: Iterable[float | None], factor: float = 100.0) -> str | None
 
 
 def found(page: Page) -> None:
-    """Rocks in single pictures."""
+    """Finds rocks in single pictures."""
     experiment = Experiment(page)
     page.rows(
         (title, *(_spread(e.measures[f"{kind}_{m}"] for e in experiment.judged) for m in _MEASURES))
@@ -179,7 +179,7 @@ def _drawn(page: Page, experiment: Experiment) -> None:
 
 
 def followed(page: Page) -> None:
-    """Rocks through a sequence."""
+    """Follows rocks through a sequence."""
     start = _cpu_s()
     frames = 6 if page.fast else 24
     out = _sequence(of_page(page), frames)

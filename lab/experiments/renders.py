@@ -126,7 +126,7 @@ def of_page(page: Page) -> Renders:
 
 
 def chosen(page: Page, known: Collection[str]) -> tuple[str, ...]:
-    """Names that ``--only`` gives.
+    """Returns the names that ``--only`` gives.
 
     Raises:
         OutputError: It has one that is not known.
@@ -138,14 +138,14 @@ def chosen(page: Page, known: Collection[str]) -> tuple[str, ...]:
 
 
 def on_all_cores(calls: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-    """What functions return, one a core in a fresh process: each with its arguments."""
+    """Calls functions, one a core in a fresh process, each with its arguments."""
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         for job in [pool.submit(*call) for call in calls]:
             yield job.result()
 
 
 def left_out(tables: int) -> Callable[[Page], object]:
-    """A part of a page that stays as it is."""
+    """Makes a part of a page that stays as it is."""
     return lambda page: [page.rows(None) for _ in range(tables)]
 
 

@@ -160,7 +160,7 @@ def _by_class(ious: Numbers) -> list[str]:
 
 
 def transfer(page: Page, experiment: Experiment) -> None:
-    """Trained on one renderer, tested on another."""
+    """Tests networks of one renderer on another."""
     found = {
         (learned, asked): experiment.ious(FULL, learned, asked)
         for learned in _BACKENDS
@@ -218,7 +218,7 @@ def _shown(page: Page, experiment: Experiment, means: dict[tuple[str, str], floa
 
 
 def ablations(page: Page, experiment: Experiment) -> None:
-    """What is left out of the pictures learned from."""
+    """Leaves something out of the pictures learned from."""
     found = {name: experiment.ious(name, _OWN, _OWN) for name in SETTINGS}
     costs = {name: experiment.renders.cost(name, _OWN) for name in SETTINGS}
     whole = _mean(found[FULL])[0]

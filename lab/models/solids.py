@@ -227,7 +227,7 @@ def soft_polygon(corners: Outline, radius: float, steps: int = 4) -> Floats:
 
 
 def soft_hull(rows: Sequence[Sequence[float]], steps: int) -> Floats:
-    """Sections of a hull along y: rectangles of soft corners [k, n, 3].
+    """Returns sections of a hull along y: rectangles of soft corners [k, n, 3].
 
     Args:
         rows: Each (y, half width, lowest, highest, radius of the corners).
@@ -393,7 +393,7 @@ class Assembly:
         return self._parts.setdefault(name, (Piece(), material))[0]
 
     def parts(self, **materials: str) -> list[Piece]:
-        """Several parts, by name."""
+        """Makes several parts, by name."""
         return [self.part(*named) for named in materials.items()]
 
     def model(self, grown: bool = False) -> Model:

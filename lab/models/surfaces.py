@@ -76,13 +76,13 @@ def azimuth(degrees: float, elevation: float = 0.0) -> Floats:
 
 
 def circle(sides: int, side: Floats, other: Floats) -> Floats:
-    """Unit vectors all around, from ``side`` toward ``other``, [n, 3]."""
+    """Returns unit vectors all around, from ``side`` toward ``other``, [n, 3]."""
     angles = 2.0 * math.pi * np.arange(sides) / sides
     return np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
 
 
 def rings_along(path: Floats, sides: int) -> Iterator[Floats]:
-    """Unit vectors around each point of a path, carried along without twist."""
+    """Yields unit vectors around each point of a path, carried along without twist."""
     ahead = unit(np.gradient(path, axis=0))
     side = across(ahead[0])
     for on in ahead:
@@ -91,7 +91,7 @@ def rings_along(path: Floats, sides: int) -> Iterator[Floats]:
 
 
 def band(rings: int, sides: int) -> list[tuple[int, int, int]]:
-    """Faces between rings of so many points, one after the other."""
+    """Returns faces between rings of so many points, one after the other."""
     faces = []
     for i in range(rings - 1):
         for j in range(sides):
@@ -104,7 +104,7 @@ def swept(
     profile: Sequence[Sequence[float]], sides: int, axis: Floats, at: Floats | Sequence[float],
     closed: bool = False,
 ) -> tuple[Floats, list[tuple[int, int, int]]]:  # fmt: skip
-    """Points and faces of what a profile of (radius, height) sweeps around an axis.
+    """Returns points and faces of what a profile of (radius, height) sweeps around an axis.
 
     Args:
         closed: Whether the profile's end is joined to its start.

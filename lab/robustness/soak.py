@@ -92,7 +92,7 @@ class Count:
 
 
 def scanned_cfg(**how: int) -> dict[str, Any]:
-    """A ``small_cfg`` of few rocks, with a lidar."""
+    """Makes a ``small_cfg`` of few rocks, with a lidar."""
     cfg = small_cfg(**how)
     cfg["terrain"]["spacing_m"] = 0.5
     cfg["objects"]["rocks"] |= {"count": 60, "prototypes": 2, "subdivisions": 1}

@@ -51,7 +51,7 @@ class Rung:
     def of(
         cls, error: Floats, clock: Clock, size: int, triangles: int | None = None, **details: Any
     ) -> Rung:
-        """A rung of errors at points, float64 [n]; its value is set when it is known."""
+        """Makes a rung of errors at points, float64 [n]; its value is set when it is known."""
         seconds, worst_, rms_ = clock.seconds, worst(error), rms(error)
         return cls(0.0, False, worst_, rms_, None, seconds, size, triangles, details)
 

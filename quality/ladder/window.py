@@ -72,7 +72,7 @@ def emitted(base: Base, field: HeightField) -> tuple[int, int]:
 
 
 def in_pixels(base: Base, x: Floats, y: Floats, error: Floats) -> dict[str, float]:
-    """Errors of height at points of the terrain, in pixels of the view that shows them largest.
+    """Returns errors of height at points, in pixels of the view that shows them largest.
 
     Nothing without cameras.
     """
