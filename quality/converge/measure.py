@@ -105,40 +105,33 @@ def rows(batch: str, climbed: Sequence[Climbed], references: References) -> list
             pictures = [(Rung(1), False, 0, shown) for shown in one.references[0]]
         for rung, denoised, repeat, shown in pictures:
             frame = shown.read()
+            which = batch, shown.place, one.backend, denoised
+            quality = rung.name if one.stochastic else "only", repeat
             found += [
-                _row(batch, one, other.backend, rung, denoised, repeat, shown, frame, references)
+                Row(
+                    *which,
+                    other.backend,
+                    *quality,
+                    *_measured(frame, references, other.backend, shown),
+                )
                 for other in climbed
                 if other.stochastic
             ]
     return found
 
 
-def _row(
-    batch: str,
-    one: Climbed,
-    against: str,
-    rung: Rung,
-    denoised: bool,
-    repeat: int,
-    frame_of: LadderFrame,
-    frame: Frame,
-    references: References,
-) -> Row:
-    key = (against, frame_of.place)
+def _measured(
+    frame: Frame, references: References, against: str, shown: LadderFrame
+) -> tuple[Any, ...]:
+    """Returns the cells of a ``Row`` about the picture itself."""
+    key = (against, shown.place)
     result: Errors = errors(
-        frame.passes["rgb"][references.masks[frame_of.place]], references.references[key]
+        frame.passes["rgb"][references.masks[shown.place]], references.references[key]
     )
     map_ = flip(references.frames[key], frame)
     record = frame.sidecar
     seconds = record.seconds or {}
-    return Row(
-        batch,
-        frame_of.place,
-        one.backend,
-        denoised,
-        against,
-        rung.name if one.stochastic else "only",
-        repeat,
+    return (
         record.samples_per_pixel or 0,
         float(seconds["radiance"]) + float(seconds.get("haze", 0.0)),
         result.relative_ms,
