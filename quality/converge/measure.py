@@ -91,7 +91,7 @@ def see(climbed: Sequence[Climbed]) -> References:
     return seen
 
 
-def rows(batch: str, climbed: Sequence[Climbed], references: References) -> list[Row]:
+def rows(batch: str, climbed: Sequence[Climbed], truth: References) -> list[Row]:
     """Every picture against its own backend's reference and those of all others with noise."""
     found = []
     for one in climbed:
@@ -108,27 +108,18 @@ def rows(batch: str, climbed: Sequence[Climbed], references: References) -> list
             which = batch, shown.place, one.backend, denoised
             quality = rung.name if one.stochastic else "only", repeat
             found += [
-                Row(
-                    *which,
-                    other.backend,
-                    *quality,
-                    *_measured(frame, references, other.backend, shown),
-                )
+                Row(*which, other.backend, *quality, *_measured(frame, truth, other.backend, shown))
                 for other in climbed
                 if other.stochastic
             ]
     return found
 
 
-def _measured(
-    frame: Frame, references: References, against: str, shown: LadderFrame
-) -> tuple[Any, ...]:
+def _measured(frame: Frame, truth: References, against: str, shown: LadderFrame) -> tuple[Any, ...]:
     """Returns the cells of a ``Row`` about the picture itself."""
     key = (against, shown.place)
-    result: Errors = errors(
-        frame.passes["rgb"][references.masks[shown.place]], references.references[key]
-    )
-    map_ = flip(references.frames[key], frame)
+    result: Errors = errors(frame.passes["rgb"][truth.masks[shown.place]], truth.references[key])
+    map_ = flip(truth.frames[key], frame)
     record = frame.sidecar
     seconds = record.seconds or {}
     return (
@@ -139,7 +130,7 @@ def _measured(
         result.relative_mse_trimmed,
         result.bias,
         None if map_ is None else float(map_.mean()),
-        references.references[key].level_error / max(references.references[key].level, 1e-30),
+        truth.references[key].level_error / max(truth.references[key].level, 1e-30),
         record.error.relative_rms,
         record.error.relative_rms_bound_95,
     )

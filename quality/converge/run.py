@@ -92,10 +92,8 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
         raise BackendError(f"repeats must be at least 1, not {ladder.repeats}")
 
 
-def _add(
-    report: ConvergeReport, one: Climbed, references: measure.References, ladder: Ladder
-) -> None:
-    noises = [references.references[one.backend, shown.place] for shown in one.references[0]]
+def _add(report: ConvergeReport, one: Climbed, truth: measure.References, ladder: Ladder) -> None:
+    noises = [truth.references[one.backend, shown.place] for shown in one.references[0]]
     entry = report.backends.setdefault(
         one.backend,
         {

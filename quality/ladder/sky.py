@@ -64,7 +64,7 @@ def sky(base: Base, rungs: int) -> list[Ladder] | str:
 
 
 def _first[S: (ClearSky, AtmosphereSky, SunDisc)](light: S) -> S:
-    """Of all samples the first."""
+    """Returns the first of all samples."""
     of_samples = {
         one.name: getattr(light, one.name)[:1]
         for one in fields(light)
