@@ -12,7 +12,7 @@ from scenec.api.options import ExportOptions
 from scenec.backends.model.collect import full_model
 from scenec.backends.stage.read import read_stage
 from scenec.datasets.models import TEXELS
-from scenec.datasets.models.gltf import Written, write_gltf
+from scenec.datasets.models.gltf import ModelContent, write_gltf
 from scenec.datasets.models.usdz import write_usdz
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, sha256
@@ -114,7 +114,7 @@ def _texels(settings: Sequence[str]) -> int:
     return texels
 
 
-def _write(name: str, batch: Batch, file: Path, texels: int) -> Written:
+def _write(name: str, batch: Batch, file: Path, texels: int) -> ModelContent:
     model = full_model(read_stage(batch.stage), batch.name, texels=texels)
     if name == "gltf":
         return write_gltf(model, file)

@@ -220,8 +220,6 @@ class Backend:
         return None
 
 
-def completed(backend: type) -> type[Backend]:
-    """Returns a backend's class, or, if it does not derive from ``Backend``, a subclass of both."""
-    return (
-        backend if issubclass(backend, Backend) else type(backend.__name__, (backend, Backend), {})
-    )
+def completed(kind: type) -> type[Backend]:
+    """Returns a kind's class, or, if it does not derive from ``Backend``, a subclass of both."""
+    return kind if issubclass(kind, Backend) else type(kind.__name__, (kind, Backend), {})

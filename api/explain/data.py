@@ -28,7 +28,7 @@ _MESH = {
     "label_error_max_px?": float,
     # Older outputs have the first.
     "finer?": (None, _FINER | {"surface_error_max_px": float},
-               _FINER | {"surface_error_found_px": float}),
+               _FINER | {"surface_error_found_px": float})
 }  # fmt: skip
 _CONDITION = {"type": str, "holds": float, "smoothed_over_m?": (None, float)}
 _CLASS = {
@@ -66,7 +66,7 @@ _REPORT = {
         "faces": natural,
         "float32_error_max_m": float,
         "mesh?": (None, _MESH),
-        "cuts": [dict.fromkeys(("chord_error_rms_m", "chord_error_max_m", "snap_max_m"), float)],
+        "cuts": [dict.fromkeys(("chord_error_rms_m", "chord_error_max_m", "snap_max_m"), float)]
     },
     "objects?": Each(_CLASS),
     "object_budget?": (None, {"max_triangles": natural, "error_factor": float}),
@@ -74,7 +74,7 @@ _REPORT = {
         "promised_m": float,
         "promised_px": (None, float),
         "float32_error_max_m": float,
-        "float32_error_max_px": (None, float),
+        "float32_error_max_px": (None, float)
     },
     "sky?": Each({"resolution_error?": float}),
     "surfaces?": Each({"pictures?": Each(_PICTURE)}),
@@ -82,10 +82,10 @@ _REPORT = {
     "prune?": (None, {
         "light?": (None, {"min_view_factor?": float, "everywhere?": bool}),
         "tiles?": {"kept": natural, "of": natural},
-        "objects?": Each(Each(natural)),
+        "objects?": Each(Each(natural))
     }),
     "left_out?": [{"what": str, "why": str, "instances?": natural, "triangles?": natural,
-                   "bytes?": (None, natural)}],
+                   "bytes?": (None, natural)}]
 }  # fmt: skip
 _SET_TO_ZERO = {"sky?": {"set_to_zero?": Each({"negative_fraction": float})}}
 _TIMINGS = {"compile?": Each(Each(float))}

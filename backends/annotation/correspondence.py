@@ -133,7 +133,7 @@ def _of_trigger(picture: Picture, step: int) -> Match:
     return match_picture(picture, other, sample)
 
 
-def _in_partner(picture: Picture) -> Match:
+def _stereo(picture: Picture) -> Match:
     """In the partner's picture."""
     other = _partner(picture.scene, picture.camera, picture.sample)
     return match_picture(picture, other, picture.sample)
@@ -226,8 +226,6 @@ FLOW_BACKWARD = built_in(
 )
 OCCLUSION_BACKWARD = built_in("occlusion_backward", lambda p: p.once(_before).code, whole=True)
 DISPARITY = built_in(
-    "disparity", lambda p: p.once(_centers)[:, 0] - p.once(_in_partner).pixel[:, 0], whole=True
+    "disparity", lambda p: p.once(_centers)[:, 0] - p.once(_stereo).pixel[:, 0], whole=True
 )
-DISPARITY_OCCLUSION = built_in(
-    "disparity_occlusion", lambda p: p.once(_in_partner).code, whole=True
-)
+DISPARITY_OCCLUSION = built_in("disparity_occlusion", lambda p: p.once(_stereo).code, whole=True)

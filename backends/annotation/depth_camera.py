@@ -38,7 +38,7 @@ _MEASURED = np.uint64(2)
 _ZERO = np.uint64(0)
 
 
-class _Noise(NamedTuple):
+class _NoiseKey(NamedTuple):
     """Holds the keys of random numbers: the camera's key and the sample, both uint64."""
 
     key: np.uint64
@@ -140,7 +140,7 @@ def measure_stereo(
     out = np.empty(depth.size)
     focal_baseline = float(camera.intrinsics[0, 0]) * model.baseline_m
     pair = _Pair(focal_baseline, model.noise_px, model.step_px, *model.range_m)
-    noise = _Noise(np.uint64(key), np.uint64(sample))
+    noise = _NoiseKey(np.uint64(key), np.uint64(sample))
     over_threads(_stereo, len(out), depth.ravel(), visible.ravel(), pair, noise, out)
     return out.reshape(depth.shape)
 
@@ -173,7 +173,7 @@ def measure_time_of_flight(
         model.noise_m / model.at_m**2,
         *model.range_m,
     )
-    noise = _Noise(np.uint64(key), np.uint64(sample))
+    noise = _NoiseKey(np.uint64(key), np.uint64(sample))
     over_threads(_time_of_flight, len(out), reach, cosine, per_range.ravel(), light, noise, out)
     return out.reshape(reach.shape)
 

@@ -37,9 +37,9 @@ from numpy.typing import NDArray
 
 from scenec.backends.picture.ordinates import (
     STREAMS,
-    Beams,
     Layer,
-    Source,
+    SourceTerm,
+    SunBeams,
     sky_modes,
     solve,
 )
@@ -138,7 +138,7 @@ def air_of(haze: Haze, suns: tuple[Sun, ...], sky: Sky | None, floor_m: float) -
     strength = [sun.irradiance * risen(sun) * mean_passed(sun) for sun in up]
     irradiance = np.array(strength).reshape(-1, 3)
     azimuth = np.array([math.atan2(sun.to_light[1], sun.to_light[0]) for sun in up])
-    beams = Beams(np.array([sine_of(sun) for sun in up]), azimuth, irradiance)
+    beams = SunBeams(np.array([sine_of(sun) for sun in up]), azimuth, irradiance)
     picture, above, ground = _halves(sky)
     light = above + (beams.sine[:, None] * irradiance).sum(axis=0)
     reflected = np.minimum(_ratio(ground, light, 0.0), 1.0)
@@ -183,10 +183,10 @@ def air_of(haze: Haze, suns: tuple[Sun, ...], sky: Sky | None, floor_m: float) -
 def _sources(
     haze: Haze,
     depth: NDArray[np.float64],
-    beams: Beams,
+    beams: SunBeams,
     picture: NDArray[np.float64] | None,
     reflected: NDArray[np.float64],
-) -> list[Source]:
+) -> list[SourceTerm]:
     """Returns light scattered more than once, and the sky's, as sources of each color."""
     to = texel_directions(_ROWS, 2 * _ROWS) @ UPRIGHT.T
     sines, azimuth = to[:, 0, 2], np.arctan2(to[_ROWS // 2, :, 1], to[_ROWS // 2, :, 0])
@@ -196,11 +196,11 @@ def _sources(
         sky = sky_modes(picture, np.arctan2(columns[:, 1], columns[:, 0]))
     albedo = np.broadcast_to(haze.albedo, 3)
     gray = bool((depth == depth[0]).all() and (albedo == albedo[0]).all())
-    sources: list[Source] = []
+    sources: list[SourceTerm] = []
     for colors in (slice(0, 3),) if gray else (slice(c, c + 1) for c in range(3)):
         of = Layer(
             float(depth[colors][0]), float(albedo[colors][0]), haze.asymmetry,
-            Beams(beams.sine, beams.azimuth, beams.irradiance[:, colors]),
+            SunBeams(beams.sine, beams.azimuth, beams.irradiance[:, colors]),
             sky[..., colors], reflected[colors],
         )  # fmt: skip
         made = solve(of, sines, azimuth)

@@ -48,7 +48,7 @@ _ORDERS = np.arange(2 * STREAMS)
 _EVEN = ((_ORDERS[:, None] + _ORDERS) % 2 == 0)[..., None]
 
 
-class Beams(NamedTuple):
+class SunBeams(NamedTuple):
     """Suns above the layer.
 
     Attributes:
@@ -77,12 +77,12 @@ class Layer(NamedTuple):
     depth: float
     albedo: float
     asymmetry: float
-    beams: Beams
+    beams: SunBeams
     sky: NDArray[np.complex128]
     reflected: NDArray[np.float64]
 
 
-class Source(NamedTuple):
+class SourceTerm(NamedTuple):
     """Sum over j of strength exp(-(rate tau + offset)), per optical depth.
 
     Attributes:
@@ -144,7 +144,7 @@ def sky_modes(
     return np.asarray(modes * np.where(made > 0.0, whole / np.where(made > 0.0, made, 1.0), 1.0))
 
 
-def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]) -> Source:
+def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]) -> SourceTerm:
     """Returns the light that the layer scatters, without the suns' first scattering.
 
     Args:
@@ -186,7 +186,7 @@ def solve(layer: Layer, sines: NDArray[np.float64], azimuth: NDArray[np.float64]
     turns = np.exp(1j * _ORDERS[:, None] * azimuth) * np.where(_ORDERS == 0, 1.0, 2.0)[:, None]
     parts = np.concatenate([by_row.real, -by_row.imag], axis=-1)
     waves = np.concatenate([turns.real, turns.imag]) * sight
-    return Source(sight * rate, offset, sight, np.moveaxis(parts @ waves, -1, 1), arrives)
+    return SourceTerm(sight * rate, offset, sight, np.moveaxis(parts @ waves, -1, 1), arrives)
 
 
 class _Free(NamedTuple):

@@ -44,7 +44,7 @@ _TURNS = {"X": (2, 0, 1), "Y": (1, 2, 0), "Z": (0, 1, 2)}
 
 
 @dataclass(frozen=True)
-class Triangles:
+class ShapeTriangles:
     """A closed surface (a Plane: an open one), counter-clockwise from outside.
 
     Attributes:
@@ -90,7 +90,7 @@ def kind_of(prim: Usd.Prim) -> str:
     return next((kind for kind, schema in _SCHEMAS.items() if prim.IsA(schema)), "")
 
 
-def tessellate(shape: tuple[str | float, ...]) -> Triangles:
+def tessellate(shape: tuple[str | float, ...]) -> ShapeTriangles:
     """The triangles of a shape, as ``dimensions`` gives it.
 
     Only sums, products, quotients and square roots are taken: the same bits on any CPU.
@@ -118,16 +118,16 @@ def tessellate(shape: tuple[str | float, ...]) -> Triangles:
     return _joined(parts, str(axis))
 
 
-def _cube(size: float) -> Triangles:
+def _cube(size: float) -> ShapeTriangles:
     corners = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)])
     # Of each side: counter-clockwise from outside.
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     faces = [corner for a, b, c, d in quads for corner in ((a, b, c), (a, c, d))]
     points = (0.5 * size) * corners
-    return Triangles(points.astype(np.float32), np.array(faces, np.int32), None)
+    return ShapeTriangles(points.astype(np.float32), np.array(faces, np.int32), None)
 
 
-def _plane(axis: str, width: float, length: float) -> Triangles:
+def _plane(axis: str, width: float, length: float) -> ShapeTriangles:
     """Width goes along x, of axis X along z; length along y, of axis Y along z (UsdGeomPlane)."""
     w, h = 0.5 * width, 0.5 * length
     points: list[tuple[float, float, float]]
@@ -138,7 +138,7 @@ def _plane(axis: str, width: float, length: float) -> Triangles:
     else:
         points = [(-w, 0, h), (w, 0, h), (w, 0, -h), (-w, 0, -h)]
     faces = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
-    return Triangles(np.array(points, np.float32), faces, None)
+    return ShapeTriangles(np.array(points, np.float32), faces, None)
 
 
 @cache
@@ -272,7 +272,7 @@ def _dome(radius: float, widening: float, height: float, end: float) -> _Part:
     return placed, directions, faces
 
 
-def _joined(parts: list[_Part], axis: str) -> Triangles:
+def _joined(parts: list[_Part], axis: str) -> ShapeTriangles:
     """All parts in one, without points of no face, turned so that z goes along the axis."""
     starts = np.cumsum([0, *(len(points) for points, _, _ in parts)])
     faces = np.concatenate([f + start for (_, _, f), start in zip(parts, starts, strict=False)])
@@ -282,4 +282,4 @@ def _joined(parts: list[_Part], axis: str) -> Triangles:
         np.concatenate([part[i] for part in parts])[used][:, turn].astype(np.float32)
         for i in (0, 1)
     )
-    return Triangles(points, faces.reshape(-1, 3).astype(np.int32), normals)
+    return ShapeTriangles(points, faces.reshape(-1, 3).astype(np.int32), normals)

@@ -28,7 +28,7 @@ _IDENTITY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 _DEEPEST = 8
 
 
-class _Coordinates(NamedTuple):
+class _TextureUv(NamedTuple):
     """Names a texture's primvar and the transform of its coordinates."""
 
     primvar: str
@@ -52,7 +52,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
     """
     files: dict[str, Any] = {}
     readings: list[tuple[str, Reading]] = []
-    coordinates: _Coordinates | None = None
+    coordinates: _TextureUv | None = None
     flip_green = False
     for kind, name in INPUTS.items():
         if kind == "metallic" and specular:
@@ -100,7 +100,7 @@ def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:
     )
 
 
-def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
+def _coordinates(texture: UsdShade.Shader) -> _TextureUv:
     """The primvar that a texture's ``st`` comes from, through any UsdTransform2d."""
     transform = _IDENTITY
     node, _ = connected(texture, "st")
@@ -112,10 +112,10 @@ def _coordinates(texture: UsdShade.Shader) -> _Coordinates:
             transform = _after(transform, _transform(node))
             node, _ = connected(node, "in")
         elif kind == "UsdPrimvarReader_float2":
-            return _Coordinates(values.word(constant(node, "varname"), "st", FIRST), transform)
+            return _TextureUv(values.word(constant(node, "varname"), "st", FIRST), transform)
         else:
             break
-    return _Coordinates("st", transform)
+    return _TextureUv("st", transform)
 
 
 def _transform(node: UsdShade.Shader) -> tuple[float, ...]:

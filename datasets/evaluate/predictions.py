@@ -48,13 +48,13 @@ def predicted(
         raise OutputError(f"{folder}: expected a folder with a file for each frame")
     files: dict[str, Path] = {}
     wanted = {ref.key: ref for ref in frames}
-    unmatched: list[Path] = []
+    extra: list[Path] = []
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() not in suffixes:
             continue
         key = _key(path.relative_to(folder).with_suffix(""), wanted)
         if key is None:
-            unmatched.append(path)
+            extra.append(path)
         elif key in files and _rank(files[key], suffixes) != _rank(path, suffixes):
             files[key] = min(files[key], path, key=lambda one: _rank(one, suffixes))
         elif key in files:
@@ -66,7 +66,7 @@ def predicted(
         raise OutputError(
             f"{folder}: no file is called as a frame is; expected {example} or "
             f"{frames[0].name}{suffixes[0]}"
-            + (f", found {unmatched[0].relative_to(folder)}" if unmatched else "")
+            + (f", found {extra[0].relative_to(folder)}" if extra else "")
         )
     missing = [ref for ref in frames if ref.key not in files]
     if missing and not skip_missing:
@@ -77,10 +77,8 @@ def predicted(
     notes = []
     if missing:
         notes.append(f"{len(missing)} of {len(frames)} frames have no prediction and do not count")
-    if unmatched:
-        notes.append(
-            f"{len(unmatched)} files are no frame's, such as {unmatched[0].relative_to(folder)}"
-        )
+    if extra:
+        notes.append(f"{len(extra)} files are no frame's, such as {extra[0].relative_to(folder)}")
     return [(ref, files[ref.key]) for ref in frames if ref.key in files], notes
 
 

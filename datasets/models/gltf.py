@@ -37,7 +37,7 @@ _OFF_CENTER = 0.5
 _Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
 
 
-class Written(NamedTuple):
+class ModelContent(NamedTuple):
     """Reports the content of a file.
 
     Attributes:
@@ -51,13 +51,13 @@ class Written(NamedTuple):
     losses: tuple[str, ...]
 
 
-def write_gltf(model: Model, path: Path) -> Written:
+def write_gltf(model: Model, path: Path) -> ModelContent:
     """Writes ``path``, a .glb.
 
     Raises:
         OutputError: The file cannot be written, or would be larger than 4 GiB.
     """
-    file = _File(model)
+    file = _GltfFile(model)
     file.build()
     try:
         chunks = file.buffer.chunks(file.json)
@@ -65,10 +65,10 @@ def write_gltf(model: Model, path: Path) -> Written:
         raise OutputError(f"{path}: {error}") from None
     with atomic(path) as temporary, temporary.open("wb") as out:
         out.writelines(chunks)
-    return Written(model.triangles, model.instances, (*model.losses, *file.losses))
+    return ModelContent(model.triangles, model.instances, (*model.losses, *file.losses))
 
 
-class _File:
+class _GltfFile:
     """A file in the making."""
 
     def __init__(self, model: Model) -> None:

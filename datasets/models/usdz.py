@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
-from scenec.datasets.models.gltf import Written
+from scenec.datasets.models.gltf import ModelContent
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.model import Look, Model, Part
@@ -35,7 +35,7 @@ _FAMILY = "labels"
 _FIRST_TIME = (1980, 1, 1, 0, 0, 0, 0, 0, -1)
 
 
-def write_usdz(model: Model, stage: Path, path: Path) -> Written:
+def write_usdz(model: Model, stage: Path, path: Path) -> ModelContent:
     """Writes ``path``.
 
     Args:
@@ -65,7 +65,7 @@ def write_usdz(model: Model, stage: Path, path: Path) -> Written:
     # Of what glTF and the page leave out, a stage keeps light, lenses and motion.
     kept = ("light:", "motion:", "cameras:")
     own = [line for line in model.losses if not line.startswith(kept)]
-    return Written(model.triangles, model.instances, (*own, *losses))
+    return ModelContent(model.triangles, model.instances, (*own, *losses))
 
 
 class _Looks:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.importers.blenderproc.scene import Kind, Object, Scene, model_folders
+from scenec.importers.blenderproc.scene import ModelKind, Object, Scene, model_folders
 from scenec.importers.output import Imported
 from scenec.importers.report import APPROXIMATED, TRANSLATED
 from scenec.importers.source import Item, Source, check
@@ -157,7 +157,7 @@ def _bop_models(folder: Path, scene: Scene, imported: Imported) -> None:
     source = Source(info) if info else None
     for name in dict.fromkeys(thing.kind for thing in scene.objects):
         number = int(name.removeprefix("obj_"))
-        kind = Kind((name, f"obj_{number:02d}", f"obj_{number}"), MM)
+        kind = ModelKind((name, f"obj_{number:02d}", f"obj_{number}"), MM)
         entry = source.root().get(str(number)) if source else None
         if entry:
             low = np.array([entry.need(f"min_{axis}").number() for axis in "xyz"])

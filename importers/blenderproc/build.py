@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import cached_model
-from scenec.importers.blenderproc.scene import Kind, Object, Scene
+from scenec.importers.blenderproc.scene import ModelKind, Object, Scene
 from scenec.importers.numbers import tidy
 from scenec.importers.output import Imported
 from scenec.importers.poses import lost_of
@@ -134,7 +134,7 @@ def _find_models(
 def _class(
     imported: Imported,
     kind: str,
-    model: Kind,
+    model: ModelKind,
     file: Path | None,
     things: Sequence[Object],
     taxonomy: Taxonomy,

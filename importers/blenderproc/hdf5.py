@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.poses import from_euler
-from scenec.importers.blenderproc.scene import Kind, Object, Scene
+from scenec.importers.blenderproc.scene import ModelKind, Object, Scene
 from scenec.importers.output import Imported
 from scenec.importers.poses import FLIP, lost_of
 from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED, Report
@@ -131,7 +131,7 @@ def _add_frame(
             scene.objects.append(found := Object(name))
             plain = name.partition(".")[0]
             # Matrices are of files as Blender took them in: z up.
-            scene.kinds[name] = Kind((name, plain), 1.0)
+            scene.kinds[name] = ModelKind((name, plain), 1.0)
         found.poses[number] = _matrix(file, f"object_states/{name}", state, "matrix_world")
         _set_category(found, state, at, report)
         _leave(report, at, state, _OF_OBJECT)

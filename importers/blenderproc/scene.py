@@ -25,7 +25,7 @@ class Object:
 
 
 @dataclass
-class Kind:
+class ModelKind:
     """A model.
 
     Attributes:
@@ -58,7 +58,7 @@ class Scene:
     matrix: list[float] = field(default_factory=list)
     size: tuple[int, int] = (640, 480)
     objects: list[Object] = field(default_factory=list)
-    kinds: dict[str, Kind] = field(default_factory=dict)
+    kinds: dict[str, ModelKind] = field(default_factory=dict)
 
 
 def model_folders(source: Path) -> list[Path]:

@@ -8,7 +8,7 @@ from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys.context import Context
 from scenec.importers.oaisys.ground import added_ground, chance, first_labels, replacement_material
 from scenec.importers.oaisys.light import added_light
-from scenec.importers.oaisys.meshes import Class
+from scenec.importers.oaisys.meshes import ScatteredClass
 from scenec.importers.oaisys.render import counts
 from scenec.importers.oaisys.sensors import added_sensor
 from scenec.importers.source import Item
@@ -104,7 +104,7 @@ def _terrains(ctx: Context, item: Item, merges: int) -> None:
 
 def _mesh(ctx: Context, entry: Item) -> None:
     path = entry.need("path")
-    found = Class(ctx, path.text().replace("\\", "/").split("/")[-1].split(".")[0])
+    found = ScatteredClass(ctx, path.text().replace("\\", "/").split("/")[-1].split(".")[0])
     to = found.to
     file = ctx.assets.find(path, "procedural rocks")
     found.model(path, entry.get("meshInstanceName"), file)

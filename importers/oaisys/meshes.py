@@ -33,7 +33,7 @@ def scattered(ctx: Context, entry: Item) -> None:
     """One entry of ``MESHES``."""
     params = entry.need("meshParams")
     called = entry.get("name")
-    found = Class(ctx, called.text() if called else "objects")
+    found = ScatteredClass(ctx, called.text() if called else "objects")
     called.translated(found.to)
     shells, file = _model(params, found)
     found.cfg["count"] = _count(params, found.to)
@@ -45,7 +45,7 @@ def scattered(ctx: Context, entry: Item) -> None:
     _place(params, found.to)
 
 
-class Class:
+class ScatteredClass:
     """A class of objects in the making.
 
     Attributes:
@@ -99,7 +99,7 @@ class Class:
             self.cfg["instances"] = active.translated(f"{self.to}/instances").flag()
 
 
-def _model(params: Item, group: Class) -> tuple[Sequence[Shell], Path | None]:
+def _model(params: Item, group: ScatteredClass) -> tuple[Sequence[Shell], Path | None]:
     item, turn = params.need("meshFilePath"), params.get("preRotationDeg")
     file = group.ctx.assets.find(item, "procedural rocks")
     shells = group.model(item, params.get("meshInstanceName"), file)
@@ -148,7 +148,7 @@ def _count(params: Item, to: str) -> Any:
     return {"type": "choice", "values": values, "weights": weights}
 
 
-def _density(params: Item, group: Class) -> None:
+def _density(params: Item, group: ScatteredClass) -> None:
     mapped, to = params.get("useDensityMap"), f"{group.to}/density"
     density = params.object("densityMapSettings").get("densityMap")
     if not mapped.flag():
@@ -179,7 +179,7 @@ def _density(params: Item, group: Class) -> None:
     )  # fmt: skip
 
 
-def _size(params: Item, group: Class) -> None:
+def _size(params: Item, group: ScatteredClass) -> None:
     item, strength = params.get("defaultSize"), params.get("strengthRandomScale")
     size, share = item.number(1e-6, 1e5, 1.0), strength.number(0.0, 1.0, 0.0)
     to = f"{group.to}/{group.size_key}"
@@ -193,7 +193,7 @@ def _size(params: Item, group: Class) -> None:
     strength.approximated(to, f"from {_SMALLEST:g} of the size, not from 0" if is_cut else "")
 
 
-def _turn(params: Item, group: Class) -> None:
+def _turn(params: Item, group: ScatteredClass) -> None:
     enabled, to = params.get("randomRotationEnabled"), f"{group.to}/orientation"
     option = "rotationOption"
     if not enabled.flag():
@@ -220,7 +220,9 @@ def _turn(params: Item, group: Class) -> None:
         params.get(option + key).approximated(to, "turned about that axis by chance, all around")
 
 
-def _labels(params: Item, group: Class, shells: Sequence[Shell], file: Path | None) -> None:
+def _labels(
+    params: Item, group: ScatteredClass, shells: Sequence[Shell], file: Path | None
+) -> None:
     ctx, to = group.ctx, f"{group.to}/labels"
     vector = semantic_labels(params.object("passParams"))
     entries = vector.children()

@@ -30,7 +30,7 @@ _REFERENCE = (
 
 
 @dataclass(frozen=True)
-class _Class:
+class _Group:
     """A class with levels of detail.
 
     Attributes:
@@ -77,7 +77,7 @@ def lod(base: Base, rungs: int) -> list[Ladder] | str:
             chains = build_chains(plan.source.shapes)
         scatter, used = _renumbered(one, chains)
         levels = see_levels(scatter, used, base.object_views, base.unseen, plan.lod_px)
-        classes.append(_Class(plan, levels, *_distances(used)))
+        classes.append(_Group(plan, levels, *_distances(used)))
     if not classes:
         return "no object with levels of detail stands anywhere"
     # Models and single objects, of which every triangle counts towards the budget.
@@ -134,7 +134,7 @@ def _distances(chains: Sequence[Chain]) -> tuple[Floats, Floats]:
     return worst, rms
 
 
-def _rung(base: Base, classes: Sequence[_Class], factor: float, largest: float, fixed: int) -> Rung:
+def _rung(base: Base, classes: Sequence[_Group], factor: float, largest: float, fixed: int) -> Rung:
     asked = [replace(one.levels, tolerance_px=factor * one.levels.tolerance_px) for one in classes]
     clock = Clock()
     most = base.plan.object_triangles
@@ -157,7 +157,7 @@ def _rung(base: Base, classes: Sequence[_Class], factor: float, largest: float, 
 
 def _measure(
     base: Base,
-    classes: Sequence[_Class],
+    classes: Sequence[_Group],
     meshes: Sequence[Integers],
     chosen: Sequence[tuple[Scatter, dict[str, Any]]],
     clock: Clock,
@@ -201,7 +201,7 @@ def _measure(
     )
 
 
-def _by_level(base: Base, classes: Sequence[_Class]) -> Ladder:
+def _by_level(base: Base, classes: Sequence[_Group]) -> Ladder:
     """Without cameras: all instances at one level after the other."""
     deepest = max(int(one.levels.lengths.max()) for one in classes)
     found = []
@@ -225,7 +225,7 @@ def _by_level(base: Base, classes: Sequence[_Class]) -> Ladder:
 
 
 def _at_levels(
-    classes: Sequence[_Class], meshes: Sequence[Integers]
+    classes: Sequence[_Group], meshes: Sequence[Integers]
 ) -> list[tuple[Scatter, dict[str, Any]]]:
     return [_at_level(one.levels, mesh) for one, mesh in zip(classes, meshes, strict=True)]
 

@@ -12,12 +12,11 @@ from test_rooms import HOUSE
 ROOT = Path(__file__).resolve().parents[2]
 #: Names that several rooms still share; to become none.
 SHARED = """
-    Bare Beams Case Class Comparison Context Entry Experiment Fault Finding Focus Found Frame
-    Geometry Glow Gobo Ground Haze Kind Labels Ladder Lamp Layer Lens Level Lidar Look Made
-    Meter Model Numbers OpenShutter Options Outcome Part Picture Pictures Placement Places Plan
-    Recipe Record Reflectance Row Rows Rung Scene Seen Sensor Shape Shown Sky Slope Source Stack
-    Statistics Surface Table Tally Target Task Triangles Truth Value View Views Written _Class
-    _Coordinates _File _Noise
+    Bare Case Comparison Context Entry Experiment Fault Finding Focus Frame Geometry Glow Gobo
+    Ground Haze Labels Ladder Lamp Layer Lens Level Lidar Look Meter Model Numbers OpenShutter
+    Options Outcome Part Picture Pictures Placement Places Plan Record Reflectance Row Rows Rung
+    Scene Sensor Shape Sky Slope Source Stack Statistics Surface Table Tally Target Task Truth Value
+    View Views
 """
 
 

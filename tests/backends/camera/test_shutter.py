@@ -15,13 +15,7 @@ from scenec.backends.annotation.annotate import annotate
 from scenec.backends.annotation.correspondence import match
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.camera.rays import camera_rays
-from scenec.backends.camera.shutter import (
-    is_rolling,
-    places_of,
-    poses_at,
-    row_poses,
-    shifted,
-)
+from scenec.backends.camera.shutter import is_rolling, places_of, poses_at, row_poses, shifted
 from scenec.backends.exact import ExactCaster
 from scenec.backends.picture.compose import background
 from scenec.backends.stage.scene import Camera, Lighting, OpenShutter, RenderScene, Sun
