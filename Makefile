@@ -9,9 +9,8 @@ MARKED := -m "not slow or invariant"
 # Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
 EXAMPLES := quick
 
-BENCHMARKS := adapters agreement annotation blur coco cold estimate exposure \
-  foliage hdf5 imaging incremental lenses memory mesh million prune relief \
-  sampling scatter throughput tracks
+BENCHMARKS := adapters agreement annotation cold datasets estimate exposure foliage growth imaging \
+  incremental optics prune throughput
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 

@@ -84,6 +84,7 @@ FLOORS = {
     "quality": (("converge", "ladder"),),
     "lab": (
         ("runner", "models"),
+        ("pictures",),
         ("benchmarks",),
         ("experiments", "pages"),
         ("robustness",),
