@@ -118,7 +118,7 @@ GPUS = mitsuba:cuda cycles:cuda cycles:optix pyrender:cuda
 gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, tables of frames.
 	@.venv/bin/scenec doctor || true
 	@set -e; for of in $(GPUS); do echo "== Conformance of $${of%:*} on $${of#*:}"; \
-	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/test_$${of%:*}.py; done
+	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/$${of%:*}/test_$${of%:*}.py; done
 	@set -e; mkdir -p out; for name in gpu throughput; do echo "== $$name"; \
 	  .venv/bin/python lab/benchmarks/$$name.py -o out/$$name.md; done
 
