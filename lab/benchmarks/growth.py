@@ -40,10 +40,10 @@ from scenec.compiler.draw import draw
 from scenec.compiler.estimate import BASE_BYTES, needs_of
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.lab.benchmarks.cfgs import fbm, rocks_on_hills
 from scenec.lab.runner import (
@@ -75,7 +75,7 @@ def measure(count: int, name: str) -> tuple[float, ...]:
     """Returns count, seconds to draw, to make shapes, to place; memory beyond before, peak."""
     grid = Grid.with_spacing((_SIZE, _SIZE), 0.4)
     height = fbm(1, 3.0, 40.0).apply(grid, np.zeros(grid.shape))[0]
-    surface = Surface(HeightField(grid, height))
+    surface = GroundSurface(HeightField(grid, height))
     cameras = np.array([[x, 0.0, 2.0] for x in np.linspace(-100, 100, 100)])
     context = Context(Streams(1, 0), (_SIZE, _SIZE))
     terrain = {"size_m": [_SIZE, _SIZE], "spacing_m": 0.4, "relief": [], "ground": [{}]}
@@ -92,7 +92,7 @@ def measure(count: int, name: str) -> tuple[float, ...]:
         clock.append(time.perf_counter())
         chains = build_chains(plan.source.shapes, coarser=False)
         clock.append(time.perf_counter())
-        made = scatter(plan, chains, Surroundings(surface, cameras), {})
+        made = scatter(plan, chains, PlacementContext(surface, cameras), {})
         clock.append(time.perf_counter())
         return made.count, *np.diff(clock).tolist()
 

@@ -18,7 +18,7 @@ from scenec.compiler.cameras.rigs import build_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.build import build_surface
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Scatter
@@ -46,7 +46,7 @@ class PlacedObjects:
     objects: tuple[Scatter | Placed, ...]
     facts: dict[str, dict[str, Any]]
     seconds: float
-    surface: Surface
+    surface: GroundSurface
     plan: Plan
     rigs: tuple[Rig, ...]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.conditions import OnRelief, PlacementCondition
 from scenec.compiler.objects.density import (
     AroundDensity,
@@ -24,8 +24,8 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rings import RingDensity
-from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
@@ -70,7 +70,7 @@ def _skirts(x: NDArray, y: NDArray, there: Circles) -> NDArray[np.float64]:
 
 
 def _cases(
-    folder: Path, around: Surroundings
+    folder: Path, around: PlacementContext
 ) -> list[tuple[str, Density, tuple[PlacementCondition, ...], NDArray]]:
     """Name, density, where, and the density by its formula at the middles of fine squares."""
     axes = [_FINE * (np.arange(round(n / _FINE)) + 0.5) - 0.5 * n for n in SIZE]
@@ -154,7 +154,7 @@ def densities(page: Page) -> None:
     """Every spatial law: a picture, chi-square, seconds."""
     grid = Grid.with_spacing(SIZE, 0.4)
     hills = fbm(1, 1.5, 8.0, 5).apply(grid, np.zeros(grid.shape))[0]
-    around = Surroundings(Surface(HeightField(grid, hills)), np.zeros((0, 3)))
+    around = PlacementContext(GroundSurface(HeightField(grid, hills)), np.zeros((0, 3)))
     n, shown = 100_000, 3000
     u = np.random.default_rng(1).random((n, 3))
     cases = _cases(page.scratch, around)

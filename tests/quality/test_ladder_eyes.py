@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenec.compiler.scene.rig import Lidar, LidarNoise, Rig, Sensor
+from scenec.compiler.scene.rig import Lidar, LidarErrors, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.frustum import rays_a_radian
 from scenec.compiler.views.resolution import views_of
@@ -49,7 +49,7 @@ def one(axes: np.ndarray, height: float, own: Sensor) -> tuple[Eye, ...]:
 def lidar(*elevations: float) -> Lidar:
     return Lidar(
         "top", np.eye(4), np.array(elevations), 360, (0.0, 90.0), (0.5, 100.0),
-        LidarNoise(0.0, 0.0, 0.0, 0.0), 1,
+        LidarErrors(0.0, 0.0, 0.0, 0.0), 1,
     )  # fmt: skip
 
 

@@ -15,9 +15,9 @@ from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.light.atmosphere_sky import AtmosphereSky
 from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import directions, luminance
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.light import SunDisc
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.quality.ladder import cost, points, sky
@@ -71,7 +71,7 @@ def hills(spacing: float) -> HeightField:
 
 def test_a_mesh_has_the_heights_of_the_triangles_it_was_made_of():
     field = hills(0.4)
-    tiles, _ = build_tiles(Surface(field, smooth=False), 1, color=False)
+    tiles, _ = build_tiles(GroundSurface(field, smooth=False), 1, color=False)
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-6, 6, 5000), rng.uniform(-4, 4, 5000)
     found = Index(x, y).heights(tiles)
@@ -80,7 +80,7 @@ def test_a_mesh_has_the_heights_of_the_triangles_it_was_made_of():
 
 
 def test_points_beyond_a_mesh_have_no_height():
-    tiles, _ = build_tiles(Surface(hills(0.4), smooth=False), 1, color=False)
+    tiles, _ = build_tiles(GroundSurface(hills(0.4), smooth=False), 1, color=False)
     found = Index(np.array([0.0, 7.0]), np.array([0.0, 0.0])).heights(tiles)
     assert np.isnan(found.z).tolist() == [False, True]
     nothing = Index(np.zeros(0), np.zeros(0)).heights(tiles)
@@ -92,7 +92,7 @@ def test_linear_interpolation_of_a_smooth_surface_errs_as_one_over_its_triangles
     x, y = (u - 0.5) * 12.0, (v - 0.5) * 8.0
     triangles, error = [], []
     for spacing in (0.8, 0.4, 0.2, 0.1):
-        tiles, report = build_tiles(Surface(hills(spacing), smooth=False), 1, color=False)
+        tiles, report = build_tiles(GroundSurface(hills(spacing), smooth=False), 1, color=False)
         away = Index(x, y).heights(tiles).z - np.sin(x) * np.cos(0.7 * y)
         triangles.append(float(report["faces"]))
         error.append(points.rms(away))
@@ -161,9 +161,9 @@ def test_a_picture_read_at_texels_is_the_texels_and_between_them_their_mean():
     assert np.abs(bilinear(picture, seam) - expected).max() < 1e-6
 
 
-def sun(elevation: float) -> SunLight:
+def sun(elevation: float) -> SunDisc:
     one = np.ones(1)
-    return SunLight(180.0 * one, elevation * one, 1000.0 * one, 0.53 * one, np.ones((1, 3)))
+    return SunDisc(180.0 * one, elevation * one, 1000.0 * one, 0.53 * one, np.ones((1, 3)))
 
 
 def test_a_clear_sky_by_its_formula_is_the_picture_s_at_texels():

@@ -18,7 +18,7 @@ from test_assets_model import fails, pixels
 from scenec.compiler.assets import blend
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.testing import models
 from scenec.testing.models import BOX
 
@@ -174,7 +174,7 @@ def test_a_blend_file_is_the_model_that_the_other_formats_are(made, name):
     assert np.allclose(model.normals, flat[:, None], atol=1e-6)
     beside = [path.name for path in parse_model(file).companions]
     assert beside == (["color.png", "packed.png", "normal.png"] if name == "beside" else [])
-    assert isinstance(painted.pictures["base_color"], Path if name == "beside" else Picture)
+    assert isinstance(painted.pictures["base_color"], Path if name == "beside" else ImageFile)
 
 
 @needs_blender

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from scenec.compiler.assets.model import Model, read_model
+from scenec.compiler.assets.model import MeshModel, read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.geometry.affine import TO_Z_UP, about_axis, sin_cos
 from scenec.schemas.errors import SceneError
@@ -28,7 +28,7 @@ BOX_QUADS = np.array(
 )
 
 
-def ours(mesh: Model) -> trimesh.Trimesh:
+def ours(mesh: MeshModel) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.points, mesh.faces, process=False)
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 from scenec.compiler.assets.model import read_model
 from scenec.compiler.assets.parse import parse_model
 from scenec.compiler.assets.pictures import png
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.errors import SceneError
 from scenec.testing import models
 from scenec.testing.models import BOX, MODELS, PLAIN, keys, write
@@ -26,7 +26,7 @@ from scenec.testing.overhangs import keys as shelter_keys
 from scenec.testing.overhangs import write as write_shelter
 
 
-def pixels(source: Path | Picture) -> np.ndarray:
+def pixels(source: Path | ImageFile) -> np.ndarray:
     return np.asarray(Image.open(source if isinstance(source, Path) else io.BytesIO(source.data)))
 
 

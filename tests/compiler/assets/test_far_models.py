@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from scenec.cli.main import main
 from scenec.compiler.assets import blend_worker, looks
-from scenec.compiler.assets.model import Model, cached_model, read_model
+from scenec.compiler.assets.model import MeshModel, cached_model, read_model
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.errors import CfgError, SceneError
@@ -154,7 +154,7 @@ def test_the_error_of_float32_is_that_of_the_vertices_as_they_are_stored(tmp_pat
 # Maps of nodes.
 
 
-def volume(model: Model) -> float:
+def volume(model: MeshModel) -> float:
     """Of a closed mesh, above 0 where its faces are seen counterclockwise from outside."""
     a, b, c = model.points[model.faces].transpose(1, 0, 2)
     return float((np.cross(a, b) * c).sum() / 6.0)

@@ -15,7 +15,7 @@ from scenec.compiler.assets.texture_set import TextureSetError, recognize
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.materials.bake import baked
-from scenec.compiler.materials.plan import Sources
+from scenec.compiler.materials.plan import MapSources
 from scenec.compiler.materials.values import colors, raw
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas.errors import CfgError
@@ -170,7 +170,7 @@ def test_the_digest_follows_the_pictures_that_are_taken(folder):
 def test_occlusion_multiplies_the_albedo_in_linear_light(folder, strength):
     color = folder / "Soil_1K_Color.png"
     occlusion = folder / "Soil_1K_Gloss.png"
-    sources = Sources(occlusion=occlusion, occlusion_strength=strength)
+    sources = MapSources(occlusion=occlusion, occlusion_strength=strength)
     maps = MaterialMaps(1.0, {"base_color": color}, "opengl")
     made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), sources)
     linear = decode(read_pixels(color), "base_color").astype(np.float64)
@@ -186,7 +186,7 @@ def test_occlusion_multiplies_the_albedo_in_linear_light(folder, strength):
 def test_occlusion_of_another_size_is_looked_up_between_its_texels(folder):
     high = np.linspace(0, 1, 8)[:, None] * np.ones((1, 8))
     Image.fromarray((255 * high).astype(np.uint8)).save(folder / "ao.png")
-    sources = Sources(occlusion=folder / "ao.png")
+    sources = MapSources(occlusion=folder / "ao.png")
     maps = MaterialMaps(1.0, {"base_color": folder / "Soil_1K_Color.png"}, "opengl")
     made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), sources)
     linear = decode(read_pixels(folder / "Soil_1K_Color.png"), "base_color").astype(np.float64)
@@ -201,7 +201,7 @@ def test_occlusion_of_another_size_is_looked_up_between_its_texels(folder):
 def test_a_packed_picture_s_channels_are_occlusion_roughness_and_metal(folder):
     packed = np.random.default_rng(1).integers(0, 255, (16, 16, 3)).astype(np.uint8)
     Image.fromarray(packed).save(folder / "arm.png")
-    sources = Sources(
+    sources = MapSources(
         packed=folder / "arm.png", unpacked=("ambient_occlusion", "roughness", "metallic")
     )
     maps = MaterialMaps(1.0, {}, "opengl")

@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from scenec.compiler.cache.digests import Digests, digest_of
 from scenec.compiler.cache.entry import packed, restored
-from scenec.compiler.cache.known import Known, digest_of
 from scenec.compiler.cache.memo import Memo, memoized, memoizing
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cache.structure import Describer, NotPlainError, text_of
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.quantities import Quantities
@@ -29,7 +29,7 @@ _TYPES = ("<f8", "<f4", "<f2", "<i8", "<i4", "<u4", "|u1", "|b1", ">f8", "<c16")
 
 
 def _key(value: Any) -> str:
-    return text_of(Describer(Known(), {}).describe(value))
+    return text_of(Describer(Digests(), {}).describe(value))
 
 
 def _number_arrays() -> st.SearchStrategy[Any]:
@@ -53,7 +53,7 @@ _VALUES = st.recursive(
         st.lists(inner, max_size=4),
         st.lists(inner, max_size=4).map(tuple),
         st.dictionaries(st.text(max_size=5), inner, max_size=4),
-        st.builds(Picture, st.text(max_size=4), st.binary(max_size=9)),
+        st.builds(ImageFile, st.text(max_size=4), st.binary(max_size=9)),
     ),
     max_leaves=12,
 )
@@ -61,10 +61,10 @@ _VALUES = st.recursive(
 
 def _through_an_entry(value: Any, folder: Path) -> Any:
     store = Store(folder, 1 << 30)
-    store.put("ab" * 32, packed(value, Describer(Known(), {})))
+    store.put("ab" * 32, packed(value, Describer(Digests(), {})))
     entry = store.find("ab" * 32)
     assert entry is not None
-    return restored(entry, {}, Known())
+    return restored(entry, {}, Digests())
 
 
 @given(_VALUES)
@@ -87,7 +87,7 @@ def test_values_have_one_key_only_if_they_are_the_same(a, b):
             return ("scalar", value.dtype.str, value.tobytes())
         if isinstance(value, float):
             return ("float", struct.pack("<d", value))
-        if isinstance(value, Picture):
+        if isinstance(value, ImageFile):
             return ("picture", value.suffix, value.data)
         if isinstance(value, dict):
             return ("dict", *((bits(k), bits(v)) for k, v in value.items()))
@@ -173,10 +173,10 @@ class _Foreign:
 def test_entries_hold_data_of_this_package_only():
     for value in (_Foreign(1), [_Color.RED], {"a": int}, Memo, Store.find, np.sin, object()):
         with pytest.raises(NotPlainError):
-            packed(value, Describer(Known(), {}))
+            packed(value, Describer(Digests(), {}))
     for value in (_Foreign(1), {"a": int}):
         with pytest.raises(NotPlainError, match="of another package"):
-            Describer(Known(), {}).describe(value)
+            Describer(Digests(), {}).describe(value)
 
 
 def test_what_computes_things_once_is_one_again(tmp_path):
@@ -209,8 +209,8 @@ def test_arrays_come_back_as_they_were_and_equal_ones_are_stored_once(tmp_path):
 def test_digests_of_what_is_restored_are_known():
     """As an independent hash has them, and without a look at the content."""
     value = [np.arange(400.0), np.asfortranarray(np.eye(40)[:, :20]), b"x" * 2000]
-    known = Known()
-    found = restored(packed(value, Describer(Known(), {})), {}, known)
+    known = Digests()
+    found = restored(packed(value, Describer(Digests(), {})), {}, known)
     expected = [value[0].tobytes(), value[1].tobytes("F"), value[2]]
     found[0][:] = found[1][:] = 7.0
     assert [known.digest(one) for one in found] == [digest_of(data) for data in expected]
@@ -232,7 +232,7 @@ def test_an_input_file_that_was_moved_is_found_where_it_is(tmp_path):
         assert _named(tmp_path / "b" / "x.png") == (tmp_path / "b" / "x.png", 4)
     assert memo.taken == {"named": 1}
     with pytest.raises(NotPlainError, match="was not among its inputs"):
-        packed([tmp_path / "b" / "x.png"], Describer(Known(), {}))
+        packed([tmp_path / "b" / "x.png"], Describer(Digests(), {}))
 
 
 def test_a_prototype_is_kept_with_all_that_it_is(tmp_path):

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from killed import contents, killed_at_each_call
 
 from scenec.compiler.cache import store as store_module
+from scenec.compiler.cache.digests import Digests
 from scenec.compiler.cache.entry import Packed, packed, restored, write_entry
-from scenec.compiler.cache.known import Known
 from scenec.compiler.cache.memo import Memo, memoized, memoized_file, memoizing
 from scenec.compiler.cache.store import FAULTS, Store, default_folder, parsed_size
 from scenec.compiler.cache.structure import Describer, NotPlainError
@@ -200,7 +200,7 @@ def test_an_entry_that_somebody_made_runs_nothing_and_is_made_again(tmp_path, wh
     assert not list(tmp_path.glob("mark*"))
     # What reads them writes none of these, either.
     with pytest.raises(NotPlainError):
-        packed(value, Describer(Known(), {}))
+        packed(value, Describer(Digests(), {}))
 
 
 def test_a_name_with_dots_leads_to_nothing_a_module_imports(tmp_path):
@@ -212,7 +212,7 @@ def test_a_name_with_dots_leads_to_nothing_a_module_imports(tmp_path):
         write_entry(store.path(key), key, Packed(opcodes, [], {}))
         entry = store.find(key)
         with pytest.raises(NotPlainError, match="is no data"):
-            restored(entry, {}, Known())
+            restored(entry, {}, Digests())
         store.drop(key, name)
 
 
@@ -220,12 +220,12 @@ def test_a_name_with_dots_leads_to_nothing_a_module_imports(tmp_path):
 @examples(60)
 def test_a_pickle_of_which_anything_was_changed_is_a_value_or_a_fault_that_is_caught(data):
     value = ([1.5, np.float32(2.0), b"x", "t", None], {"a": (3,)}, frozenset((4,)), np.eye(2))
-    whole = packed((value, Grid((2.0, 3.0), (4, 5))), Describer(Known(), {}))
+    whole = packed((value, Grid((2.0, 3.0), (4, 5))), Describer(Digests(), {}))
     changed = bytearray(whole.pickled)
     for _ in range(data.draw(st.integers(1, 3))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     with suppress(*FAULTS):
-        restored(replace(whole, pickled=bytes(changed)), {}, Known())
+        restored(replace(whole, pickled=bytes(changed)), {}, Digests())
 
 
 _PRIVATE = pytest.mark.skipif(os.name == "nt", reason="modes say nothing there")
@@ -369,7 +369,7 @@ def _filled(folder: Path, count: int, most: int) -> Store:
     store = Store(folder, most)
     for i in range(count):
         key = f"{i:02x}" * 32
-        store.put(key, packed(np.full(1000, float(i)), Describer(Known(), {})))
+        store.put(key, packed(np.full(1000, float(i)), Describer(Digests(), {})))
         if store.path(key).exists():
             os.utime(store.path(key), ns=(i, i))
     return store

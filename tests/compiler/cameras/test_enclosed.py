@@ -13,7 +13,7 @@ from scenec.compiler.cameras.enclosed import require_open
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas.errors import SceneError
@@ -214,7 +214,7 @@ def refused(at, objects):
     corners = np.array([[-50, -50, -50], [50, -50, -50], [50, 50, -50], [-50, 50, -50]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     none = np.zeros(0, np.float32)
-    tile = Tile("t", np.zeros(3), corners.astype(np.float32), faces, none, none, none, none)
+    tile = MeshTile("t", np.zeros(3), corners.astype(np.float32), faces, none, none, none, none)
     ground, out = Ground((), (tile,)), np.zeros(len(at), bool)
     for k, place in enumerate(at):
         plan, rig = still(place[None])

@@ -12,13 +12,19 @@ from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.legs import rounded
 from scenec.compiler.cameras.paths.mav import Mav
-from scenec.compiler.cameras.paths.motion import Around, Bodies, frames, level_bearing, toward
+from scenec.compiler.cameras.paths.motion import (
+    MotionBodies,
+    MotionContext,
+    frames,
+    level_bearing,
+    toward,
+)
 from scenec.compiler.cameras.paths.orbit import ObjectAim, Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.paths.spline import Spline, largest
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.poses import look_at
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.objects import Prototype
 from scenec.compiler.scene.rig import Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -29,13 +35,13 @@ SENSOR = Sensor(
 )
 
 
-def around(height=None, samples=50, size=(60.0, 40.0), bodies=None, spacing=0.25) -> Around:
+def around(height=None, samples=50, size=(60.0, 40.0), bodies=None, spacing=0.25) -> MotionContext:
     """A terrain whose height is a function of x and y."""
     grid = Grid.with_spacing(size, spacing)
     x, y = np.meshgrid(grid.x(), grid.y())
     heights = np.zeros(grid.shape) if height is None else height(x, y) + 0.0 * x
-    surface = Surface(HeightField(grid, heights))
-    return Around("rigs/r/pose", samples, surface, (SENSOR,), bodies or {})
+    surface = GroundSurface(HeightField(grid, heights))
+    return MotionContext("rigs/r/pose", samples, surface, (SENSOR,), bodies or {})
 
 
 def hills(x, y):
@@ -50,7 +56,7 @@ def prototype(mesh: trimesh.Trimesh) -> Prototype:
     return Prototype("p", points, faces, np.zeros_like(points), none, radius=radius)
 
 
-def bodies_of_meshes(meshes, rows) -> Bodies:
+def bodies_of_meshes(meshes, rows) -> MotionBodies:
     """Rows of x, y, z, scale and the index of a mesh, each turned about the vertical by its x."""
     table = np.array(rows, float)
     made = tuple(prototype(mesh) for mesh in meshes)
@@ -59,10 +65,10 @@ def bodies_of_meshes(meshes, rows) -> Bodies:
     turn = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1]]).transpose(2, 0, 1)
     radius = np.array([p.radius for p in made])[which] * table[:, 3]
     turn = (turn * table[:, 3, None, None]).astype(np.float32)
-    return Bodies(np.arange(1, len(table) + 1), table[:, :3], radius, turn, which, made)
+    return MotionBodies(np.arange(1, len(table) + 1), table[:, :3], radius, turn, which, made)
 
 
-def balls(*rows) -> Bodies:
+def balls(*rows) -> MotionBodies:
     """Spheres: rows of x, y, z and the radius."""
     sphere = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
     return bodies_of_meshes([sphere], [[*row, 0] for row in rows])

@@ -12,7 +12,7 @@ from test_compile import hashes
 from test_motions import around, balls, hills
 
 from scenec.compiler.build import BuildLog, build
-from scenec.compiler.cameras.paths.looks import Limits, LookDirection, LookPoint
+from scenec.compiler.cameras.paths.looks import LookDirection, LookPoint, PoseLimits
 from scenec.compiler.cameras.paths.orbit import ObjectAim
 from scenec.compiler.cameras.paths.random_pose import RandomPose
 from scenec.compiler.cameras.paths.rays import hits, span_of
@@ -23,7 +23,7 @@ from scenec.compiler.draw import draw
 from scenec.schemas.errors import SceneError
 from scenec.testing.small import small_cfg, write_cfg
 
-FREE = Limits()
+FREE = PoseLimits()
 KEYS = (
     "height_m", "roll_deg", "look/bearing_deg", "look/pitch_deg", "look/x_m", "look/y_m",
     "look/height_m", "place0", "place1", "object",
@@ -50,11 +50,11 @@ def drawn(look=None, polygon=((-20, -10), (20, 10)), limits=FREE, **keys) -> Ran
 ROCKS = ObjectAim(object="rocks", pick_u=0.0)
 
 
-def limited(**limits) -> Limits:
+def limited(**limits) -> PoseLimits:
     """Limits by what they are of: the least and the largest."""
     ends = {f"{end}_{of}": v for of, p in limits.items() if isinstance(p, tuple)
             for end, v in zip(("min", "max"), p, strict=True)}  # fmt: skip
-    return Limits(**ends, **{of: v for of, v in limits.items() if not isinstance(v, tuple)})
+    return PoseLimits(**ends, **{of: v for of, v in limits.items() if not isinstance(v, tuple)})
 
 
 def test_positions_are_uniform_over_a_box_and_over_a_polygon():

@@ -18,7 +18,7 @@ from scenec.compiler.cameras.lens import Equirectangular, KannalaBrandt
 from scenec.compiler.cameras.paths.descent import Descent
 from scenec.compiler.cameras.paths.lawn_mower import LawnMower
 from scenec.compiler.cameras.paths.mav import Mav
-from scenec.compiler.cameras.paths.motion import Around, Way
+from scenec.compiler.cameras.paths.motion import MotionContext, Way
 from scenec.compiler.cameras.paths.orbit import Orbit, PointAim
 from scenec.compiler.cameras.paths.rover import Rover
 from scenec.compiler.cameras.plan import RigPlan
@@ -28,7 +28,7 @@ from scenec.compiler.cameras.shutters import ERROR_PX, way_of
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackPlan, TrackWay
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.rig import OpenShutter, Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.frustum import MOVING, in_view, views_of_all
@@ -93,9 +93,9 @@ def test_each_fault_is_said_where_it_is(
 # Where cameras are -------------------------------------------------------------------------------
 
 
-def flat() -> Surface:
+def flat() -> GroundSurface:
     grid = Grid.with_spacing((60.0, 40.0), 0.5)
-    return Surface(HeightField(grid, np.zeros(grid.shape)))
+    return GroundSurface(HeightField(grid, np.zeros(grid.shape)))
 
 
 def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tuple[Rig, Any, Way]:
@@ -105,7 +105,7 @@ def rig_of(pose: Any, shutter: Shutter, samples: int = 3, **change: Any) -> tupl
     plan = RigPlan("r", pose, (sensor,))
     surface = flat()
     (rig,), facts = build_rigs((plan,), surface, None, {})
-    around = Around("rigs/r/pose", samples, surface, (still,))
+    around = MotionContext("rigs/r/pose", samples, surface, (still,))
     way = way_of(pose, pose.built(around), around)
     assert way is not None
     return rig, facts["r"]["shutter"]["front"], way
@@ -265,8 +265,8 @@ def test_what_is_wrong_between_samples_is_said_by_its_time_and_not_by_a_number(
     grid = Grid.with_spacing((60.0, 40.0), 0.5)
     x = (np.arange(grid.shape[1]) - 0.5 * (grid.shape[1] - 1)) * 0.5
     wall = np.broadcast_to(np.where(np.abs(x + 2.0) < 1.1, 9.0, 0.0), grid.shape)
-    around = Around(
-        "rigs/r/pose", 2, Surface(HeightField(grid, np.ascontiguousarray(wall))), (SENSOR,)
+    around = MotionContext(
+        "rigs/r/pose", 2, GroundSurface(HeightField(grid, np.ascontiguousarray(wall))), (SENSOR,)
     )
     free = replace(motion, sampling=Sampling(times_s=ends))
     way = way_of(free, free.built(around), around)
@@ -298,8 +298,8 @@ def test_a_pair_that_rolls_differently_is_none(tmp_path: Path) -> None:
 
 LENSES: dict[str, Lens | None] = {
     "pinhole": None,
-    "kannala_brandt": KannalaBrandt(max_angle_deg=70).made(),
-    "equirectangular": Equirectangular().made(),
+    "kannala_brandt": KannalaBrandt(max_angle_deg=70).build(),
+    "equirectangular": Equirectangular().build(),
 }
 
 

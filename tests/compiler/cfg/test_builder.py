@@ -124,7 +124,7 @@ def test_every_object_of_the_schemas_has_a_class() -> None:
     assert not missing
     for name, reference in builder.names().items():
         made = getattr(builder, name)
-        assert made is builder.made(reference)
+        assert made is builder.part_class(reference)
         assert made.__doc__
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scenec.compiler.cfg.licenses import Terms, as_json, terms
+from scenec.compiler.cfg.licenses import License, as_json, terms
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.kinds.context import InputFile
 from scenec.schemas.manifest import read_manifest, stage_digest
@@ -25,7 +25,7 @@ SPDX-License-Identifier: CC-BY-4.0
 """
 
 
-def terms_of(path: Path, reference: str | None = None) -> Terms:
+def terms_of(path: Path, reference: str | None = None) -> License:
     return terms(InputFile(path, "0" * 64, path.name if reference is None else reference))
 
 
@@ -33,7 +33,7 @@ def test_a_license_file_beside_it_says_it(tmp_path: Path) -> None:
     path = tmp_path / "dem.npy"
     path.touch()
     (tmp_path / "dem.npy.license").write_text(BESIDE, encoding="utf-8")
-    assert terms_of(path) == Terms(
+    assert terms_of(path) == License(
         "CC-BY-4.0", ("2020 Ada <ada@example.org>", "2021 Grace"), "dem.npy.license beside it"
     )
 
@@ -76,9 +76,9 @@ def test_nothing_above_a_checkout_is_asked(tmp_path: Path) -> None:
     (tmp_path / "checkout" / ".git").mkdir(parents=True)
     path = tmp_path / "checkout" / "a.csv"
     path.touch()
-    assert terms_of(path) == Terms()
+    assert terms_of(path) == License()
     (tmp_path / "checkout" / "REUSE.toml").write_text("this is no TOML [", encoding="utf-8")
-    assert terms_of(path) == Terms()
+    assert terms_of(path) == License()
 
 
 @pytest.mark.parametrize("name", ["numpy", "scipy"])
@@ -102,7 +102,7 @@ def test_a_text_in_a_package_s_folder_goes_before_the_package(tmp_path: Path) ->
     (folder / "city.exr").touch()
     (folder / "license.txt").write_text("\nAll are CC0.\nBy somebody.\n", encoding="utf-8")
     found = terms_of(folder / "city.exr", "package:numpy/skies/city.exr")
-    assert found == Terms("All are CC0.", (), "license.txt beside it")
+    assert found == License("All are CC0.", (), "license.txt beside it")
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
@@ -111,9 +111,9 @@ def test_a_gltf_file_says_whose_it_is(suffix: str, tmp_path: Path) -> None:
     head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")
     path = tmp_path / f"rock{suffix}"
     path.write_bytes(head + text if suffix == ".glb" else text)
-    assert terms_of(path) == Terms(None, ("2019 Smith",), "asset.copyright in the file")
+    assert terms_of(path) == License(None, ("2019 Smith",), "asset.copyright in the file")
     path.write_bytes(path.read_bytes()[:25])
-    assert terms_of(path) == Terms()
+    assert terms_of(path) == License()
 
 
 def test_a_folder_has_the_terms_that_its_files_share(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_folder_has_the_terms_that_its_files_share(tmp_path: Path) -> None:
     (tmp_path / "REUSE.toml").write_text(REUSE, encoding="utf-8")
     assert terms_of(folder).license == "CC0-1.0"
     (folder / "normal.png.license").write_text(BESIDE, encoding="utf-8")
-    assert terms_of(folder) == Terms()
+    assert terms_of(folder) == License()
 
 
 def test_no_path_of_a_machine_goes_into_the_manifest(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_every_file_of_ours_says_its_terms(path: Path) -> None:
     if path.suffix in (".md", ".toml"):
         return
     license_ = "CC0-1.0" if path.suffix == ".glb" else "Apache-2.0"
-    assert terms_of(path) == Terms(license_, ("The scenec authors",), "REUSE.toml")
+    assert terms_of(path) == License(license_, ("The scenec authors",), "REUSE.toml")
 
 
 def test_the_manifest_holds_terms_and_the_cfg_s_own_bytes(tmp_path: Path) -> None:

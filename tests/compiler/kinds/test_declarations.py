@@ -15,7 +15,7 @@ from small_cfg import minimal
 from scenec.compiler.distributions.numbers import Distribution
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, description, given, key, noise_key, own_keys
+from scenec.compiler.kinds.declare import Form, declared_keys, description, given, key, noise_key
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.kinds.forms import (
     CHOICE,
@@ -53,7 +53,7 @@ class Sample:
 
 def test_a_class_says_what_json_schema_says_of_its_keys() -> None:
     number = {"$ref": "#/$defs/number", "x-per": "batch", "x-per-allowed": ["batch"]}
-    assert own_keys(Sample) == {
+    assert declared_keys(Sample) == {
         "length_m": (
             {
                 **number, "x-unit": "m", "exclusiveMinimum": 0, "maximum": 9,
@@ -72,7 +72,7 @@ def test_a_class_says_what_json_schema_says_of_its_keys() -> None:
             False,
         ),
     }  # fmt: skip
-    assert list(own_keys(Sample)) == ["length_m", "many", "kind", "rare", "sides"]
+    assert list(declared_keys(Sample)) == ["length_m", "many", "kind", "rare", "sides"]
     assert description(Sample) == "Waves on a pond, as they come."
 
 

@@ -18,7 +18,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_columns import chapman, columns
-from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, Medium, earth, mars
+from scenec.compiler.light.atmosphere_planets import EARTH, MARS, MEDIA, AirMedium, earth, mars
 from scenec.compiler.light.atmosphere_sky import SUNS
 from scenec.compiler.light.atmosphere_spectra import (
     GRID_NM,
@@ -27,7 +27,7 @@ from scenec.compiler.light.atmosphere_spectra import (
     weights,
     weights_of,
 )
-from scenec.compiler.light.build import Light, build_light
+from scenec.compiler.light.build import SceneLight, build_light
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import ALL, at_most
@@ -39,13 +39,13 @@ BLACK, COUNT = np.zeros(3), atmosphere.WAVELENGTHS
 WEIGHTS = weights(COUNT)
 
 
-def baked(medium: Medium, elevation_deg: float, **options: Any) -> NDArray:
+def baked(medium: AirMedium, elevation_deg: float, **options: Any) -> NDArray:
     """A sky of the default quality, on black ground at height 0 where nothing else is said."""
     settings = {"altitude_m": 0.0, "ground_color": BLACK, "height": 32} | options
     return atmosphere.bake(medium, WEIGHTS, sun_elevation=np.radians(elevation_deg), **settings)
 
 
-def direct(medium: Medium, elevation_deg: float, altitude_m: float = 0.0) -> NDArray:
+def direct(medium: AirMedium, elevation_deg: float, altitude_m: float = 0.0) -> NDArray:
     angle, diameter = np.radians(elevation_deg), np.radians(0.5)
     return atmosphere.direct(medium, WEIGHTS, altitude_m, angle, diameter)
 
@@ -278,7 +278,7 @@ def test_about_half_of_the_sunlight_is_in_the_visible():
     assert visible == pytest.approx(0.48 * 1361, rel=0.02)
 
 
-def lit(tmp_path: Path, light: dict[str, Any]) -> tuple[dict[str, Any], Light]:
+def lit(tmp_path: Path, light: dict[str, Any]) -> tuple[dict[str, Any], SceneLight]:
     cfg = small_cfg()
     label = {"class": "sky", "surface": "sky"}
     cfg["light"] = light | {"sky": {"type": "atmosphere", "labels": label} | light.get("sky", {})}

@@ -24,11 +24,11 @@ from scenec.compiler.light.cloud_fields import (
     no_cumulus,
 )
 from scenec.compiler.light.cloud_rays import beam_left
-from scenec.compiler.light.cloud_shadows import EVEN, Land, _disc, cloud_shadows
+from scenec.compiler.light.cloud_shadows import EVEN, LandBox, _disc, cloud_shadows
 from scenec.testing.small import small_cfg
 
 RADIUS = np.radians(0.265)
-LAND = Land((-1000.0, -800.0, -20.0), (1000.0, 800.0, 60.0), 0.0)
+LAND = LandBox((-1000.0, -800.0, -20.0), (1000.0, 800.0, 60.0), 0.0)
 
 
 def to_sun(elevation: float, azimuth: float = 120.0) -> np.ndarray:
@@ -57,7 +57,7 @@ def from_disc(place, way, cumulus, cirrus, count=60) -> float:
 def test_shadows_of_a_layer_moved_by_texels_are_the_same_texels_elsewhere():
     up = np.array([0.0, 0.0, 1.0])
     layer = heaps(0.45)
-    land = Land((-8000.0, -8000.0, -20.0), (8000.0, 8000.0, 60.0), 0.0)
+    land = LandBox((-8000.0, -8000.0, -20.0), (8000.0, 8000.0, 60.0), 0.0)
     still = cloud_shadows(up, RADIUS, layer, no_cirrus(), land)
     # East is along the picture's first axis or its second, this way or that.
     east, north = 5.0 * still.texel_m * facing(up)[:2, 0]
@@ -102,7 +102,7 @@ def test_the_middle_has_the_share_that_the_sky_shows():
     """The sky's picture hides the sun where the land's middle lies in shadow."""
     offsets = np.stack([np.linspace(-9000.0, 9000.0, 12), np.zeros(12)], axis=1)
     clouds = Clouds(resolution=8, cumulus=cumulus_plan(0.5, 12, offset_m=offsets))
-    land = Land((-300.0, -300.0, 0.0), (300.0, 300.0, 20.0), 0.0)
+    land = LandBox((-300.0, -300.0, 0.0), (300.0, 300.0, 20.0), 0.0)
     light = build_light(light_plan(clouds, 12), 12, True, False, land)
     gobo = light.sun.gobo
     middle = np.array(light.facts["clouds"]["sun_transmittance"])
@@ -129,7 +129,7 @@ def test_land_that_has_one_light_has_no_picture():
     for cumulus in (no_cumulus(), layer._replace(extinction=0.0), sheet):
         assert cloud_shadows(to_sun(50.0), RADIUS, cumulus, cirrus, LAND) is None
     assert cloud_shadows(to_sun(1.0), RADIUS, layer, cirrus, LAND) is None
-    small = Land((-1.0, -1.0, 0.0), (1.0, 1.0, 0.0), 0.0)
+    small = LandBox((-1.0, -1.0, 0.0), (1.0, 1.0, 0.0), 0.0)
     made = [
         cloud_shadows(to_sun(50.0, azimuth), RADIUS, layer, no_cirrus(), small)
         for azimuth in range(0, 360, 20)
@@ -153,7 +153,7 @@ def test_extremes_are_finite_and_no_larger_than_what_is_allowed(
         base_m=base, thickness_m=thickness, size_m=size, extinction=40.0 / thickness,
         pattern=cumulus.pattern._replace(per_m=cumulus.pattern.per_m * cumulus.size_m / size),
     )  # fmt: skip
-    land = Land((-half, -half, -100.0), (half, half, 3000.0), 50.0 * half)
+    land = LandBox((-half, -half, -100.0), (half, half, 3000.0), 50.0 * half)
     for radius in (0.0, RADIUS, np.radians(5.0)):
         made = cloud_shadows(to_sun(elevation), radius, cumulus, no_cirrus(), land)
         if made is None:

@@ -26,7 +26,7 @@ from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import directions
 from scenec.compiler.light.overcast import transmitted
 from scenec.compiler.light.plan import LightPlan
-from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.light import SunDisc
 from scenec.schemas.errors import CfgError
 from scenec.schemas.threads import at_most
 from scenec.testing.small import small_cfg
@@ -76,7 +76,7 @@ def drawn(cumulus, cirrus, turn=0.0, to_sun=(0.0, -0.6, 0.8), height=64) -> np.n
 
 
 def light_plan(clouds: Clouds, samples=1, elevation=50.0) -> LightPlan:
-    sun = SunLight(
+    sun = SunDisc(
         np.full(samples, 90.0), np.full(samples, elevation), np.full(samples, 1000.0),
         np.full(samples, 0.53), np.ones((samples, 3)),
     )  # fmt: skip

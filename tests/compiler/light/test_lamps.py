@@ -15,13 +15,13 @@ from scenec.compiler.cameras.paths.random_target import RandomTargetPlan
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.compile import CompileReport, compile_cfg
-from scenec.compiler.light.build import Light, without_dark
+from scenec.compiler.light.build import SceneLight, without_dark
 from scenec.compiler.light.earthshine import earthshine_irradiance
-from scenec.compiler.light.lamp import LampPlan, Target, WorldMount
+from scenec.compiler.light.lamp import LampPlan, LampTarget, WorldMount
 from scenec.compiler.light.lamps import build_lamps, lamp_irradiance, meter_lamps
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.exposure import incident_exposure
-from scenec.compiler.scene.light import Lamp, SkyLight, SunLight
+from scenec.compiler.scene.light import Lamp, SkyLight, SunDisc
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.testing.small import small_cfg, write_cfg
@@ -54,9 +54,9 @@ def test_the_earths_phases_are_those_of_a_lambert_sphere():
     assert (np.diff(law) <= 0.0).all()
 
 
-def flat(height: float = 2.0) -> Surface:
+def flat(height: float = 2.0) -> GroundSurface:
     grid = Grid.with_spacing((40.0, 40.0), 1.0)
-    return Surface(HeightField(grid, np.full(grid.shape, height)), smooth=False)
+    return GroundSurface(HeightField(grid, np.full(grid.shape, height)), smooth=False)
 
 
 def world_lamp(**change: Any) -> LampPlan:
@@ -104,7 +104,7 @@ def test_a_standing_lamp_shines_along_its_bearing_and_elevation(bearing_deg, ele
 
 
 def test_a_standing_lamp_shines_at_its_target_over_the_same_ground():
-    target = Target(x_m=np.full(1, 4.0), y_m=np.full(1, -2.0), z_m=np.zeros(1))
+    target = LampTarget(x_m=np.full(1, 4.0), y_m=np.full(1, -2.0), z_m=np.zeros(1))
     lamp = built(target=target)
     way = np.array([4.0, -2.0, 2.0]) - [1.0, 2.0, 5.0]
     assert np.allclose(-lamp.to_world[0][:3, 2], way / np.linalg.norm(way), atol=1e-12)
@@ -166,9 +166,9 @@ def test_a_metered_exposure_looks_below_the_middle_where_no_lamp_lights_that():
     assert metered(0.0, (lamp,), down_deg=-60.0) == 0.0
 
 
-def sun(elevation_deg: list[float], irradiance: float = 100.0) -> SunLight:
+def sun(elevation_deg: list[float], irradiance: float = 100.0) -> SunDisc:
     n = len(elevation_deg)
-    return SunLight(
+    return SunDisc(
         np.zeros(n), np.array(elevation_deg), np.full(n, irradiance), np.full(n, 2.0),
         np.ones((n, 3)),
     )  # fmt: skip
@@ -179,8 +179,8 @@ def sky(value: float, intensity: float = 1.0) -> SkyLight:
     return SkyLight({"a.exr": picture}, ("a.exr",), np.full(1, intensity), np.zeros(1))
 
 
-def light(sun: SunLight | None, sky: SkyLight | None = None, **more: SunLight) -> Light:
-    return Light(sun, sky, more, None, None, np.zeros(1))
+def light(sun: SunDisc | None, sky: SkyLight | None = None, **more: SunDisc) -> SceneLight:
+    return SceneLight(sun, sky, more, None, None, np.zeros(1))
 
 
 def test_lights_that_give_nothing_at_any_sample_are_left_out_and_reported():

@@ -13,7 +13,7 @@ from scenec.compiler.light import clear_sky as skies
 from scenec.compiler.light.clear_sky import ClearSky, clear_sky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.scene.exposure import incident_exposure
-from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.light import SunDisc
 
 COLORS = tuple(
     np.array(c) for c in [(0.23, 0.42, 0.9), (0.72, 0.82, 0.95), (0.3, 0.26, 0.22), (600, 500, 400)]
@@ -52,7 +52,7 @@ def test_a_clear_sky_has_its_irradiance_and_is_finite_and_positive(height, eleva
 
 
 def test_the_brightest_part_of_a_clear_sky_is_at_the_sun():
-    sun = SunLight(*(np.array([v]) for v in (120.0, 35.0, 1000.0, 0.53)), color=np.ones((1, 3)))
+    sun = SunDisc(*(np.array([v]) for v in (120.0, 35.0, 1000.0, 0.53)), color=np.ones((1, 3)))
     to_sun = sun.direction(0)
     picture = clear_sky(128, to_sun, 150.0, *COLORS)
     brightest = np.unravel_index(luminance(picture).argmax(), picture.shape[:2])

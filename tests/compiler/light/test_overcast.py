@@ -13,7 +13,7 @@ from scenec.compiler.light.build import build_light, without_dark
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.overcast import OvercastSky, overcast_sky, reflected, transmitted
 from scenec.compiler.light.plan import LightPlan
-from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.light import SunDisc
 from scenec.schemas.errors import CfgError
 from scenec.testing import photons
 from scenec.testing.small import small_cfg
@@ -24,7 +24,7 @@ GRAY = np.array([1.0, 1.0, 1.0])
 def made(depth=30.0, elevation=50.0, albedo=0.2, **more) -> tuple[LightPlan, int]:
     depths = np.atleast_1d(np.asarray(depth, float))
     n = len(depths)
-    sun = SunLight(
+    sun = SunDisc(
         np.full(n, 90.0), np.full(n, elevation), np.full(n, 1000.0), np.full(n, 0.53),
         np.ones((n, 3)),
     )  # fmt: skip

@@ -22,10 +22,10 @@ from scenec.compiler.materials.displacement import Displacement, displacement_of
 from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.grounds import Gravel
 from scenec.compiler.materials.heights import gray, surface_relief
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.materials.values import normal_picture, normals, unit
 from scenec.compiler.mesh.build import build_surface
-from scenec.compiler.scene.material import Cells, Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps, TilingCells
 from scenec.schemas.errors import CfgError
 from scenec.schemas.exr import write_rgb
 from scenec.testing.small import small_cfg, write_cfg
@@ -38,7 +38,7 @@ def plan(maps: MaterialMaps, **made) -> MaterialPlan:
 def picture(folder: Path, codes: np.ndarray, size_m: float, high_m: float, **more) -> Displacement:
     file = folder / "heights.png"
     Image.fromarray(codes).save(file)
-    sources = Sources(heights=file, heights_m=high_m)
+    sources = MapSources(heights=file, heights_m=high_m)
     made = displacement_of(plan(MaterialMaps(size_m, {}, "opengl", **more), sources=sources))
     assert made is not None
     return made
@@ -81,7 +81,7 @@ def test_heights_between_texels_follow_a_wave_with_its_slope(tmp_path):
 
 def test_cells_lay_heights_where_renderers_lay_the_picture(tmp_path):
     codes = np.random.default_rng(3).integers(90, 160, (16, 16)).astype(np.uint8)
-    made = picture(tmp_path, codes, 2.0, 1.0, cells=Cells(1.5, 12345))
+    made = picture(tmp_path, codes, 2.0, 1.0, cells=TilingCells(1.5, 12345))
     maps = Maps(2.0, height=tmp_path / "heights.png", cells=ShownCells(1.5, 12345))
     rng = np.random.default_rng(4)
     xy = rng.uniform(-80, 80, (4000, 2))
@@ -94,7 +94,7 @@ def test_cells_lay_heights_where_renderers_lay_the_picture(tmp_path):
     assert np.corrcoef(found, expected)[0, 1] > 0.97
     smooth = np.full((16, 16), 128, np.uint8)
     smooth[:, 8:] = 130
-    flat = picture(tmp_path, smooth, 2.0, 1.0, cells=Cells(1.5, 7))
+    flat = picture(tmp_path, smooth, 2.0, 1.0, cells=TilingCells(1.5, 7))
     assert np.abs(flat.at(xy[:, 0].copy(), xy[:, 1].copy())).max() < 0.02
 
 
@@ -186,18 +186,18 @@ _PROGRAM = """
 import hashlib, sys
 import numpy as np
 from pathlib import Path
-from scenec.compiler.scene.material import Cells, Material, MaterialMaps
+from scenec.compiler.scene.material import Material, MaterialMaps, TilingCells
 from scenec.compiler.materials.displacement import displacement_of
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.materials.grounds import MudCracks
 digest = hashlib.sha256()
 x = np.linspace(-30.0, 40.0, 20001)
-for cells in (None, Cells(0.7, 99)):
+for cells in (None, TilingCells(0.7, 99)):
     maps = MaterialMaps(1.3, {}, "opengl", cells=cells)
     material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
     for drawn in (
-        MaterialPlan(material, sources=Sources(heights=Path(sys.argv[1]), heights_m=0.1)),
+        MaterialPlan(material, sources=MapSources(heights=Path(sys.argv[1]), heights_m=0.1)),
         MaterialPlan(
             material, MudCracks(key=3, grain_m=0.1, resolution=64, displacement=True, gape=0.1)
         ),

@@ -13,14 +13,14 @@ from PIL import Image
 from scenec.compiler.assets.pictures import png
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.materials.finish import Shown, finish
+from scenec.compiler.materials.finish import MeshLimits, finish
 from scenec.compiler.materials.footprint import Footprint, footprints
 from scenec.compiler.materials.grounds import Gravel
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.materials.reduce import halvings, reduced
 from scenec.compiler.materials.values import color_picture, gray_picture, normal_picture, unit
-from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
-from scenec.compiler.scene.material import Material, MaterialMaps, Picture
+from scenec.compiler.scene.ground import Ground, GroundLayer, MeshTile
+from scenec.compiler.scene.material import ImageFile, Material, MaterialMaps
 from scenec.compiler.scene.objects import MeshPart, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.views.resolution import Views, views_of
@@ -49,7 +49,7 @@ def flat_ground(weights: np.ndarray, width: float = 40.0) -> Ground:
         [np.stack([i, i + 1, i + 66], 1), np.stack([i, i + 66, i + 65], 1)]
     ).astype(np.int32)
     faces = faces[np.argsort(faces[:, 0], kind="stable")]
-    tile = Tile(
+    tile = MeshTile(
         "tile", np.zeros(3), points, faces, np.tile(np.float32([0, 0, 1]), (len(points), 1)),
         np.zeros(len(faces), np.int32), weights.astype(np.float32),
         np.zeros(len(points), np.float32),
@@ -202,7 +202,9 @@ def test_normals_are_summed_as_vectors_and_the_slope_that_goes_is_told():
 def finished(material: Material, seen: float, high: bool = False, **drawn):
     made = MaterialPlan(material, **drawn)
     layers = (GroundLayer("m", {}), GroundLayer("m", {}, 0.2 if high else 0.0))
-    return finish({"m": made}, Ground(layers, ()), {"m": Footprint(seen, seen)}, Shown(0.5, 0.01))
+    return finish(
+        {"m": made}, Ground(layers, ()), {"m": Footprint(seen, seen)}, MeshLimits(0.5, 0.01)
+    )
 
 
 def test_pictures_that_show_nothing_a_number_would_not_become_numbers():
@@ -212,7 +214,7 @@ def test_pictures_that_show_nothing_a_number_would_not_become_numbers():
         "base_color": color_picture(np.full((16, 16, 3), 0.25, np.float32)),
         "roughness": gray_picture(gray),
         "metallic": gray_picture(0.0 * gray),
-        "normal": Picture(".png", png(flat)),
+        "normal": ImageFile(".png", png(flat)),
     }
     found = finished(replace(material(files), base_color=(0.5, 1.0, 1.0)), 100.0)
     made = found.materials["m"]
@@ -226,7 +228,7 @@ def test_pictures_that_show_nothing_a_number_would_not_become_numbers():
     assert all(entry["bytes"] > 0 for entry in found.left_out)
     # One code beside flat is no longer flat.
     flat[3, 3, 0] = 126
-    bumpy = finished(material({"normal": Picture(".png", png(flat))}), 100.0)
+    bumpy = finished(material({"normal": ImageFile(".png", png(flat))}), 100.0)
     assert set(bumpy.materials["m"].maps.files) == {"normal"}
 
 
@@ -267,7 +269,7 @@ def test_as_is_keeps_files_whoever_sees_them(tmp_path):
     Image.fromarray(np.full((64, 64, 3), 99, np.uint8)).save(tmp_path / "c.png")
     files = {"base_color": tmp_path / "c.png"}
     for seen in (0.0, 1.0, 1e9):
-        kept = finished(material(files), seen, sources=Sources(as_is=True)).materials["m"]
+        kept = finished(material(files), seen, sources=MapSources(as_is=True)).materials["m"]
         assert kept.maps.files == files
     assert finished(material(files), 1.0).materials["m"].maps is None
 

@@ -25,7 +25,7 @@ from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Tile
 from scenec.compiler.materials.values import encoded, forget_pixels, picture_of, stored
-from scenec.compiler.scene.material import Material, MaterialMaps, Picture
+from scenec.compiler.scene.material import ImageFile, Material, MaterialMaps
 from scenec.schemas.errors import CfgError
 from scenec.schemas.maps import decode, read_pixels
 from scenec.testing.small import small_cfg, write_cfg
@@ -50,7 +50,7 @@ def painted(
 
 def pixels(material: Material, kind: str) -> np.ndarray:
     picture = material.maps.files[kind]
-    assert isinstance(picture, Picture)
+    assert isinstance(picture, ImageFile)
     return np.asarray(Image.open(io.BytesIO(picture.data)))
 
 

@@ -12,7 +12,7 @@ from scenec.compiler.geometry.poses import look_at
 from scenec.compiler.mesh import adaptive
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.mesh.mesh import Meshing, grid_mesh
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -133,7 +133,7 @@ def test_all_samples_give_the_grid_s_own_triangles():
 def test_the_height_error_stays_below_the_tolerance_in_pixels(field, sight):
     for tolerance in (0.25, 0.5, 2.0):
         tiles, report = build_tiles(
-            Surface(field, (), smooth=False), 1, Meshing(tolerance, 10**9, 0.125), sight
+            GroundSurface(field, (), smooth=False), 1, Meshing(tolerance, 10**9, 0.125), sight
         )
         points = np.concatenate([t.translate + t.points.astype(float) for t in tiles])
         faces = np.concatenate(
@@ -163,7 +163,7 @@ def _height_of_mesh(points, faces, field) -> np.ndarray:
 
 def test_labels_stray_no_farther_than_the_tolerance(field, sight):
     _, report = build_tiles(
-        Surface(field, MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight
+        GroundSurface(field, MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight
     )
     # Snapping may add a thirty-second of an edge, which the finest edges near the camera show.
     assert report["mesh"]["label_error_max_px"] <= 0.5 + SNAPPED_PX(field, sight)
@@ -175,12 +175,15 @@ def SNAPPED_PX(field, sight) -> float:  # noqa: N802
 
 
 def test_a_budget_that_binds_is_kept_and_the_error_it_cost_is_said(field, sight):
-    free = build_tiles(Surface(field, (), smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)[1][
-        "mesh"
-    ]
+    free = build_tiles(
+        GroundSurface(field, (), smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight
+    )[1]["mesh"]
     assert not free["budget_bound"]
     bound = build_tiles(
-        Surface(field, (), smooth=False), 1, Meshing(0.5, free["triangles"] // 3, 0.125), sight
+        GroundSurface(field, (), smooth=False),
+        1,
+        Meshing(0.5, free["triangles"] // 3, 0.125),
+        sight,
     )[1]["mesh"]
     assert bound["budget_bound"]
     assert bound["triangles"] <= free["triangles"] // 3
@@ -191,7 +194,7 @@ def test_a_budget_that_binds_is_kept_and_the_error_it_cost_is_said(field, sight)
 def test_ground_near_a_camera_is_finer_than_far_and_seen_finer_than_unseen(field):
     rig = one_rig(field)
     tiles, _ = build_tiles(
-        Surface(field, (), smooth=False),
+        GroundSurface(field, (), smooth=False),
         1,
         Meshing(0.5, 10**9, 0.05),
         pixels_per_meter(field, views_of((rig,)), 0.05),
@@ -222,13 +225,14 @@ def test_pixels_per_meter_are_those_of_the_nearest_view(field):
 _HASH = """
 import hashlib
 import test_adaptive as t
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 field = t.relief(30.0)
 sight = pixels_per_meter(field, views_of((t.one_rig(field, (3.0, -10.0)),)), 0.125)
-tiles, _ = build_tiles(Surface(field, t.MERGES, smooth=False), 1, Meshing(0.5, 10**9, 0.125), sight)
+surface = GroundSurface(field, t.MERGES, smooth=False)
+tiles, _ = build_tiles(surface, 1, Meshing(0.5, 10**9, 0.125), sight)
 digest = hashlib.sha256()
 for tile in tiles:
     for array in (tile.points, tile.faces, tile.normals, tile.layer, tile.weights):

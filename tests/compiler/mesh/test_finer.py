@@ -13,7 +13,7 @@ from test_ground import assert_sound, side_of, welded
 
 from scenec.compiler.mesh.merge import Merge, label_index
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.condition import Height, Interval
 from scenec.compiler.terrain.detail import Sum, Weighted
@@ -33,12 +33,12 @@ GRAINS = Worley(key=9, amplitude_m=0.03, scale_m=0.12).everywhere()
 ROUGH = Multifractal(key=2, amplitude_m=1.2, scale_m=9.0, octaves=10, variant="fbm")
 
 
-def surface(smooth: bool = True) -> Surface:
+def surface(smooth: bool = True) -> GroundSurface:
     relief = run([ROUGH], Grid((24.0, 20.0), (101, 121)))
-    return Surface(relief.field, MERGES, relief.details, (None, GRAINS), smooth=smooth)
+    return GroundSurface(relief.field, MERGES, relief.details, (None, GRAINS), smooth=smooth)
 
 
-def sight_of(ground: Surface, unseen: float = 0.125):
+def sight_of(ground: GroundSurface, unseen: float = 0.125):
     views = views_of((test_adaptive.one_rig(ground.field, (1.0, -6.0), (0.0, 0.0), 1.2),))
     return pixels_per_meter(ground.field, views, unseen), views
 
@@ -113,10 +113,10 @@ def test_the_surface_runs_through_the_samples_and_along_planes():
     grid = Grid((9.0, 7.0), (15, 19))
     rng = np.random.default_rng(1)
     heights = rng.normal(size=grid.shape)
-    at = Surface(HeightField(grid, heights)).height_at(*grid.points())
+    at = GroundSurface(HeightField(grid, heights)).height_at(*grid.points())
     np.testing.assert_allclose(at, heights.ravel(), atol=1e-12)
     x, y = rng.uniform(-4.5, 4.5, 200), rng.uniform(-3.5, 3.5, 200)
-    plane = Surface(run([Plane(2.0, (0.3, -0.7))], grid).field)
+    plane = GroundSurface(run([Plane(2.0, (0.3, -0.7))], grid).field)
     np.testing.assert_allclose(plane.height_at(x, y), 2.0 + 0.3 * x - 0.7 * y, atol=1e-12)
 
 
@@ -126,7 +126,7 @@ def test_the_surface_converges_to_a_smooth_relief_at_third_order():
     def error(n: int) -> float:
         grid = Grid((4.0, 4.0), (n + 1, n + 1))
         x, y = grid.points()
-        wave = Surface(HeightField(grid, (np.sin(x) * np.cos(1.3 * y)).reshape(grid.shape)))
+        wave = GroundSurface(HeightField(grid, (np.sin(x) * np.cos(1.3 * y)).reshape(grid.shape)))
         # Away from the border, where slopes are one-sided, and from extremes, where they are cut.
         u, v = np.meshgrid(np.linspace(-1.0, 1.0, 70), np.linspace(0.3, 1.0, 70))
         u, v = u.ravel(), v.ravel()
@@ -143,20 +143,20 @@ def test_the_surface_overshoots_no_cliff(heights):
     """Beyond the samples of a cell's row by less than half of the smaller rise beside them."""
     grid = Grid((5.0, 5.0), (6, 6))
     u, v = np.meshgrid(np.linspace(-2.5, 2.5, 41), np.linspace(-2.5, 2.5, 41))
-    at = Surface(HeightField(grid, heights)).height_at(u.ravel(), v.ravel())
+    at = GroundSurface(HeightField(grid, heights)).height_at(u.ravel(), v.ravel())
     assert np.isfinite(at).all()
     # Twice a half, for the two directions, of the largest rise that has one as large beside it.
     span = heights.max() - heights.min()
     assert at.max() <= heights.max() + 0.5 * span + 1e-6
     step = np.where(np.arange(6) < 3, 0.0, 1e3)[None, :].repeat(6, axis=0)
-    beside = Surface(HeightField(grid, step)).height_at(u.ravel(), v.ravel())
+    beside = GroundSurface(HeightField(grid, step)).height_at(u.ravel(), v.ravel())
     assert beside.min() >= 0.0
     assert beside.max() <= 1e3
 
 
 def test_displacement_lies_where_its_material_does():
     ground = surface()
-    bare = Surface(ground.field, MERGES, ground.details)
+    bare = GroundSurface(ground.field, MERGES, ground.details)
     x, y = np.random.default_rng(4).uniform(-9.0, 9.0, (2, 4000))
     weight = MERGES[0].weight_of_side(MERGES[0].side(x, y))
     added = ground.height_at(x, y) - bare.height_at(x, y)
@@ -205,7 +205,7 @@ def test_a_slope_with_ledges_is_treads_of_a_part_of_its_slope_between_steep_rise
     layers = Terraces(
         key=3, step_m=0.2, riser=riser, tread_slope=tread, irregularity=0.0, bend_scale_m=1.0
     )
-    shelf = Surface(plane, (), (), (Sum((layers.everywhere(),)),))
+    shelf = GroundSurface(plane, (), (), (Sum((layers.everywhere(),)),))
     x = np.linspace(-5.0, 5.0, 200_001)
     height = shelf.height_at(x, np.zeros(x.size))
     rise = np.diff(height) / np.diff(x)

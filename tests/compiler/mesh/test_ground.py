@@ -8,9 +8,9 @@ import pytest
 from scenec.compiler.mesh.cut import cut as cut_mesh
 from scenec.compiler.mesh.merge import Merge, center_for_coverage, label_index
 from scenec.compiler.mesh.mesh import grid_mesh
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.ground import Tile
+from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 
@@ -27,7 +27,7 @@ def relief(size: float = 40.0, spacing: float = 0.4) -> HeightField:
     return HeightField(grid, operator.apply(grid, np.zeros(grid.shape))[0])
 
 
-def welded(tiles: tuple[Tile, ...]) -> tuple[np.ndarray, np.ndarray]:
+def welded(tiles: tuple[MeshTile, ...]) -> tuple[np.ndarray, np.ndarray]:
     """World points (equal ones merged) and faces over all tiles."""
     points = np.concatenate([t.translate + t.points.astype(np.float64) for t in tiles])
     offsets = np.cumsum([0] + [len(t.points) for t in tiles])
@@ -63,7 +63,7 @@ def side_of(merges, points: np.ndarray) -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def cut():
     # 40 m at 0.2 m are 200 cells: four tiles.
-    return build_tiles(Surface(relief(spacing=0.2), MERGES), 77)
+    return build_tiles(GroundSurface(relief(spacing=0.2), MERGES), 77)
 
 
 def test_the_cut_mesh_is_whole_keeps_the_area_and_folds_nothing(cut):
@@ -73,7 +73,7 @@ def test_the_cut_mesh_is_whole_keeps_the_area_and_folds_nothing(cut):
 
 def test_cut_vertices_stay_on_the_uncut_surface():
     field = relief()
-    tiles, report = build_tiles(Surface(field, MERGES), 1, color=False)
+    tiles, report = build_tiles(GroundSurface(field, MERGES), 1, color=False)
     points, _ = welded(tiles)
     height = field.height_at(points[:, 0].copy(), points[:, 1].copy())
     # Moving a vertex by float32 rounding also moves it along the slope.
@@ -181,7 +181,7 @@ def test_the_center_lies_between_the_two_samples_at_the_rank(spread):
 
 def test_without_labels_the_mesh_is_not_cut_and_without_color_there_are_no_weights():
     field = relief()
-    whole, report = build_tiles(Surface(field, MERGES), 1, color=False, cut_labels=False)
+    whole, report = build_tiles(GroundSurface(field, MERGES), 1, color=False, cut_labels=False)
     assert report["faces"] == 2 * 100 * 100
     assert all(tile.weights.shape[0] == 0 for tile in whole)
 
@@ -189,7 +189,7 @@ def test_without_labels_the_mesh_is_not_cut_and_without_color_there_are_no_weigh
 def test_constant_relief_and_a_field_without_line_make_a_plain_grid():
     field = HeightField(Grid.with_spacing((4.0, 4.0), 1.0), np.full((5, 5), 3.25))
     never = Merge(5, 9.0, 3, 0.5, 2.0, 0.0, 5.0, 0.5, center=99.0)
-    (tile,), report = build_tiles(Surface(field, (never,)), 1)
+    (tile,), report = build_tiles(GroundSurface(field, (never,)), 1)
     assert report["faces"] == 32
     assert report["cuts"][0]["line_m"] == 0.0
     assert (tile.layer == 0).all()

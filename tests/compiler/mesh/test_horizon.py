@@ -19,7 +19,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.mesh.build import build_surface
 from scenec.compiler.mesh.horizon import Land
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.program import run
 from scenec.compiler.views.resolution import pixels_of_balls, views_of
@@ -83,7 +83,7 @@ def land(plan):
     horizon = plan.terrain.horizon
     size = tuple(side + 2.0 * REACH for side in plan.terrain.size_m)
     far = run(horizon.relief, Grid.with_spacing(size, horizon.spacing_m))
-    return Land.around(terrain, Surface(far.field, details=far.details), BLEND)
+    return Land.around(terrain, GroundSurface(far.field, details=far.details), BLEND)
 
 
 def triangles(tiles):

@@ -11,8 +11,8 @@ from test_adaptive import one_rig
 
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.merge import Merge
-from scenec.compiler.mesh.mesh import Appearance, Meshing, adaptive_mesh
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.mesh import GroundAppearance, Meshing, adaptive_mesh
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.operators.worley import Worley
@@ -44,7 +44,7 @@ def heights(kind: str, grid: Grid, size_m: float, rng: np.random.Generator) -> N
     return out
 
 
-def ground(kind: str, size_m: float, detail_m: float, variant: str, seed: int) -> Surface:
+def ground(kind: str, size_m: float, detail_m: float, variant: str, seed: int) -> GroundSurface:
     """Relief of a kind with octaves finer than its grid, and with pits in one of two materials."""
     rng = np.random.default_rng(seed)
     grid = Grid((12.0, 10.0), (int(rng.integers(12, 60)), int(rng.integers(12, 60))))
@@ -53,7 +53,7 @@ def ground(kind: str, size_m: float, detail_m: float, variant: str, seed: int) -
         key=seed, amplitude_m=detail_m, scale_m=3.0, lacunarity=2.1, variant=variant
     ).detail(grid)
     pits = Worley(key=9, amplitude_m=-0.3 * detail_m, scale_m=rng.uniform(0.04, 0.5))
-    return Surface(
+    return GroundSurface(
         field,
         (Merge(5, 2.0, 3, 0.5, 2.0, 0.0, 8.0, 0.5),),
         () if rough is None else (rough,),
@@ -61,7 +61,9 @@ def ground(kind: str, size_m: float, detail_m: float, variant: str, seed: int) -
     )
 
 
-def meshed(surface: Surface, meshing: Meshing, seed: int) -> tuple[CutMesh, Views, dict[str, Any]]:
+def meshed(
+    surface: GroundSurface, meshing: Meshing, seed: int
+) -> tuple[CutMesh, Views, dict[str, Any]]:
     rng = np.random.default_rng(seed)
     eye, target = rng.uniform(-5.0, 5.0, (2, 2))
     rig = one_rig(surface.field, tuple(eye), tuple(target), rng.uniform(0.5, 3.0))
@@ -69,12 +71,14 @@ def meshed(surface: Surface, meshing: Meshing, seed: int) -> tuple[CutMesh, View
     near = pixels_per_meter(surface.field, views, meshing.unseen)
     samples = Samples.of(surface.field.grid)
     sides = [one.side_on(samples) for one in surface.merges]
-    look = Appearance(np.reshape(sides, (len(sides), *near.shape)), np.zeros(near.shape))
+    look = GroundAppearance(np.reshape(sides, (len(sides), *near.shape)), np.zeros(near.shape))
     mesh, _, report = adaptive_mesh(surface, look, near, views, meshing)
     return mesh, views, report["finer"]
 
 
-def errors_px(surface: Surface, mesh: CutMesh, views: Views, points: int) -> NDArray[np.float64]:
+def errors_px(
+    surface: GroundSurface, mesh: CutMesh, views: Views, points: int
+) -> NDArray[np.float64]:
     """Errors in pixels at points drawn at random over the faces, as many in each."""
     rng = np.random.default_rng(3)
     found = []
@@ -107,7 +111,7 @@ def test_what_is_stated_of_some_points_holds_for_many(kind):
 
 def test_a_plane_without_detail_has_no_error():
     grid = Grid((12.0, 10.0), (41, 49))
-    surface = Surface(HeightField(grid, heights("plane", grid, 1.0, np.random.default_rng(0))
+    surface = GroundSurface(HeightField(grid, heights("plane", grid, 1.0, np.random.default_rng(0))
                                   .reshape(grid.shape)))  # fmt: skip
     _, _, finer = meshed(surface, Meshing(0.5, 10**6, UNSEEN), 4)
     assert finer["surface_error_found_px"] < 1e-9

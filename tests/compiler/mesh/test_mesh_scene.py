@@ -15,13 +15,13 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.rotations import rotation_rows
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.mesh_candidates import STANDING, MeshCandidates, Spots
 from scenec.compiler.objects.mesh_seating import seat_on_mesh
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rocks import build_prototypes
-from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
@@ -38,7 +38,7 @@ EMBED = np.linspace(0.0, 0.5, N)
 
 def place_on_mesh(surface: MeshSurface, density: Density, u: np.ndarray, name: str) -> Spots:
     """Spots that uniform numbers lead to."""
-    around = Surroundings(Surface(surface), np.zeros((0, 3)))
+    around = PlacementContext(GroundSurface(surface), np.zeros((0, 3)))
     return MeshCandidates(surface, density, (), around, name).spots(u)
 
 

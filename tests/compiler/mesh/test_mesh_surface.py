@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from scenec.compiler.mesh.merge import Merge, label_index
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -254,7 +254,7 @@ def test_every_format_gives_the_same_tiles_to_the_bit(tmp_path):
         path = write(tmp_path / f"a.{suffix}", points, quads)
         rough = Roughness(key=9, amplitude_m=0.1, scale_m=2.0, octaves=4, gain=0.5)
         field = run([base(path, roughness=rough)], GRID).field
-        made.append(build_tiles(Surface(field, (MERGE,)), 5)[0])
+        made.append(build_tiles(GroundSurface(field, (MERGE,)), 5)[0])
     for tiles in made[1:]:
         for a, b in zip(made[0], tiles, strict=True):
             for key in ("translate", "points", "faces", "normals", "layer", "weights", "variation"):
@@ -265,7 +265,7 @@ def test_a_label_line_down_a_wall_alone_is_reported_in_finite_numbers():
     corners = np.array([[-4, 0, 0], [4, 0, 0], [4, 0, 5], [-4, 0, 5]], float)
     points, faces, _ = subdivided(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), 0.5, 10**6)
     wall = MeshSurface(GRID, np.zeros(GRID.shape), points, faces)
-    tiles, report = build_tiles(Surface(wall, (MERGE,)), 5)
+    tiles, report = build_tiles(GroundSurface(wall, (MERGE,)), 5)
     assert {0, 1} == {int(layer) for tile in tiles for layer in tile.layer}
     assert np.isfinite(list(report["cuts"][0].values())).all()
 
@@ -284,7 +284,7 @@ def test_labels_are_one_a_face_without_crack_or_junction_on_walls_and_overhangs(
             tmp_path / "b.ply", points, np.concatenate([[[0, 1, 2], [0, 2, 3]], block.faces + 4])
         )
     field = run([base(path)], GRID).field
-    tiles, report = build_tiles(Surface(field, (MERGE,)), 5)
+    tiles, report = build_tiles(GroundSurface(field, (MERGE,)), 5)
     points = np.concatenate([t.translate + t.points.astype(float) for t in tiles])
     starts = np.cumsum([0] + [len(t.points) for t in tiles])
     faces = np.concatenate([t.faces + s for t, s in zip(tiles, starts, strict=False)])

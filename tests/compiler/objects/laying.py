@@ -14,11 +14,11 @@ from scenec.compiler.cfg.fill import fill
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context, InputFile
 from scenec.compiler.kinds.draw import draw_kind
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
+from scenec.compiler.objects.placement_context import PlacementContext, plan_circles
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
-from scenec.compiler.objects.surroundings import Surroundings, footprints
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -28,7 +28,7 @@ SIZE = (40.0, 32.0)
 NO_CAMERAS = np.zeros((0, 3))
 
 
-def surface(amplitude_m: float = 1.0) -> Surface:
+def surface(amplitude_m: float = 1.0) -> GroundSurface:
     """Hills of 40 m by 32 m."""
     grid = Grid.with_spacing(SIZE, 0.4)
     height = np.zeros(grid.shape)
@@ -36,15 +36,15 @@ def surface(amplitude_m: float = 1.0) -> Surface:
         height = Multifractal(
             key=1, amplitude_m=amplitude_m, scale_m=8.0, octaves=5, variant="fbm"
         ).apply(grid, height)[0]
-    return Surface(HeightField(grid, height), smooth=False)
+    return GroundSurface(HeightField(grid, height), smooth=False)
 
 
 def surroundings(
     cameras: np.ndarray = NO_CAMERAS, amplitude_m: float = 1.0, **objects: Scatter
-) -> Surroundings:
+) -> PlacementContext:
     """Hills, cameras, and what lies there already."""
-    around = Surroundings(surface(amplitude_m), cameras)
-    around.objects.update({name: footprints(laid) for name, laid in objects.items()})
+    around = PlacementContext(surface(amplitude_m), cameras)
+    around.objects.update({name: plan_circles(laid) for name, laid in objects.items()})
     return around
 
 
@@ -76,7 +76,7 @@ def _filled(name: str, change: str) -> dict[str, Any]:
     return filled
 
 
-def laid(around: Surroundings, facts: dict[str, Any] | None = None, **change: Any) -> Scatter:
+def laid(around: PlacementContext, facts: dict[str, Any] | None = None, **change: Any) -> Scatter:
     """One class of rocks, laid."""
     drawn = plan(**change)
     chains = build_chains(drawn.source.shapes, coarser=False)

@@ -18,7 +18,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.estimate import needs_of
 from scenec.compiler.mesh.build import build_land
 from scenec.compiler.objects.conditions import OffTerrain
-from scenec.compiler.objects.lattice import Lattice
+from scenec.compiler.objects.lattice import PlanLattice
 from scenec.compiler.objects.scattered import LEAST_BEYOND
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import CfgError
@@ -122,7 +122,7 @@ def test_the_narrowest_land_is_eight_whole_cells_wide(tmp_path):
     narrow = LEAST_BEYOND * 2.0 * HALF.max()
     plan = draw(load(write_cfg(tmp_path, scene_cfg(LEVEL, LEVEL, beyond_m=narrow * 1.001))), 1, 0)
     land = build_to(build_land, plan)["land"]
-    lattice = Lattice.over(land.near(narrow * 1.001).field.grid)
+    lattice = PlanLattice.over(land.near(narrow * 1.001).field.grid)
     off = OffTerrain(tuple(HALF)).weight(lattice, None) > 0.0
     assert [row.tolist() for row in np.argwhere(~off)[[0, -1]]] == [
         [8, 8], [n - 9 for n in lattice.shape]

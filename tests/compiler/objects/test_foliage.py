@@ -11,7 +11,7 @@ import pytest
 
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.assets.looks import ModelMaterial
-from scenec.compiler.assets.model import Model, cached_model
+from scenec.compiler.assets.model import MeshModel, cached_model
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.objects.foliage import LEVELS, foliage_chain
 from scenec.compiler.objects.lod import see_levels
@@ -25,19 +25,19 @@ MODELS = Path(__file__).parents[3] / "assets" / "models"
 SIDE, HEIGHT, WIDTH = 0.1, 1.0, 0.01
 
 
-def _model(points: list, faces: list, materials: list[int], through: float = 0.5) -> Model:
+def _model(points: list, faces: list, materials: list[int], through: float = 0.5) -> MeshModel:
     looks = [
         ModelMaterial("leaf", (0.1, 0.2, 0.1), 0.5, 0.0, 0.04, diffuse_transmission=through),
         ModelMaterial("wood", (0.1, 0.1, 0.1), 0.5, 0.0, 0.04),
     ]
-    return Model(
+    return MeshModel(
         np.array(points, np.float64), np.array(faces, np.int32), None,
         np.zeros(len(faces), np.int32), ("all",), np.array(materials, np.int32), tuple(looks),
         None, (), (), 0, 0,
     )  # fmt: skip
 
 
-def _chain(model: Model) -> Chain:
+def _chain(model: MeshModel) -> Chain:
     """Its levels, as a prototype whose parts are its materials."""
     parts = tuple(
         MeshPart(name, np.flatnonzero(model.material_of_face == i).astype(np.int32), name, None)
@@ -53,7 +53,7 @@ def _chain(model: Model) -> Chain:
     )  # fmt: skip
 
 
-def _leaves(count: int, wood: int = 0, through: float = 0.5) -> Model:
+def _leaves(count: int, wood: int = 0, through: float = 0.5) -> MeshModel:
     """Square leaves at random, all alike; and pieces of wood of 20 triangles, strips."""
     rng = np.random.Generator(np.random.Philox(3))
     points, faces, materials = [], [], []
@@ -72,7 +72,7 @@ def _leaves(count: int, wood: int = 0, through: float = 0.5) -> Model:
     return _model(points, faces, materials, through)
 
 
-def _blades(count: int) -> Model:
+def _blades(count: int) -> MeshModel:
     """Upright blades: two rungs and a tip."""
     rng = np.random.Generator(np.random.Philox(4))
     points, faces = [], []

@@ -16,7 +16,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.icosphere import EDGE, face_neighbors, icosphere
 from scenec.compiler.geometry.normals import faces_of_vertices
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import own_keys
+from scenec.compiler.kinds.declare import declared_keys
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.kinds.table import ROCKS
 from scenec.compiler.objects.creases import along_creases
@@ -387,7 +387,7 @@ def test_a_budget_is_kept_by_the_least_factor_on_all_errors(views, part):
     coarsest = sum(20 * c.scatter.count for c in classes)
     assert budget_factor(classes, coarsest) > factor
     with pytest.raises(SceneError, match=rf"{coarsest + 7:,} triangles at their coarsest"):
-        budget_factor(classes, coarsest + 6, others=7)
+        budget_factor(classes, coarsest + 6, base=7)
 
 
 def view(focal: float = 500.0) -> Views:
@@ -457,7 +457,7 @@ def test_a_size_that_is_drawn_once_a_batch_is_that_of_every_rock():
 
 @pytest.mark.parametrize("key", ["elongation", "flatness", "wear"])
 def test_what_a_family_has_where_the_cfg_says_nothing_is_what_its_key_says_of_it(key):
-    said = own_keys(Rocks)[key][0]["description"]
+    said = declared_keys(Rocks)[key][0]["description"]
     for family in ROCKS:
         usual = f"{family} {getattr(family_of(family).USUAL, key):g}"
         assert (usual in said) == (key != "wear" or family != "weathered")

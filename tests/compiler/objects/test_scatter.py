@@ -9,23 +9,23 @@ import trimesh
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.geometry.rotations import align_to_normals, rotation_rows
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.bodies import Bodies
 from scenec.compiler.objects.density import Density, NoiseDensity, UniformDensity
 from scenec.compiler.objects.families.shape import Shape
-from scenec.compiler.objects.families.weathered import Weathered
+from scenec.compiler.objects.families.weathered import WeatheredRock
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rocks import build_prototypes
 from scenec.compiler.objects.seating import seat
-from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 
 def shape(seed: int, angularity: float = 0.6, bumpiness: float = 0.25, level: int = 3) -> Shape:
-    drawn = Weathered.draw("rock", Streams(seed, 0), 1.0 - angularity)
-    return Weathered(seed, bumpiness, (1.0, 0.8, 0.6), level, drawn)
+    drawn = WeatheredRock.draw("rock", Streams(seed, 0), 1.0 - angularity)
+    return WeatheredRock(seed, bumpiness, (1.0, 0.8, 0.6), level, drawn)
 
 
 def relief() -> HeightField:
@@ -38,7 +38,7 @@ def place(
     field: HeightField, density: Density, u: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where uniform numbers lead to."""
-    around = Surroundings(Surface(field), np.zeros((0, 3)))
+    around = PlacementContext(GroundSurface(field), np.zeros((0, 3)))
     return candidates_on(field, density, (), around, name).at(u)[:2]
 
 

@@ -20,7 +20,7 @@ from scenec.compiler.objects.density import (
     WorleyDensity,
 )
 from scenec.compiler.objects.height_candidates import candidates_on
-from scenec.compiler.objects.lattice import Circles, Lattice, nearest
+from scenec.compiler.objects.lattice import Circles, PlanLattice, nearest
 from scenec.compiler.objects.rings import RingDensity
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.schemas.errors import SceneError
@@ -239,7 +239,7 @@ def test_clusters_much_finer_than_the_grid_are_as_narrow_as_asked():
 def test_the_nearest_circle_is_that_of_brute_force(reach):
     rng = np.random.default_rng(2)
     x, y, radius = rng.uniform(-22, 22, 50), rng.uniform(-18, 18, 50), rng.uniform(0, 4, 50)
-    lattice = Lattice(-20.0, -16.0, 0.8, 0.5, (64, 50))
+    lattice = PlanLattice(-20.0, -16.0, 0.8, 0.5, (64, 50))
     found = nearest(lattice, Circles(x, y, radius), reach)
     px, py = lattice.points()
     wanted = (np.hypot(px[:, None] - x, py[:, None] - y) - radius).min(axis=1)

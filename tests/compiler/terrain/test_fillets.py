@@ -23,10 +23,10 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.objects.build import place_classes
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
@@ -58,22 +58,24 @@ def round_foot(x: float, y: float, radius: float, height: float, reach: float) -
     return Feet(x * one, y * one, height * one, reach * one, radius * table, table)
 
 
-def ground(amplitude_m: float = 0.0, size=SIZE, spacing: float = 0.4) -> Surface:
+def ground(amplitude_m: float = 0.0, size=SIZE, spacing: float = 0.4) -> GroundSurface:
     grid = Grid.with_spacing(size, spacing)
     height = np.zeros(grid.shape)
     if amplitude_m:
         height = Multifractal(
             key=1, amplitude_m=amplitude_m, scale_m=8.0, octaves=5, variant="fbm"
         ).apply(grid, height)[0]
-    return Surface(HeightField(grid, height))
+    return GroundSurface(HeightField(grid, height))
 
 
-def among(surface: Surface, eye=(0.0, -15.0), tolerance_px: float | None = 0.2) -> Surroundings:
+def among(
+    surface: GroundSurface, eye=(0.0, -15.0), tolerance_px: float | None = 0.2
+) -> PlacementContext:
     views = views_of((test_adaptive.one_rig(surface.field, eye),))
-    return Surroundings(surface, np.zeros((0, 3)), views, 0.125, tolerance_px)
+    return PlacementContext(surface, np.zeros((0, 3)), views, 0.125, tolerance_px)
 
 
-def built(around: Surroundings, *plans):
+def built(around: PlacementContext, *plans):
     objects, surface, facts = place_classes(
         plans, around, np.zeros(1), None, None, lambda _: nullcontext()
     )
@@ -192,7 +194,7 @@ def test_what_is_too_small_to_see_or_on_a_grid_has_none():
         assert not built(
             among(ground(), tolerance_px=tolerance), plan(**STONES | change)
         ).surface.details
-    nobody = Surroundings(ground(), np.zeros((0, 3)), tolerance_px=0.5)
+    nobody = PlacementContext(ground(), np.zeros((0, 3)), tolerance_px=0.5)
     assert not built(nobody, plan(**STONES)).surface.details
 
 

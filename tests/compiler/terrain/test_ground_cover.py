@@ -14,7 +14,7 @@ from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.kinds.table import CHOICES, kind_of
-from scenec.compiler.mesh.cover import lay
+from scenec.compiler.mesh.cover import fit_merges
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.freshness import Freshness
 from scenec.compiler.terrain.grid import Grid
@@ -54,7 +54,7 @@ def write(folder: Path, *layers: dict, relief: list[dict] | None = None) -> Path
 def laid(path: Path, seed: int = 5):
     plan = draw(load(path), seed, 0).terrain
     field = run(plan.relief, Grid.with_spacing(plan.size_m, plan.spacing_m)).field
-    return lay(plan.merges, plan.coverage, field)[0], field
+    return fit_merges(plan.merges, plan.coverage, field)[0], field
 
 
 def test_a_layer_with_conditions_and_no_noise_lies_wherever_they_hold(tmp_path):

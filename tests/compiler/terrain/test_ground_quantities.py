@@ -208,7 +208,7 @@ def test_noises_at_samples_are_evaluated_once_as_far_as_they_may_be_kept(room, e
             calls.append(x.size * y.size)
             return super().on(x, y)
 
-    samples = Samples(GRID.x(), GRID.y(), kept=room * 8 * X.size)
+    samples = Samples(GRID.x(), GRID.y(), cache_bytes=room * 8 * X.size)
     for _ in range(2):
         for key in (1, 2):
             noise = Counted(key, 3, 0.5, 2.0)

@@ -10,9 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from test_ground import MERGES, assert_sound, plan_area, relief, welded
 
-from scenec.compiler.mesh.cover import MaterialCondition, _laid, lay
+from scenec.compiler.mesh.cover import MaterialCondition, _sample_layers, fit_merges
 from scenec.compiler.mesh.merge import Merge, label_index
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.terrain.condition import (
@@ -40,8 +40,8 @@ def where(*conditions: Interval, threshold: float = 0.5) -> Merge:
 
 
 def built(field: HeightField, *merges: Merge, coverage=None):
-    laid, _ = lay(merges, coverage or [None] * len(merges), field)
-    tiles, report = build_tiles(Surface(field, laid, smooth=False), 1)
+    laid, _ = fit_merges(merges, coverage or [None] * len(merges), field)
+    tiles, report = build_tiles(GroundSurface(field, laid, smooth=False), 1)
     points, faces = welded(tiles)
     return laid, points, faces, np.concatenate([t.layer for t in tiles]), report
 
@@ -82,7 +82,9 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
     x = np.broadcast_to(grid.x(), grid.shape)
     field = HeightField(grid, -0.1 * x)
     # A strip of one sample's width, 0.25 m, drains to a place: 2.5 m^2 at 10 m from the crest.
-    laid, _ = lay([where(Interval(Flow(over_m=0.0), Flow.of_bound(2.5), None, 0.0))], [None], field)
+    laid, _ = fit_merges(
+        [where(Interval(Flow(over_m=0.0), Flow.of_bound(2.5), None, 0.0))], [None], field
+    )
     px = np.linspace(-6.0, 6.0, 1001)
     side = laid[0].side(px, np.zeros_like(px))
     line = px[np.argmax(side >= 0.0)]
@@ -94,13 +96,15 @@ def test_a_flow_line_on_a_tilted_plane_is_where_enough_ground_lies_above():
 
 def test_the_color_fades_over_the_softness_about_the_line():
     field = HeightField(GRID, 0.3 * X)
-    ((laid,), _) = lay([where(Interval(Height(), 0.6, None, 0.9))], [None], field)
+    ((laid,), _) = fit_merges([where(Interval(Height(), 0.6, None, 0.9))], [None], field)
     x = np.linspace(-9.0, 9.0, 2001)
     weight = laid.weight_of_side(laid.side(x, np.zeros_like(x)))
     t = np.clip((0.3 * x - 0.6) / 0.9 + 0.5, 0.0, 1.0)
     assert np.allclose(weight, t * t * (3.0 - 2.0 * t), rtol=0, atol=1e-12)
     # The label is where the weight reaches the threshold, whichever it is.
-    ((strict,), _) = lay([where(Interval(Height(), 0.6, None, 0.9), threshold=0.8)], [None], field)
+    ((strict,), _) = fit_merges(
+        [where(Interval(Height(), 0.6, None, 0.9), threshold=0.8)], [None], field
+    )
     side = strict.side(x, np.zeros_like(x))
     assert np.array_equal(side >= 0.0, strict.weight_of_side(side) >= 0.8)
     assert np.allclose(strict.weight_of_side(side), weight, rtol=0, atol=1e-12)
@@ -108,7 +112,7 @@ def test_the_color_fades_over_the_softness_about_the_line():
 
 def test_a_softness_that_no_spacing_can_show_is_raised_and_reported():
     field = HeightField(GRID, 0.4 * X)
-    _, (layer,) = lay([where(Interval(Height(), 0.03, None, 0.0))], [None], field)
+    _, (layer,) = fit_merges([where(Interval(Height(), 0.03, None, 0.0))], [None], field)
     (condition,) = layer["conditions"]
     assert condition["type"] == "height"
     assert condition["softness_asked"] == 0.0
@@ -355,7 +359,7 @@ def test_twelve_layers_of_conditions_make_a_sound_mesh():
     _, points, faces, layer, _ = built(field, *merges)
     assert_sound(points, faces, field.grid.size_m)
     assert len(set(layer)) >= 8
-    report = lay(merges, [None] * len(merges), field)[1]
+    report = fit_merges(merges, [None] * len(merges), field)[1]
     assert sum(entry["shows"] for entry in report) <= 1.0
     assert all(entry["shows"] <= entry["covers"] for entry in report)
 
@@ -392,7 +396,7 @@ def test_constant_ground_lies_wholly_on_one_side():
 def test_a_coverage_within_conditions_is_that_of_the_whole_terrain(part):
     field = relief(spacing=0.25)
     merge = replace(MERGES[0], where=(Interval(Slope(over_m=0.0), 8.0, None, 2.0),))
-    laid, (entry,) = lay([merge], [part], field)
+    laid, (entry,) = fit_merges([merge], [part], field)
     assert entry["covers"] == pytest.approx(part, abs=2e-4)
     assert entry["conditions"][0]["holds"] > 0.2
     steep = HeightField(field.grid, Definition(field).slope)
@@ -404,8 +408,10 @@ def test_a_coverage_beyond_the_conditions_is_refused_with_what_can_be_reached():
     field = HeightField(GRID, 0.3 * X)
     merge = replace(MERGES[0], where=(Interval(Height(), 0.01, None, 0.1),))
     with pytest.raises(SceneError, match=r"terrain/ground/1/coverage: 0\.6 .* 0\.49"):
-        lay([merge], [0.6], field)
-    (laid,) = (each.merge for each in _laid([merge], [0.6], field, False, Samples.of(GRID)))
+        fit_merges([merge], [0.6], field)
+    (laid,) = (
+        each.merge for each in _sample_layers([merge], [0.6], field, False, Samples.of(GRID))
+    )
     x, y = GRID.points()
     assert (laid.side(x, y) >= 0.0).mean() == pytest.approx(40 / 81)
 
@@ -417,7 +423,7 @@ def test_a_material_mask_is_the_weight_that_shows():
     field = relief(spacing=0.25)
     merges = (MERGES[0], *layers()[:2])
     x, y = field.grid.points()
-    alpha = [m.weight_of_side(m.side(x, y)) for m in lay(merges, [None] * 3, field)[0]]
+    alpha = [m.weight_of_side(m.side(x, y)) for m in fit_merges(merges, [None] * 3, field)[0]]
     shows = [
         (1 - alpha[0]) * (1 - alpha[1]) * (1 - alpha[2]),
         alpha[0] * (1 - alpha[1]) * (1 - alpha[2]),

@@ -14,7 +14,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.draw import draw
 from scenec.compiler.kinds.context import Context
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.noise.worley import feature_point, worley2_cell
 from scenec.compiler.terrain.condition import FromPoint, Interval
@@ -181,8 +181,8 @@ def test_the_mesh_is_refined_where_prints_are_and_nowhere_else():
     grid = Grid((24.0, 20.0), (101, 121))
     prints = walked(2, grid.size_m)
     relief = run([Plane(0.0, (0.01, 0.02)), prints], grid)
-    ground = Surface(relief.field, details=relief.details)
-    flat = Surface(HeightField(grid, relief.field.height))
+    ground = GroundSurface(relief.field, details=relief.details)
+    flat = GroundSurface(HeightField(grid, relief.field.height))
     views = views_of((test_adaptive.one_rig(relief.field, (1.0, -6.0), (0.0, 0.0), 1.2),))
     sight = pixels_per_meter(relief.field, views, 0.125), views
     counts, meshing = [], Meshing(1.0, 10**7, 0.125, 0.01)

@@ -10,7 +10,7 @@ from test_adaptive import one_rig
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
 from scenec.compiler.views.frustum import Views
-from scenec.compiler.views.horizon import with_hidden_ground
+from scenec.compiler.views.occlusion import with_hidden_ground
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 from scenec.testing.examples import examples
 

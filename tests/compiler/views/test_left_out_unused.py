@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scenec.compiler.emit.terrain import blended_color
-from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
+from scenec.compiler.scene.ground import Ground, GroundLayer, MeshTile
 from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.rig import Rig, Sensor
@@ -28,7 +28,7 @@ def material(color: float) -> Material:
 def ground(weights: list[list[float]], layer: list[int]) -> Ground:
     """One tile of two triangles; ``weights`` of each merge at its four vertices."""
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
-    tile = Tile(
+    tile = MeshTile(
         "tile_000_000",
         np.zeros(3),
         points,

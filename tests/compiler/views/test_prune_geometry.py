@@ -9,19 +9,19 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from scenec.compiler.geometry.poses import look_at
-from scenec.compiler.scene.ground import Ground, GroundLayer, Tile
-from scenec.compiler.scene.light import Lamp, SunLight
+from scenec.compiler.scene.ground import Ground, GroundLayer, MeshTile
+from scenec.compiler.scene.light import Lamp, SunDisc
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, in_view, views_of_all
-from scenec.compiler.views.horizon import Relief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
-    Seen,
-    seen_blocks,
-    shadows_seen,
+    VisibleBlocks,
+    shadows_visible_blocks,
     squared_distances,
     view_factors,
+    visible_blocks,
 )
+from scenec.compiler.views.occlusion import BlockRelief, is_hidden, relief_of_tiles, with_horizon
 from scenec.compiler.views.visible import SHOWN, visible
 
 _SIDE = 48
@@ -40,7 +40,7 @@ def _ground(seed: int = 0, amplitude: float = 4.0) -> Ground:
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1).astype(np.float32)
     n = len(points)
-    tile = Tile("tile_000_000", np.array([3.0, -2.0, 1.0]), points, faces, np.zeros((n, 3)),
+    tile = MeshTile("tile_000_000", np.array([3.0, -2.0, 1.0]), points, faces, np.zeros((n, 3)),
                 np.zeros(len(faces), np.int32), np.zeros((0, n)), np.zeros(n))  # fmt: skip
     return Ground((GroundLayer("sand", {}),), (tile,))
 
@@ -111,7 +111,7 @@ def _bounds(ground: Ground, slack: float = 0.0) -> np.ndarray:
     return np.array([triangles.min(axis=(0, 1)) - slack, triangles.max(axis=(0, 1)) + slack])
 
 
-def _seeing(ground: Ground, *rigs: Rig, slack: float = 0.0) -> tuple[Relief, Views]:
+def _seeing(ground: Ground, *rigs: Rig, slack: float = 0.0) -> tuple[BlockRelief, Views]:
     """The relief, and views that know what it hides."""
     views = views_of_all(rigs)
     relief = relief_of_tiles(ground.tiles, _bounds(ground, slack), len(views.eye))
@@ -163,18 +163,18 @@ def test_the_reliefs_bounds_hold_all_of_the_mesh():
     assert (relief.low[j, i] <= points[:, 2] + 1e-9).all()
     assert (relief.high[j, i] >= points[:, 2] - 1e-9).all()
     # Not because they are wide.
-    assert np.median((relief.high - relief.low)[relief.whole]) < 0.2
+    assert np.median((relief.high - relief.low)[relief.is_solid]) < 0.2
     # 40 of 44 m are ground; blocks that are so in part may hide nothing.
-    assert relief.whole.mean() == pytest.approx((40 / 44) ** 2, rel=0.03)
-    assert (relief.low[relief.whole] <= relief.high[relief.whole]).all()
-    assert not relief.whole[0].any()
+    assert relief.is_solid.mean() == pytest.approx((40 / 44) ** 2, rel=0.03)
+    assert (relief.low[relief.is_solid] <= relief.high[relief.is_solid]).all()
+    assert not relief.is_solid[0].any()
 
 
 def _scene(ground: Ground, sun: np.ndarray | None, lamps: tuple[Lamp, ...] = ()) -> Scene:
     """A scene of a ground, one sample of a sun towards a direction, and lamps."""
     light = None
     if sun is not None:
-        light = SunLight(
+        light = SunDisc(
             np.degrees(np.arctan2(sun[:1], sun[1:2])),
             np.degrees(np.arcsin(sun[2:])),
             *(np.array([value]) for value in (1000.0, 0.54)),
@@ -201,7 +201,7 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
     eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     found = 0
     for azimuth in (0.3, 2.0, 4.5):
         e = np.deg2rad(elevation)
@@ -222,7 +222,7 @@ def test_a_shadow_that_falls_on_a_point_in_view_is_found(elevation):
             middles.append(middle)
             radii.append(10 ** rng.uniform(-2, 0))
         at, reach, free = np.array(middles), np.array(radii), np.array(lighted)
-        lit = shadows_seen(seen, scene, at, reach)
+        lit = shadows_visible_blocks(seen, scene, at, reach)
         assert lit[free].all()
         found += int((free & (visible(views, at, reach) != SHOWN)).sum())
     assert found >= 2
@@ -235,7 +235,7 @@ def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
     eye = np.array([3.0, -2.0, _height(ground, 3.0, -2.0) + 1.5])
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.25]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     at = eye + np.array([-4.0, 6.0, 4.0])
     to_world = np.eye(4)
     to_world[:3, 3] = at
@@ -256,12 +256,12 @@ def test_a_lamps_shadow_that_falls_on_a_point_in_view_is_found():
     aside *= (0.99 * radii / np.linalg.norm(aside, axis=1))[:, None]
     middles = start + rng.uniform(0.1, 0.95, (len(points), 1)) * way + aside
     inside = ((middles > scene.bounds[0]) & (middles < scene.bounds[1])).all(axis=1)
-    lit = shadows_seen(seen, scene, middles, radii)
+    lit = shadows_visible_blocks(seen, scene, middles, radii)
     assert (lighted & inside).sum() > 20
     assert lit[lighted & inside].all()
     # Not all that is there: what stands beyond the lamp casts no shadow here.
     beyond = at - 0.5 * way[:100] / np.linalg.norm(way[:100], axis=1)[:, None]
-    assert not shadows_seen(seen, scene, beyond, np.full(len(beyond), 0.01)).any()
+    assert not shadows_visible_blocks(seen, scene, beyond, np.full(len(beyond), 0.01)).any()
 
 
 def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
@@ -270,7 +270,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
     pose = look_at(eye, eye + np.array([1.0, 0.0, -0.4]), 0.0)
     relief, views = _seeing(ground, _rig(pose, 60.0), slack=3.0)
     ball = np.array([[-16.0, 10.0, 2.0]])
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, ball, np.array([0.5]))
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, ball, np.array([0.5]))
     points = _shown_points(eye, pose, _triangles(ground), np.random.default_rng(0), 300)
     i, j = ((points[:, :2] - seen.frame[:2]) / seen.frame[2]).astype(int).T
     assert (seen.top[j, i] >= points[:, 2] - 1e-6).all()
@@ -293,7 +293,7 @@ def test_blocks_are_seen_as_their_points_are_and_fill_falls_with_distance():
 
 def test_nothing_seen_leaves_nothing_to_fill():
     empty = np.full((4, 4), -np.inf)
-    seen = Seen(empty, np.full((4, 4), np.inf), empty, np.array([0.0, 0.0, 1.0, 1.0]), 9.0)
+    seen = VisibleBlocks(empty, np.full((4, 4), np.inf), empty, np.array([0.0, 0.0, 1.0, 1.0]), 9.0)
     assert (view_factors(seen, np.ones((3, 3)), np.full(3, 9.0)) == 0.0).all()
 
 
@@ -318,8 +318,8 @@ def test_blocks_without_ground_are_not_seen_and_hide_nothing():
     relief, views = _seeing(holed, rig)
     empty = relief.high == -np.inf
     assert empty.any()
-    assert not relief.whole[empty].any()
-    seen = seen_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
+    assert not relief.is_solid[empty].any()
+    seen = visible_blocks(relief, _bounds(ground, 3.0), views, np.zeros((0, 3)), np.zeros(0))
     assert (seen.top > -np.inf).any()
     assert not (seen.top[empty] > -np.inf).any()
     assert (seen.ground[empty] == -np.inf).all()

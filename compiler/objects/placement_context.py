@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.lattice import Circles
 from scenec.compiler.scene.objects import Placed, Scatter
@@ -18,8 +18,8 @@ from scenec.compiler.views.resolution import NO_VIEWS, Views
 
 
 @dataclass
-class Surroundings:
-    """What a class of objects is placed among.
+class PlacementContext:
+    """Holds what a class of objects is placed among.
 
     Attributes:
         cameras: Where any camera is at any sample, float64 [c, 3], meters.
@@ -30,13 +30,13 @@ class Surroundings:
         beyond: The same on the land up to so far beyond the terrain's border, by that distance.
     """
 
-    surface: Surface
+    surface: GroundSurface
     cameras: NDArray[np.float64]
     views: Views = NO_VIEWS
     unseen: float = 0.0
     tolerance_px: float | None = None
     objects: dict[str, Circles] = field(default_factory=dict)
-    beyond: dict[float, Surroundings] = field(default_factory=dict)
+    beyond: dict[float, PlacementContext] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         #: Of the relief.
@@ -49,7 +49,7 @@ class Surroundings:
             self._pyramids.append(HeightPyramid.of(self.surface.field))
         return self._pyramids[0]
 
-    def only(self, names: Container[str], beyond_m: float = 0.0) -> Surroundings:
+    def only(self, names: Container[str], beyond_m: float = 0.0) -> PlacementContext:
         """The same with no other classes than some; what is computed once is shared.
 
         Args:
@@ -63,7 +63,7 @@ class Surroundings:
         return own
 
 
-def footprints(laid: Scatter | Placed) -> Circles:
+def plan_circles(objects: Scatter | Placed) -> Circles:
     """One class in plan, circles as wide as its balls; single objects wherever they ever are."""
-    at, radii = laid.balls()
+    at, radii = objects.balls()
     return Circles(np.ascontiguousarray(at[:, 0]), np.ascontiguousarray(at[:, 1]), radii)

@@ -1,7 +1,7 @@
-"""What certainly hides behind the ground: the one test, for meshing and for pruning.
+"""Finds what certainly hides behind the ground: the one test, for meshing and for pruning.
 
 The terrain is a surface without holes, so a ray from an eye above it that is somewhere below it has
-met it before. The plan is cut into blocks, of which ``Relief`` bounds the heights. From each eye
+met it before. The plan is cut into blocks; ``BlockRelief`` bounds their heights. From each eye
 rays go to all blocks of the border (Franklin and Ray 1994, "R2"), so that any other ray runs within
 a block of one of them: the steepest slope up to the lowest ground of three by three blocks on the
 way so far gives the ``ceiling`` of the blocks beside it, below which the ground hides everything.
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.scene.ground import Tile
+from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import MOVING, Views
 from scenec.schemas.kernels import inlined, kernel
@@ -32,7 +32,7 @@ _CELLS, _BLOCKS, _MOST, _FARTHEST = 2, 512, 8e6, 6.4e7
 _TOUCHED = 64
 
 
-class Relief(NamedTuple):
+class BlockRelief(NamedTuple):
     """Bounds of the ground's heights, block by block.
 
     Attributes:
@@ -46,7 +46,7 @@ class Relief(NamedTuple):
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    whole: NDArray[np.bool_]
+    is_solid: NDArray[np.bool_]
     frame: NDArray[np.float64]
 
 
@@ -72,19 +72,19 @@ def _hidden_ground(
     return np.where(hidden, np.float32(np.inf), np.float32(-np.inf)), relief.frame
 
 
-def with_horizon(views: Views, relief: Relief) -> Views:
+def with_horizon(views: Views, relief: BlockRelief) -> Views:
     """Views that know what a mesh hides from them: nothing unless the eye is surely above it."""
     rows, columns = relief.low.shape
     at = np.floor((views.eye[:, :2] - relief.frame[:2]) / relief.frame[2:])
     above = ((at >= 0) & (at < (columns, rows))).all(axis=1)
     i, j = np.where(above, at.T, 0).astype(np.int64)
     # An eye that moves sees over what hides from one of its places.
-    above &= (views.kind & MOVING == 0) & relief.whole[j, i]
+    above &= (views.kind & MOVING == 0) & relief.is_solid[j, i]
     above &= views.eye[:, 2] > relief.high[j, i]
     return views._replace(ceiling=_ceilings(relief, views, above), blocks=relief.frame)
 
 
-def relief_of_field(field: HeightField, views: int) -> Relief:
+def relief_of_field(field: HeightField, views: int) -> BlockRelief:
     """Bounds of a height field's heights, in blocks of whole cells."""
     ny, nx = field.grid.shape
     cells = _CELLS
@@ -101,10 +101,12 @@ def relief_of_field(field: HeightField, views: int) -> Relief:
     over_threads(_bound_samples, len(low), field.height, cells, low, high)
     x0, y0, dx, dy = field.frame()
     frame = np.array([x0, y0, cells * dx, cells * dy])
-    return Relief(low, high, np.ones(low.shape, np.bool_), frame)
+    return BlockRelief(low, high, np.ones(low.shape, np.bool_), frame)
 
 
-def relief_of_tiles(tiles: Sequence[Tile], bounds: NDArray[np.float64], views: int) -> Relief:
+def relief_of_tiles(
+    tiles: Sequence[MeshTile], bounds: NDArray[np.float64], views: int
+) -> BlockRelief:
     """Bounds of the heights of a terrain's tiles, which cover a rectangle.
 
     Args:
@@ -128,18 +130,18 @@ def relief_of_tiles(tiles: Sequence[Tile], bounds: NDArray[np.float64], views: i
     # A block that the ground covers in part hides nothing.
     first = np.ceil((np.min(ends, axis=0) - frame[:2]) / width - 1e-9)
     last = np.floor((np.max(ends, axis=0) - frame[:2]) / width + 1e-9)
-    whole = np.logical_and.outer(
+    is_solid = np.logical_and.outer(
         *((np.arange(n) >= a) & (np.arange(n) < b)
           for n, a, b in zip((rows, columns), first[::-1], last[::-1], strict=True))
     )  # fmt: skip
-    return Relief(low, high, whole & (low <= high), frame)
+    return BlockRelief(low, high, is_solid & (low <= high), frame)
 
 
-def _ceilings(relief: Relief, views: Views, above: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _ceilings(relief: BlockRelief, views: Views, above: NDArray[np.bool_]) -> NDArray[np.float32]:
     """``Views.ceiling``; -inf of views that are not above the ground, and out of view."""
     rows, columns = relief.low.shape
     wide = np.full((rows + 2, columns + 2), -np.inf)
-    wide[1:-1, 1:-1] = np.where(relief.whole, relief.low, -np.inf)
+    wide[1:-1, 1:-1] = np.where(relief.is_solid, relief.low, -np.inf)
     least = np.minimum.reduce(
         [wide[j : j + rows, i : i + columns] for j in range(3) for i in range(3)]
     )

@@ -19,7 +19,7 @@ def digest_of(data: bytes | memoryview) -> str:
 
 
 def order_of(array: NDArray[Any]) -> str:
-    """How an array lies in memory: "F" for columns first, "C" for all else."""
+    """Returns an array's memory order: "F" for column-major, "C" for all others."""
     return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
 
 
@@ -29,7 +29,7 @@ def bytes_of(array: NDArray[Any]) -> memoryview:
     return memoryview(np.ascontiguousarray(lying).reshape(-1).view(np.uint8))
 
 
-class Known:
+class Digests:
     """Digests by identity: of what is still there, and of nothing else.
 
     Arrays are held weakly, so that what a step lets go of is freed. Their content must not change

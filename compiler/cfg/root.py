@@ -91,7 +91,7 @@ class LabelChoice:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Labels:
+class LabelKeys:
     """Label levels by name; each is one annotation channel.
 
     Id 0 means "no label" and cannot be given a name. Every name must be used.
