@@ -10,7 +10,6 @@ beside what loading was estimated to take.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import ROOT, SCENEC, Cell, Study, command, run
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.report import BatchReport, read_output_record
 from scenec.schemas.sidecars import read_sidecar
 
 
@@ -84,9 +84,9 @@ def main(study: Study) -> None:
             out = folder / "out"
             words = ["compile", study.cfg(cfg(kind, count), kind), "--seed", "1", "-o", out]
             cost = command([*SCENEC, *words, "--no-cache"])
-            report = json.loads((out / "batch_0000" / "report.json").read_text())
-            made = report["objects"]["rocks"]
-            what = f"{made['triangles']:,} triangles, {report['bytes'] / 1e6:.0f} MB"
+            report = read_output_record(out / "batch_0000" / "report.json", BatchReport)
+            made = report.objects["rocks"]
+            what = f"{made.triangles:,} triangles, {report.bytes / 1e6:.0f} MB"
             yield [kind, "compile", cost.wall_s, cost.peak_mib * 2**20 / 1e9, what]
             for backend in options.backends:
                 yield [kind, backend, *rendered(out, backend, options.spp)]

@@ -17,7 +17,6 @@ of 8 by 8 pixels differs: with equal noise seeds, and with others in parts of th
 
 from __future__ import annotations
 
-import json
 import statistics
 import tempfile
 import time
@@ -33,6 +32,7 @@ from scenec.compiler.views.needed import Keep
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import Cell, Study, apart, run
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.report import Timings, read_output_record
 from scenec.testing.pruned_scenes import annotation, compiled, difference, drawn_cfg
 
 #: Height, distance and height of the target, field of view.
@@ -120,11 +120,11 @@ def measured(study: Study, content: dict[str, Any], keep: Keep) -> dict[str, flo
     options = study.options
     batch = study.batch(content, keep=keep)
     files = [p for p in batch.rglob("*") if p.is_file() and p.suffix != ".json"]
-    timings = json.loads((batch.parent / "timings.json").read_text(encoding="utf-8"))
+    timings = read_output_record(batch.parent / "timings.json", Timings)
     numbers = {
         "stage, MB": sum(path.stat().st_size for path in files) / 1e6,
         "instances": int((read_stage(batch / "stage.usda").rows.instance_id > 0).sum()),
-        "prune, s": timings["compile"]["batch_0000"].get("prune", 0.0),
+        "prune, s": timings.compile["batch_0000"].get("prune", 0.0),
     }
     for backend in options.backends:
         # A process of its own: two renderers do not share one.
