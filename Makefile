@@ -9,9 +9,8 @@ MARKED := -m "not slow or invariant"
 # Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
 EXAMPLES := quick
 
-BENCHMARKS := adapters agreement annotation blur coco cold estimate exposure \
-  foliage hdf5 imaging incremental lenses memory mesh million prune relief \
-  sampling scatter throughput tracks
+BENCHMARKS := adapters agreement annotation cold datasets estimate exposure foliage growth imaging \
+  incremental optics prune throughput
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 
@@ -119,7 +118,7 @@ GPUS = mitsuba:cuda cycles:cuda cycles:optix pyrender:cuda
 gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, tables of frames.
 	@.venv/bin/scenec doctor || true
 	@set -e; for of in $(GPUS); do echo "== Conformance of $${of%:*} on $${of#*:}"; \
-	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/test_$${of%:*}.py; done
+	  SCENEC_TEST_DEVICE=$${of#*:} .venv/bin/pytest -q tests/backends/$${of%:*}/test_$${of%:*}.py; done
 	@set -e; mkdir -p out; for name in gpu throughput; do echo "== $$name"; \
 	  .venv/bin/python lab/benchmarks/$$name.py -o out/$$name.md; done
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from scenec.backends.run.plan import RenderPlan
     from scenec.backends.run.render import RenderReport
     from scenec.backends.run.scan import ScanReport
-    from scenec.compiler.cfg.builder import WholeCfg
+    from scenec.compiler.cfg.builder import CompleteCfg
     from scenec.compiler.cfg.fill import Cfg
     from scenec.compiler.cfg.load import Spec
     from scenec.compiler.compile import CompileReport
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: A cfg: its file, what it holds, or one that is written in Python (``compiler.cfg.builder``).
 #: Files that the latter two name are relative to the working directory.
-type AnyCfg = Path | str | Mapping[str, Any] | WholeCfg
+type AnyCfg = Path | str | Mapping[str, Any] | CompleteCfg
 type Folder = Path | str
 
 

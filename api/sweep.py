@@ -23,7 +23,7 @@ from scenec.api.steps import (
     scan_output,
 )
 from scenec.compiler.cfg.load import Spec
-from scenec.compiler.sweep import CompilePoint, Point, points, read_all
+from scenec.compiler.sweep import CompilePoint, SweepPoint, points, read_all
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
@@ -87,7 +87,7 @@ class SweepTable:
         points: Their names and values, in order.
     """
 
-    def __init__(self, out: Path, swept: Sequence[Point], specs: Sequence[Spec]) -> None:
+    def __init__(self, out: Path, swept: Sequence[SweepPoint], specs: Sequence[Spec]) -> None:
         if (out / MANIFEST).exists():
             raise OutputError(f"{out}: holds one compilation, no sweep; choose another folder")
         _require_own(out)
@@ -104,7 +104,7 @@ class SweepTable:
             for point, spec in zip(swept, specs, strict=True)
         }
 
-    def note(self, point: Point, state: str) -> None:
+    def note(self, point: SweepPoint, state: str) -> None:
         """Writes what came of a point."""
         self._rows[point.name]["state"] = state
         write_json(self.out / f"{TABLE}.json", self.content())
@@ -120,7 +120,7 @@ class SweepTable:
         """Output folders of the points that could be made."""
         return [self.out / point.name for point in self.points if not self.failed(point)]
 
-    def failed(self, point: Point) -> bool:
+    def failed(self, point: SweepPoint) -> bool:
         """Whether it could not be made."""
         return str(self._rows[point.name]["state"]).startswith("failed")
 
@@ -173,7 +173,7 @@ def _require_own(out: Path) -> None:
 
 
 def _to_compile(
-    out: Path, options: SweepOptions, swept: Sequence[Point], specs: Sequence[Spec]
+    out: Path, options: SweepOptions, swept: Sequence[SweepPoint], specs: Sequence[Spec]
 ) -> list[tuple[CompilePoint, bool]]:
     """What to compile, and whether it is there already.
 
@@ -244,7 +244,7 @@ def _compile(
 
 
 def _render(
-    options: SweepOptions, executor: Executor, point: Point, lidars: bool, table: SweepTable
+    options: SweepOptions, executor: Executor, point: SweepPoint, lidars: bool, table: SweepTable
 ) -> None:
     out = table.out / point.name
     options.listener.say(f"{point.name}:")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from scenec.cli.output import print_json
-from scenec.compiler.cfg.resources import own_files
+from scenec.compiler.cfg.resources import packaged_files
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic
 from scenec.schemas.spelling import nearest
@@ -21,7 +21,9 @@ def run(options: argparse.Namespace) -> int:
         ScenecError: There is no such template.
         OutputError: The file is there, or cannot be written.
     """
-    texts = {file.stem: file.read_text("utf-8") for file in own_files("configs", "templates/*")}
+    texts = {
+        file.stem: file.read_text("utf-8") for file in packaged_files("configs", "templates/*")
+    }
     about = {name: text.partition("\n")[0].removeprefix("// ") for name, text in texts.items()}
     if options.template is None:
         if options.json:

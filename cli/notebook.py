@@ -9,7 +9,7 @@ from typing import Any
 from scenec.api.outputs import OutputFolder as Output
 from scenec.api.shown import FrameView as Frame
 from scenec.api.shown import StageView as Stage
-from scenec.compiler.cfg.builder import WholeCfg
+from scenec.compiler.cfg.builder import CompleteCfg
 from scenec.compiler.compile import compile_cfg
 
 __all__ = ["Frame", "Output", "Stage", "compile"]
@@ -21,8 +21,10 @@ warnings.warn(
 )
 
 
-def compile(cfg: WholeCfg | Path | str, out: Path | str, seed: int = 0, **options: Any) -> Output:
+def compile(
+    cfg: CompleteCfg | Path | str, out: Path | str, seed: int = 0, **options: Any
+) -> Output:
     """Compiles a cfg, as ``scenec.compile`` does, with the options of ``compile_cfg``."""
-    given = cfg.check() if isinstance(cfg, WholeCfg) else cfg
+    given = cfg.check() if isinstance(cfg, CompleteCfg) else cfg
     compile_cfg(given, seed=seed, out=out, **options)
     return Output(out)

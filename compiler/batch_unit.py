@@ -38,7 +38,7 @@ Tell = Callable[[str], None]
 
 @dataclass
 class Compiled:
-    """What came of a batch.
+    """Reports how the compilation of one batch went.
 
     Attributes:
         error: Why it could not be built, or None.
@@ -145,7 +145,7 @@ class CompileBatch:
 
     @contextmanager
     def _naming(self) -> Iterator[None]:
-        """What cannot be written has the name that it would have had in the end."""
+        """Replaces the temporary folder by the final one in errors about writing."""
         try:
             yield
         except OSError as error:
@@ -183,7 +183,7 @@ def _write(folder: Path, scene: Scene) -> None:
 
 
 def _firing(scene: Scene, sensors: Callable[[Rig], Iterable[Sensor | Lidar]]) -> Firing:
-    """Of each sample: sensors, and whether they are triggered then."""
+    """Lists for each sample the sensors, and whether each is triggered."""
     named = [(f"{rig.name}_{s.name}", s.trigger) for rig in scene.rigs for s in sensors(rig)]
     return [
         [(name, i >= first and (i - first) % every == 0) for name, (every, first) in named]

@@ -22,19 +22,19 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cameras.enclosed import require_open
 from scenec.compiler.cameras.rigs import place_free_rigs, place_rigs
-from scenec.compiler.light.build import Light, expose_rigs, light_lamps, light_sky
+from scenec.compiler.light.build import SceneLight, expose_rigs, light_lamps, light_sky
 from scenec.compiler.materials.build import finish_materials, prune_scene, select_outputs
 from scenec.compiler.mesh import build as mesh
 from scenec.compiler.mesh.precision import find_precision
 from scenec.compiler.objects.build import build_objects, place_obstacles
-from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
+from scenec.compiler.plan import Plan, fine_everywhere, needs_of_plan
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, sample_times
 from scenec.compiler.scene.scene import Georeference, Scene, require_finite
-from scenec.compiler.terrain.program import Relief
+from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.views.needed import Keep, Needs
 from scenec.schemas.left_out import Facts, Record
 from scenec.schemas.memory import keep_freed
@@ -113,11 +113,11 @@ class BuildStep:
 def assemble(
     plan: Plan,
     needs: Needs,
-    relief: Relief,
+    relief: ReliefResult,
     ground: Ground,
     objects: Objects,
     materials: dict[str, Material],
-    light: Light,
+    light: SceneLight,
     lamps: tuple[Lamp, ...],
     rigs: tuple[Rig, ...],
     bounds: NDArray[np.float64],
@@ -229,7 +229,7 @@ def build_to(function: Callable[..., Any], plan: Plan, **given: Any) -> State:
 def _drawn(plan: Plan, log: BuildLog, keep: Keep) -> State:
     """Returns the values before the first step: ``drawn_…`` for each part of a plan."""
     if keep is Keep.ALL:
-        plan = seen_everywhere(plan)
+        plan = fine_everywhere(plan)
     meshing = plan.terrain.meshing
     return {f"drawn_{name}": value for name, value in vars(plan).items()} | {
         "plan": replace(plan, objects=()),

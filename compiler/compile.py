@@ -13,7 +13,7 @@ from scenec.compiler.batch_unit import CompileBatch, Compiled
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.check_files import require_unchanged
 from scenec.compiler.cfg.load import Spec, load
-from scenec.compiler.estimate import needs_of, require_memory, told_time
+from scenec.compiler.estimate import needs_of, require_memory, time_warning
 from scenec.compiler.output import Output, locked
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
@@ -29,7 +29,7 @@ FAULTS = ("stop", "skip", "redraw")
 
 @dataclass(frozen=True)
 class CompileReport:
-    """What a compilation did.
+    """Reports what a compilation did.
 
     Attributes:
         out: Output folder.
@@ -102,7 +102,7 @@ def compile_cfg(
         OutputError: The output folder cannot be written, holds something that is not to be
             replaced, or another process is at work on it.
     """
-    tell = progress or (lambda _text, _place: None)
+    notify = progress or (lambda _text, _place: None)
     started = time.perf_counter()
     if faults not in FAULTS:
         raise ScenecError(f"faults: {faults!r}: expected one of {', '.join(FAULTS)}")
@@ -110,16 +110,16 @@ def compile_cfg(
     load_seconds = time.perf_counter() - started
     out = Path(out)
     cache = None if cache is None else Path(cache).absolute()
-    if cache is not None and Store(cache, say=lambda line: tell(line, None)).refused:
+    if cache is not None and Store(cache, say=lambda line: notify(line, None)).refused:
         cache = None  # Said once, not by each batch.
     chosen = _chosen(spec, batches)
     report = CompileReport(out, (), 0, {}, {})
     left_over: list[str] = []
-    made: list[int] = []
+    done: list[int] = []
     failed = report.failed
     unchanged = 0
     with locked(out), temporary_folder(out) as folder, ExitStack() as stack:
-        output = Output(out, spec, seed, keep, chosen, replace, lambda line: tell(line, None))
+        output = Output(out, spec, seed, keep, chosen, replace, lambda line: notify(line, None))
         units = [
             CompileBatch(
                 cfg=spec.path.absolute(),
@@ -136,20 +136,20 @@ def compile_cfg(
             )
             for batch in chosen
         ]
-        ended = stack.enter_context(closing(_compiled(units, spec, executor, tell)))
+        ended = stack.enter_context(closing(_compiled(units, spec, executor, notify)))
         for unit, compiled in ended:
             name, batch = unit.what, unit.batch
             require_unchanged(spec.files, spec.path)
             if compiled.error is not None:
                 if faults == "stop":
-                    raise _stopped(compiled.error, name, made, len(chosen)) from compiled.error
+                    raise _stopped(compiled.error, name, done, len(chosen)) from compiled.error
                 if faults == "skip":
-                    tell(f"warning: {name} cannot be built: {compiled.error}", None)
+                    notify(f"warning: {name} cannot be built: {compiled.error}", None)
                 failed[name] = str(compiled.error)
                 output.fail(batch, failed[name])
                 continue
             unchanged += output.put(unit.folder, batch, compiled.samples, compiled.attempt)
-            made.append(batch)
+            done.append(batch)
             if compiled.attempt:
                 report.attempts[name] = compiled.attempt
             report.seconds[name] = {"load": load_seconds, **compiled.seconds}
@@ -162,32 +162,32 @@ def compile_cfg(
             # After each batch: what an interrupted run has finished can be gone on with.
             output.write_timings(report.seconds)
         left_over += cut_short(out)
-        if not made:
+        if not done:
             reason = next(iter(failed.values()))
             raise SceneError(f"none of {len(chosen)} batches can be built; the first: {reason}")
         output.close()
     if cache is not None and any(report.made.values()):
         Store(cache).tidy()
-    return replace_(report, batches=tuple(made), unchanged=unchanged, strays=tuple(left_over))
+    return replace_(report, batches=tuple(done), unchanged=unchanged, strays=tuple(left_over))
 
 
 def _compiled(
     units: Sequence[CompileBatch],
     spec: Spec,
     executor: Executor | None,
-    tell: Tell,
+    notify: Tell,
 ) -> Generator[tuple[CompileBatch, Compiled]]:
-    """What came of each batch, in their order, whoever compiled it."""
+    """Compiles batches, itself or by an executor, and yields their results in order."""
 
     def say(line: str) -> None:
-        tell(line, None)
+        notify(line, None)
 
     total, done, ends = len(units), 0, 0
     room = None
     if executor is None:
 
         def step(text: str) -> None:
-            tell(f"{units[done].what}: {text}", (done, total))
+            notify(f"{units[done].what}: {text}", (done, total))
 
         keeper = Keeper(say, step)
         keeper.keep(units[0].holds, lambda: spec)
@@ -208,7 +208,7 @@ def _compiled(
         for line in outcome.warnings:
             say(f"warning: {line}")
         if room:
-            tell(f"{unit.what} is compiled", (ends, total))
+            notify(f"{unit.what} is compiled", (ends, total))
 
     # In their order: where one cannot be built, those before it are there, and no others.
     with closing(run_all(executor, units, in_order=True, ended=ended)) as outcomes:
@@ -241,21 +241,21 @@ def _require_room(
     tight = require_memory(needs) if room is None else require_memory(needs, *room)
     if tight is not None:
         say(f"warning: {unit.what}: {tight}")
-    long = None if batches is None else told_time(needs, batches)
+    long = None if batches is None else time_warning(needs, batches)
     if long is not None:
         say(long)
 
 
-def _stopped(error: SceneError, name: str, made: list[int], total: int) -> SceneError:
+def _stopped(error: SceneError, name: str, done: list[int], total: int) -> SceneError:
     """The same, with the batch and what can be done, where there are several."""
     if total == 1:
         return error
-    before = f"{len(made)} batches before it are there" if made else "no batch is there yet"
+    before = f"{len(done)} batches before it are there" if done else "no batch is there yet"
     stopped = SceneError(
         f"{name}: {error} ({before}; --faults skip passes such a batch over, --faults redraw draws "
         "it again)"
     )
-    stopped.batches = tuple(made)
+    stopped.batches = tuple(done)
     return stopped
 
 

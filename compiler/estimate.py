@@ -38,7 +38,7 @@ _EROSION_STEP: Final = (0.0, 2.5e-7)
 _TRIANGLE: Final = (45.0, 0.5e-6)
 #: Of all pictures, and of the one that is being made.
 _SKY_PIXEL: Final = (22.0, 1e-6)
-_SKY_BEING_MADE: Final = 45.0
+_SKY_BAKE: Final = 45.0
 #: With cumulus, and of cirrus alone (``docs/clouds.md``).
 _CUMULUS_PIXEL: Final = (22.0, 4e-6)
 _CIRRUS_PIXEL: Final = (22.0, 0.3e-6)
@@ -51,7 +51,7 @@ _NAMED: Final = 0.05
 
 @dataclass(frozen=True)
 class Need:
-    """What one key of a cfg asks for.
+    """Estimates the memory and time that one key of a cfg takes.
 
     Attributes:
         pointer: The key: "objects/rocks/count".
@@ -67,7 +67,7 @@ class Need:
 
 
 def needs_of(spec: Spec, seed: int, batch: int) -> list[Need]:
-    """What compiling a batch needs, the largest first.
+    """Estimates what compiling a batch takes, the largest first.
 
     Args:
         spec: A validated cfg.
@@ -109,7 +109,7 @@ def require_memory(needs: list[Need], free: int | None = None, workers: int = 1)
     raise SceneError(f"{before}{said}: expected {'fewer, or ' if named else ''}more memory")
 
 
-def told_time(needs: list[Need], batches: int) -> str | None:
+def time_warning(needs: list[Need], batches: int) -> str | None:
     """A line where compiling takes long, with what causes it; None where it does not."""
     seconds = sum(need.seconds for need in needs)
     if seconds * batches < LONG_S:
@@ -188,7 +188,7 @@ def _light(spec: Spec) -> Iterator[Need]:
         pictures = int(spec.cfg["samples"]) if any(map(_per_sample, drawn)) else 1
         pixels = 2 * node["resolution"] * node["resolution"]
         all_ = _need(f"light/{name}/resolution", pictures * pixels, what, cost)
-        yield replace(all_, bytes=all_.bytes + being_made * _SKY_BEING_MADE * pixels)
+        yield replace(all_, bytes=all_.bytes + being_made * _SKY_BAKE * pixels)
 
 
 def _per_sample(node: Any) -> bool:

@@ -137,11 +137,11 @@ class Output:
         gone = [b for b in old.batches if b not in kept]
         if gone and not may_replace:
             raise OutputError(
-                f"{out}: holds {_told(out, gone)}, {other or 'which this cfg has no more'}; "
+                f"{out}: holds {_described(out, gone)}, {other or 'which this cfg has no more'}; "
                 "--replace throws that away, or choose another folder"
             )
         if gone:
-            say(f"replacing {_told(out, gone)} in {out}")
+            say(f"replacing {_described(out, gone)} in {out}")
         paths = {b.path for b in kept}
         self._stale = bool(other)
         files = {p: e for p, e in old.files.items() if p.partition("/")[0] in paths or p == CFG}
@@ -154,7 +154,7 @@ class Output:
         self._note_failed(() if other else [f for f in old.failed or () if f.index < count])
 
     def attempt(self, batch: int) -> int:
-        """How often a batch was drawn again when it was compiled here before."""
+        """Returns how often a batch was drawn again when it was compiled to this output before."""
         return next((b.attempt or 0 for b in self._manifest.batches if b.index == batch), 0)
 
     def put(self, folder: Path, batch: int, samples: int, attempt: int) -> bool:
@@ -211,7 +211,7 @@ class Output:
         same = place.is_file() and place.stat().st_size == entry.bytes
         return same and sha256(place) == entry.sha256
 
-    def _commit(self, folder: Path, gone: set[str]) -> None:
+    def _commit(self, folder: Path, removed: set[str]) -> None:
         digest = hashlib.sha256(self._cfg).hexdigest()
         entry = FileEntry(what=self._cfg_role, bytes=len(self._cfg), sha256=digest)
         files = {**self._manifest.files, CFG: entry}
@@ -221,8 +221,8 @@ class Output:
             place = self._out / path
             if not place.is_file() or place.read_bytes() != data:
                 (folder / path).write_bytes(data)
-        if tree(folder) or gone:
-            replace_files(folder, self._out, sorted(gone))
+        if tree(folder) or removed:
+            replace_files(folder, self._out, sorted(removed))
         self._ours = set(self._manifest.files)
         self._dropped = set()
 
@@ -273,7 +273,7 @@ class Output:
 
 
 def _head(spec: Spec, seed: int, keep: Keep) -> Manifest:
-    """What the manifest says of all batches."""
+    """Returns what the manifest says of all batches."""
     alone = {key: value for key, value in spec.cfg.items() if key != "batches"}
     return Manifest(
         format=MANIFEST_FORMAT,
@@ -305,7 +305,7 @@ def _origin(spec: Spec, out: Path) -> dict[str, str]:
 
 
 def held(out: Path, spec: Spec, seed: int, keep: Keep) -> tuple[set[int], str | None]:
-    """Which batches an output has with all of their files, and what else they are of.
+    """Returns the batches of which an output has all files, and how its inputs differ.
 
     Raises:
         OutputError: It is no output.
@@ -355,7 +355,7 @@ def _difference(old: Manifest, head: Manifest) -> str | None:
     return None if same and was.inputs == now.inputs else "of another cfg"
 
 
-def _told(out: Path, batches: list[BatchEntry]) -> str:
+def _described(out: Path, batches: list[BatchEntry]) -> str:
     """Batches in words, with what was rendered of them."""
     frames, scans = count_rendered(out / batch.path for batch in batches)
     first, last = batches[0].path, batches[-1].path
@@ -373,7 +373,7 @@ def _entry(file: Path, path: Path) -> FileEntry:
 
 
 def _role(path: Path) -> str:
-    """What a file of a batch is, by its place in it."""
+    """Names the role of a batch's file, by its place."""
     folders = {"objects": "object class", "looks": "material", "textures": "texture"}
     if len(path.parts) > 1:
         return folders[path.parts[0]]

@@ -37,14 +37,14 @@ class Plan:
 
 
 def needs_of_plan(plan: Plan, keep: Keep) -> Needs:
-    """What the sensors of a batch need of its Scene."""
+    """Returns what the sensors of a batch need of its Scene."""
     outputs = [name for rig in plan.rigs for name in rig.outputs]
     # Scans hold labels and ids, whatever cameras are asked for.
     scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
     return needs_of((*outputs, *scanned), keep, bool(plan.label_table))
 
 
-def seen_everywhere(plan: Plan) -> Plan:
+def fine_everywhere(plan: Plan) -> Plan:
     """A plan whose meshes and levels of detail are as fine out of view as in view."""
     meshing = replace(plan.terrain.meshing, unseen=1.0)
     return replace(plan, terrain=replace(plan.terrain, meshing=meshing))

@@ -27,7 +27,7 @@ _MOST_POINTS = 100_000
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """One cfg and seed.
 
     Attributes:
@@ -46,7 +46,9 @@ class Point:
         return {path: _typed(value) for path, _, value in pairs}
 
 
-def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False) -> list[Point]:
+def points(
+    lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False
+) -> list[SweepPoint]:
     """All points, the last list and then the seed changing fastest.
 
     Args:
@@ -88,7 +90,7 @@ def points(lists: Sequence[str], seeds: Sequence[int], *, in_step: bool = False)
         settings = tuple(f"{path}={value}" for path, value in chosen.items())
         for seed in seeds:
             own = [*parts, f"seed={seed}"] if len(seeds) > 1 or not parts else parts
-            found.append(Point(_short("_".join(own)), settings, seed))
+            found.append(SweepPoint(_short("_".join(own)), settings, seed))
     return found
 
 
@@ -149,7 +151,7 @@ def _short(name: str) -> str:
     return f"{name[:_LONGEST_NAME]}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
-def read_all(cfg: Path | str, swept: Sequence[Point]) -> list[Spec]:
+def read_all(cfg: Path | str, swept: Sequence[SweepPoint]) -> list[Spec]:
     """The cfg of every point.
 
     Raises:
@@ -193,7 +195,7 @@ class CompilePoint:
     """
 
     spec: Spec
-    point: Point
+    point: SweepPoint
     out: Path
     keep: Keep
     batches: range | None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 
 #: Cells of one height field: MuJoCo keeps 50 contacts of a pair of geometries, so 2 * 5 * 5.
 _CELLS = 5
@@ -36,7 +36,7 @@ class GroundTile:
 
 
 def tiles_under(
-    surface: Surface,
+    surface: GroundSurface,
     center: NDArray[np.float64],
     half: NDArray[np.float64],
     size: NDArray[np.int64],

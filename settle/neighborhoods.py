@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.schemas.errors import SceneError
 from scenec.settle.bodies import Body
 from scenec.settle.world import Fallen, Options, fall
@@ -21,7 +21,7 @@ _WIDER = 2.0
 def fall_apart(
     bodies: Sequence[Body],
     obstacles: Sequence[Body],
-    surface: Surface,
+    surface: GroundSurface,
     options: Options,
     say: Callable[[str], None],
 ) -> list[Fallen]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from scenec.compiler.build import build_to
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.draw import draw
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.plan import Plan
 from scenec.compiler.scene.objects import Placed, Scatter
@@ -241,13 +241,13 @@ def _dropped(plan: Plan, laid: Sequence[Scatter | Placed], chosen: Sequence[str]
     return [body for own, one in pairs for body in bodies_of(own, one, measure=True)]
 
 
-def _off(body: Body, surface: Surface) -> bool:
+def _off(body: Body, surface: GroundSurface) -> bool:
     width, depth = surface.field.grid.size_m
     x, y, _ = body.center
     return bool(abs(x) > 0.5 * width or abs(y) > 0.5 * depth)
 
 
-def _require_on_ground(bodies: Sequence[Body], surface: Surface) -> None:
+def _require_on_ground(bodies: Sequence[Body], surface: GroundSurface) -> None:
     for body in bodies:
         # The ground for physics is what is seen from above: under a roof it would be the roof.
         roofed = isinstance(surface.field, MeshSurface)
@@ -267,7 +267,7 @@ def _report(
     files: dict[str, Path],
     settled: Sequence[Body],
     fallen: Sequence[Fallen],
-    surface: Surface,
+    surface: GroundSurface,
     build_seconds: float,
     seconds: float,
 ) -> SettleReport:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.schemas.errors import SceneError
 from scenec.settle.bodies import Body
 from scenec.settle.ground import SHELL, tiles_under
@@ -98,7 +98,7 @@ def physics() -> Any:
 
 
 def fall(
-    bodies: Sequence[Body], obstacles: Sequence[Body], surface: Surface, options: Options
+    bodies: Sequence[Body], obstacles: Sequence[Body], surface: GroundSurface, options: Options
 ) -> Fallen:
     """Lets bodies fall until all rest.
 
@@ -130,14 +130,14 @@ def fall(
             world = _World(world.bodies(), obstacles, surface, options, velocity)
 
 
-def clearance_m(body: Body, surface: Surface) -> float:
+def clearance_m(body: Body, surface: GroundSurface) -> float:
     """Height of the mesh's vertex that is nearest to the ground below it, meters."""
     points = body.at(body.shape.points)
     x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
     return float((points[:, 2] - surface.height_at(x, y)).min())
 
 
-def _over_ground(body: Body, surface: Surface, options: Options, highest_m: float) -> Body:
+def _over_ground(body: Body, surface: GroundSurface, options: Options, highest_m: float) -> Body:
     drop = 0.2 * body.radius if options.drop_m is None else options.drop_m
     clearance = clearance_m(body, surface)
     if max(clearance, drop) > highest_m:
@@ -156,7 +156,7 @@ class _World:
         self,
         bodies: Sequence[Body],
         obstacles: Sequence[Body],
-        surface: Surface,
+        surface: GroundSurface,
         options: Options,
         velocity: NDArray[np.float64],
     ):
@@ -330,7 +330,9 @@ class _World:
         for name in self._meshes[key]:
             parent.add_geom(type=self._mj.mjtGeom.mjGEOM_MESH, meshname=name, **kwargs)
 
-    def _add_ground(self, spec: Any, surface: Surface, cells: int, surfaces: dict[str, Any]) -> int:
+    def _add_ground(
+        self, spec: Any, surface: GroundSurface, cells: int, surfaces: dict[str, Any]
+    ) -> int:
         """Height fields under all bodies, a grid for each class of sizes: how many."""
         half = _REACH * self._radius
         tiles = tiles_under(

@@ -137,3 +137,8 @@ def shaken(
         pose[:3, 3] += camera.camera_to_world[:3, :3] @ np.asarray(offset, float)
         poses.append(pose)
     return replace(camera, shutter=OpenShutter(shutter, times, np.stack(poses)))
+
+
+def disk(radius: float, focal: float, at: float, focus: float) -> float:
+    """Diameter of the circle of confusion, pixels: similar triangles."""
+    return 2.0 * radius * focal * abs(at - focus) / (at * focus)

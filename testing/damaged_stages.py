@@ -21,25 +21,18 @@ _T = Sdf.ValueTypeNames
 _NAN = float("nan")
 #: Values that hardly any attribute can have: type and value; None is an opinion without a value.
 WRONG = {
-    "string": (_T.String, "wrong"),
-    "float": (_T.Float, 1.5),
-    "negative": (_T.Int, -3),
-    "huge": (_T.Int64, 2**62),
-    "nan": (_T.Double, _NAN),
-    "infinite": (_T.Float, float("inf")),
-    "bool": (_T.Bool, True),
-    "token[]": (_T.TokenArray, Vt.TokenArray(["a", "b"])),
+    "string": (_T.String, "wrong"), "float": (_T.Float, 1.5), "negative": (_T.Int, -3),
+    "huge": (_T.Int64, 2**62), "nan": (_T.Double, _NAN), "infinite": (_T.Float, float("inf")),
+    "bool": (_T.Bool, True), "token[]": (_T.TokenArray, Vt.TokenArray(["a", "b"])),
     "int[]": (_T.IntArray, Vt.IntArray([7, -1, 2**31 - 1])),
     "empty": (_T.FloatArray, Vt.FloatArray()),
     "nan[]": (_T.DoubleArray, Vt.DoubleArray([_NAN, 1.0])),
     "nan3[]": (_T.Vector3fArray, Vt.Vec3fArray([Gf.Vec3f(_NAN, 0.0, 1.0)])),
-    "nan3": (_T.Float3, Gf.Vec3f(1.0, _NAN, 0.0)),
-    "double2[]": (_T.Double2Array, Vt.Vec2dArray(3)),
-    "matrix": (_T.Matrix4d, Gf.Matrix4d(_NAN)),
-    "quath[]": (_T.QuathArray, Vt.QuathArray(2)),
+    "nan3": (_T.Float3, Gf.Vec3f(1.0, _NAN, 0.0)), "double2[]": (_T.Double2Array, Vt.Vec2dArray(3)),
+    "matrix": (_T.Matrix4d, Gf.Matrix4d(_NAN)), "quath[]": (_T.QuathArray, Vt.QuathArray(2)),
     "asset": (_T.Asset, Sdf.AssetPath("./nowhere.png")),
     "timecode": (_T.TimeCode, Sdf.TimeCode(1.0)),
-}
+}  # fmt: skip
 
 
 def attributes(stage: Path) -> list[str]:

@@ -40,19 +40,8 @@ _NAMES = (
     "\u202e\u0436\u4e16\U0001f30d", "null", "[", "{0}", "%s", "\\",
 )  # fmt: skip
 _NUMBERS: tuple[Any, ...] = (
-    0.0,
-    -1.0,
-    1e-320,
-    1e300,
-    1.7e308,
-    float("nan"),
-    float("inf"),
-    2**31,
-    2**63,
-    None,
-    "1",
-    [],
-)
+    0.0, -1.0, 1e-320, 1e300, 1.7e308, float("nan"), float("inf"), 2**31, 2**63, None, "1", [],
+)  # fmt: skip
 
 
 def write(folder: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -174,15 +174,9 @@ def make_out(
     """
     made = Made(out, tuple(sensors), samples)
     manifest: dict[str, Any] = {
-        "name": "made",
-        "format": 1,
-        "cfg": {"sha256": "0" * 64, "inputs": {}},
-        "seed": 1,
-        "scenec": "0",
-        "libraries": {},
-        "batches": [],
-        "files": {},
-    }
+        "name": "made", "format": 1, "seed": 1, "scenec": "0", "libraries": {},
+        "cfg": {"sha256": "0" * 64, "inputs": {}}, "batches": [], "files": {},
+    }  # fmt: skip
     for index in range(batches):
         name = f"batch_{index:04d}"
         manifest["batches"].append(
@@ -190,23 +184,24 @@ def make_out(
         )
         manifest["files"][f"{name}/stage.usda"] = {"sha256": f"{index:064d}"}
     write_json(out / "manifest.json", manifest)
-    renamed = dict(ids or {})
+    renamed = {thing.number: thing.number for thing in THINGS} | dict(ids or {})
+    things = [replace(thing, number=renamed[thing.number]) for thing in THINGS]
+    things.sort(key=lambda thing: thing.number)
     for index in range(batches):
         name = f"batch_{index:04d}"
         digest = stage_digest(read_manifest(out), name)
-        write_table(out / name / "frames" / BATCH_TABLE, _table(digest, renamed))
+        write_table(out / name / "frames" / BATCH_TABLE, _table(digest, things))
         for sensor in sensors:
             for sample in range(samples):
                 stem = frame_stem(out / name, "mitsuba", sensor.name, sample)
                 time = 0.1 * sample if times is None else times[sample]
                 made.passes[sensor.name, sample] = _frame(
-                    stem, sensor, sample, time, digest, without, amodal, renamed, empty
+                    stem, sensor, sample, time, digest, without, amodal, things, empty
                 )
     return made
 
 
-def _table(digest: str, renamed: Mapping[int, int]) -> InstanceTable:
-    things = sorted(THINGS, key=lambda t: renamed.get(t.number, t.number))
+def _table(digest: str, things: Sequence[Ellipsoid]) -> InstanceTable:
     classes = ("/World/Objects/lander", "/World/Objects/rocks")
     half = np.array([np.array(t.scale) * t.half for t in things])
     turns = [Rotation.from_matrix(t.rotation).as_quat(canonical=True) for t in things]
@@ -214,7 +209,7 @@ def _table(digest: str, renamed: Mapping[int, int]) -> InstanceTable:
         digest,
         classes,
         ("class",),
-        np.array([renamed.get(t.number, t.number) for t in things], np.uint32),
+        np.array([t.number for t in things], np.uint32),
         np.array([classes.index(t.kind) for t in things], np.int32),
         np.array([t.number for t in things], np.uint32),
         np.array([[4 if "lander" in t.kind else 3] for t in things], np.uint32),
@@ -237,7 +232,7 @@ def _frame(
     digest: str,
     without: Sequence[str],
     amodal: bool,
-    renamed: Mapping[int, int],
+    things: Sequence[Ellipsoid],
     empty: bool,
 ) -> dict[str, NDArray]:
     pose = camera_pose(sensor, sample)
@@ -246,14 +241,14 @@ def _frame(
     slope = rays @ _NORMAL
     with np.errstate(divide="ignore"):
         ground = np.where(slope < 0.0, -(eye @ _NORMAL) / slope, np.inf)
-    layers = [ground, *(_hits(eye, rays, thing) for thing in THINGS)]
+    layers = [ground, *(_hits(eye, rays, thing) for thing in things)]
     if empty:
         layers = [np.full_like(layer, np.inf) for layer in layers]
     order = np.argmin(layers, axis=0)
     depth = np.min(layers, axis=0)
     hit = np.isfinite(depth)
-    numbers = np.array([0, *(renamed.get(t.number, t.number) for t in THINGS)], np.uint32)
-    kinds = np.array([2, *(4 if "lander" in t.kind else 3 for t in THINGS)], np.uint32)
+    numbers = np.array([0, *(t.number for t in things)], np.uint32)
+    kinds = np.array([2, *(4 if "lander" in t.kind else 3 for t in things)], np.uint32)
     instance = np.where(hit, numbers[order], 0).astype(np.uint32)
     points = np.where(hit[..., None], eye + np.where(hit, depth, 0.0)[..., None] * rays, 0.0)
     rgb = 0.3 + 0.25 * np.sin(3.0 * points + np.array([0.0, 1.0, 2.0]))
@@ -270,11 +265,10 @@ def _frame(
         write_png(stem.with_suffix(".png"), develop(passes["rgb"]))
     listed = frame_table_path(stem)
     if "instance" in passes:
-        seen = [t for t in THINGS if (instance == renamed.get(t.number, t.number)).any()]
-        seen.sort(key=lambda t: renamed.get(t.number, t.number))
-        write_frame_table(listed, _columns(seen, sensor, pose, instance, depth, renamed, amodal))
+        seen = [t for t in things if (instance == t.number).any()]
+        write_frame_table(listed, _columns(seen, sensor, pose, instance, depth, amodal))
         if amodal:
-            _write_amodal(stem, seen, sensor, pose, renamed)
+            _write_amodal(stem, seen, sensor, pose)
     w, h = sensor.size
     sidecar = {
         "version": "1.3",
@@ -292,18 +286,18 @@ def _frame(
         "instances": {"/World/Objects/lander": 0, "/World/Objects/rocks": 3},
         "backend": "mitsuba",
         "stage_digest": digest,
-        "exr": {"bytes": exr.stat().st_size, "sha256": sha256(exr)},
+        "exr": vouched(exr),
         "png": "rgb" in passes,
-        "instance_table": {"bytes": listed.stat().st_size, "sha256": sha256(listed)}
-        if "instance" in passes
-        else None,
-        "amodal": None,
+        "instance_table": vouched(listed) if "instance" in passes else None,
+        "amodal": vouched(masks) if (masks := amodal_path(stem)).is_file() else None,
     }
-    masks = amodal_path(stem)
-    if masks.is_file():
-        sidecar["amodal"] = {"bytes": masks.stat().st_size, "sha256": sha256(masks)}
     stem.with_suffix(".json").write_text(json.dumps(sidecar), encoding="utf-8")
     return passes
+
+
+def vouched(path: Path) -> dict[str, Any]:
+    """What a sidecar says of a file beside it."""
+    return {"bytes": path.stat().st_size, "sha256": sha256(path)}
 
 
 def rewrite(
@@ -315,11 +309,11 @@ def rewrite(
     """Other passes, another table and other values in the sidecar, which vouches for both."""
     if table is not None:
         write_frame_table(listed := frame_table_path(stem), table)
-        told["instance_table"] = {"bytes": listed.stat().st_size, "sha256": sha256(listed)}
+        told["instance_table"] = vouched(listed)
     exr, path = stem.with_suffix(".exr"), stem.with_suffix(".json")
     write_exr(exr, dict(passes))
     sidecar = json.loads(path.read_bytes()) | {"passes": list(passes)} | told
-    sidecar["exr"] = {"bytes": exr.stat().st_size, "sha256": sha256(exr)}
+    sidecar["exr"] = vouched(exr)
     path.write_text(json.dumps(sidecar), encoding="utf-8")
 
 
@@ -329,14 +323,12 @@ def _columns(
     pose: NDArray,
     instance: NDArray,
     depth: NDArray,
-    renamed: Mapping[int, int],
     amodal: bool,
 ) -> dict[str, NDArray]:
     rows: list[dict[str, Any]] = []
     w, h = sensor.size
     for thing in seen:
-        number = renamed.get(thing.number, thing.number)
-        mask = instance == number
+        mask = instance == thing.number
         y, x = np.nonzero(mask)
         near = depth[mask]
         in_camera = np.linalg.inv(pose) @ np.array([*thing.position, 1.0])
@@ -345,7 +337,7 @@ def _columns(
         size = 2.0 * np.array(thing.scale) * thing.half
         border = x.min() == 0 or y.min() == 0 or x.max() == w - 1 or y.max() == h - 1
         row: dict[str, Any] = {
-            "id": number, "class": thing.kind, "local_id": thing.number,
+            "id": thing.number, "class": thing.kind, "local_id": thing.number,
             "label.class": "lander" if "lander" in thing.kind else "rock",
             "pixels": int(mask.sum()), "x_min": x.min(), "y_min": y.min(), "x_max": x.max(),
             "y_max": y.max(), "truncated": int(border),
@@ -371,17 +363,11 @@ def outline(thing: Ellipsoid, sensor: Sensor, pose: NDArray, margin: int = 0) ->
     return np.isfinite(_hits(pose[:3, 3], _rays(sensor, pose, margin), thing))
 
 
-def _write_amodal(
-    stem: Path,
-    seen: Sequence[Ellipsoid],
-    sensor: Sensor,
-    pose: NDArray,
-    renamed: Mapping[int, int],
-) -> None:
+def _write_amodal(stem: Path, seen: Sequence[Ellipsoid], sensor: Sensor, pose: NDArray) -> None:
     runs = [rle.encode_mask(outline(thing, sensor, pose)) for thing in seen]
     starts = np.concatenate([[0], np.cumsum([len(run) for run in runs])]).astype(np.int64)
     w, h = sensor.size
-    numbers = np.array([renamed.get(t.number, t.number) for t in seen], np.uint32)
+    numbers = np.array([t.number for t in seen], np.uint32)
     counts = np.concatenate([np.zeros(0, np.uint32), *runs])
     write_amodal(amodal_path(stem), Amodal((h, w), numbers, counts, starts))
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets.export import Choice, export
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.frames import CONVENTIONS, FRAME_VERSION, frame_stem
@@ -191,6 +192,22 @@ def _write(
         "png": "rgb" in passes,
     }
     stem.with_suffix(".json").write_text(json.dumps(sidecar, indent=1), encoding="utf-8")
+
+
+def small_ids(number: int) -> Passes:
+    """``some_passes`` with ids that every format can hold."""
+    passes = some_passes(number)
+    return passes | {"instance": passes["instance"] % np.uint32(1000)}
+
+
+def exported(out: Path, form: str, folder: Path, **options: str) -> Path:
+    """Exports with options of the format; returns the dataset's folder."""
+    return export(out, form, folder, Choice(options=options)).folder
+
+
+def edit(path: Path, **values: Any) -> None:
+    """Puts values into a JSON file, such as a sidecar."""
+    path.write_text(json.dumps(json.loads(path.read_bytes()) | values), encoding="utf-8")
 
 
 def same_tree(a: Path, b: Path) -> bool:

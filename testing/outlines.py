@@ -9,6 +9,10 @@ import numpy as np
 
 Point = tuple[int, int]
 _HALF = 1000
+#: A C, and what is said of outlines that are none.
+C = [(-1, 0), (1, 0), (1, 0.5), (-0.5, 0.5), (-0.5, 1.5), (1, 1.5), (1, 2), (-1, 2)]
+CROSSES = "a polygon that crosses itself is cut into triangles that overlap"
+EMPTY = "a polygon has no area"
 
 
 def turn(a: Point, b: Point, c: Point) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenec.compiler.light import atmosphere
-from scenec.compiler.light.atmosphere_planets import MARS, Medium
+from scenec.compiler.light.atmosphere_planets import MARS, AirMedium
 from scenec.compiler.light.atmosphere_spectra import weights
 from scenec.compiler.light.latlong import horizontal_irradiance
 from scenec.schemas.kernels import kernel
@@ -51,15 +51,15 @@ def scattered_down(
     return arrived / PHOTONS
 
 
-def gray_dust(depth: float, albedo: float, forward: float, g: float) -> Medium:
+def gray_dust(depth: float, albedo: float, forward: float, g: float) -> AirMedium:
     """Mars's air, but with dust alone that is the same at all wavelengths."""
     ones = np.ones(COUNT)
     loss = depth / MARS.aerosol_m * ones
     phase = np.stack([forward * ones, g * ones, WIDE * ones, 0.0 * ones])
-    return Medium(MARS, 0.0 * ones, albedo * loss, loss, 0.0 * ones, phase)
+    return AirMedium(MARS, 0.0 * ones, albedo * loss, loss, 0.0 * ones, phase)
 
 
-def level_irradiance(medium: Medium, elevation_deg: float, multiple: bool) -> float:
+def level_irradiance(medium: AirMedium, elevation_deg: float, multiple: bool) -> float:
     """Of the sky on the ground, over that of the sun facing it."""
     picture = atmosphere.bake(
         medium, weights(COUNT), 0.0, np.radians(elevation_deg), np.zeros(3), 64, multiple=multiple

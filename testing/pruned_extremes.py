@@ -37,13 +37,10 @@ def pruned_cfg(case: Case, outputs: tuple[str, ...] = ("rgb", "label", "instance
 
 
 _USUAL: Cfg = {
-    "version": 1,
-    "name": "pruned_extreme",
-    "samples": 2,
+    "version": 1, "name": "pruned_extreme", "samples": 2,
     "labels": {"class": {"sky": 1, "ground": 2, "rock": 3}},
     "terrain": {
-        "size_m": [100, 100],
-        "spacing_m": 1,
+        "size_m": [100, 100], "spacing_m": 1,
         "relief": [
             {"type": "plane"},
             {"type": "multifractal", "amplitude_m": 5, "scale_m": 40, "octaves": 5},
@@ -57,14 +54,10 @@ _USUAL: Cfg = {
     },
     "objects": {
         "rocks": {
-            "type": "rocks",
-            "count": 3000,
-            "material": "stone",
-            "labels": {"class": "rock"},
-            "prototypes": 3,
-            "subdivisions": 1,
+            "type": "rocks", "count": 3000, "material": "stone", "labels": {"class": "rock"},
+            "prototypes": 3, "subdivisions": 1,
             "size_m": {"type": "log_uniform", "min": 0.05, "max": 2},
-        }
+        },
     },
     "light": {
         "sun": {"elevation_deg": 35, "azimuth_deg": 250},
@@ -76,19 +69,17 @@ _USUAL: Cfg = {
                 "type": "random_target",
                 "position": {
                     "x_m": {"type": "uniform", "min": -10, "max": 10},
-                    "y_m": {"type": "uniform", "min": -10, "max": 10},
-                    "height_m": 1.5,
+                    "y_m": {"type": "uniform", "min": -10, "max": 10}, "height_m": 1.5,
                 },
                 "target": {
-                    "distance_m": 10,
-                    "bearing_deg": {"type": "uniform", "min": 40, "max": 80},
+                    "distance_m": 10, "bearing_deg": {"type": "uniform", "min": 40, "max": 80},
                     "height_m": 0,
                 },
             },
             "sensors": {"front": {"resolution": [96, 72], "fov_deg": 60}},
-        }
+        },
     },
-}
+}  # fmt: skip
 
 
 def _sensor(cfg: Cfg) -> Cfg:

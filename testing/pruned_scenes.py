@@ -88,13 +88,9 @@ def drawn_cfg(
     }
     chosen = pick.sample(sorted(kinds), pick.choice([1, 1, 2]))
     rocks = {
-        "type": "rocks",
-        "material": "stone",
-        "labels": {"class": "rock"},
-        "prototypes": 3,
-        "subdivisions": 1,
-        "clearance_m": 0.05,
-    }
+        "type": "rocks", "material": "stone", "labels": {"class": "rock"}, "prototypes": 3,
+        "subdivisions": 1, "clearance_m": 0.05,
+    }  # fmt: skip
     rows = ["id,time_s,x_m,y_m,z_m"]
     for log in range(1, 7):
         for time in range(2 if log > 3 else 1):
@@ -138,12 +134,9 @@ def drawn_cfg(
     }
     if seed % 3 == 1:
         cfg["terrain"]["horizon"] = {
-            "reach_m": 1000,
-            "blend_m": 30,
-            "relief": relief[:2],
-            "material": "sand",
+            "reach_m": 1000, "blend_m": 30, "relief": relief[:2], "material": "sand",
             "labels": {"class": "ground"},
-        }
+        }  # fmt: skip
         size = {"type": "uniform", "min": 0.3, "max": 8}
         cfg["objects"]["far"] = rocks | {"count": 300, "size_m": size, "beyond_m": 80}
     return cfg

@@ -8,38 +8,30 @@ from pathlib import Path
 from typing import Any
 
 _CFG: dict[str, Any] = {
-    "version": 1,
-    "name": "small",
-    "samples": 3,
+    "version": 1, "name": "small", "samples": 3,
     "labels": {
         "class": {"sky": 1, "ground": 2, "rock": 3},
         "surface": {"sky": 7, "sand": 20, "gravel": 21, "mud": 22, "stone": 30},
     },
     "terrain": {
-        "size_m": [20, 16],
-        "spacing_m": 0.2,
+        "size_m": [20, 16], "spacing_m": 0.2,
         "relief": [
             {"type": "plane", "slope": [0.05, -0.02]},
             {
-                "type": "multifractal",
-                "amplitude_m": {"type": "uniform", "min": 0.3, "max": 0.6},
-                "scale_m": 6,
-                "octaves": 5,
+                "type": "multifractal", "amplitude_m": {"type": "uniform", "min": 0.3, "max": 0.6},
+                "scale_m": 6, "octaves": 5,
             },
             {"type": "smooth", "length_m": 0.1},
         ],
         "ground": [
             {"material": "sand", "labels": {"class": "ground", "surface": "sand"}},
             {
-                "material": "gravel",
-                "labels": {"class": "ground", "surface": "gravel"},
+                "material": "gravel", "labels": {"class": "ground", "surface": "gravel"},
                 "noise": {"scale_m": 5},
             },
             {
-                "material": "mud",
-                "labels": {"class": "ground", "surface": "mud"},
-                "noise": {"scale_m": 4, "octaves": 2, "distortion": 0.2},
-                "coverage": 0.3,
+                "material": "mud", "labels": {"class": "ground", "surface": "mud"},
+                "noise": {"scale_m": 4, "octaves": 2, "distortion": 0.2}, "coverage": 0.3,
             },
         ],
     },
@@ -51,15 +43,11 @@ _CFG: dict[str, Any] = {
     },
     "objects": {
         "rocks": {
-            "type": "rocks",
-            "count": 300,
-            "material": "stone",
-            "labels": {"class": "rock", "surface": "stone"},
-            "prototypes": 4,
-            "subdivisions": 2,
+            "type": "rocks", "count": 300, "material": "stone",
+            "labels": {"class": "rock", "surface": "stone"}, "prototypes": 4, "subdivisions": 2,
             "size_m": {"type": "log_uniform", "min": 0.05, "max": 0.7},
             "density": {"type": "noise", "scale_m": 5},
-        }
+        },
     },
     "light": {
         "sun": {
@@ -74,19 +62,17 @@ _CFG: dict[str, Any] = {
                 "type": "random_target",
                 "position": {
                     "x_m": {"type": "uniform", "min": -6, "max": 6},
-                    "y_m": {"type": "uniform", "min": -6, "max": 6},
-                    "height_m": 1.5,
+                    "y_m": {"type": "uniform", "min": -6, "max": 6}, "height_m": 1.5,
                 },
                 "target": {
                     "distance_m": {"type": "uniform", "min": 4, "max": 8},
-                    "bearing_deg": {"type": "uniform", "min": 0, "max": 360},
-                    "height_m": 0,
+                    "bearing_deg": {"type": "uniform", "min": 0, "max": 360}, "height_m": 0,
                 },
             },
             "sensors": {"front": {"resolution": [96, 64], "fov_deg": 70}},
-        }
+        },
     },
-}
+}  # fmt: skip
 
 
 def small_cfg(**change: Any) -> dict[str, Any]:

@@ -15,8 +15,8 @@ T and A are those of the pixel's center. Where T changes within the 3x3 window t
 the pixel of what is linear between centers, and where it changes most means over several rays, of
 those that meet something. A renderer's pixel is one number, so all of its light is weakened alike
 there: the error is the covariance of L and T in the pixel, and 0 where either is constant (measured
-in ``tests/backends/test_haze.py``). What meets none of the nine centers, as a wire between two rows
-of pixels does, is weakened as what is behind it.
+in ``tests/backends/picture/test_haze.py``). What meets none of the nine centers, as a wire
+between two rows of pixels does, is weakened as what is behind it.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ light and viewer can change places.
 
 s is sqrt(2 / pi) times the mean sine of the angles by which facets lean, as it is of Gaussian ones
 that lean little. Sines, for the mean of slopes goes by a few upright facets, cracks in even mud or
-stones on even ground, which hide far less (``lab/benchmarks/far_relief.py`` has grounds).
+stones on even ground, which hide far less.
 """
 
 from __future__ import annotations

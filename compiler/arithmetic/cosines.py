@@ -34,7 +34,7 @@ def dct(field: NDArray[np.float64], *axes: int, over: bool = False) -> NDArray[n
 
 
 def idct(modes: NDArray[np.float64], *axes: int, over: bool = False) -> NDArray[np.float64]:
-    """What ``dct`` takes apart."""
+    """Inverts ``dct``."""
     return _transformed("dct", -2, modes, axes, over)
 
 
@@ -44,7 +44,7 @@ def dst(field: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
 
 
 def idst(modes: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """What ``dst`` takes apart."""
+    """Inverts ``dst``."""
     return _transformed("dst", -1, modes, (axis,), False)
 
 

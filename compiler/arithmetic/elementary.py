@@ -4,7 +4,7 @@ glibc, NumPy and numba pick code by CPU (FMA or not, AVX-512 or not), and the la
 ``exp``, ``sin`` and ``pow`` changes with it. These are built from + - * /, sqrt, floor and exact
 scaling by powers of two, all correctly rounded by IEEE 754 and never contracted (no fast-math), so
 they are the only ones allowed in the compiler. They cost up to a few times the native ones; their
-error against exact values is tested in ``tests/compiler/test_elementary.py``:
+error against exact values is tested in ``tests/compiler/arithmetic/test_elementary.py``:
 at most 1 ulp for log, 1.5 for exp, 2 for sin, cos and atan, 4 for acos and asin, and a relative
 error of (1 + |y log x|) * 2e-16 for pow.
 

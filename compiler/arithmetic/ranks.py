@@ -10,7 +10,7 @@ _BINS = 4096
 
 
 def ranked(values: NDArray[np.float64], ranks: tuple[int, ...]) -> list[float]:
-    """What stands at some ranks, rising, once finite values are sorted.
+    """Returns the values at some ranks, ascending, of finite values in sorted order.
 
     Args:
         values: float64 of any shape, not empty.

@@ -21,7 +21,7 @@ import numpy as np
 import psutil
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.assets.looks import SAME_UV, Look, Slot, UvMap, reflectance
+from scenec.compiler.assets.looks import SAME_UV, FileLook, Slot, UvMap, reflectance
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
@@ -50,12 +50,12 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
     if importlib.util.find_spec("bpy") is None:
         raise MeshFileError("reading .blend needs the extra 'cycles': pip install 'scenec[cycles]'")
     document, arrays = _evaluated(file.resolve())
-    found: list[Path] = []
+    pictures: list[Path] = []
     notes = tuple(document["notes"])
-    materials = tuple(_look(file, values, arrays, found) for values in document["looks"])
+    materials = tuple(_look(file, values, arrays, pictures) for values in document["looks"])
     shells = tuple(_shell(values, arrays) for values in document["shells"])
     unit = float(document["unit_m"])
-    return ParsedModel(shells, materials, unit, "z", tuple(dict.fromkeys(found)), notes)
+    return ParsedModel(shells, materials, unit, "z", tuple(dict.fromkeys(pictures)), notes)
 
 
 @once_per_file(most=2)
@@ -140,8 +140,8 @@ def _shell(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Shell:
 
 
 def _look(
-    file: Path, values: dict[str, Any], arrays: dict[str, np.ndarray], found: list[Path]
-) -> Look:
+    file: Path, values: dict[str, Any], arrays: dict[str, np.ndarray], pictures: list[Path]
+) -> FileLook:
     slots: dict[str, Slot] = {}
     for kind, slot in values["slots"].items():
         label = slot["label"]
@@ -151,10 +151,10 @@ def _look(
             # Two slashes are Blender's sign for the file's own folder.
             name = slot["file"]
             source = companion(file, name[2:] if name.startswith("//") else name, "picture")
-            found.append(source)
+            pictures.append(source)
         slots[kind] = Slot(source, label, slot["channel"], 1.0, 0.0, slot["uv_set"], _uv_map(slot))
     red, green, blue = values["base_color"]
-    return Look(
+    return FileLook(
         values["name"],
         (red, green, blue),
         values["roughness"],

@@ -44,7 +44,7 @@ def main(file: Path, out: Path) -> None:
         reason = " ".join(str(error).removeprefix("Error: ").replace(str(file), "").split())
         fault = f"Blender cannot read it: {reason[:160]}"
     else:
-        reader = _Reader(bpy)
+        reader = _BlendReader(bpy)
         fault = reader.fault()
         if not fault:
             reader.read()
@@ -55,8 +55,8 @@ def main(file: Path, out: Path) -> None:
         out.with_suffix(".fault").write_text(fault, encoding="utf-8")
 
 
-class _Reader:
-    """What is seen of the file that is open.
+class _BlendReader:
+    """Reads the open file into a document and arrays.
 
     Attributes:
         document: Shells, looks, unit and notes.
@@ -102,14 +102,14 @@ class _Reader:
         self.arrays[name] = values
         return name
 
-    def _shell(self, path: str, shown: Any, mesh: Any, matrix: Any) -> dict[str, Any]:
+    def _shell(self, path: str, item: Any, mesh: Any, matrix: Any) -> dict[str, Any]:
         mesh.calc_loop_triangles()
         triangles = len(mesh.loop_triangles)
         points = _flat(mesh.vertices, "co", 3, np.float32)
         faces = _flat(mesh.loop_triangles, "vertices", 3, np.int32)
         loops = _flat(mesh.loop_triangles, "loops", 3, np.int32)
         slot = _flat(mesh.loop_triangles, "material_index", 1, np.int32).ravel()
-        slots = [s.material for s in shown.material_slots] or list(mesh.materials)
+        slots = [s.material for s in item.material_slots] or list(mesh.materials)
         numbers = np.array([*(self._look(m) for m in slots), -1], np.int64)
         normals = _flat(mesh.corner_normals, "vector", 3, np.float32)
         layers = sorted(mesh.uv_layers, key=lambda layer: not layer.active_render)
@@ -132,11 +132,11 @@ class _Reader:
             return -1
         if material.name not in self._looks:
             self._looks[material.name] = len(self.document["looks"])
-            self.document["looks"].append(_Look(self, material).values)
+            self.document["looks"].append(_LookReader(self, material).values)
         return self._looks[material.name]
 
     def picture(self, image: Any) -> dict[str, str] | str:
-        """Where a picture is, or why it is left out."""
+        """Returns where a picture is stored, or why it is left out."""
         if image is None:
             return "has no picture"
         if image.source != "FILE":
@@ -155,22 +155,22 @@ def _flat(items: Any, key: str, width: int, kind: type) -> np.ndarray:
     return values.reshape(-1, width)
 
 
-def _path(shown: Any) -> str:
+def _path(item: Any) -> str:
     names = []
-    while shown is not None:
-        names.append(shown.name)
-        shown = shown.parent
+    while item is not None:
+        names.append(item.name)
+        item = item.parent
     return "".join(f"/{name}" for name in reversed(names))
 
 
-class _Look:
+class _LookReader:
     """A material: its Principled BSDF, or what else can be had.
 
     Attributes:
         values: For ``looks.Look``, as JSON.
     """
 
-    def __init__(self, reader: _Reader, material: Any):
+    def __init__(self, reader: _BlendReader, material: Any):
         self._reader = reader
         self._notes: list[str] = []
         self._slots: dict[str, Any] = {}
@@ -265,9 +265,9 @@ class _Look:
         self._coordinates(kind, _behind(node.inputs["Vector"]), slot)
         self._slots[kind] = slot
 
-    def _coordinates(self, kind: str, found: Any, slot: dict[str, Any]) -> None:
-        if found is not None and found[0].bl_idname == "ShaderNodeMapping":
-            node = found[0]
+    def _coordinates(self, kind: str, origin: Any, slot: dict[str, Any]) -> None:
+        if origin is not None and origin[0].bl_idname == "ShaderNodeMapping":
+            node = origin[0]
             turn = list(node.inputs["Rotation"].default_value)
             linked = any(node.inputs[n].is_linked for n in ("Location", "Rotation", "Scale"))
             if node.vector_type == "POINT" and turn[:2] == [0.0, 0.0] and not linked:
@@ -276,10 +276,10 @@ class _Look:
                 slot["angle"] = turn[2]
             else:
                 self._notes.append(f"what is done to the coordinates of its {kind} is left out")
-            found = _behind(node.inputs["Vector"])
-        if found is None:
+            origin = _behind(node.inputs["Vector"])
+        if origin is None:
             return
-        node, socket = found
+        node, socket = origin
         if node.bl_idname == "ShaderNodeUVMap":
             slot["uv_set"] = node.uv_map
         elif node.bl_idname != "ShaderNodeTexCoord" or socket != "UV":

@@ -256,7 +256,7 @@ def _require_room(file: Path, stream: IO[bytes]) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """What NumPy holds against a file, where that is a sentence for users."""
+    """Returns NumPy's message about a broken file, where it makes sense to users."""
     text = " ".join(str(error).split())
     if isinstance(error, MemoryError):
         return "it says that it is larger than memory"

@@ -65,7 +65,7 @@ class GltfFile:
         self._left = _MOST_SHARED * (len(data) + sum(map(len, self._buffers)))
 
     def fetch(self, uri: str, what: str) -> bytes:
-        """What a URI stands for."""
+        """Returns the bytes that a URI refers to."""
         if uri.startswith("data:"):
             head, _, content = uri.partition(",")
             if not head.endswith(";base64"):
@@ -74,9 +74,9 @@ class GltfFile:
                 return base64.b64decode(content, validate=True)
             except binascii.Error as error:
                 raise MeshFileError(f"a {what} in a broken data URI: {error}") from error
-        return self.beside(uri, what).read_bytes()
+        return self.companion(uri, what).read_bytes()
 
-    def beside(self, uri: str, what: str) -> Path:
+    def companion(self, uri: str, what: str) -> Path:
         """A file beside it."""
         path = companion(self._file, uri, what, escaped=True)
         if path not in self.companions:

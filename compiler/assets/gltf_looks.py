@@ -28,7 +28,7 @@ class GltfLooks:
     def __init__(self, file: GltfFile):
         self._file = file
         self._numbers: dict[int, int] = {}
-        self.known: list[looks.Look] = []
+        self.known: list[looks.FileLook] = []
         self._pictures: dict[int, tuple[Source, str]] = {}
 
     def number(self, index: Any) -> int:
@@ -38,7 +38,7 @@ class GltfLooks:
             self.known.append(self._look(self._file.document["materials"][index]))
         return self._numbers[index]
 
-    def _look(self, material: dict[str, Any]) -> looks.Look:
+    def _look(self, material: dict[str, Any]) -> looks.FileLook:
         name = str(material.get("name", ""))
         notes: list[str] = []
         clamps: list[bool] = []
@@ -80,7 +80,7 @@ class GltfLooks:
         share = float(through.get("diffuseTransmissionFactor", 0.0))
         if share > 0.0 and not _of_one_color(through, base, pbr.get("baseColorTexture")):
             notes.append("the light that it transmits has the color of what it reflects")
-        return looks.Look(
+        return looks.FileLook(
             name, base, roughness, metallic, specular, slots, tuple(notes),
             repeats=not any(clamps), diffuse_transmission=share,
         )  # fmt: skip
@@ -128,7 +128,7 @@ class GltfLooks:
                 source = embedded(self._file.fetch(str(uri), "picture"))
             else:
                 label = str(uri)
-                source = self._file.beside(label, "picture")
+                source = self._file.companion(label, "picture")
             self._pictures[index] = source, label
         return self._pictures[index]
 

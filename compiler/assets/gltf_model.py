@@ -168,13 +168,13 @@ def _placed_meshes(
     else:
         children = {c for node in nodes for c in node.get("children", [])}
         roots = [i for i in range(len(nodes)) if i not in children]
-    seen: set[int] = set()
+    visited: set[int] = set()
     waiting = [(root, np.eye(4), "") for root in reversed(roots)]
     while waiting:
         index, parent, path = waiting.pop()
-        if index in seen:
+        if index in visited:
             raise MeshFileError(f"a broken glTF file: node {index} is in two places")
-        seen.add(index)
+        visited.add(index)
         node = nodes[natural(index)]
         if node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible") is False:
             continue

@@ -75,7 +75,7 @@ def decode(file: Path, ids: Mapping[str, int]) -> NDArray[np.uint16]:
             kind than its pixels.
     """
     codes, colors = read_codes(file)
-    known: dict[int, int] = {}
+    number_of: dict[int, int] = {}
     for value, number in ids.items():
         code = code_of(value)
         if code is None or value.startswith("#") != colors:
@@ -83,8 +83,8 @@ def decode(file: Path, ids: Mapping[str, int]) -> NDArray[np.uint16]:
                 f"{file.name}: its pixels are {'colors' if colors else 'numbers'}, and values has "
                 f"{shown(value)}: expected {'#RRGGBB' if colors else 'a whole number up to 65535'}"
             )
-        known[code] = number
-    table = np.array(sorted(known), np.int32)
+        number_of[code] = number
+    table = np.array(sorted(number_of), np.int32)
     at = np.minimum(np.searchsorted(table, codes), len(table) - 1)
     unknown = np.flatnonzero((table[at] != codes).ravel())
     if unknown.size:
@@ -95,4 +95,4 @@ def decode(file: Path, ids: Mapping[str, int]) -> NDArray[np.uint16]:
             f"{file.name}: the value {value}, at column {column} and row {row} first, is not in "
             f'"values": {unknown.size} of {codes.size} pixels have values that are not'
         )
-    return np.array([known[code] for code in table.tolist()], np.uint16)[at]
+    return np.array([number_of[code] for code in table.tolist()], np.uint16)[at]

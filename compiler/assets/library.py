@@ -43,7 +43,7 @@ class Asset(NamedTuple):
 
     @property
     def triangles(self) -> int:
-        """Of all parts."""
+        """Counts the triangles of all parts."""
         return sum(self.parts.values())
 
 
@@ -89,7 +89,7 @@ def _read(file: Path) -> Asset:
 
 
 def snippet(asset: Asset, assets: dict[str, Asset]) -> dict[str, Any]:
-    """What a cfg needs for an asset: its labels and a class of objects.
+    """Returns what a cfg needs for an asset: its labels and a class of objects.
 
     Ids are the same whichever assets are pasted together.
 

@@ -82,7 +82,7 @@ class Slot:
 
 
 @dataclass(frozen=True)
-class Look:
+class FileLook:
     """A material as a file has it; numbers as in ``ModelMaterial``.
 
     Attributes:
@@ -103,8 +103,8 @@ class Look:
     diffuse_transmission: float = 0.0
 
     @property
-    def shown(self) -> str:
-        """What messages call it."""
+    def title(self) -> str:
+        """Names the material in messages."""
         return f"material {self.name!r}" if self.name else "a material without a name"
 
     def coordinates(self) -> tuple[str, UvMap]:
@@ -115,7 +115,7 @@ class Look:
         return "", SAME_UV
 
 
-def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
+def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
     """A material as it is used, and what is left out of it.
 
     Raises:
@@ -127,9 +127,9 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
     }  # fmt: skip
     for key, value in (*numbers.items(), *(("base color", c) for c in look.base_color)):
         if not math.isfinite(value):
-            raise MeshFileError(f"{look.shown}: its {key} is {value}: expected a finite number")
+            raise MeshFileError(f"{look.title}: its {key} is {value}: expected a finite number")
     numbers = {key: min(max(float(value), 0.0), 1.0) for key, value in numbers.items()}
-    notes = [f"{look.shown}: {note}" for note in look.notes]
+    notes = [f"{look.title}: {note}" for note in look.notes]
     pictures: dict[str, Source] = {}
     shared = look.coordinates()
     for kind in MAP_CHANNELS:
@@ -138,7 +138,7 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
         slot = look.slots[kind]
         if (slot.uv_set, slot.uv_map) != shared:
             notes.append(
-                f"{look.shown}: its {kind} picture {slot.label} is left out: it lies on other "
+                f"{look.title}: its {kind} picture {slot.label} is left out: it lies on other "
                 "texture coordinates than the first picture"
             )
             continue
@@ -153,7 +153,7 @@ def finished_look(look: Look) -> tuple[ModelMaterial, list[str]]:
             pictures[kind] = picture
     red, green, blue = (min(max(float(c), 0.0), 1.0) for c in look.base_color)
     if (red, green, blue) != tuple(map(float, look.base_color)):
-        notes.append(f"{look.shown}: its base color is clipped to [0, 1]")
+        notes.append(f"{look.title}: its base color is clipped to [0, 1]")
     material = ModelMaterial(
         look.name,
         (red, green, blue),
@@ -173,7 +173,7 @@ def is_warning(note: str) -> bool:
 
 
 def reflectance(ior: float) -> float:
-    """Of an index of refraction, at normal incidence, against air (Fresnel)."""
+    """Returns an index of refraction's Fresnel reflectance against air, at normal incidence."""
     if not ior > 0.0:
         return 1.0
     ratio = (ior - 1.0) / (ior + 1.0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.joining import chosen_parts, join
 from scenec.compiler.assets.looks import (
     VERTEX_COLORS,
-    Look,
+    FileLook,
     ModelMaterial,
     finished_look,
     is_warning,
@@ -38,7 +38,7 @@ _MEANING = {"unit_m": "how long its unit is", "up": "which axis points upward"}
 
 
 @dataclass(frozen=True)
-class Model:
+class MeshModel:
     """A model from a file: meters, Z up, right-handed.
 
     Vertices of exactly equal position are one, in the order in which they come first: texture
@@ -84,7 +84,7 @@ def read_model(
     up: str | None = None,
     part: str | None = None,
     looks: bool = True,
-) -> Model:
+) -> MeshModel:
     """Reads a file of one of ``parse.SUFFIXES``.
 
     Args:
@@ -112,8 +112,8 @@ def finish_model(
     up: str | None = None,
     part: str | None = None,
     origin: Origin = None,
-) -> Model:
-    """What ``read_model`` makes of a parsed file; where nobody says them, 1 m and z.
+) -> MeshModel:
+    """Turns a parsed file into a model, as ``read_model`` does; the defaults are 1 m and z.
 
     Args:
         origin: What of it becomes the model's origin.
@@ -144,7 +144,7 @@ def base_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
 
 
-def require_near_origin(file: Path, model: Model) -> None:
+def require_near_origin(file: Path, model: MeshModel) -> None:
     """Refuses a model that is so far from its origin that float32 changes its shape.
 
     Raises:
@@ -195,7 +195,7 @@ def _state(file: Path, parsed: ParsedModel) -> list[Stamp]:
 
 def cached_model(
     file: Path, unit_m: float | None, up: str | None, part: str | None, origin: Origin = None
-) -> Model:
+) -> MeshModel:
     """``read_model``, once for the same arguments and files.
 
     Args:
@@ -216,11 +216,11 @@ def _finished_once(
     up: str | None,
     part: str | None,
     origin: Origin,
-) -> Model:
+) -> MeshModel:
     return finish_model(file, parsed, unit_m=unit_m, up=up, part=part, origin=origin)
 
 
-def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> Model:
+def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> MeshModel:
     joined = join(shells, unit_m, up)
     notes = [*parsed.warnings, *parsed.notes]
     shells, looks = _with_averages(shells, parsed.looks, notes)
@@ -228,21 +228,21 @@ def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) 
     used = [i for i in range(len(looks)) if (owner == i).any()]
     uv = _texture_coordinates(shells, looks, used, notes)
     materials = []
-    taken: set[str] = set()
+    names: set[str] = set()
     for i in used:
         material, left_out = finished_look(looks[i])
         notes += left_out
         name, number = material.name, 2
-        while name in taken:
+        while name in names:
             name, number = f"{material.name}_{number}", number + 1
-        taken.add(name)
+        names.add(name)
         materials.append(replace(material, name=name))
     numbers = np.full(len(looks) + 1, -1, np.int32)
     numbers[used] = np.arange(len(used))
     parts = {path: i for i, path in enumerate(dict.fromkeys(shell.path for shell in shells))}
     part_numbers = np.array([parts[shell.path] for shell in shells], np.int32)
     notes = list(dict.fromkeys(notes))
-    return Model(
+    return MeshModel(
         joined.points,
         joined.faces,
         None if uv is None else np.ascontiguousarray(uv[joined.sound], np.float32),
@@ -259,8 +259,8 @@ def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) 
 
 
 def _with_averages(
-    shells: list[Shell], looks: tuple[Look, ...], notes: list[str]
-) -> tuple[list[Shell], list[Look]]:
+    shells: list[Shell], looks: tuple[FileLook, ...], notes: list[str]
+) -> tuple[list[Shell], list[FileLook]]:
     """Colors at corners become factors of materials: one for each part and material."""
     out, known = [], list(looks)
     for shell in shells:
@@ -275,7 +275,7 @@ def _with_averages(
             average = corners.reshape(-1, 3).mean(axis=0).tolist()
             if average == [1.0, 1.0, 1.0] and owner >= 0:
                 continue
-            base = known[owner] if owner >= 0 else Look("", base_color=(1.0, 1.0, 1.0))
+            base = known[owner] if owner >= 0 else FileLook("", base_color=(1.0, 1.0, 1.0))
             red, green, blue = (c * a for c, a in zip(base.base_color, average, strict=True))
             new[of_owner] = len(known)
             known.append(replace(base, base_color=(red, green, blue)))
@@ -287,11 +287,11 @@ def _with_averages(
 
 
 def _texture_coordinates(
-    shells: list[Shell], looks: list[Look], used: list[int], notes: list[str]
+    shells: list[Shell], looks: list[FileLook], used: list[int], notes: list[str]
 ) -> NDArray[np.float64] | None:
     if not any(shell.uv for shell in shells):
         notes += [
-            f"{looks[i].shown}: its pictures lie on no texture coordinates"
+            f"{looks[i].title}: its pictures lie on no texture coordinates"
             for i in used
             if looks[i].slots
         ]
@@ -311,7 +311,7 @@ def _texture_coordinates(
             chosen = shell.uv.get(name) if name else first
             if chosen is None:
                 notes.append(
-                    f"{looks[i].shown}: {shell.path or 'the mesh'} does not have its texture "
+                    f"{looks[i].title}: {shell.path or 'the mesh'} does not have its texture "
                     "coordinates"
                 )
                 continue
@@ -319,7 +319,7 @@ def _texture_coordinates(
             block[of_look] = np.stack([a * u + b * v + c, d * u + e * v + f], axis=-1)
             outside = (block[of_look] < -1e-6) | (block[of_look] > 1.0 + 1e-6)
             if not looks[i].repeats and outside.any():
-                notes.append(f"{looks[i].shown}: its pictures repeat, where it asks for their edge")
+                notes.append(f"{looks[i].title}: its pictures repeat, where it asks for their edge")
         blocks.append(block)
     uv = np.concatenate(blocks)
     if not (np.abs(uv) < 1e9).all():

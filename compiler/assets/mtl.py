@@ -33,7 +33,7 @@ _LEFT_OUT = {
 }  # fmt: skip
 
 
-def read_mtl(file: Path, found: Callable[[Path], None]) -> dict[str, looks.Look]:
+def read_mtl(file: Path, add_file: Callable[[Path], None]) -> dict[str, looks.FileLook]:
     """The materials of a library, by name.
 
     Raises:
@@ -49,7 +49,7 @@ def read_mtl(file: Path, found: Callable[[Path], None]) -> dict[str, looks.Look]
         elif key and rest.strip():
             current[key.lower()] = (number, rest.strip())
     try:
-        return {name: _look(file, name, lines, found) for name, lines in statements.items()}
+        return {name: _look(file, name, lines, add_file) for name, lines in statements.items()}
     except MeshFileError as fault:
         raise MeshFileError(f"{file.name}: {fault}") from fault
 
@@ -72,8 +72,8 @@ def _numbers(lines: dict[str, tuple[int, str]], key: str, count: int) -> list[fl
 
 
 def _look(
-    file: Path, name: str, lines: dict[str, tuple[int, str]], found: Callable[[Path], None]
-) -> looks.Look:
+    file: Path, name: str, lines: dict[str, tuple[int, str]], add_file: Callable[[Path], None]
+) -> looks.FileLook:
     def one(key: str) -> float | None:
         values = _numbers(lines, key, 1)
         return None if values is None else values[0]
@@ -83,7 +83,7 @@ def _look(
     for key, kind in _MAPS.items():
         if key not in lines:
             continue
-        slot = _slot(file, lines[key][1], notes, found)
+        slot = _slot(file, lines[key][1], notes, add_file)
         if kind == "bump":
             if not _holds_normals(slot):
                 notes.append(f"its bumps ({slot.label}) are left out: only maps of normals count")
@@ -113,7 +113,7 @@ def _look(
         notes.append(looks.OPACITY)
     if max(_numbers(lines, "ke", 3) or [0.0]) > 0.0:
         notes.append("its emission is left out")
-    return looks.Look(
+    return looks.FileLook(
         name,
         (red, green, blue),
         roughness,
@@ -124,7 +124,7 @@ def _look(
     )
 
 
-def _slot(file: Path, text: str, notes: list[str], found: Callable[[Path], None]) -> looks.Slot:
+def _slot(file: Path, text: str, notes: list[str], add_file: Callable[[Path], None]) -> looks.Slot:
     words = text.split(" ")
     scale, offset, factor = [1.0, 1.0], [0.0, 0.0], [0.0, 1.0]
     while words and (words[0] in _OPTIONS or not words[0]):
@@ -149,7 +149,7 @@ def _slot(file: Path, text: str, notes: list[str], found: Callable[[Path], None]
             notes.append("the strength of its map of normals is taken as 1")
     name = " ".join(words).strip().strip('"')
     path = companion(file, name, "picture")
-    found(path)
+    add_file(path)
     uv_map: looks.UvMap = looks.SAME_UV
     if (scale, offset) != ([1.0, 1.0], [0.0, 0.0]):
         uv_map = (scale[0], 0.0, offset[0], 0.0, scale[1], offset[1])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.looks import NO_VERTEX_COLORS, Look, linear_array
+from scenec.compiler.assets.looks import NO_VERTEX_COLORS, FileLook, linear_array
 from scenec.compiler.assets.mtl import read_mtl
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.pictures import companion
@@ -39,10 +39,10 @@ def read_obj(file: Path, looks: bool) -> ParsedModel:
         MeshFileError: It is not sound; a library or a picture is missing.
     """
     with sound(".obj"):
-        return _Reader(file, looks).model()
+        return _ObjReader(file, looks).model()
 
 
-class _Reader:
+class _ObjReader:
     """One pass over the lines; what a face names is resolved where it stands."""
 
     def __init__(self, file: Path, looks: bool):
@@ -176,23 +176,23 @@ class _Reader:
         zeros = ["0"] * width
         return _numbers([*((line.split() + zeros)[:width] for line in lines), zeros], width)[index]
 
-    def _materials(self) -> tuple[tuple[Look, ...], tuple[Path, ...], tuple[str, ...]]:
-        found: list[Path] = []
-        known: dict[str, Look] = {}
+    def _materials(self) -> tuple[tuple[FileLook, ...], tuple[Path, ...], tuple[str, ...]]:
+        files: list[Path] = []
+        look_of: dict[str, FileLook] = {}
         for library in self._libraries:
             for path in self._library(library):
-                if path not in found:
-                    found.append(path)
-                for name, look in read_mtl(path, found.append).items():
-                    known.setdefault(name, look)
+                if path not in files:
+                    files.append(path)
+                for name, look in read_mtl(path, files.append).items():
+                    look_of.setdefault(name, look)
         notes = []
         looks = []
         for name in self._looks:
-            if name not in known:
+            if name not in look_of:
                 where = "its libraries do not have" if self._libraries else "it has no library for"
                 notes.append(f"{where} the material {name!r}, which is shown in gray")
-            looks.append(known.get(name, Look(name)))
-        return tuple(looks), tuple(dict.fromkeys(found)), tuple(notes)
+            looks.append(look_of.get(name, FileLook(name)))
+        return tuple(looks), tuple(dict.fromkeys(files)), tuple(notes)
 
     def _library(self, words: str) -> list[Path]:
         """One name with spaces, or several without."""

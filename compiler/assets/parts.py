@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class MeshFileError(Exception):
-    """What is wrong with a mesh file, in words that follow its name."""
+    """Says what is wrong with a mesh file, in words that follow its name."""
 
 
 def polygon_warnings(*faults: dict[str, int]) -> tuple[str, ...]:

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels, require_all_bits
 from scenec.schemas.scratch import scratch_folder
 
 #: Where a picture is: beside the model or inside of it.
-Source = Path | Picture
+Source = Path | ImageFile
 #: Endings of pictures that are taken as they are.
 _COMMON = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 _BLOCK = 65535
@@ -67,13 +67,13 @@ def companion(file: Path, reference: str, what: str, *, escaped: bool = False) -
     return path
 
 
-def embedded(data: bytes) -> Picture:
+def embedded(data: bytes) -> ImageFile:
     """A picture that stands inside of another file; its first bytes tell its kind."""
     for magic, suffix in _MAGIC.items():
         if data.startswith(magic):
-            return Picture(suffix, data)
+            return ImageFile(suffix, data)
     # Targa has no magic number; what it is not, the decoder says.
-    return Picture(".tga", data)
+    return ImageFile(".tga", data)
 
 
 def pixels_of(source: Source, label: str) -> NDArray:
@@ -100,7 +100,7 @@ def plain(source: Source, pixels: NDArray) -> Source:
     """The picture itself where all renderers read its kind, else the same pixels as PNG."""
     if source.suffix.lower() in _COMMON:
         return source
-    return Picture(".png", png(pixels))
+    return ImageFile(".png", png(pixels))
 
 
 def channel_of(
@@ -124,7 +124,7 @@ def channel_of(
     if first and scale == 1.0 and offset == 0.0:
         return average, plain(source, pixels)
     codes = np.floor(values * largest + 0.5).astype(np.uint16 if largest > 255 else np.uint8)
-    return average, Picture(".png", png(codes[..., None]))
+    return average, ImageFile(".png", png(codes[..., None]))
 
 
 def png(pixels: NDArray) -> bytes:

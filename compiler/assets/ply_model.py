@@ -15,7 +15,7 @@ from scenec.compiler.assets.looks import (
     NO_FACE_COLORS,
     NO_VERTEX_COLORS,
     OPACITY,
-    Look,
+    FileLook,
     Slot,
     linear_array,
 )
@@ -68,7 +68,7 @@ def read_ply(file: Path, looks: bool) -> ParsedModel:
 
 def _with_looks(file: Path, data: bytes, mesh: PlyMesh, faces: NDArray[np.int64]) -> ParsedModel:
     inside = bool(len(faces)) and faces.min() >= 0 and faces.max() < len(mesh.points)
-    looks: list[Look] = []
+    looks: list[FileLook] = []
     notes: list[str] = []
     companions: list[Path] = []
     uv: dict[str, NDArray] = {}
@@ -82,7 +82,7 @@ def _with_looks(file: Path, data: bytes, mesh: PlyMesh, faces: NDArray[np.int64]
     if pictures and uv:
         companions.append(companion(file, pictures[0], "picture"))
         slot = Slot(companions[0], pictures[0])
-        looks.append(Look("", base_color=(1.0, 1.0, 1.0), slots={"base_color": slot}))
+        looks.append(FileLook("", base_color=(1.0, 1.0, 1.0), slots={"base_color": slot}))
         if len(pictures) > 1:
             notes.append(f"only the first of its {len(pictures)} pictures is shown")
     elif pictures:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tables import QUATERNION, Row, Table, read_rows, read_table
+from scenec.compiler.assets.tables import QUATERNION, CsvTable, Row, read_rows, read_table
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
@@ -61,15 +61,15 @@ def read_poses(file: Path, models: int = 1) -> PoseTable:
         raise SceneError(f"{file.name}: no poses below the header")
     given, count = header[1], len(rows)
     table = read_table(file, rows, {name: i for i, name in enumerate(given)}, len(given))
-    _require_whole(table, "id", 1, _LARGEST_ID)
-    _require_whole(table, "model", 0, models - 1)
+    _require_integers(table, "id", 1, _LARGEST_ID)
+    _require_integers(table, "model", 0, models - 1)
     usual = np.arange(1, count + 1) if "time_s" not in given else np.ones(count)
     ids = table.columns.get("id", usual).astype(np.int64)
     # What the file leaves out: no height, no turn, the file's own size, the first model.
     usual_of = dict.fromkeys(COLUMNS, np.zeros(count)) | {"scale": np.ones(count)}
     if "qw" not in given:
         usual_of["qw"] = np.ones(count)
-    table = Table(file, table.lines, usual_of | table.columns)
+    table = CsvTable(file, table.lines, usual_of | table.columns)
     times, model = table.columns["time_s"], table.columns["model"].astype(np.int64)
     order = np.lexsort((np.arange(count), times, ids))
     same = ids[order][1:] == ids[order][:-1]
@@ -117,7 +117,7 @@ def _check_header(file: Path, header: Row) -> None:
             raise SceneError(f"{file.name}:{line}: no column {shown(name)}; {expected}")
 
 
-def _require_whole(table: Table, name: str, low: int, high: int) -> None:
+def _require_integers(table: CsvTable, name: str, low: int, high: int) -> None:
     values = table.columns.get(name)
     if values is None:
         return

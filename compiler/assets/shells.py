@@ -1,4 +1,4 @@
-"""What the readers of models have in common: parts with all that stands at their corners."""
+"""Defines what the readers of models return: parts with all values at their corners."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.looks import Look
+from scenec.compiler.assets.looks import FileLook
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.geometry import affine
 
@@ -42,15 +42,15 @@ class Shell:
         """Index of each face's material; -1 for none."""
         return np.full(len(self.faces), -1, np.int64) if self.material is None else self.material
 
-    def chosen(self, own: NDArray) -> Shell:
+    def chosen(self, selection: NDArray) -> Shell:
         """Some of its faces, by their indices or by a mask, with the points that they use."""
         return replace(
             self,
-            faces=self.faces[own],
-            uv={name: uv[own] for name, uv in self.uv.items()},
-            normals=None if self.normals is None else self.normals[own],
-            colors=None if self.colors is None else self.colors[own],
-            material=None if self.material is None else self.material[own],
+            faces=self.faces[selection],
+            uv={name: uv[selection] for name, uv in self.uv.items()},
+            normals=None if self.normals is None else self.normals[selection],
+            colors=None if self.colors is None else self.colors[selection],
+            material=None if self.material is None else self.material[selection],
         ).compact()
 
     def compact(self) -> Shell:
@@ -83,7 +83,7 @@ class ParsedModel:
     """
 
     parts: tuple[Shell, ...]
-    looks: tuple[Look, ...]
+    looks: tuple[FileLook, ...]
     unit_m: float | None
     up: str | None
     companions: tuple[Path, ...] = ()
@@ -91,7 +91,7 @@ class ParsedModel:
     warnings: tuple[str, ...] = ()
 
     def missing(self, unit_m: float | None, up: str | None) -> list[str]:
-        """Which of ``unit_m`` and ``up`` the file leaves open and nobody gives."""
+        """Names which of ``unit_m`` and ``up`` neither the file nor the caller gives."""
         said = {"unit_m": (unit_m, self.unit_m), "up": (up, self.up)}
         return [key for key, values in said.items() if values == (None, None)]
 
@@ -160,7 +160,7 @@ def repeated(
     faces[mirrored] = faces[mirrored][:, :, ::-1]
 
     def corners(values: NDArray) -> NDArray:
-        """What stands at the corners of one copy, at those of all."""
+        """Repeats the values at the corners of one copy for all copies."""
         every = np.repeat(values[None], count, axis=0)
         every[mirrored] = every[mirrored][:, :, ::-1]
         return every.reshape(-1, 3, values.shape[-1])

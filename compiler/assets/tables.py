@@ -24,7 +24,7 @@ _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Numbers of a file.
 
     Attributes:
@@ -37,7 +37,7 @@ class Table:
     columns: dict[str, NDArray[np.float64]]
 
     def fault(self, row: int, message: str) -> SceneError:
-        """What is wrong with a row, by its line."""
+        """Returns an error about a row, which it names by its line."""
         return SceneError(f"{self.file.name}:{self.lines[row]}: {message}")
 
     def stacked(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -85,7 +85,7 @@ def read_rows(file: Path, *, blanks: bool = False) -> list[Row]:
 
 def read_table(
     file: Path, rows: Sequence[Row], columns: dict[str, int], width: int, hint: str = ""
-) -> Table:
+) -> CsvTable:
     """Numbers of rows.
 
     Args:
@@ -106,7 +106,9 @@ def read_table(
                     f"{file.name}:{line}: {name} is {shown(cells[at])}, expected a number"
                 )
     names = list(columns)
-    return Table(file, [line for line, _ in rows], {n: values[:, k] for k, n in enumerate(names)})
+    return CsvTable(
+        file, [line for line, _ in rows], {n: values[:, k] for k, n in enumerate(names)}
+    )
 
 
 def is_number(cell: str) -> bool:
@@ -115,7 +117,7 @@ def is_number(cell: str) -> bool:
 
 
 def find_columns(file: Path, header: Row, wanted: tuple[str, ...]) -> dict[str, int]:
-    """Where each wanted column stands in a header line.
+    """Returns the index of each wanted column in a header line.
 
     Raises:
         SceneError: One is missing, or stands twice.

@@ -62,7 +62,7 @@ class TextureSetError(ValueError):
 
 @dataclass(frozen=True)
 class TextureSet:
-    """What a folder's pictures are.
+    """Assigns the pictures of a folder to kinds of maps.
 
     Attributes:
         files: Name of the file by kind: "base_color", "roughness", "gloss", "metallic", "normal",
@@ -98,7 +98,7 @@ def read_texture_set(folder: Path, given: frozenset[str] = frozenset()) -> Textu
 
 
 def recognize(names: Iterable[str], given: frozenset[str] = frozenset()) -> TextureSet:
-    """What the files of a folder are, by their names.
+    """Recognizes a material's maps among the files of a folder by their names.
 
     Of normals in both handednesses, OpenGL's are taken. Files that are no pictures, and previews,
     are passed over.
@@ -170,7 +170,7 @@ def _words(name: str) -> list[str]:
 
 
 def _shared(many: list[list[str]]) -> int:
-    """How many words all of several lists begin with."""
+    """Counts the leading words that several lists have in common."""
     columns = zip(*many, strict=False) if len(many) > 1 else ()
     return sum(1 for _ in takewhile(lambda words: len(set(words)) == 1, columns))
 
@@ -192,7 +192,7 @@ def _kind(words: list[str]) -> str | None:
 def _handed(
     names: list[str], words: dict[str, list[str]]
 ) -> tuple[list[str], list[str], str | None]:
-    """Of pictures of normals: those that count, the others, and the convention of the former."""
+    """Splits pictures of normals into used and unused ones, and returns the former's convention."""
     hands: dict[str, str | None] = {}
     for name in names:
         said = [

@@ -27,7 +27,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Track:
+class RigTrack:
     """Poses of a rig, one a row.
 
     Attributes:
@@ -49,7 +49,7 @@ class Stamped:
     Attributes:
         time_s: After the first stamp, strictly rising, float64 [n].
         begin_s: The first stamp, by the file's own clock.
-        position_m, quaternion: As in ``Track``.
+        position_m, quaternion: As in ``RigTrack``.
         lines: The line of each, for messages.
     """
 
@@ -60,7 +60,7 @@ class Stamped:
     lines: tuple[int, ...]
 
 
-def read_track(file: Path) -> Track:
+def read_track(file: Path) -> RigTrack:
     """Reads a track: columns ``COLUMNS``, comma-separated, in UTF-8.
 
     A header line may give the columns in any order; without one they stand in that order. Empty
@@ -86,7 +86,7 @@ def read_track(file: Path) -> Track:
     if falls.size:
         i = int(falls[0]) + 1
         raise table.fault(i, f"time_s is {time[i]:g} after {time[i - 1]:g}, expected it to rise")
-    return Track(time.copy(), table.stacked(_PLACE), table.quaternions())
+    return RigTrack(time.copy(), table.stacked(_PLACE), table.quaternions())
 
 
 def read_stamped(
@@ -141,7 +141,7 @@ def _begins_with_number(row: tables.Row) -> bool:
 
 
 def _distinct(
-    table: tables.Table, name: str, stamps: NDArray[np.float64], poses: NDArray[np.float64]
+    table: tables.CsvTable, name: str, stamps: NDArray[np.float64], poses: NDArray[np.float64]
 ) -> NDArray[np.int64]:
     """The first row of each stamp.
 

@@ -77,7 +77,7 @@ def loader(suffix: str) -> Callable[..., dict[str, Any]]:
 
 @contextmanager
 def sound(suffix: str) -> Iterator[None]:
-    """What a broken file of this ending can raise within, as one fault.
+    """Reports whatever a broken file of this ending can raise as one fault.
 
     Raises:
         MeshFileError: For ``FAULTS`` and endless recursion.
@@ -93,7 +93,7 @@ def sound(suffix: str) -> Iterator[None]:
 
 
 class _NoOtherFiles:
-    """What trimesh asks for files that a file refers to."""
+    """Refuses the files that a file refers to, which trimesh asks it for."""
 
     def get(self, name: str) -> bytes:
         raise MeshFileError(f"refers to another file ({name[:60]}): export it as one")
@@ -136,7 +136,7 @@ def _reason(error: Exception) -> str:
 
 
 def _part(path: str, loaded: dict[str, Any]) -> Shell:
-    """Of a loader's answer: a mesh if it has faces; else points, lines or nothing."""
+    """Returns a loader's answer as a mesh; an empty one without faces (points, lines, nothing)."""
     faces = np.asarray(loaded.get("faces", np.zeros((0, 3), np.int64)))
     points = np.asarray(loaded.get("vertices", np.zeros((0, 3))))
     if not faces.size:

@@ -56,16 +56,16 @@ def _reason(error: Tf.ErrorException) -> str:
     return lines[0] if lines else "USD gives no reason"
 
 
-def shown_meshes(stage: Usd.Stage) -> Iterator[UsdGeom.Mesh]:
+def visible_meshes(stage: Usd.Stage) -> Iterator[UsdGeom.Mesh]:
     """The meshes that a renderer would show, instances among them.
 
     Raises:
         MeshFileError: There is a point instancer.
     """
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdGeom.PointInstancer) and _is_shown(UsdGeom.Imageable(prim)):
+        if prim.IsA(UsdGeom.PointInstancer) and _is_visible(UsdGeom.Imageable(prim)):
             raise MeshFileError(f"{prim.GetPath()} is a point instancer: expected meshes")
-        if prim.IsA(UsdGeom.Mesh) and _is_shown(UsdGeom.Imageable(prim)):
+        if prim.IsA(UsdGeom.Mesh) and _is_visible(UsdGeom.Imageable(prim)):
             yield UsdGeom.Mesh(prim)
 
 
@@ -94,7 +94,7 @@ def _require_one_file(stage: Usd.Stage) -> None:
         raise MeshFileError(f"does not compose: {str(broken[0]).splitlines()[0]}")
 
 
-def _is_shown(prim: UsdGeom.Imageable) -> bool:
+def _is_visible(prim: UsdGeom.Imageable) -> bool:
     return (
         prim.ComputeVisibility(TIME) != UsdGeom.Tokens.invisible
         and prim.ComputePurpose() not in _NOT_RENDERED

@@ -33,7 +33,7 @@ class UsdLooks:
     def __init__(self, file: Path):
         self._file = file
         self._numbers: dict[str, int] = {}
-        self.known: list[looks.Look] = []
+        self.known: list[looks.FileLook] = []
         self.companions: list[Path] = []
         self.notes: list[str] = []
 
@@ -49,13 +49,13 @@ class UsdLooks:
             self.known.append(self._look(material))
         return self._numbers[path]
 
-    def _look(self, material: UsdShade.Material) -> looks.Look:
+    def _look(self, material: UsdShade.Material) -> looks.FileLook:
         name = str(material.GetPrim().GetName())
         shader = material.ComputeSurfaceSource()[0]
         kind = str(shader.GetIdAttr().Get()) if shader else ""
         if kind != "UsdPreviewSurface":
             what = f"its shader {kind}" if shader else "a material without a UsdPreviewSurface"
-            return looks.Look(name, notes=(f"{what} is not known: it is shown in gray",))
+            return looks.FileLook(name, notes=(f"{what} is not known: it is shown in gray",))
         notes: list[str] = []
         clamps: list[bool] = []
         slots: dict[str, looks.Slot] = {}
@@ -90,7 +90,7 @@ class UsdLooks:
         if glow is not None and (not _is_value(glow) or any(glow.Get(TIME) or ())):
             notes.append("its emission is left out")
         red, green, blue = map(float, values["diffuseColor"])
-        return looks.Look(
+        return looks.FileLook(
             name,
             (red, green, blue),
             float(values.get("roughness", 0.5)),
@@ -172,7 +172,7 @@ class UsdLooks:
 
 
 def _producer(source: UsdShade.Input | None) -> Any:
-    """Where an input's value comes from: an attribute, a shader's output, or None."""
+    """Returns the source of an input's value: an attribute, a shader's output, or None."""
     if not source:
         return None
     attributes = source.GetValueProducingAttributes()

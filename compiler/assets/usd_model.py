@@ -38,9 +38,11 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
     """
     with usd.sound_stage(file) as stage:
         found = UsdLooks(file)
-        read = _shells if looks else _bare_shells
+        read = _shells if looks else _plain_shells
         faults: list[dict[str, int]] = []
-        shells = [shell for mesh in usd.shown_meshes(stage) for shell in read(mesh, found, faults)]
+        shells = [
+            shell for mesh in usd.visible_meshes(stage) for shell in read(mesh, found, faults)
+        ]
         return ParsedModel(
             tuple(shells),
             tuple(found.known),
@@ -51,7 +53,7 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
         )
 
 
-def _bare_shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -> list[Shell]:
+def _plain_shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -> list[Shell]:
     polygons = usd.polygons_of(mesh)
     cut = triangulate(polygons.points, polygons.corners, polygons.counts)
     faults.append(cut.faults)
@@ -98,11 +100,11 @@ def _bound(prim: Usd.Prim) -> UsdShade.Material | None:
 
 
 def _split(
-    mesh: UsdGeom.Mesh, whole: Shell, polygon: NDArray[np.int64], looks: UsdLooks
+    mesh: UsdGeom.Mesh, shell: Shell, polygon: NDArray[np.int64], looks: UsdLooks
 ) -> list[Shell]:
     """A mesh by its subsets of faces; where several have a face, the first names it."""
     count = int(polygon.max()) + 1 if len(polygon) else 0
-    owners, part = whole.owners().copy(), np.full(len(whole.faces), -1, np.int64)
+    owners, part = shell.owners().copy(), np.full(len(shell.faces), -1, np.int64)
     subsets = [
         subset
         for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh.GetPrim()))
@@ -116,13 +118,13 @@ def _split(
         part[of_subset & (part < 0)] = i
         if subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
             owners[of_subset] = looks.number(_bound(subset.GetPrim()))
-    whole = replace(whole, material=owners)
+    shell = replace(shell, material=owners)
     if (part < 0).all():
-        return [whole]
-    paths = [*(str(subset.GetPath()) for subset in subsets), whole.path]
+        return [shell]
+    paths = [*(str(subset.GetPath()) for subset in subsets), shell.path]
     # What is in no subset comes first.
     return [
-        replace(whole.chosen(part == i), path=paths[i])
+        replace(shell.chosen(part == i), path=paths[i])
         for i in range(-1, len(subsets))
         if (part == i).any()
     ]

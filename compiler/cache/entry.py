@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from scenec.compiler.cache.known import LEAST_BYTES, Known, digest_of
+from scenec.compiler.cache.digests import LEAST_BYTES, Digests, digest_of
 from scenec.compiler.cache.structure import Describer, NotPlainError, fields_of
 from scenec.schemas.files import writers_besides
 
@@ -79,7 +79,7 @@ class _Pickler(pickle.Pickler):
     def persistent_id(self, value: Any) -> Any:
         """Names files by name and content, long bytes by their digest."""
         if type(value) is bytes and len(value) >= LEAST_BYTES:
-            digest = self._describer.known.digest(value)
+            digest = self._describer.digests.digest(value)
             self.blobs[digest] = memoryview(value)
             return digest
         if isinstance(value, Path):
@@ -96,34 +96,36 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """As for ``_Pickler``."""
+    """Reads what ``_Pickler`` wrote: files and buffers are looked up by name."""
 
-    def __init__(self, value: Packed, files: Mapping[tuple[str, str], Path], known: Known) -> None:
+    def __init__(
+        self, value: Packed, files: Mapping[tuple[str, str], Path], digests: Digests
+    ) -> None:
         blobs = value.blobs
         super().__init__(
             io.BytesIO(value.pickled), buffers=(blobs[digest] for digest in value.buffers)
         )
-        self._blobs, self._files, self._known = blobs, files, known
-        self._array = functools.partial(_array, iter(value.buffers), known)
+        self._blobs, self._files, self._digests = blobs, files, digests
+        self._array = functools.partial(_array, iter(value.buffers), digests)
 
     def persistent_load(self, name: Any) -> Any:
         """The file, or the bytes, of a name."""
         if isinstance(name, tuple):
             return self._files[name]
         data = self._blobs[name].tobytes()
-        self._known.learn(data, name)
+        self._digests.learn(data, name)
         return data
 
     def find_class(self, module: str, name: str) -> Any:
-        """What an entry may name."""
+        """Resolves a class or function that an entry names."""
         return self._array if (module, name) == _FROM_BUFFER else _named(module, name)
 
 
-def _array(digests: Iterator[str], known: Known, *given: Any) -> Any:
-    """What NumPy makes of the next buffer; its digest is known from now on."""
-    array, digest = _named(*_FROM_BUFFER)(*given), next(digests)
+def _array(names: Iterator[str], digests: Digests, *given: Any) -> Any:
+    """Builds an array from the next buffer, and records its digest."""
+    array, digest = _named(*_FROM_BUFFER)(*given), next(names)
     if array.flags.forc:
-        known.learn(array, digest)
+        digests.learn(array, digest)
     return array
 
 
@@ -162,12 +164,12 @@ def packed(value: Any, describer: Describer) -> Packed:
         pickler.dump(value)
     except (pickle.PickleError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise NotPlainError(str(error)) from error
-    buffers = [describer.known.digest(np.asarray(memoryview(array).obj)) for array in arrays]
+    buffers = [describer.digests.digest(np.asarray(memoryview(array).obj)) for array in arrays]
     blobs = dict(zip(buffers, (array.raw() for array in arrays), strict=True))
     return Packed(stream.getvalue(), buffers, pickler.blobs | blobs)
 
 
-def restored(value: Packed, files: Mapping[tuple[str, str], Path], known: Known) -> Any:
+def restored(value: Packed, files: Mapping[tuple[str, str], Path], digests: Digests) -> Any:
     """The value; its arrays are views of the blobs.
 
     Args:
@@ -177,7 +179,7 @@ def restored(value: Packed, files: Mapping[tuple[str, str], Path], known: Known)
     Raises:
         FAULTS: It is none that was written.
     """
-    return _Unpickler(value, files, known).load()
+    return _Unpickler(value, files, digests).load()
 
 
 def write_entry(path: Path, key: str, value: Packed) -> int:
@@ -222,7 +224,7 @@ def read_entry(path: Path, key: str) -> Packed:
     head = bytes(data[_HEAD.size : at])
     if bytes.fromhex(digest_of(head)) != digest:
         raise DamagedError("its head is not what was written")
-    found, pickled, buffers, sizes = restored(Packed(head, [], {}), {}, Known())
+    found, pickled, buffers, sizes = restored(Packed(head, [], {}), {}, Digests())
     if found != key:
         raise DamagedError("it is that of another key")
     blobs = {}

@@ -24,9 +24,9 @@ from typing import Any, Concatenate
 
 import numpy as np
 
+from scenec.compiler.cache.digests import Digests
 from scenec.compiler.cache.entry import packed, restored
 from scenec.compiler.cache.fingerprint import fingerprint
-from scenec.compiler.cache.known import Known
 from scenec.compiler.cache.store import FAULTS, Store
 from scenec.compiler.cache.structure import Describer, NotPlainError, name_of_function, text_of
 from scenec.schemas.files import Stamp, stamp
@@ -36,7 +36,7 @@ _current: ContextVar[Memo | None] = ContextVar("memo", default=None)
 
 
 class Memo:
-    """What the steps of one batch are kept in, and which were made.
+    """Caches the steps of one batch, and counts which were computed.
 
     Attributes:
         made: How often each step was made, by name.
@@ -53,19 +53,19 @@ class Memo:
         self.made: Counter[str] = Counter()
         self.taken: Counter[str] = Counter()
         self._store = store
-        self._known = Known(hold)
+        self._digests = Digests(hold)
         self._files: dict[tuple[Path, Stamp], str] = {}
 
     def call(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any]
     ) -> tuple[Any, bool]:
-        """What a function returns for arguments, and whether it was taken from the cache.
+        """Returns a function's result, and whether it came from the cache.
 
         Args:
             name: Of the step, to be counted by.
             arguments: By name.
         """
-        describer = Describer(self._known, self._files)
+        describer = Describer(self._digests, self._files)
         try:
             key = self.key(function, arguments, describer)
         except (NotPlainError, OSError) as error:
@@ -75,7 +75,7 @@ class Memo:
         entry = self._store.find(key)
         if entry is not None:
             try:
-                value = restored(entry, describer.files, self._known)
+                value = restored(entry, describer.files, self._digests)
             except FAULTS as error:
                 self._store.drop(key, str(error))
             else:
@@ -114,7 +114,7 @@ class Memo:
 
     def changed(self) -> list[str]:
         """Arrays of steps that were changed after all: see ``Known.changed``."""
-        return self._known.changed()
+        return self._digests.changed()
 
 
 @contextmanager

@@ -71,10 +71,10 @@ class Store:
         self.refused = why is not None
         self._writable = not self.refused
         if why is not None:
-            self._tell(why)
+            self._warn(why)
 
     def path(self, key: str) -> Path:
-        """Where the entry of a key is.
+        """Returns the path of a key's entry.
 
         Raises:
             OutputError: A link there leads out of the folder.
@@ -115,7 +115,7 @@ class Store:
         except (OSError, OutputError) as error:
             self._writable = False
             cause = error.__cause__ or error
-            self._tell((isinstance(cause, OSError) and cause.strerror) or str(error))
+            self._warn((isinstance(cause, OSError) and cause.strerror) or str(error))
             return
         # Long runs write more than all that may be there.
         if self._written > self.most_bytes // 4:
@@ -146,11 +146,11 @@ class Store:
                 path.unlink(missing_ok=True)
                 total -= size
 
-    def _tell(self, why: str) -> None:
+    def _warn(self, why: str) -> None:
         self._say(f"cache {self.folder}: {why}; compiling goes on without keeping steps")
 
     def size(self) -> tuple[int, int]:
-        """How many entries there are, and how many bytes they take."""
+        """Counts the entries, and the bytes that they take."""
         sizes = [stat.st_size for path, stat in self._files() if not path.name.startswith(".")]
         return len(sizes), sum(sizes)
 

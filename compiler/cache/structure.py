@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cache.known import Known, order_of
+from scenec.compiler.cache.digests import Digests, order_of
 from scenec.schemas.files import Stamp, stamp
 
 #: Kinds of numbers that arrays of ours hold.
@@ -63,10 +63,10 @@ class Describer:
         files: Paths by name and digest.
     """
 
-    def __init__(self, known: Known, files: dict[tuple[Path, Stamp], str]) -> None:
+    def __init__(self, digests: Digests, files: dict[tuple[Path, Stamp], str]) -> None:
         """Takes what is known already: digests of arrays, and of files."""
         self.files: dict[tuple[str, str], Path] = {}
-        self.known, self._of_files = known, files
+        self.digests, self._of_files = digests, files
 
     def describe(self, value: Any) -> Any:
         """The structure of a value.
@@ -89,13 +89,13 @@ class Describer:
             case np.ndarray():
                 return self._array(value)
             case bytes():
-                return ["b", self.known.digest(value)]
+                return ["b", self.digests.digest(value)]
             case Path():
                 named = self.file(value)
                 self.files[named] = value
                 return ["p", *named]
             case type():
-                return ["k", _own(value)]
+                return ["k", _package_name(value)]
             case dict():
                 return ["d", *([self.describe(k), self.describe(v)] for k, v in value.items())]
             case list():
@@ -106,7 +106,7 @@ class Describer:
         if names is not None:
             return [
                 "c",
-                _own(type(value)),
+                _package_name(type(value)),
                 *(self.describe(getattr(value, name)) for name in names),
             ]
         if type(value) is tuple:
@@ -121,7 +121,7 @@ class Describer:
     def _array(self, array: NDArray[Any]) -> Any:
         if array.dtype.kind not in _NUMBERS or type(array) is not np.ndarray:
             raise NotPlainError(f"an array of {array.dtype}")
-        digest = self.known.digest(array)
+        digest = self.digests.digest(array)
         return ["a", array.dtype.str, list(array.shape), order_of(array), digest]
 
     def file(self, path: Path) -> tuple[str, str]:
@@ -133,12 +133,12 @@ class Describer:
         """
         if path.suffix.lower() in _REFER or path.is_dir():
             raise NotPlainError(f"{path.name} can refer to other files")
-        known = path, stamp(path)
-        if known not in self._of_files:
+        stamped = path, stamp(path)
+        if stamped not in self._of_files:
             with path.open("rb") as file:
                 found = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=32))
-            self._of_files[known] = found.hexdigest()
-        return path.name, self._of_files[known]
+            self._of_files[stamped] = found.hexdigest()
+        return path.name, self._of_files[stamped]
 
 
 def text_of(structure: Any) -> str:
@@ -151,7 +151,7 @@ def name_of(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _own(kind: type) -> str:
+def _package_name(kind: type) -> str:
     """``name_of`` a class of this package: what another's does, no key could tell."""
     if not kind.__module__.startswith("scenec."):
         raise NotPlainError(f"{name_of(kind)} is of another package")
@@ -164,7 +164,7 @@ def name_of_function(function: Any) -> str:
 
 
 def fields_of(kind: type) -> tuple[str, ...] | None:
-    """What makes up a dataclass, a named tuple or a class of ``PLAIN``; None: it is neither."""
+    """Names the fields of a dataclass, a named tuple or a class of ``PLAIN``; None otherwise."""
     if dataclasses.is_dataclass(kind):
         fields = dataclasses.fields(kind)
         # What cannot be given to the constructor is state, not data.

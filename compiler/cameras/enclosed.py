@@ -55,7 +55,7 @@ class _Eyes:
     names: tuple[str, ...]
 
 
-class _Column(NamedTuple):
+class _PointColumn(NamedTuple):
     """Describes what vertical lines through points meet, [n] each.
 
     Attributes:
@@ -73,7 +73,7 @@ class _Column(NamedTuple):
     crosses: NDArray[np.int64]
 
     @classmethod
-    def empty(cls, count: int) -> _Column:
+    def empty(cls, count: int) -> _PointColumn:
         """Makes the column of lines that have met nothing yet."""
         return cls(
             np.full(count, np.inf),
@@ -109,7 +109,7 @@ def require_open(
         return
     order = np.argsort(eyes.at[:, 0], kind="stable")
     eyes = _Eyes(eyes.at[order], eyes.sample[order], eyes.sensor[order], eyes.names)
-    column, half = _Column.empty(len(eyes.at)), 0.5 * np.array(size_m)
+    column, half = _PointColumn.empty(len(eyes.at)), 0.5 * np.array(size_m)
     at, on = eyes.at.copy(), np.abs(eyes.at[:, :2]) <= half
     # One exactly on the border is on the terrain, whose corners are rounded; the order stays.
     inner = np.clip(at[:, :2], -_WITHIN * half, _WITHIN * half)
@@ -219,10 +219,10 @@ def _held(prototype: Prototype, local: NDArray[np.float64]) -> NDArray[np.bool_]
     """Tells which points are inside of closed pieces; points ascend in x, float64 [k, 3]."""
     points = prototype.points.astype(np.float64)
     wound, unwound = _closed(points, prototype.faces)
-    oriented = _Column.empty(len(local))
+    oriented = _PointColumn.empty(len(local))
     _meet(points, wound, local, *oriented)
     # Where faces of a closed piece are turned against each other, only their number counts.
-    turned_about = _Column.empty(len(local))
+    turned_about = _PointColumn.empty(len(local))
     _meet(points, unwound, local, *turned_about)
     return (oriented.leaves != 0) | (turned_about.crosses % 2 == 1)
 
@@ -289,7 +289,7 @@ def _first(at, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def _meet(points, faces, at, above, upper, below, leaves, crosses):  # type: ignore[no-untyped-def]
-    """Adds a mesh to what vertical lines through points, which rise in x, meet (``_Column``)."""
+    """Adds a mesh to what vertical lines through points, rising in x, meet (``_PointColumn``)."""
     for f in range(len(faces)):
         a, b, c = faces[f]
         ax, ay, az = points[a]

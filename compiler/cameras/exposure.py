@@ -16,8 +16,8 @@ from scenec.compiler.kinds.forms import CHOICE, PER_BATCH, PER_SAMPLE
 from scenec.schemas import shutter
 
 
-class Exposure:
-    """What exposures have in common."""
+class ExposureRule:
+    """Defines what all exposures share."""
 
     #: The key that says how bright it is, and whether that is on top of what the light says.
     EV: ClassVar = ""
@@ -31,7 +31,7 @@ class Exposure:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Auto(Exposure):
+class AutoExposure(ExposureRule):
     """As a camera's own meter finds it, from what the camera sees: the mean luminance of surfaces
     is shown as 0.18, unless the brightest hundredth of them would then be shown above 1. Where more
     than a twentieth of all that is seen, sky included, would be shown above 1, as against the
@@ -47,7 +47,7 @@ class Auto(Exposure):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Incident(Exposure):
+class Incident(ExposureRule):
     """Follows the light that falls on the scene, as an incident light meter does: that of suns and
     sky on level ground, and that of lamps on a surface that faces them where the middle of the
     picture meets the ground, or the first lit place below that. Where no light arrives, radiance is
@@ -63,7 +63,7 @@ class Incident(Exposure):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fixed(Exposure):
+class Fixed(ExposureRule):
     """The same for all light."""
 
     EXAMPLE: ClassVar = {"type": "fixed", "ev": -8}
@@ -76,7 +76,7 @@ class Fixed(Exposure):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shutter:
+class ShutterKeys:
     """When the rows of a picture are exposed, while the rig goes on moving: motion blur, and a
     rolling shutter's slant. A sample's pose and time are those of the middle of the picture in the
     middle of its exposure. Before a motion begins and after it ends the rig stands still. Only on

@@ -38,7 +38,7 @@ class ImagingPlan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imaging:
+class ImagingKeys:
     """What the sensor makes of the light: its picture is then 000000.png, with a real camera's
     optics, noise and processing; rgb stays clean linear radiance. The defaults are typical of an
     industrial camera with pixels of 3.45 µm. A stage is left out by 0 or null.
@@ -203,7 +203,7 @@ class Manual:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Auto:
+class AutoImaging:
     """From each picture alone, whatever is rendered before it: the logarithmic mean of the
     luminance of what is lit, or a percentile of all, is shown as target (in steps of 1/64 EV). Time
     first, then speed; without light the longest. sensor.exposure has no say.
@@ -317,7 +317,7 @@ def _at_sample(cfg: Mapping[str, Any], pattern: int, noise: int) -> formulas.Ima
     warmer = (dark["temperature_c"] - dark["reference_c"]) / dark["doubling_c"]
     # Within what a double holds; hotter than that all pixels are full anyway.
     heat = two_to(min(max(warmer, -100.0), 60.0))
-    own: dict[str, Any] = {
+    numbers: dict[str, Any] = {
         "pattern_seed": pattern,
         "noise_seed": noise,
         "headroom": cfg["headroom_stops"],
@@ -329,14 +329,14 @@ def _at_sample(cfg: Mapping[str, Any], pattern: int, noise: int) -> formulas.Ima
         "dead": defects["dead"],
     }
     if (matrix := cfg["color_matrix"]) is not None:
-        own["color_matrix"] = tuple(chain(*matrix))
+        numbers["color_matrix"] = tuple(chain(*matrix))
     if (vignetting := cfg["vignetting"]) is not None:
-        own["vignetting_power"] = vignetting["power"]
-        own["vignetting_polynomial"] = tuple(vignetting["polynomial"])
+        numbers["vignetting_power"] = vignetting["power"]
+        numbers["vignetting_polynomial"] = tuple(vignetting["polynomial"])
     if (bloom := cfg["bloom"]) is not None:
-        own |= {"bloom": bloom["share"], "bloom_sigma_px": bloom["radius_px"]}
+        numbers |= {"bloom": bloom["share"], "bloom_sigma_px": bloom["radius_px"]}
     if (jpeg := cfg["jpeg"]) is not None:
-        own |= {"jpeg_quality": jpeg["quality"], "jpeg_subsampling": jpeg["subsampling"]}
+        numbers |= {"jpeg_quality": jpeg["quality"], "jpeg_subsampling": jpeg["subsampling"]}
     # The other fields are keys by name.
     given = {name: cfg[name] for name in formulas.TYPES if cfg.get(name) is not None}
     exposure = {
@@ -345,8 +345,8 @@ def _at_sample(cfg: Mapping[str, Any], pattern: int, noise: int) -> formulas.Ima
         if name != "type"
     }
     kind = kind_of("imaging_exposure", cfg["exposure"]["type"])
-    made: formulas.Imaging = kind(**exposure).of(formulas.Imaging(**{**given, **own}))
-    return made
+    result: formulas.Imaging = kind(**exposure).of(formulas.Imaging(**{**given, **numbers}))
+    return result
 
 
 def two_to(x: float) -> float:

@@ -23,8 +23,8 @@ from scenec.schemas.errors import SceneError
 from scenec.schemas.lens import COEFFICIENTS, EQUIRECTANGULAR
 
 
-class Lens:
-    """What lenses have in common."""
+class LensKind:
+    """Defines what all lenses share."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -43,7 +43,7 @@ class Lens:
         if message is not None:
             yield node.fault(message)
 
-    def made(self) -> lens.Lens:
+    def build(self) -> lens.Lens:
         """Returns what computes."""
         model = name_of("lens", type(self))
         numbers = tuple(float(getattr(self, name)) for name in COEFFICIENTS[model])
@@ -52,7 +52,7 @@ class Lens:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BrownConrady(Lens):
+class BrownConrady(LensKind):
     """Radial and tangential distortion of a pinhole's picture (Brown 1966; OpenCV's rational
     model): radii are multiplied by (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
     It must be one-to-one over the whole picture. The sensor's fov_deg counts radial distortion in,
@@ -82,7 +82,7 @@ class BrownConrady(Lens):
 
 
 @dataclass(frozen=True, kw_only=True)
-class KannalaBrandt(Lens):
+class KannalaBrandt(LensKind):
     """A fisheye: a ray at the angle t to the axis lies t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)
     focal lengths from the principal point (Kannala and Brandt 2006; OpenCV's fisheye). Without
     coefficients it is equidistant. Here fx and fy are pixels per radian, and fov_deg may be up to
@@ -107,7 +107,7 @@ class KannalaBrandt(Lens):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Equirectangular(Lens):
+class Equirectangular(LensKind):
     """A panorama: columns are longitudes around the camera's y axis, rows latitudes.
 
     Without fov_deg and intrinsics it is the whole sphere; with fov_deg it has square pixels,
@@ -124,16 +124,16 @@ def _fold(sensor: Node, node: Node) -> str | None:
     numbers = {name: node.constant(name) for name in keys_of(kind) if name in node}
     if None in (size, *numbers.values()):
         return None
-    made, given = kind(**numbers).made(), sensor.at("intrinsics")
+    lens_, given = kind(**numbers).build(), sensor.at("intrinsics")
     fov = sensor.constant("fov_deg")
     five: Any = None
     if "intrinsics" in sensor:
         five = tuple(map(given.constant, ("fx", "fy", "cx", "cy", "skew")))
         if None in five:
             return None
-    elif fov is None and ("fov_deg" in sensor or made.model != EQUIRECTANGULAR):
+    elif fov is None and ("fov_deg" in sensor or lens_.model != EQUIRECTANGULAR):
         return None
-    found = sound_intrinsics(made, tuple(size), fov, five)
+    found = sound_intrinsics(lens_, tuple(size), fov, five)
     return found if isinstance(found, str) else None
 
 
@@ -142,7 +142,7 @@ _OF_IMAGING = {"f_number": "f_number", "focal_length_mm": "pixel_um"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Focus:
+class FocusKeys:
     """A lens of finite aperture: rgb is sharp at one distance and blurred before and behind it.
 
     Field of view and annotation stay those of the pinhole in the aperture's middle. Not with

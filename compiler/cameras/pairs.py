@@ -56,6 +56,6 @@ def _not_rectified(one: Sensor, other: Sensor) -> str | None:
 
 
 def _readout(sensor: Sensor) -> set[tuple[float, bool]]:
-    """When the rows are exposed; an instant, and a global shutter, are one for all."""
+    """Returns readout times and directions; none for an instant or a global shutter."""
     shutters = () if sensor.shutter is None else sensor.shutter.shutters
     return {(s.readout_s, s.upward) for s in shutters if s.readout_s > 0.0}

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from scenec.compiler.cameras.paths.motion import Motion
+from scenec.compiler.cameras.paths.motion import RigMotion
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.kinds import an, forms, key, named
 from scenec.compiler.scene.rig import Lidar
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rig:
+class RigKeys:
     """A body that moves through the scene with sensors mounted on it.
 
     Its frame is that of a camera that looks ahead: x right, y down, z forward.
@@ -46,12 +46,12 @@ class RigPlan:
     """
 
     name: str
-    pose: Motion
+    pose: RigMotion
     sensors: tuple[SensorPlan, ...]
     lidars: tuple[Lidar, ...] = ()
     allow_below: bool = False
 
     @property
     def outputs(self) -> list[str]:
-        """What is asked of its sensors, one after the other."""
+        """Lists the outputs of its sensors, one after the other."""
         return [name for sensor in self.sensors for name in sensor.sensor.outputs]

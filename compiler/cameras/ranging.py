@@ -88,7 +88,7 @@ class TimeOfFlight:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LidarNoise:
+class LidarNoiseKeys:
     """What is wrong with a lidar's answers.
 
     Its numbers depend on seed, batch, sample and the lidar's name alone.
@@ -109,7 +109,7 @@ class LidarNoise:
 
 
 class ScanPattern(ABC):
-    """Where the rays of a lidar go, by another package."""
+    """Defines where the rays of a lidar go, in another package."""
 
     @abstractmethod
     def rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -121,7 +121,7 @@ class ScanPattern(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lidar:
+class LidarKeys:
     """A scanner of beams at fixed elevations that turns about its upward axis, or one whose rays go
     where the pattern of another package says.
 
@@ -162,7 +162,7 @@ class Lidar:
         list_of(_DISTANCE, "Along the beam.", count=2), default=[0.5, 120]
     )
     """Nearest and farthest range that is answered."""
-    noise: LidarNoise = key(an("lidar_noise", drawn=True), default={})
+    noise: LidarNoiseKeys = key(an("lidar_noise", drawn=True), default={})
     """What is wrong with its answers."""
     trigger: Trigger = key(an("trigger", drawn=True), default={})
     """At which samples it scans."""
@@ -206,7 +206,7 @@ class Lidar:
             azimuths=self.azimuths or 0,
             azimuth_deg=self.azimuth_deg,
             range_m=self.range_m,
-            noise=rig.LidarNoise(**vars(self.noise)),
+            noise=rig.LidarErrors(**vars(self.noise)),
             noise_key=context.key("noise/key"),
             trigger=astuple(self.trigger),
             rays=rays,
@@ -215,16 +215,16 @@ class Lidar:
 
 def _rays(pattern: ScanPattern) -> NDArray[np.float64]:
     """Returns elevation and azimuth of each ray, [beams, azimuths, 2]; checks what was returned."""
-    made: Any = pattern.rays()
+    answer: Any = pattern.rays()
     try:
-        rays = np.stack([np.asarray(angles, np.float64) for angles in made], axis=-1)
+        rays = np.stack([np.asarray(angles, np.float64) for angles in answer], axis=-1)
     except (TypeError, ValueError):
         rays = np.zeros(0)
     of_shape = rays.ndim == 3 and rays.shape[2] == 2 and rays.size
     if not of_shape or not (np.abs(rays) <= _ANGLES).all():
         who = f"scan pattern {type(pattern).__module__}:{type(pattern).__qualname__}"
         raise SceneError(
-            f"{who}: returned {' '.join(repr(made).split()):.60}: expected elevations and azimuths "
-            "(each float64 [beams, azimuths]) from -90 to 90 and from -720 to 720 degrees"
+            f"{who}: returned {' '.join(repr(answer).split()):.60}: expected elevations and "
+            "azimuths (each float64 [beams, azimuths]) from -90 to 90 and from -720 to 720 degrees"
         )
     return rays

@@ -13,11 +13,11 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import ImagingPlan, two_to
 from scenec.compiler.cameras.pairs import require_rectified
-from scenec.compiler.cameras.paths.motion import Around, Bodies, bodies_of
+from scenec.compiler.cameras.paths.motion import MotionBodies, MotionContext, bodies_of
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.shutters import open_shutters, way_of
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
@@ -28,9 +28,9 @@ from scenec.schemas.left_out import Facts
 
 def build_rigs(
     plans: tuple[RigPlan, ...],
-    surface: Surface,
+    surface: GroundSurface,
     irradiance: NDArray[np.float64] | None,
-    bodies: Mapping[str, Bodies],
+    bodies: Mapping[str, MotionBodies],
 ) -> tuple[tuple[Rig, ...], dict[str, Any]]:
     """All rigs, and what is to be said of motions that were made, by rig.
 
@@ -45,7 +45,7 @@ def build_rigs(
         what = f"rigs/{plan.name}/pose"
         drawn = tuple(sensor.sensor for sensor in plan.sensors)
         samples = len(drawn[0].exposure_ev) if drawn else 0
-        around = Around(what, samples, surface, drawn, bodies, lidars=plan.lidars)
+        around = MotionContext(what, samples, surface, drawn, bodies, lidars=plan.lidars)
         built = plan.pose.built(around)
         sensors = tuple(_exposed(sensor, irradiance) for sensor in plan.sensors)
         still = Rig(plan.name, built.to_world, sensors, built.times, plan.lidars)
@@ -63,7 +63,7 @@ memoized_rigs = memoized("cameras")(build_rigs)
 
 
 def place_free_rigs(
-    drawn_rigs: tuple[RigPlan, ...], surface: Surface
+    drawn_rigs: tuple[RigPlan, ...], surface: GroundSurface
 ) -> tuple[tuple[Rig, ...] | None, Facts]:
     """Builds the rigs that heed no objects; None where all are such.
 
@@ -80,7 +80,7 @@ def place_free_rigs(
 
 def place_rigs(
     drawn_rigs: tuple[RigPlan, ...],
-    surface: Surface,
+    surface: GroundSurface,
     irradiance: NDArray[np.float64] | None,
     obstacles: Objects,
 ) -> tuple[tuple[Rig, ...], Facts]:
@@ -126,7 +126,7 @@ def _pictured(sensor: Sensor, plan: ImagingPlan) -> Sensor:
         )
     ev = sensor.exposure_ev
     if all(imaging.rule == "fixed" for imaging in samples):
-        ev = np.array([_shown_ev(imaging) for imaging in samples])
+        ev = np.array([_display_ev(imaging) for imaging in samples])
     # Manual ones, and those that meter each picture, have an exposure of their own.
     return replace(sensor, imaging=samples, exposure_ev=ev, exposure_per=None)
 
@@ -143,7 +143,7 @@ def _metered(imaging: Imaging, ev: float) -> Imaging:
     return replace(imaging, time_s=time_s, iso=iso, time_range_s=none, iso_range=none)
 
 
-def _shown_ev(imaging: Imaging) -> float:
+def _display_ev(imaging: Imaging) -> float:
     white = two_to(imaging.headroom)
     shown = formulas.shown_per_value(imaging.f_number, imaging.time_s, imaging.iso, white)
     return float(elementary.log(shown) / elementary.log(2.0))

@@ -20,9 +20,9 @@ from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
-    from scenec.compiler.cameras.exposure import Shutter as Opening
-    from scenec.compiler.cameras.imaging import Imaging, ImagingPlan
-    from scenec.compiler.cameras.lens import Focus
+    from scenec.compiler.cameras.exposure import ShutterKeys as Opening
+    from scenec.compiler.cameras.imaging import ImagingKeys, ImagingPlan
+    from scenec.compiler.cameras.lens import FocusKeys
     from scenec.compiler.scene import rig
 
 
@@ -68,7 +68,7 @@ class Intrinsics:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class SensorKeys:
     """A camera.
 
     It has either fov_deg or intrinsics; a panorama of the whole sphere needs neither.
@@ -108,12 +108,12 @@ class Sensor:
     """Where the sensor sits on the rig."""
     exposure: Mapping[str, Any] = key(an("exposure"), default={"type": "auto"})
     """Exposure of the 8-bit picture."""
-    imaging: Imaging | None = key(an("imaging", drawn=True), sparse=True)
+    imaging: ImagingKeys | None = key(an("imaging", drawn=True), sparse=True)
     """Optics, noise and processing of a real camera; left out, the picture shows the radiance as it
     is."""
     effects: tuple[Mapping[str, Any], ...] | None = key(list_of(an("effect"), least=1), sparse=True)
     """What other packages do to the picture after all else, in order; rgb stays as it is."""
-    focus: Focus | None = key(an("focus", drawn=True), sparse=True)
+    focus: FocusKeys | None = key(an("focus", drawn=True), sparse=True)
     """What is sharp, and how shallow; left out, everything is sharp."""
     shutter: Opening | None = key(an("shutter", drawn=True), sparse=True)
     """When each row is exposed: motion blur and rolling shutter; left out, the whole picture is of
@@ -148,7 +148,7 @@ class Sensor:
         path, samples = context.path, context.samples
         lens = focus = depth = imaging = opened = None
         if self.lens is not None:
-            lens = draw_kind("lens", self.lens, f"{path}/lens", context).made()
+            lens = draw_kind("lens", self.lens, f"{path}/lens", context).build()
         given = None if self.intrinsics is None else astuple(self.intrinsics)
         intrinsics = sound_intrinsics(lens, self.resolution, self.fov_deg, given)
         if isinstance(intrinsics, str):

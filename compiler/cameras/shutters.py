@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Around, Built, Motion, Way
+from scenec.compiler.cameras.paths.motion import MotionContext, RigMotion, RigPoses, Way
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
@@ -42,7 +42,7 @@ _SAME_CODE: Final = 1e-9
 
 
 def open_shutters(
-    rig: Rig, plans: tuple[SensorPlan, ...], way: Way | None, around: Around
+    rig: Rig, plans: tuple[SensorPlan, ...], way: Way | None, context: MotionContext
 ) -> tuple[Rig, dict[str, Any]]:
     """A rig whose sensors know where they are while their shutters are open.
 
@@ -58,27 +58,27 @@ def open_shutters(
     if all(plan.shutter is None for plan in plans):
         return rig, {}
     sensors, facts = [], {}
-    seen: list[NDArray[np.float64]] = []
+    poses: list[NDArray[np.float64]] = []
     for sensor, plan in zip(rig.sensors, plans, strict=True):
         if plan.shutter is None:
             sensors.append(sensor)
             continue
-        opened, on_rig, told = _opened(rig, sensor, plan.shutter, way, around)
+        opened, on_rig, told = _opened(rig, sensor, plan.shutter, way, context)
         sensors.append(dataclasses.replace(sensor, shutter=opened))
         facts[sensor.name] = told
-        seen.append(on_rig)
+        poses.append(on_rig)
     moving = None
     if way is not None and _rises(way.times):
-        moving = _between(way.times, sensors, seen)
+        moving = _between(way.times, sensors, poses)
     return dataclasses.replace(rig, sensors=tuple(sensors), between=moving), facts
 
 
-def way_of(pose: Motion, built: Built, around: Around) -> Way | None:
-    """How a rig moves between its samples; None where it does not."""
+def way_of(pose: RigMotion, built: RigPoses, context: MotionContext) -> Way | None:
+    """Returns how a rig moves between its samples; None where it does not."""
     duration = built.facts.get("duration_s")
     if built.way is not None or built.times is None or duration is None:
         return built.way
-    what = f"while a shutter is open: {around.what}"
+    what = f"while a shutter is open: {context.what}"
     # Each motion over time is a dataclass with a sampling.
     motion: Any = pose
 
@@ -88,7 +88,7 @@ def way_of(pose: Motion, built: Built, around: Around) -> Way | None:
         rising = np.sort(within, kind="stable")
         rising = rising[np.append(True, rising[1:] > rising[:-1])]
         sampled = dataclasses.replace(motion, sampling=Sampling(times_s=tuple(rising.tolist())))
-        there = dataclasses.replace(around, what=what, samples=len(rising), exposing=True)
+        there = dataclasses.replace(context, what=what, samples=len(rising), exposing=True)
         made = sampled.built(there)
         return np.asarray(made.to_world[np.searchsorted(rising, within)])
 
@@ -96,13 +96,13 @@ def way_of(pose: Motion, built: Built, around: Around) -> Way | None:
 
 
 def _opened(
-    rig: Rig, sensor: Sensor, shutters: tuple[Shutter, ...], way: Way | None, around: Around
+    rig: Rig, sensor: Sensor, shutters: tuple[Shutter, ...], way: Way | None, context: MotionContext
 ) -> tuple[OpenShutter, NDArray[np.float64], dict[str, Any]]:
     """Its poses; those of the rig at the same times [s, k, 4, 4]; and what to say of them."""
     half = max(shutter.half_span for shutter in shutters)
     middle = rig.to_world[:, None]
     times, on_rig, error = np.zeros(1), middle, 0.0
-    ground = around.ground(rig.to_world[:, :2, 3])
+    ground = context.ground(rig.to_world[:, :2, 3])
     at = composed(rig.to_world, sensor.to_rig)[:, 2, 3] - ground
     away = np.maximum(at, _NEAREST_M)
     if half > 0.0:
@@ -135,7 +135,7 @@ def _opened(
 def _error_px(
     sensor: Sensor, poses: NDArray[np.float64], steps: int, away: NDArray[np.float64]
 ) -> float:
-    """What interpolation between some of the poses errs by at all of them, pixels.
+    """Returns the largest error of interpolating between some of the poses, pixels.
 
     Args:
         poses: Camera-to-world, [s, n + 1, 4, 4].

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
-from scenec.compiler.cameras.paths.motion import Around, Built, Way
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, Way
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
@@ -107,7 +107,7 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Gaps:
-    """What happens where stamps are missing.
+    """Defines what happens where stamps are missing.
 
     Attributes:
         longest_s: Longer steps from stamp to stamp are gaps; None: none is.
@@ -148,12 +148,12 @@ class TrackWay:
         way = replace(self, what=f"while a shutter is open: {self.what}")
         return way.resampled(np.clip(time_s, 0.0, self.track.time_s[-1]), "the exposure at")
 
-    def resampled(self, at_s: NDArray[np.float64], asked: str = "sample") -> NDArray[np.float64]:
+    def resampled(self, at_s: NDArray[np.float64], label: str = "sample") -> NDArray[np.float64]:
         """Rig-to-world matrices with OpenCV axes at times after the first stamp, [s, 4, 4].
 
         Args:
             at_s: Float64 [s].
-            asked: What is at each time, for messages: a "sample", which is named by its number, or
+            label: What is at each time, for messages: a "sample", which is named by its number, or
                 something else, by its time.
 
         Raises:
@@ -172,7 +172,7 @@ class TrackWay:
                 lines = track.lines[int(i[k])], track.lines[int(i[k]) + 1]
                 raise SceneError(
                     f"{self.what}:{lines[1]}: {after[k] - before[k]:g} s without a pose after line "
-                    f"{lines[0]}, and {asked} {k if asked == 'sample' else f'{at[k]:g} s'} falls "
+                    f"{lines[0]}, and {label} {k if label == 'sample' else f'{at[k]:g} s'} falls "
                     f'into them: expected max_gap_s ({longest:g} s) at most, or gaps to be "hold"'
                 )
             at[inside] = before[inside]
@@ -284,7 +284,7 @@ class TrackPlan:
     way: TrackWay | None = None
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         way = None if self.way is None else Way(self.way.at, self.way.times)
-        return Built(self.to_world, self.times, way=way)
+        return RigPoses(self.to_world, self.times, way=way)

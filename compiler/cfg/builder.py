@@ -34,7 +34,7 @@ class Part:
     _CONST: tuple[tuple[str, Any], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """As it stands in a cfg: keys that are given, in the schema's order."""
+        """Returns its value in a cfg: the keys that are given, in the schema's order."""
         given = ((name, getattr(self, name)) for name in self.__dataclass_fields__)  # type: ignore[attr-defined]
         kept = {name: _plain(value) for name, value in given if value is not LEFT_OUT}
         return dict(self._CONST) | kept
@@ -45,11 +45,11 @@ class Part:
         return f"{type(self).__name__}({', '.join(given)})"
 
 
-class WholeCfg(Part):
-    """What a whole cfg can do beside."""
+class CompleteCfg(Part):
+    """Writes and validates a complete cfg."""
 
     def text(self) -> str:
-        """As a JSON file."""
+        """Returns the text of a JSON file."""
         return json.dumps(self.as_json(), indent=2, ensure_ascii=False) + "\n"
 
     def save(self, path: Path | str) -> Path:
@@ -87,7 +87,7 @@ def read(path: Path | str) -> Any:
 def __getattr__(name: str) -> type[Part]:
     if name not in names():
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return made(names()[name])
+    return part_class(names()[name])
 
 
 def __dir__() -> list[str]:
@@ -97,13 +97,15 @@ def __dir__() -> list[str]:
 @cache
 def names() -> Mapping[str, str]:
     """Classes that there are: name -> the reference to its schema."""
-    found: dict[str, str] = {}
+    references: dict[str, str] = {}
     for file, content in schema.load_schemas().items():
         if file == schema.NUMBER:
-            found |= {_camel(kind): f"{schema.NUMBER}/$defs/{kind}" for kind in content["$defs"]}
+            references |= {
+                _camel(kind): f"{schema.NUMBER}/$defs/{kind}" for kind in content["$defs"]
+            }
         elif "properties" in content and "allOf" not in content and not content.get("x-shared"):
-            found[_camel(file.rpartition("/")[2])] = file
-    return found
+            references[_camel(file.rpartition("/")[2])] = file
+    return references
 
 
 def keys(reference: str) -> dict[str, Any]:
@@ -113,7 +115,7 @@ def keys(reference: str) -> dict[str, Any]:
 
 
 @cache
-def made(reference: str) -> type[Part]:
+def part_class(reference: str) -> type[Part]:
     """The class of a schema."""
     name = next(name for name, own in names().items() if own == reference)
     described = schema.describe({"$ref": reference}, {})
@@ -124,7 +126,7 @@ def made(reference: str) -> type[Part]:
         for key in keys(reference)
         if key not in const
     ]
-    base = WholeCfg if reference == schema.ROOT else Part
+    base = CompleteCfg if reference == schema.ROOT else Part
     namespace = {
         "__doc__": described.keywords.get("description"),
         "_CONST": tuple(const.items()),
@@ -165,7 +167,7 @@ def _parsed(of: Any, value: Any) -> Any:
     known = keys(reference)
     given = {k: v for k, v in value.items() if k in known and "const" not in known[k]}
     given = {k: _parsed(known[k], v) for k, v in given.items()}
-    return made(reference)(**given)
+    return part_class(reference)(**given)
 
 
 def _reference(of: Mapping[str, Any], value: Mapping[str, Any]) -> str | None:

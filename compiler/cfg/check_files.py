@@ -37,7 +37,7 @@ def check_files(
         Those that are sound, by their path in the cfg; findings on the others, and warnings.
     """
     files: dict[str, InputFile] = {}
-    known: dict[Path, str] = {}
+    digest_of: dict[Path, str] = {}
     findings: list[Finding] = []
     for field in fields:
         kind = field.keywords.get("x-file")
@@ -52,7 +52,7 @@ def check_files(
             found = list(_CHECKS[kind](path, owner, cfg) or ())
             if all(finding.is_warning for finding in found):
                 named = _MEMBERS[kind](path, owner) if kind in _MEMBERS else [("", path)]
-                digests = [_digest(file, known) for _, file in named]
+                digests = [_digest(file, digest_of) for _, file in named]
                 members = tuple(zip((file for _, file in named), digests, strict=True))
                 alone = len(named) == 1 and not named[0][0]
                 lines = [
@@ -79,11 +79,11 @@ def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
         CfgError: Some were changed, or have gone.
     """
     faults = []
-    known: dict[Path, str] = {}
+    digests: dict[Path, str] = {}
     for pointer, file in files.items():
         for path, digest in file.members:
             try:
-                now = _digest(path, known)
+                now = _digest(path, digests)
             except OSError:
                 now = ""
             if now != digest:
@@ -94,11 +94,11 @@ def require_unchanged(files: Mapping[str, InputFile], cfg: Path) -> None:
         raise CfgError(faults)
 
 
-def _digest(file: Path, known: dict[Path, str]) -> str:
+def _digest(file: Path, digests: dict[Path, str]) -> str:
     """Reads a file's digest once: many models may be of one file."""
-    if file not in known:
-        known[file] = sha256(file)
-    return known[file]
+    if file not in digests:
+        digests[file] = sha256(file)
+    return digests[file]
 
 
 def _joined(lines: list[str]) -> str:

@@ -32,8 +32,8 @@ def check_names(cfg: Node, sound: bool) -> Iterator[Finding]:
             yield user.fault(unknown("material", name, materials.entries), "material")
     if (levels or "labels" not in cfg) and not levels.entries:
         yield from _check_label_outputs(cfg)
-    made_of = [user["material"] for user in (*users, *coatings)]
-    yield from _check_unused(cfg, users, made_of, frozenset() if sound else _all_words(cfg))
+    user_materials = [user["material"] for user in (*users, *coatings)]
+    yield from _check_unused(cfg, users, user_materials, frozenset() if sound else _all_words(cfg))
 
 
 def _choices(cfg: Node, users: list[Node]) -> list[Node]:
@@ -58,10 +58,10 @@ def _check_label_outputs(cfg: Node) -> Iterator[Finding]:
 
 
 def _check_unused(
-    cfg: Node, users: list[Node], made_of: list[str | None], words: frozenset[str]
+    cfg: Node, users: list[Node], user_materials: list[str | None], words: frozenset[str]
 ) -> Iterator[Finding]:
     materials, levels = cfg.at("materials"), cfg.at("labels")
-    used = _meant(made_of, materials)
+    used = _meant(user_materials, materials)
     for name in materials.entries:
         if name not in used | words:
             yield materials.key_fault(
@@ -81,22 +81,22 @@ def _check_unused(
                 )
 
 
-def _meant(given: list[str | None], known: Node) -> frozenset[str | None]:
+def _meant(given: list[str | None], valid: Node) -> frozenset[str | None]:
     """The known names among the given ones, and those that a misspelled one is closest to."""
     words = [word for word in given if word is not None]
-    return frozenset(w if w in known else closest(w, known.entries) for w in words)
+    return frozenset(w if w in valid else closest(w, valid.entries) for w in words)
 
 
 def _all_words(cfg: Node) -> frozenset[str]:
     """All strings of the file but those that name it or its labels."""
-    found: list[str] = []
+    words: list[str] = []
     pending: list[Any] = [
         value for key, value in cfg.entries.items() if key not in ("labels", "name", "description")
     ]
     while pending:
         value = pending.pop()
         if isinstance(value, str):
-            found.append(value)
+            words.append(value)
         elif isinstance(value, (dict, list)):
             pending.extend(value.values() if isinstance(value, dict) else value)
-    return frozenset(found)
+    return frozenset(words)

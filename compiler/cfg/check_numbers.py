@@ -31,13 +31,13 @@ _BOUNDS = ("exclusiveMinimum", "minimum", "exclusiveMaximum", "maximum", "x-unit
 
 def check_number(field: Field) -> Iterator[Finding]:
     """Findings on a number that its schemas find nothing wrong with."""
-    whole = _is_whole_key(field.keywords)
+    whole = _is_integer_key(field.keywords)
     tiny = list(_check_tiny(field.path, field.value))
     yield from tiny
     if tiny:
         return
     if not isinstance(field.value, dict):
-        if whole and not _is_whole(field.value):
+        if whole and not _is_integer(field.value):
             yield Finding(field.path, f"{shown(field.value)}: expected a whole number")
         return
     yield from _check_per(field)
@@ -48,7 +48,7 @@ def check_number(field: Field) -> Iterator[Finding]:
         return
     yield from _check_support(field)
     if whole:
-        yield from _check_whole(field)
+        yield from _check_integers(field)
 
 
 def _check_tiny(path: Path, value: Any) -> Iterator[Finding]:
@@ -65,7 +65,7 @@ def _check_tiny(path: Path, value: Any) -> Iterator[Finding]:
 
 def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
     """A sound number: a float (an int, where the key takes whole numbers) or a ``Distribution``."""
-    whole = _is_whole_key(keywords)
+    whole = _is_integer_key(keywords)
     if not isinstance(value, dict):
         # + 0.0 makes -0.0 into 0.0, so that equal cfgs have equal digests.
         return int(value) if whole else float(value) + 0.0
@@ -91,11 +91,11 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
     )
 
 
-def _is_whole_key(keywords: Mapping[str, Any]) -> bool:
+def _is_integer_key(keywords: Mapping[str, Any]) -> bool:
     return keywords.get("x-kind") == "integer"
 
 
-def _is_whole(value: float) -> bool:
+def _is_integer(value: float) -> bool:
     return float(value).is_integer() and abs(value) <= _LARGEST_WHOLE
 
 
@@ -174,12 +174,12 @@ def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, .
             yield (name, i), entry
 
 
-def _check_whole(field: Field) -> Iterator[Finding]:
+def _check_integers(field: Field) -> Iterator[Finding]:
     value = field.value
     if value["type"] in ("uniform", "choice"):
         # The others are rounded.
         for key, bound in _bounds_given(value):
-            if not _is_whole(bound):
+            if not _is_integer(bound):
                 yield Finding((*field.path, *key), f"{shown(bound)}: expected a whole number")
         return
     low, high = ends_of(value, field.keywords)

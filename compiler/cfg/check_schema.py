@@ -1,4 +1,4 @@
-"""What the JSON Schemas find wrong, in words."""
+"""Checks values against the JSON Schemas, and says in words what is wrong."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ _NAME = "a name of letters, digits and underscores, with no digit first"
 
 
 def check_schema(fields: Iterable[Field]) -> list[Finding]:
-    """What the schemas find wrong.
+    """Checks all values of a cfg against their schemas.
 
     Args:
         fields: All places of a cfg, see ``schema.walk``.
     """
     findings: list[Finding] = []
-    told: set[Path] = set()
+    reported: set[Path] = set()
     for field in fields:
-        if field.path[:-1] in told:
+        if field.path[:-1] in reported:
             continue
         if color := meant_color(field):
             findings.append(Finding(field.path, color))
-            told.add(field.path)
+            reported.add(field.path)
             continue
         findings += check_value(field)
         if field.is_number:
@@ -49,7 +49,7 @@ def check_schema(fields: Iterable[Field]) -> list[Finding]:
 
 
 def check_value(field: Field) -> Iterator[Finding]:
-    """What a value's own keywords find wrong with it."""
+    """Checks a value against the keywords of its own schema."""
     value, keywords = field.value, field.keywords
     if "x-fault" in keywords:
         yield Finding(field.path, keywords["x-fault"])

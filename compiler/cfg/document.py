@@ -1,4 +1,4 @@
-"""What is read of a cfg, whatever syntax it is written in: values, and where each stands."""
+"""Represents a cfg as it was read, in any syntax: values and their positions."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ class Text:
         self._line_starts = [0, *(match.end() for match in re.finditer("\n", text))]
 
     def position(self, offset: int) -> Position:
-        """Of a character."""
+        """Returns the line and column of a character."""
         line = bisect_right(self._line_starts, offset)
         return Position(line, offset - self._line_starts[line - 1] + 1, self.file)
 
 
-def as_number(token: str, whole: bool) -> int | float | None:
+def as_number(token: str, integer: bool) -> int | float | None:
     """The number that decimal digits stand for; None where it is too large for a double."""
-    if whole and len(token) < _MAX_INT_DIGITS:
+    if integer and len(token) < _MAX_INT_DIGITS:
         value = int(token)
         return None if abs(value) >= 2**1023 else value
     number = float(token)

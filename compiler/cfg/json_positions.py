@@ -40,11 +40,11 @@ def parse(data: bytes, file: str = "") -> Document:
             number that is too large for a double or a string with half a surrogate pair.
     """
     source = Text(data, file)
-    return _Parser(source, source.text).document()
+    return _JsonParser(source, source.text).document()
 
 
 @dataclass
-class _Parser:
+class _JsonParser:
     source: Text
     text: str
     offset: int = 0
@@ -57,17 +57,17 @@ class _Parser:
         value = self._value((), 0)
         self._skip_space()
         if self.offset < len(self.text):
-            raise self._error(f"{self._found()} after the end of the document")
+            raise self._error(f"{self._next_text()} after the end of the document")
         return Document(value, self.values, self.keys, tuple(self.duplicates))
 
-    def _here(self) -> Position:
+    def _position(self) -> Position:
         return self.source.position(self.offset)
 
     def _error(self, message: str, offset: int | None = None) -> CfgSyntaxError:
         at = self.offset if offset is None else offset
         return CfgSyntaxError(message, self.source.position(at))
 
-    def _found(self) -> str:
+    def _next_text(self) -> str:
         if self.offset >= len(self.text):
             return "the end of the file"
         word = _WORD.match(self.text, self.offset)
@@ -89,7 +89,7 @@ class _Parser:
     def _value(self, path: Path, depth: int) -> Any:
         if depth > MAX_DEPTH:
             raise self._error(f"nested deeper than {MAX_DEPTH} levels")
-        self.values[path] = self._here()
+        self.values[path] = self._position()
         if self._take("{"):
             return self._object(path, depth)
         if self._take("["):
@@ -107,7 +107,7 @@ class _Parser:
             raise self._error(f"{word.group()} is not a JSON number")
         if word and word.group().lower() in _LITERALS:
             raise self._error(f"{word.group()!r}: write it as {word.group().lower()!r}")
-        raise self._error(f"expected a value, found {self._found()}")
+        raise self._error(f"expected a value, found {self._next_text()}")
 
     def _object(self, path: Path, depth: int) -> dict[str, Any]:
         result: dict[str, Any] = {}
@@ -116,12 +116,12 @@ class _Parser:
             return result
         while True:
             if not self.text.startswith('"', self.offset):
-                raise self._error(f"expected a key in double quotes, found {self._found()}")
-            position = self._here()
+                raise self._error(f"expected a key in double quotes, found {self._next_text()}")
+            position = self._position()
             key = self._string()
             self._skip_space()
             if not self._take(":"):
-                raise self._error(f"expected ':' after the key {key!r}, found {self._found()}")
+                raise self._error(f"expected ':' after the key {key!r}, found {self._next_text()}")
             self._skip_space()
             at = (*path, key)
             if key in result:
@@ -155,7 +155,7 @@ class _Parser:
         if self._take(closer):
             return False
         if not self._take(","):
-            raise self._error(f"expected ',' or '{closer}' in {what}, found {self._found()}")
+            raise self._error(f"expected ',' or '{closer}' in {what}, found {self._next_text()}")
         self._skip_space()
         return not self._take(closer)
 
@@ -194,7 +194,7 @@ class _Parser:
         following = self.text[match.end() : match.end() + 1]
         if following and (following.isalnum() or following in "._+-"):
             raise self._error(f"{(token + following)!r} does not begin a JSON number")
-        value = as_number(token, whole=match.group(1) is None and match.group(2) is None)
+        value = as_number(token, integer=match.group(1) is None and match.group(2) is None)
         if value is None:
             raise self._error(f"the number {token[:24]} is too large")
         self.offset = match.end()

@@ -36,8 +36,8 @@ _GLB = b"glTF"
 
 
 @dataclass(frozen=True)
-class Terms:
-    """What is known of a file's terms.
+class License:
+    """Holds what is known of a file's license.
 
     Attributes:
         license: SPDX expression, or what stands in the place of one; None where it is unknown.
@@ -50,19 +50,19 @@ class Terms:
     source: str = ""
 
 
-def terms(file: InputFile) -> Terms:
+def terms(file: InputFile) -> License:
     """The terms of a file that a cfg names; of a folder, those that its files share."""
     if file.path.is_dir():
         found = {_said(path) for path in sorted(file.path.iterdir()) if path.is_file()} - {None}
         if len(found) == 1:
-            return next(iter(found)) or Terms()
+            return next(iter(found)) or License()
     else:
         said = _said(file.path)
         if said is not None:
             return said
     if file.reference.startswith(PREFIX):
         return _of_package(file)
-    return _of_gltf(file.path) or Terms()
+    return _of_gltf(file.path) or License()
 
 
 def as_json(file: InputFile) -> dict[str, Any]:
@@ -80,12 +80,12 @@ def as_json(file: InputFile) -> dict[str, Any]:
     }
 
 
-def _said(path: Path) -> Terms | None:
-    """What ``<file>.license`` or a ``REUSE.toml`` says."""
+def _said(path: Path) -> License | None:
+    """Reads the terms in ``<file>.license`` or a ``REUSE.toml``."""
     beside = path.with_name(path.name + ".license")
     text = _text(beside)
     if text is not None:
-        return Terms(
+        return License(
             _joined(match.strip() for match in _LICENSE.findall(text)),
             tuple(match.strip() for match in _COPYRIGHT.findall(text)),
             f"{beside.name} beside it",
@@ -101,7 +101,7 @@ def _said(path: Path) -> Terms | None:
     return None
 
 
-def _annotated(text: str, name: str) -> Terms | None:
+def _annotated(text: str, name: str) -> License | None:
     """The last annotation of a REUSE.toml whose path matches."""
     try:
         annotations = tomllib.loads(text).get("annotations", [])
@@ -110,7 +110,7 @@ def _annotated(text: str, name: str) -> Terms | None:
     found = None
     for annotation in annotations if isinstance(annotations, list) else ():
         if any(_matches(name, pattern) for pattern in _lines(annotation.get("path"))):
-            found = Terms(
+            found = License(
                 _joined(_lines(annotation.get("SPDX-License-Identifier"))),
                 tuple(_lines(annotation.get("SPDX-FileCopyrightText"))),
                 "REUSE.toml",
@@ -127,7 +127,7 @@ def _matches(name: str, pattern: str) -> bool:
     return re.fullmatch(regex, name) is not None
 
 
-def _of_package(file: InputFile) -> Terms:
+def _of_package(file: InputFile) -> License:
     name = file.reference.removeprefix(PREFIX).partition("/")[0]
     folder = file.path if file.path.is_dir() else file.path.parent
     # Beside the package's own code, a license is the package's: its metadata say it better.
@@ -136,12 +136,12 @@ def _of_package(file: InputFile) -> Terms:
             if _TEXTS.fullmatch(path.name):
                 text = _text(path) or ""
                 first = next((line.strip() for line in text.splitlines() if line.strip()), "")
-                return Terms(first[:_LONGEST] or None, (), f"{path.name} beside it")
+                return License(first[:_LONGEST] or None, (), f"{path.name} beside it")
     distribution = distribution_of(name)
     try:
         metadata = importlib.metadata.metadata(distribution)
     except importlib.metadata.PackageNotFoundError:
-        return Terms()
+        return License()
     said = metadata.get("License-Expression") or ""
     text = (metadata.get("License") or "").strip()
     if not said and text and "\n" not in text:
@@ -149,10 +149,10 @@ def _of_package(file: InputFile) -> Terms:
     if not said:
         classes = [c for c in metadata.get_all("Classifier") or [] if c.startswith("License ::")]
         said = "; ".join(c.rpartition(" :: ")[2] for c in classes) or text.partition("\n")[0]
-    return Terms(said.strip()[:_LONGEST] or None, (), f"metadata of the package {distribution}")
+    return License(said.strip()[:_LONGEST] or None, (), f"metadata of the package {distribution}")
 
 
-def _of_gltf(path: Path) -> Terms | None:
+def _of_gltf(path: Path) -> License | None:
     """``asset.copyright`` of a glTF file, from its JSON alone."""
     if path.suffix.lower() not in (".glb", ".gltf"):
         return None
@@ -166,7 +166,7 @@ def _of_gltf(path: Path) -> Terms | None:
         owner = document["asset"]["copyright"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return Terms(None, (str(owner)[:_LONGEST],), "asset.copyright in the file") if owner else None
+    return License(None, (str(owner)[:_LONGEST],), "asset.copyright in the file") if owner else None
 
 
 def _text(path: Path) -> str | None:

@@ -39,12 +39,12 @@ def find_file(reference: str, folder: Path, what: str = "file") -> Path:
     try:
         if reference.startswith(PREFIX):
             return _find_in_package(reference, what, fits)
-        return _find_beside(reference, folder, what, fits)
+        return _find_relative(reference, folder, what, fits)
     except OSError as error:
         raise ResourceError(f"{shown(reference)}: {error.strerror or error}") from error
 
 
-def _find_beside(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
+def _find_relative(reference: str, folder: Path, what: str, fits: Callable[[Path], bool]) -> Path:
     path = folder / reference
     if fits(path):
         return path
@@ -82,13 +82,13 @@ def _find_in_package(reference: str, what: str, fits: Callable[[Path], bool]) ->
     )
 
 
-def own_files(folder: str, pattern: str) -> list[Path]:
+def packaged_files(folder: str, pattern: str) -> list[Path]:
     """Files that come with scenec, of one of its folders ``OWN``, sorted."""
     return [path for root in _package_folders(folder) for path in sorted(root.glob(pattern))]
 
 
-def own_reference(file: Path) -> str | None:
-    """How a cfg names a file that comes with scenec; None of any other."""
+def packaged_reference(file: Path) -> str | None:
+    """Returns a cfg's reference to a file that comes with scenec; None for any other."""
     for name in OWN:
         for folder in _package_folders(name):
             if file.resolve().is_relative_to(folder.resolve()):
@@ -113,7 +113,7 @@ def _package_folders(name: str) -> list[Path]:
 
 
 def distribution_of(name: str) -> str:
-    """What is installed to get the package ``name``."""
+    """Names the distribution to install for the package ``name``."""
     return _DISTRIBUTIONS.get(name, name)
 
 

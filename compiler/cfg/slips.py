@@ -1,4 +1,4 @@
-"""What was probably meant: numbers of another unit, angles in radians, colors of 8 bits.
+"""Recognizes what was meant: numbers of another unit, angles in radians, colors of 8 bits.
 
 A value that cannot be is a fault, and what was meant stands in its message; one that only is
 improbable is a warning.
@@ -85,7 +85,7 @@ def _is_number(value: Any) -> bool:
 
 
 def meant_color(field: Field) -> str:
-    """What is said of a color that is given as codes of a picture; "" of any other value."""
+    """Explains a color that is given as codes of a picture; "" for any other value."""
     value = field.value
     if not field.keywords.get("x-color"):
         return ""
@@ -115,7 +115,7 @@ def _is_code(value: Any) -> bool:
 
 
 def in_radians(value: Any, field: Field) -> str:
-    """What is said of an angle that is out of its bounds in degrees, and would not be in radians.
+    """Explains an angle that is out of its bounds in degrees, and would not be in radians.
 
     Args:
         value: The number.

@@ -1,4 +1,4 @@
-"""What a cfg says in all: its file, those that it extends, and settings of the command line.
+"""Merges a cfg's file, the files that it extends, and settings of the command line.
 
 Everything ends in one document whose places still name the file, or the setting, that each value
 came from. What is behind it makes no difference to a stage: only the document's value counts.
@@ -19,7 +19,7 @@ from typing import Any
 from scenec.compiler.cfg import json_positions
 from scenec.compiler.cfg.document import CfgSyntaxError, Document, has_half_pair
 from scenec.compiler.cfg.faults import pointer
-from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, own_reference
+from scenec.compiler.cfg.resources import PREFIX, ResourceError, find_file, packaged_reference
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.finding import Finding, Path, Position
 from scenec.schemas.errors import CfgError, Fault
@@ -40,7 +40,7 @@ type Merge = tuple[Path, frozenset[str], dict[str, Position]]
 
 
 @dataclass(frozen=True)
-class Source:
+class CfgSource:
     """A cfg that was read, and not checked.
 
     Attributes:
@@ -57,7 +57,7 @@ class Source:
     merges: tuple[Merge, ...] = ()
 
 
-def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None) -> Source:
+def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None) -> CfgSource:
     """Reads a cfg, what it extends, and settings over it.
 
     Args:
@@ -81,13 +81,13 @@ def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None
     for setting in settings:
         _set(document, setting)
     if not (extends or settings) and _is_json(data):
-        return Source(document, data, True)
+        return CfgSource(document, data, True)
     if extends:
         _rebase_files(document, path.parent)
     if isinstance(document.value, dict):
         for key in _OF_THE_FILE:
             document.value.pop(key, None)
-    return Source(document, as_json(document.value).encode(), False, tuple(merges))
+    return CfgSource(document, as_json(document.value).encode(), False, tuple(merges))
 
 
 def _is_json(data: bytes) -> bool:
@@ -237,7 +237,7 @@ def _take_away(document: Document, nulls: Iterable[Path]) -> None:
             del owner[path[-1]]
 
 
-def mixed(fields: Iterable[schema.Field], source: Source) -> Iterator[Finding]:
+def mixed(fields: Iterable[schema.Field], source: CfgSource) -> Iterator[Finding]:
     """Finds objects that are one measurement and come from two files.
 
     Such an object (``x-whole``: a calibration) is whole where a file states it, that is, all of its
@@ -292,7 +292,7 @@ def _rebase_files(document: Document, folder: FilePath) -> None:
             owner = owner[key]
         file = origin / field.value
         relative = FilePath(os.path.relpath(file, folder)).as_posix()
-        owner[field.path[-1]] = own_reference(file) or relative
+        owner[field.path[-1]] = packaged_reference(file) or relative
 
 
 def _set(document: Document, text: str) -> None:

@@ -75,7 +75,7 @@ def parse(data: bytes, file: str = "") -> Document:
     """
     text = Text(data, file)
     try:
-        return _Parser(text).document()
+        return _YamlParser(text).document()
     except YAMLError as error:
         raise _fault(error, text) from error
 
@@ -89,7 +89,7 @@ def _fault(error: YAMLError, text: Text) -> CfgSyntaxError:
     return CfgSyntaxError(f"not YAML: {message}", text.position(getattr(error, "position", 0)))
 
 
-class _Parser:
+class _YamlParser:
     def __init__(self, text: Text) -> None:
         self._file = text.file
         self._events: Iterator[Event] = YAML(typ="safe", pure=True).parse(text.text)
@@ -157,7 +157,7 @@ class _Parser:
             node.size += below.size
 
     def _mapping(self, node: _Node, depth: int) -> None:
-        own: dict[str, tuple[Position, _Node]] = {}
+        entries: dict[str, tuple[Position, _Node]] = {}
         merged: dict[str, tuple[Position, _Node]] = {}
         while not isinstance(event := next(self._events), MappingEndEvent):
             if not isinstance(event, ScalarEvent) or event.tag is not None:
@@ -171,11 +171,11 @@ class _Parser:
                         raise self._error("<< takes a mapping, or a list of some", value)
                     for name, entry in source.content.items():
                         merged.setdefault(name, entry)
-            elif key in own:
+            elif key in entries:
                 node.duplicates.append((key, position))
             else:
-                own[key] = (position, below)
-        node.content = {**merged, **own}
+                entries[key] = (position, below)
+        node.content = {**merged, **entries}
         node.size += sum(below.size for _, below in node.content.values())
 
     def _string(self, event: ScalarEvent) -> str:
@@ -196,7 +196,7 @@ class _Parser:
                 return int(text, base)
         if _FLOAT.fullmatch(text) is None:
             return text
-        number = as_number(text, whole=_INT.fullmatch(text) is not None)
+        number = as_number(text, integer=_INT.fullmatch(text) is not None)
         if number is None:
             raise self._error(f"the number {text[:24]} is too large", event)
         return number

@@ -21,7 +21,7 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Distribution:
-    """What a number of the cfg is drawn from, validated, with every default filled in.
+    """Describes the distribution of a number of the cfg, validated, with all defaults filled in.
 
     Attributes:
         per: Once a batch, once a sample, or once for each instance.

@@ -78,7 +78,7 @@ def write_batch(folder: Path, scene: Scene) -> None:
 
 
 def _only(materials: dict[str, Material], used: Iterable[str]) -> dict[str, Material]:
-    """What a layer is written from: others may change without it."""
+    """Selects the materials that a layer is written from: others may change without it."""
     # None at all would say that no color is asked for.
     return {name: materials[name] for name in sorted(used) if name in materials} or materials
 
@@ -165,7 +165,7 @@ def _write_georeference(world: Usd.Prim, scene: Scene) -> None:
 
 
 def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:
-    """Where the frame ids of each class begin: running sums of the counts."""
+    """Writes the first frame id of each class: running sums of the counts."""
     total = sum(objects.drawn for objects in scene.objects)
     if total > _LARGEST_ID:
         raise SceneError(f"{total} instances: a frame has ids for {_LARGEST_ID} at most")

@@ -19,7 +19,7 @@ TYPES = Sdf.ValueTypeNames
 
 
 class Appearance(NamedTuple):
-    """What the outputs show of things.
+    """Holds the materials and labels that the outputs show.
 
     Attributes:
         materials: By name; empty where no color is asked for.

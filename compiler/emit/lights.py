@@ -15,7 +15,7 @@ from scenec.compiler.emit.layer import TYPES, author, custom, matrix, new_layer
 from scenec.compiler.emit.maps import TEXTURES
 from scenec.compiler.geometry.poses import facing
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light import Gobo, Lamp, SkyLight, SunLight
+from scenec.compiler.scene.light import Gobo, Lamp, SkyLight, SunDisc
 from scenec.compiler.scene.scene import Scene
 from scenec.schemas import stage as names
 from scenec.schemas.exr import write_rgb
@@ -57,7 +57,7 @@ def _write_picture(file: Path, picture: NDArray[np.float32]) -> None:
     write_rgb(file, picture)
 
 
-def _write_sun(stage: Usd.Stage, name: str, sun: SunLight) -> None:
+def _write_sun(stage: Usd.Stage, name: str, sun: SunDisc) -> None:
     light = UsdLux.DistantLight.Define(stage, f"{LIGHTS}/{name}")
     samples = range(len(sun.irradiance))
     matrices = [_pointing_from(np.array(sun.direction(i))) for i in samples]

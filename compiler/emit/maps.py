@@ -10,7 +10,7 @@ import numpy as np
 
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.materials.heights import stamp
-from scenec.compiler.scene.material import Material, Picture
+from scenec.compiler.scene.material import ImageFile, Material
 from scenec.schemas.files import Stamp, inside
 from scenec.schemas.maps import read_pixels
 
@@ -28,7 +28,7 @@ def copy_maps(folder: Path, name: str, material: Material) -> dict[str, str]:
         copied[kind] = f"{TEXTURES}/{name}_{kind}{source.suffix.lower()}"
         target = inside(folder, copied[kind])
         target.parent.mkdir(exist_ok=True)
-        if isinstance(source, Picture):
+        if isinstance(source, ImageFile):
             target.write_bytes(source.data)
         else:
             shutil.copyfile(source, target)
@@ -46,8 +46,8 @@ def average_color(material: Material) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=32)
-def _average(source: Path | Picture, _stamp: Stamp | None) -> tuple[float, float, float]:
-    pixels = read_pixels(source.data if isinstance(source, Picture) else source)
+def _average(source: Path | ImageFile, _stamp: Stamp | None) -> tuple[float, float, float]:
+    pixels = read_pixels(source.data if isinstance(source, ImageFile) else source)
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
     if pixels.dtype.kind == "f":

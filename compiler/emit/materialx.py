@@ -166,13 +166,13 @@ class _Layer:
         metallic = self._picture("metallic", "ND_image_float") if mapped else material.metallic
         color = self._color()
         normal = {"normal": self._normal()} if "normal" in self._files else {}
-        found: UsdShade.Output | None = None
+        surface: UsdShade.Output | None = None
         if mapped or material.metallic < 1.0:
-            found = self._dielectric(color, normal)
+            surface = self._dielectric(color, normal)
         if mapped or material.metallic > 0.0:
             metal = self._ggx("metal", color, normal)
-            found = mix(f"{self._prefix}metallic", found, metal, metallic)
-        return found
+            surface = mix(f"{self._prefix}metallic", surface, metal, metallic)
+        return surface
 
     def _node(self, name: str, node_id: str, **inputs: Value) -> UsdShade.Output:
         return self._network.node(f"{self._prefix}{name}", node_id, **inputs)

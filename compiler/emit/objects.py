@@ -33,14 +33,14 @@ def class_path(name: str) -> str:
 
 
 @memoized_file("emit")
-def write_scatter(path: Path, scatter: Scatter, shown: Appearance) -> None:
+def write_scatter(path: Path, scatter: Scatter, appearance: Appearance) -> None:
     """Writes the layer of a class of scattered objects."""
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, OBJECTS)
         instancer = UsdGeom.PointInstancer.Define(stage, class_path(scatter.name))
         prim = instancer.GetPrim()
         holder = UsdGeom.Scope.Define(stage, f"{prim.GetPath()}/Prototypes")
-        targets = _write_prototypes(stage, holder.GetPath(), scatter, shown)
+        targets = _write_prototypes(stage, holder.GetPath(), scatter, appearance)
         instancer.CreatePrototypesRel().SetTargets(targets)
         instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(scatter.prototype))
         instancer.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(scatter.positions))
@@ -49,8 +49,8 @@ def write_scatter(path: Path, scatter: Scatter, shown: Appearance) -> None:
         if scatter.instances:
             instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(scatter.ids))
         instancer.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(_extent(scatter)))
-        _write_class(prim, scatter, shown)
-        materials = shown.materials
+        _write_class(prim, scatter, appearance)
+        materials = appearance.materials
         if any(materials[name].varies for name in scatter.materials if materials):
             write_vertex_floats(
                 UsdGeom.PrimvarsAPI(prim), names.PRIMVAR_VARIATION, scatter.variation
@@ -58,15 +58,15 @@ def write_scatter(path: Path, scatter: Scatter, shown: Appearance) -> None:
 
 
 @memoized_file("emit")
-def write_placed(path: Path, placed: Placed, shown: Appearance) -> None:
+def write_placed(path: Path, placed: Placed, appearance: Appearance) -> None:
     """Writes the layer of a class of single objects: native instances of its prototypes."""
     with new_layer(path) as stage:
         UsdGeom.Xform.Define(stage, OBJECTS)
         prim = UsdGeom.Xform.Define(stage, class_path(placed.name)).GetPrim()
         # A class: nothing of it is drawn but where it is instanced.
         holder = stage.CreateClassPrim(f"{prim.GetPath()}/Prototypes")
-        targets = _write_prototypes(stage, holder.GetPath(), placed, shown)
-        _write_class(prim, placed, shown)
+        targets = _write_prototypes(stage, holder.GetPath(), placed, appearance)
+        _write_class(prim, placed, appearance)
         for i, local_id in enumerate(placed.ids.tolist()):
             one = UsdGeom.Xform.Define(stage, f"{prim.GetPath()}/instance_{local_id}")
             if placed.instances:
@@ -77,7 +77,7 @@ def write_placed(path: Path, placed: Placed, shown: Appearance) -> None:
 
 
 def _write_prototypes(
-    stage: Usd.Stage, holder: Sdf.Path, objects: Scatter | Placed, shown: Appearance
+    stage: Usd.Stage, holder: Sdf.Path, objects: Scatter | Placed, appearance: Appearance
 ) -> list[Sdf.Path]:
     targets = []
     for prototype in objects.prototypes:
@@ -86,18 +86,18 @@ def _write_prototypes(
             # An instance's root is an Xform of its own: the mesh stands below it.
             stage.DefinePrim(target, "Xform")
             target = target.AppendChild("Mesh")
-        write_prototype(stage, target, prototype, objects, shown)
+        write_prototype(stage, target, prototype, objects, appearance)
         targets.append(target.GetParentPath() if isinstance(objects, Placed) else target)
     return targets
 
 
-def _write_class(prim: Usd.Prim, objects: Scatter | Placed, shown: Appearance) -> None:
-    table = shown.label_table
+def _write_class(prim: Usd.Prim, objects: Scatter | Placed, appearance: Appearance) -> None:
+    table = appearance.label_table
     if not objects.instances:
         custom(prim, names.ATTR_INSTANCE_IDS_ENABLED, TYPES.Bool).Set(False)
     constant_label_ids(prim, {level: objects.labels[level] for level in table})
     label(prim, label_names(table, objects.labels))
-    if shown.materials and objects.material is not None:
+    if appearance.materials and objects.material is not None:
         bind(prim, objects.material)
 
 

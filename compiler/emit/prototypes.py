@@ -29,10 +29,14 @@ ST = "st"
 
 
 def write_prototype(
-    stage: Usd.Stage, path: Sdf.Path, prototype: Prototype, objects: ObjectClass, shown: Appearance
+    stage: Usd.Stage,
+    path: Sdf.Path,
+    prototype: Prototype,
+    objects: ObjectClass,
+    appearance: Appearance,
 ) -> None:
     """Writes a mesh; what parts have of their own stands on subsets, or on it if all have it."""
-    materials, table = shown
+    materials, table = appearance
     mesh = UsdGeom.Mesh.Define(stage, path)
     prim = mesh.GetPrim()
     write_triangles(

@@ -13,7 +13,7 @@ from scenec.compiler.cache.memo import memoized_file
 from scenec.compiler.emit.layer import TYPES, custom, label, new_layer
 from scenec.compiler.emit.looks import look_path
 from scenec.compiler.emit.maps import average_color
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.schemas import stage as names
 
@@ -40,7 +40,7 @@ def write_terrain(
 
 def _write_tile(
     stage: Usd.Stage,
-    tile: Tile,
+    tile: MeshTile,
     ground: Ground,
     materials: dict[str, Material],
     label_names: list[dict[str, str]],
@@ -61,7 +61,7 @@ def _write_tile(
 
 
 def _write_appearance(
-    prim: Usd.Prim, tile: Tile, ground: Ground, materials: dict[str, Material]
+    prim: Usd.Prim, tile: MeshTile, ground: Ground, materials: dict[str, Material]
 ) -> None:
     write_layers(prim, [layer.material for layer in ground.layers], tile.weights)
     blends = [layer.height_blend for layer in ground.layers[1:]]
@@ -84,7 +84,7 @@ def write_layers(
 
 
 def blended_color(
-    tile: Tile, ground: Ground, materials: dict[str, Material]
+    tile: MeshTile, ground: Ground, materials: dict[str, Material]
 ) -> NDArray[np.float64]:
     """Albedo at the vertices: the merges of the varied base colors, float64 [n, 3]."""
     layers = [materials[layer.material] for layer in ground.layers]
@@ -112,7 +112,7 @@ def varied_color(material: Material, variation: NDArray[np.float32]) -> NDArray[
 
 def _write_subsets(
     mesh: UsdGeom.Mesh,
-    tile: Tile,
+    tile: MeshTile,
     ground: Ground,
     materials: dict[str, Material],
     label_names: list[dict[str, str]],

@@ -24,7 +24,7 @@ _WHOLE, _MARKED = -1, -2
 
 
 class Halved(NamedTuple):
-    """What a round of halving did.
+    """Records what a round of halving did.
 
     Attributes:
         middle_of: Edge that each new vertex halves, ascending, int64 [k].
@@ -37,7 +37,7 @@ class Halved(NamedTuple):
     origin: NDArray[np.int32]
 
 
-class _Arrays(NamedTuple):
+class _BisectionArrays(NamedTuple):
     """A mesh as kernels see it: the attributes of ``Bisection`` of these names."""
 
     faces: NDArray[np.int32]
@@ -58,7 +58,7 @@ class Bisection:
     """
 
     def __init__(self, vertices: int, faces: NDArray[np.int32]) -> None:
-        """Of faces, int32 [m, 3], to be halved at the edges opposite of their first vertices."""
+        """Takes faces, int32 [m, 3], to be halved at the edges opposite their first vertices."""
         face_edges, edges = _numbered(vertices, faces)
         self.vertices = vertices
         self.order = np.arange(len(faces), dtype=np.int32)
@@ -98,7 +98,7 @@ class Bisection:
             rows.add(2 * len(middle_of) + added)
         before, self.order = self.order, np.empty(len(self.faces), np.int32)
         done = Halved(middle_of, np.empty(halved + added, np.int32), np.empty(added, np.int32))
-        mesh = _Arrays(self.faces, self.face_edges, self.edges, self.middles)
+        mesh = _BisectionArrays(self.faces, self.face_edges, self.edges, self.middles)
         _split(mesh, self.vertices, before, self.order, done)
         self.vertices += len(middle_of)
         return done
@@ -241,8 +241,8 @@ def _split(mesh, vertices, before, order, done):  # type: ignore[no-untyped-def]
     """Halves the marked edges, and the faces beside them.
 
     Args:
-        mesh: ``_Arrays`` with room for what is added: halves of edges in twos, then edges across
-            faces. Edges are marked; of a face with any, its first.
+        mesh: ``_BisectionArrays`` with room for what is added: halves of edges in twos, then edges
+            across faces. Edges are marked; of a face with any, its first.
         before: The faces in order, int32 [m].
         order: Receives the new order, int32 [m'].
         done: ``Halved``, of which the faces are received.

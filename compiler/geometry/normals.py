@@ -15,7 +15,7 @@ def face_normals(points: NDArray[np.float64], faces: NDArray[np.integer]) -> NDA
 
 
 def cross_products(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of vectors [n, 3], written out: [n, 3]."""
+    """Returns the cross products of vectors [n, 3], written out: [n, 3]."""
     return np.stack(
         [u[:, i] * v[:, j] - u[:, j] * v[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1
     )
@@ -54,7 +54,7 @@ def vertex_normals(points: NDArray, faces: NDArray) -> NDArray:
 
 @kernel
 def faces_of_vertices(count, faces):  # type: ignore[no-untyped-def]
-    """Where the faces around each of ``count`` vertices begin, int64 [n + 1], and these, int32."""
+    """Lists each vertex's faces: where its list begins, int64 [count + 1]; all lists, int32."""
     start = np.zeros(count + 1, np.int64)
     for f in range(len(faces)):
         for k in range(3):

@@ -39,7 +39,7 @@ class Voxels:
     full: NDArray[np.bool_]
 
     def middles(self) -> NDArray[np.float64]:
-        """Of the full cubes, float64 [n, 3]."""
+        """Returns the middles of the full cubes, float64 [n, 3]."""
         return self.corner + self.side * (np.argwhere(self.full) + 0.5)
 
 
@@ -139,7 +139,7 @@ class Cubes:
         reach_m: float,
         points: NDArray[np.float64],
     ) -> NDArray[np.bool_]:
-        """Which instances any of some points is inside of, or within ``reach_m`` of, bool [n].
+        """Returns which instances contain any of some points, or are within ``reach_m``, bool [n].
 
         Args:
             mesh: Of each instance, [n].

@@ -1,4 +1,4 @@
-"""What a kind is drawn from: the batch's streams, and what its part of the cfg refers to."""
+"""Defines what a kind is drawn from: the batch's streams, and what its part refers to."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Context:
-    """What a part of the cfg is drawn from, and what it refers to beyond itself.
+    """Holds what a part of the cfg is drawn from, and what it refers to beyond itself.
 
     Attributes:
         streams: The batch's.
@@ -85,16 +85,16 @@ class Context:
         """Returns a number of what is drawn at each sample, float64 [s]."""
         return per_sample(number, self.streams, f"{self.path}/{below}", self.samples)
 
-    def sampled(self, made: Any) -> dict[str, Any]:
+    def sampled(self, kind: Any) -> dict[str, Any]:
         """Returns what is drawn once a sample, at every sample, by key.
 
         Args:
-            made: A kind or an object that stands at ``path``; what it has none of is left out.
+            kind: A kind or an object that stands at ``path``; what it has none of is left out.
         """
         return {
             name: per_sample(value, self.streams, f"{self.path}/{name}", self.samples)
-            for name, keywords in _keywords_of(type(made)).items()
-            if _is_of_samples(keywords) and not isinstance(value := getattr(made, name), str | None)
+            for name, keywords in _keywords_of(type(kind)).items()
+            if _is_of_samples(keywords) and not isinstance(value := getattr(kind, name), str | None)
         }
 
     def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:

@@ -35,7 +35,7 @@ NONE: Any = object()
 
 @dataclasses.dataclass(frozen=True)
 class Form:
-    """What values a key takes: keywords of JSON Schema, and those of scenec's own ("x-…").
+    """Declares the values a key takes: keywords of JSON Schema, and scenec's own ("x-…").
 
     Attributes:
         drawn: Name of the object or the choice (``table``) of which a kind gets one in place of
@@ -116,7 +116,7 @@ def _filled(keywords: Mapping[str, Any]) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """What a field says of its key; without a name it is the field's."""
+    """Declares the key of a field; without a name it is the field's."""
 
     name: str
     form: Form
@@ -136,7 +136,7 @@ def noise_key() -> Any:
     return given(lambda context: context.key())
 
 
-def made_of_context(kind: type[Any], context: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+def values_from_context(kind: type[Any], context: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the values of a class's fields that no cfg says.
 
     Args:
@@ -157,17 +157,17 @@ def keys_of(kind: type[Any]) -> dict[str, Key]:
     return {field.name: field.metadata[KEY] for field in fields if KEY in field.metadata}
 
 
-def own_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
+def declared_keys(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:
     """Returns the schema of each key that a class declares, and whether it is required.
 
     Keys of classes that it derives from come first, unless they have a definition of their own
     (``SHARED``).
     """
-    found: dict[str, tuple[dict[str, Any], bool]] = {}
+    keys: dict[str, tuple[dict[str, Any], bool]] = {}
     for of in reversed(kind.__mro__):
         if dataclasses.is_dataclass(of) and (of is kind or "SHARED" not in vars(of)):
-            found |= _declared(of)
-    return found
+            keys |= _declared(of)
+    return keys
 
 
 def _declared(kind: type[Any]) -> dict[str, tuple[dict[str, Any], bool]]:

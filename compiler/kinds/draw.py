@@ -8,9 +8,9 @@ from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds.context import Context
-from scenec.compiler.kinds.declare import Form, keys_of, made_of_context
+from scenec.compiler.kinds.declare import Form, keys_of, values_from_context
 from scenec.compiler.kinds.forms import RAGGED, SAMPLING, file
-from scenec.compiler.kinds.table import CHOICES, base_of, class_of, is_own, kind_of, lacking
+from scenec.compiler.kinds.table import CHOICES, base_of, class_of, is_builtin, kind_of, lacking
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import give_name, named
 
@@ -34,34 +34,34 @@ def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context)
     """
     context = dataclasses.replace(context, choice=choice)
     kind = kind_of(choice, node["type"])
-    made = _made(kind, {k: v for k, v in node.items() if k != "type"}, path, context)
+    made = _instantiate(kind, {k: v for k, v in node.items() if k != "type"}, path, context)
     group = CHOICES[choice].group
     # What a class with a ``SCHEMA`` calls so is its own affair, unless its base says what it is.
     if hasattr(made, "draw") and (not hasattr(kind, "SCHEMA") or hasattr(base_of(group), "draw")):
         made = made.draw(context.at(path))
-    if is_own(kind) or (made is None and choice == "sky"):
+    if is_builtin(kind) or (made is None and choice == "sky"):
         return made
     if lacks := lacking(group, type(made)):
         who = named(group, node["type"])
         raise ScenecError(f"{who}: draw returned {made!r:.60}: expected {lacks}")
-    if not is_own(type(made)):
+    if not is_builtin(type(made)):
         give_name(group, type(made), node["type"])
     return made
 
 
 def draw_object(name: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
     """Returns an object of a cfg, by its name in ``table.CLASSES``, with its numbers drawn."""
-    return _made(class_of(name), node, path, context)
+    return _instantiate(class_of(name), node, path, context)
 
 
-def _made(kind: type[Any], node: Mapping[str, Any], path: str, context: Context) -> Any:
+def _instantiate(kind: type[Any], node: Mapping[str, Any], path: str, context: Context) -> Any:
     keys, drawn = keys_of(kind), resolve(node, context.streams, path)
     added = {}
     if "x-kinds" in vars(kind).get("KEYWORDS", {}):
         # What another package's kind, which one of the keys names, adds to them.
         added = {"added": {key: drawn.pop(key) for key in [*drawn] if key not in keys}}
     values = values_of(kind, drawn, path, context)
-    return kind(**values, **added, **made_of_context(kind, context.at(path), values))
+    return kind(**values, **added, **values_from_context(kind, context.at(path), values))
 
 
 def values_of(

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from scenec.compiler.kinds import forms, shared
-from scenec.compiler.kinds.declare import Form, description, own_keys
+from scenec.compiler.kinds.declare import Form, declared_keys, description
 from scenec.compiler.kinds.forms import DEFS
 from scenec.compiler.kinds.laws import LAWS
 from scenec.compiler.kinds.shared import Keys
-from scenec.compiler.kinds.table import CHOICES, CLASSES, Choice, class_of
+from scenec.compiler.kinds.table import CHOICES, CLASSES, KindChoice, class_of
 from scenec.schemas.plugins import plugin_name
 
 #: Forms by the names that other packages' schemas call them by.
@@ -71,7 +71,7 @@ def _number() -> dict[str, Any]:
 
 def _keys(first: Keys, kind: type[Any], last: Keys | None = None) -> dict[str, Any]:
     """Returns an object's type and keys: a class's own ones, those before and those after."""
-    own = own_keys(kind)
+    own = declared_keys(kind)
     later = {name: said for name, said in (last or {}).items() if name not in own}
     keys = {**first, **own, **later}
     required = [key for key, (_, needed) in keys.items() if needed]
@@ -94,12 +94,12 @@ def _branches(kinds: Mapping[str, str]) -> list[dict[str, Any]]:
     ]
 
 
-def _choice(choice: Choice) -> dict[str, Any]:
+def _choice(choice: KindChoice) -> dict[str, Any]:
     """Returns what stands for one of several kinds, by ``type``."""
     kinds: dict[str, Any] = {"enum": list(choice.kinds)}
     if choice.group:
         kinds["x-open"] = choice.group
-    found: dict[str, Any] = {
+    schema: dict[str, Any] = {
         "title": choice.title,
         "description": choice.description,
         "type": "object",
@@ -109,14 +109,14 @@ def _choice(choice: Choice) -> dict[str, Any]:
         **choice.keywords,
     }
     if not choice.kinds:
-        return {**found, "additionalProperties": False}
-    return {**found, "allOf": _branches(choice.kinds)}
+        return {**schema, "additionalProperties": False}
+    return {**schema, "allOf": _branches(choice.kinds)}
 
 
 def _object(name: str) -> dict[str, Any]:
     """Returns the definition of what a class declares."""
     kind, own = class_of(name), vars(class_of(name))
-    changes = dict(own.get("ELSEWHERE", {}).get(name, {}))
+    changes = dict(own.get("VARIANTS", {}).get(name, {}))
     first: Keys = {}
     last: Keys = {}
     context = next((c for c in CHOICES.values() if name in c.kinds.values()), None)
@@ -154,12 +154,12 @@ def _check(place: str) -> dict[str, Any]:
     return {"x-check": place} if place else {}
 
 
-def _shared(choice: Choice, kind: type[Any]) -> Keys:
+def _shared(choice: KindChoice, kind: type[Any]) -> Keys:
     """Returns the keys that a kind has as all of its choice have."""
     return getattr(shared, choice.shared)(kind) if choice.shared else {}
 
 
-def _title(name: str, context: Choice | None) -> str:
+def _title(name: str, context: KindChoice | None) -> str:
     """Returns what an object is called on the reference page where it says nothing else."""
     if context is not None:
         of = next(type_ for type_, other in context.kinds.items() if other == name)

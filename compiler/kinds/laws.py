@@ -57,7 +57,7 @@ class Normal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class ChoiceLaw:
     """One of some values."""
 
     EXAMPLE: ClassVar = {"type": "choice", "values": [1, 2, 4], "weights": [0.5, 0.3, 0.2]}
@@ -150,7 +150,7 @@ LAWS = {
     "uniform": Uniform,
     "log_uniform": LogUniform,
     "normal": Normal,
-    "choice": Choice,
+    "choice": ChoiceLaw,
     "log_normal": LogNormal,
     "exponential": Exponential,
     "power_law": PowerLaw,

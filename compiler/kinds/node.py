@@ -124,9 +124,9 @@ class Node:
             yield self.fault(f"expected either the key {first} or the key {second}")
 
 
-def unknown(what: str, name: str, known: Iterable[str], where: str = "") -> str:
-    """What is said of a name that stands for nothing."""
-    return f"no {what} {shown(name)}{where}{nearest(name, known)}"
+def unknown(what: str, name: str, valid: Iterable[str], where: str = "") -> str:
+    """Returns the message about a name that refers to nothing."""
+    return f"no {what} {shown(name)}{where}{nearest(name, valid)}"
 
 
 def is_black(node: Node, key: str = "color") -> bool:
@@ -136,12 +136,12 @@ def is_black(node: Node, key: str = "color") -> bool:
 
 
 def black(scaled_to: str) -> str:
-    """What is said of a color that can be black."""
+    """Returns the message about a color that can be black."""
     return f"black cannot be scaled to {scaled_to}: expected a component that is always above 0"
 
 
 def off_terrain(cfg: Node, place: Node) -> Iterator[tuple[str, str]]:
-    """Which of a place's keys x_m and y_m can lie off the terrain, and how."""
+    """Yields each of a place's keys x_m and y_m that can be off the terrain, and how."""
     for axis, key in enumerate(("x_m", "y_m")):
         size, span = cfg.at("terrain", "size_m").span(axis), place.span(key)
         if size and span and (span[0] < -0.5 * size[0] or span[1] > 0.5 * size[0]):

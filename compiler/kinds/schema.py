@@ -31,8 +31,8 @@ ROOT, NUMBER = f"{DEFS}cfg", f"{DEFS}number"
 def load_bundle() -> Mapping[str, Any]:
     """Returns the schema as it stands in the file that ships."""
     file = importlib.resources.files("scenec.schemas") / "cfg.schema.json"
-    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return found
+    bundle: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return bundle
 
 
 @cache
@@ -47,8 +47,8 @@ def bundled(*, partial: bool = False) -> dict[str, Any]:
     Args:
         partial: Whether keys may be missing that are required, as in a cfg that extends another.
     """
-    found: dict[str, Any] = _with_kinds(load_bundle(), partial)
-    return {"$schema": load_bundle()["$schema"], **found}
+    bundle: dict[str, Any] = _with_kinds(load_bundle(), partial)
+    return {"$schema": load_bundle()["$schema"], **bundle}
 
 
 def _with_kinds(schema: Any, partial: bool) -> Any:
@@ -84,7 +84,7 @@ def _with_kinds(schema: Any, partial: bool) -> Any:
 def _keys_of(group: str, name: str, key: str) -> dict[str, Any]:
     """Returns the keys of another package's kind; of one that is broken, any."""
     try:
-        found = dict(own_schema(group, name))
+        found = dict(kind_schema(group, name))
     except ScenecError:
         return {}
     if key != "type":
@@ -149,7 +149,7 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
 
 
 def _offered(key: Mapping[str, Any], name: Any) -> dict[str, Any]:
-    """What another package's kind adds to an object; ``key`` is the schema of what names it."""
+    """Returns the schema that another package's kind adds; ``key`` is the schema of its name."""
     group = key["x-open"]
     if not isinstance(name, str) or not (points := entry_points_of(group, name)):
         return {}
@@ -157,7 +157,7 @@ def _offered(key: Mapping[str, Any], name: Any) -> dict[str, Any]:
         what, whose = f"{KINDS[group]} {shown(name)}", ", ".join(map(place, points))
         return {"x-fault": f"several packages offer the {what}: scenec, {whose}; remove one"}
     try:
-        return dict(own_schema(group, name))
+        return dict(kind_schema(group, name))
     except ScenecError as error:
         return {"x-fault": str(error)}
 
@@ -183,7 +183,7 @@ def origins(fields: Iterable[Field]) -> dict[str, str]:
 
 
 @cache
-def own_schema(group: str, name: str) -> Mapping[str, Any]:
+def kind_schema(group: str, name: str) -> Mapping[str, Any]:
     """The keys of another package's kind.
 
     Raises:
@@ -199,15 +199,15 @@ def own_schema(group: str, name: str) -> Mapping[str, Any]:
     try:
         whole = foreign(group, kind)
         Draft202012Validator.check_schema(whole)
-        found: Mapping[str, Any] = with_forms(whole)
-        for keywords in found["properties"].values():
+        schema: Mapping[str, Any] = with_forms(whole)
+        for keywords in schema["properties"].values():
             _flatten(keywords, None)
     except (SchemaError, KeyError, NameError) as error:
         why = error.message if isinstance(error, SchemaError) else f"there is no {error}"
         why = str(error) if isinstance(error, NameError) else why
         what = "SCHEMA" if hasattr(kind, "SCHEMA") else "keys"
         raise ScenecError(f"{named(group, name)}: {what}: {why}") from error
-    return found
+    return schema
 
 
 def _referred(reference: str) -> Mapping[str, Any]:
@@ -217,8 +217,8 @@ def _referred(reference: str) -> Mapping[str, Any]:
     of, _, law = reference.rpartition("/$defs/")
     if of not in load_schemas():
         raise KeyError(reference)
-    found: Mapping[str, Any] = load_schemas()[of]["$defs"][law]
-    return found
+    law_schema: Mapping[str, Any] = load_schemas()[of]["$defs"][law]
+    return law_schema
 
 
 def _fits(value: Any, condition: Mapping[str, Any]) -> bool:

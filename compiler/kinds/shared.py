@@ -9,7 +9,7 @@ from typing import Any
 
 from scenec.compiler.kinds import forms
 from scenec.compiler.kinds.declare import Form, bounded
-from scenec.compiler.kinds.table import is_own
+from scenec.compiler.kinds.table import is_builtin
 
 #: Keys with their keywords, and whether they must be given.
 Keys = dict[str, tuple[dict[str, Any], bool]]
@@ -26,7 +26,7 @@ def of_relief(kind: type[Any]) -> Keys:
 
 def of_conditions(kind: type[Any]) -> Keys:
     """Returns the bounds of another package's quantity, which may have a ``UNIT``."""
-    if is_own(kind):
+    if is_builtin(kind):
         return {}
     unit = getattr(kind, "UNIT", "")
     end = f"_{unit}" if unit else ""

@@ -1,4 +1,4 @@
-"""What a number of the cfg can be, whatever is drawn."""
+"""Bounds the values that a number of the cfg can have, whatever is drawn."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from scenec.schemas.plugins import load_kind, named, plugin_name
 
 
 @dataclass(frozen=True)
-class Choice:
+class KindChoice:
     """One of several kinds, which the key ``type`` tells.
 
     Attributes:
@@ -120,7 +120,7 @@ _KINDS = {
     "objects": {
         "rocks": "objects.families.rocks:Rocks",
         "meshes": "objects.meshes:Meshes",
-        "placed": "objects.poses:Placed",
+        "placed": "objects.poses:PlacedKeys",
     },
     "pose": {
         "random_target": "cameras.paths.random_target:RandomTarget",
@@ -151,14 +151,14 @@ _KINDS = {
         "time_of_flight": "cameras.ranging:TimeOfFlight",
     },
     "exposure": {
-        "auto": "cameras.exposure:Auto",
+        "auto": "cameras.exposure:AutoExposure",
         "incident": "cameras.exposure:Incident",
         "fixed": "cameras.exposure:Fixed",
     },
     "imaging_exposure": {
         "metered": "cameras.imaging:Metered",
         "manual": "cameras.imaging:Manual",
-        "auto": "cameras.imaging:Auto",
+        "auto": "cameras.imaging:AutoImaging",
     },
     "sky": {
         "atmosphere": "light.atmosphere_sky:AtmosphereSky",
@@ -167,42 +167,42 @@ _KINDS = {
         "none": "light.sky:BlackSky",
         "overcast": "light.overcast:OvercastSky",
     },
-    "light": {"sun": "light.suns:Sun", "earthshine": "light.earthshine:Earthshine"},
+    "light": {"sun": "light.suns:SunKeys", "earthshine": "light.earthshine:Earthshine"},
     "light_mount": {"rig": "light.lamp:RigMount", "world": "light.lamp:WorldMount"},
 }
 #: Families of rocks: each is the ``Carved`` of that name in a module of that name.
 ROCKS = ("weathered", "angular", "rounded", "slab", "vesicular", "ventifact", "bedded", "breccia")
 #: Objects of a cfg that have no ``type``.
 _OBJECTS = {
-    "cfg": "cfg.whole:Cfg",
+    "cfg": "cfg.root:Cfg",
     "clouds_cirrus": "light.cloud_fields:CirrusClouds",
     "clouds_cumulus": "light.cloud_fields:CumulusClouds",
     "condition_ragged": "terrain.condition:Ragged",
-    "focus": "cameras.lens:Focus",
+    "focus": "cameras.lens:FocusKeys",
     "ground_base": "mesh.terrain:GroundBase",
-    "ground_layer": "mesh.terrain:GroundLayer",
+    "ground_layer": "mesh.terrain:GroundLayerKeys",
     "ground_noise": "mesh.terrain:GroundNoise",
-    "imaging": "cameras.imaging:Imaging",
+    "imaging": "cameras.imaging:ImagingKeys",
     "imaging_bloom": "cameras.imaging:Bloom",
     "imaging_dark_current": "cameras.imaging:DarkCurrent",
     "imaging_defects": "cameras.imaging:Defects",
     "imaging_jpeg": "cameras.imaging:Jpeg",
     "imaging_vignetting": "cameras.imaging:Vignetting",
     "intrinsics": "cameras.sensor:Intrinsics",
-    "label_choice": "cfg.whole:LabelChoice",
-    "labels": "cfg.whole:Labels",
-    "lidar": "cameras.ranging:Lidar",
-    "lidar_noise": "cameras.ranging:LidarNoise",
+    "label_choice": "cfg.root:LabelChoice",
+    "labels": "cfg.root:LabelKeys",
+    "lidar": "cameras.ranging:LidarKeys",
+    "lidar_noise": "cameras.ranging:LidarNoiseKeys",
     "light": "light.plan:Lights",
     "light_clouds": "light.cloud_fields:Clouds",
     "light_haze": "light.haze:HazeLayer",
     "light_lamp": "light.lamp:SpotLamp",
-    "light_target": "light.lamp:Target",
+    "light_target": "light.lamp:LampTarget",
     "material": "materials.material:MaterialKeys",
     "material_cells": "materials.maps:CellsKeys",
     "material_far": "materials.maps:FarKeys",
     "material_maps": "materials.maps:MapsKeys",
-    "model": "objects.models:ModelFile",
+    "model": "objects.models:ModelKeys",
     "model_part": "objects.models:ModelPart",
     "mount": "cameras.mount:Mount",
     "object_detail": "objects.lod:ObjectDetail",
@@ -211,16 +211,16 @@ _OBJECTS = {
     "objects_rocks_coating": "objects.coatings:CoatingPlan",
     "objects_rocks_fillet": "objects.feet:Fillet",
     "objects_scattered": "objects.scattered:Scattered",
-    "pose_limits": "cameras.paths.looks:Limits",
+    "pose_limits": "cameras.paths.looks:PoseLimits",
     "pose_sampling": "cameras.tracks:Sampling",
     "relief_mask_material": "mesh.terrain:Showing",
     "relief_mesh_roughness": "terrain.sources.mesh_base:Roughness",
-    "rig": "cameras.plan:Rig",
-    "sensor": "cameras.sensor:Sensor",
-    "shutter": "cameras.exposure:Shutter",
+    "rig": "cameras.plan:RigKeys",
+    "sensor": "cameras.sensor:SensorKeys",
+    "shutter": "cameras.exposure:ShutterKeys",
     "sky_label_map": "light.panorama:LabelMap",
     "sky_label_maps": "light.panorama:LabelMaps",
-    "sun": "light.suns:Sun",
+    "sun": "light.suns:SunKeys",
     "terrain": "mesh.terrain:Terrain",
     "terrain_horizon": "mesh.terrain:TerrainHorizon",
     "terrain_mesh": "mesh.mesh:Meshing",
@@ -249,7 +249,7 @@ _CONDITIONS: dict[str, Any] = {
     "prefix": "Condition",
 }
 CHOICES = {
-    "clouds_layer": Choice(
+    "clouds_layer": KindChoice(
         title="Clouds: layer",
         description="Clouds that another package draws into the sky: see docs/plugins.md.",
         of="Name that a package offers it under.",
@@ -257,14 +257,14 @@ CHOICES = {
         prefix="Clouds",
         kinds={},
     ),
-    "density": Choice(
+    "density": KindChoice(
         title="Density",
         description="How likely each place is to hold an object.",
         of="Kind of density.",
         group="scenec.densities",
         kinds=_of("density"),
     ),
-    "depth_camera": Choice(
+    "depth_camera": KindChoice(
         title="Depth camera",
         description="How the sensor measures depth, for the output depth_measured. The output "
         "depth stays exact.",
@@ -273,14 +273,14 @@ CHOICES = {
         prefix="",
         kinds=_of("depth_camera"),
     ),
-    "displacement": Choice(
+    "displacement": KindChoice(
         title="Displacement",
         description="One small relief of a material, in meters along the vertical.",
         of="Kind of relief.",
         each="Kind of operator.",
         kinds=_of("displacement"),
     ),
-    "effect": Choice(
+    "effect": KindChoice(
         title="Effect",
         description="What is done to a camera's 8-bit picture after all else, by another package: "
         "see docs/plugins.md.",
@@ -288,27 +288,27 @@ CHOICES = {
         group="scenec.effects",
         kinds={},
     ),
-    "exposure": Choice(
+    "exposure": KindChoice(
         title="Exposure",
         description="How radiance becomes an 8-bit picture; the radiance itself is not touched.",
         of="Kind of exposure.",
         kinds=_of("exposure"),
     ),
-    "ground_where": Choice(
+    "ground_where": KindChoice(
         title="Ground: where",
         description="One condition on where a layer lies. Its border runs along the bound; the "
         "color fades over the softness about it.",
         **_CONDITIONS,
         kinds=_PLACES,
     ),
-    "imaging_exposure": Choice(
+    "imaging_exposure": KindChoice(
         title="Imaging: exposure",
         description="Exposure time and speed of the sensor.",
         of="Kind.",
         prefix="Imaging exposure",
         kinds=_of("imaging_exposure"),
     ),
-    "lens": Choice(
+    "lens": KindChoice(
         title="Lens",
         description="How the lens bends the picture. The parameters are OpenCV's, so that its "
         "calibrations can be pasted; but the center of the top left pixel is (0.5, 0.5), OpenCV's "
@@ -317,31 +317,31 @@ CHOICES = {
         kinds=_of("lens"),
         keywords={"x-whole": True},
     ),
-    "light_more": Choice(
+    "light_more": KindChoice(
         title="Further sun",
         description="A disc far away, beside the sun.",
         of="Kind of disc.",
         kinds=_of("light"),
     ),
-    "light_mount": Choice(
+    "light_mount": KindChoice(
         title="Lamp's mount",
         description="What a lamp is fixed to.",
         of="Kind of mount.",
         kinds=_of("light_mount"),
     ),
-    "objects": Choice(
+    "objects": KindChoice(
         title="Objects",
         description="One class of objects.",
         of="Kind of objects.",
         kinds=_of("objects"),
     ),
-    "objects_where": Choice(
+    "objects_where": KindChoice(
         title="Objects: where",
         description="One condition on where objects lie; several multiply.",
         **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material", **_OF_OBJECTS},
     ),
-    "pose": Choice(
+    "pose": KindChoice(
         title="Pose",
         description="Where a rig is in each sample.",
         of="Kind of pose.",
@@ -349,27 +349,27 @@ CHOICES = {
         shared="of_poses",
         kinds=_of("pose"),
     ),
-    "pose_center": Choice(
+    "pose_center": KindChoice(
         title="Pose: center",
         description="What an orbit goes around.",
         of="Kind of center.",
         prefix="Center",
         kinds=_of("pose_center"),
     ),
-    "pose_look": Choice(
+    "pose_look": KindChoice(
         title="Pose: look",
         description="What a random pose looks at.",
         of="Kind of look.",
         prefix="Look",
         kinds=_of("pose_look"),
     ),
-    "reflectance": Choice(
+    "reflectance": KindChoice(
         title="Reflectance",
         description="How the dull part of a surface scatters light.",
         of="Kind of reflectance.",
         kinds=_of("reflectance"),
     ),
-    "relief": Choice(
+    "relief": KindChoice(
         title="Relief operator",
         description="One step in shaping the terrain.",
         of="Kind of operator.",
@@ -378,21 +378,21 @@ CHOICES = {
         prefix="Relief",
         kinds=_of("relief"),
     ),
-    "relief_mask": Choice(
+    "relief_mask": KindChoice(
         title="Relief mask",
         description="One condition on where an operator acts; several multiply. A masked operator "
         "is a blend of before and after, so it conserves nothing.",
         **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material"},
     ),
-    "scan_pattern": Choice(
+    "scan_pattern": KindChoice(
         title="Scan pattern",
         description="Where the rays of a lidar go, by another package: see docs/plugins.md.",
         of="Name that a package offers it under.",
         group="scenec.scans",
         kinds={},
     ),
-    "sky": Choice(
+    "sky": KindChoice(
         title="Sky",
         description="What surrounds the scene.",
         of="Kind of sky.",
@@ -400,7 +400,7 @@ CHOICES = {
         shared="of_skies",
         kinds=_of("sky"),
     ),
-    "surface": Choice(
+    "surface": KindChoice(
         title="Surface",
         description="Pictures of color, roughness and normals that the compiler makes, without "
         "seams; base_color and roughness of the material are their means.",
@@ -424,7 +424,7 @@ BASES = {
 #: What they, or what they draw, have beside what is abstract there.
 NEEDS = {
     "scenec.effects": ("apply(picture, random)",),
-    "scenec.poses": ("built(around)", "needs_objects"),
+    "scenec.poses": ("built(context)", "needs_objects"),
     "scenec.relief": ("apply(grid, height)",),
     "scenec.surfaces": ("SIZE_M", "RELIEF"),
 }
@@ -432,8 +432,8 @@ NEEDS = {
 
 def class_of(name: str) -> type[Any]:
     """Returns the class that declares an object or a kind, by its name in ``CLASSES``."""
-    made: type[Any] = loaded(CLASSES[name])
-    return made
+    kind: type[Any] = loaded(CLASSES[name])
+    return kind
 
 
 def kind_of(choice: str, name: str) -> type[Any]:
@@ -474,7 +474,7 @@ def lacking(group: str, kind: type[Any]) -> str:
         return f"a subclass of {base.__module__}.{base.__qualname__}"
     abstract = (
         f"{name}({', '.join([*inspect.signature(getattr(of, name)).parameters][1:])})"
-        for of in filter(is_own, kind.__mro__)
+        for of in filter(is_builtin, kind.__mro__)
         for name in sorted(getattr(of, "__abstractmethods__", ()))
     )
     needed = (*abstract, *NEEDS.get(group, ()))
@@ -501,7 +501,7 @@ def _answers(kind: type[Any], need: str) -> bool:
 
 def name_of(choice: str, kind: type[Any]) -> str:
     """Returns the ``type`` that a class goes by; what an own kind draws says it by its ``KIND``."""
-    if not is_own(kind):
+    if not is_builtin(kind):
         return plugin_name(CHOICES[choice].group, kind)
     if "KIND" in vars(kind):
         return str(kind.KIND)
@@ -510,7 +510,7 @@ def name_of(choice: str, kind: type[Any]) -> str:
     return next(own, kind.__name__)
 
 
-def is_own(kind: type[Any]) -> bool:
+def is_builtin(kind: type[Any]) -> bool:
     """Whether a kind is one of this package."""
     return kind.__module__.startswith("scenec.compiler.")
 

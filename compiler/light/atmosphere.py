@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere_columns import columns
-from scenec.compiler.light.atmosphere_multiple import FarGround, Look, bake_again, far_suns
-from scenec.compiler.light.atmosphere_planets import Medium
+from scenec.compiler.light.atmosphere_multiple import FarGround, Observer, bake_again, far_suns
+from scenec.compiler.light.atmosphere_planets import AirMedium
 from scenec.compiler.light.atmosphere_rays import (
-    Sight,
+    SightLine,
     aerosol_phase,
     angle_to_sun,
     cubic,
@@ -55,7 +55,7 @@ class _Air(NamedTuple):
     Attributes:
         sizes: ``Planet.sizes``.
         spectra: Gas, aerosol, loss by the aerosol, absorption, float64 [4, wavelengths].
-        phase: ``Medium.phase``.
+        phase: ``AirMedium.phase``.
     """
 
     sizes: NDArray[np.float64]
@@ -64,7 +64,7 @@ class _Air(NamedTuple):
 
 
 def bake(
-    medium: Medium,
+    medium: AirMedium,
     weights: NDArray[np.float64],
     altitude_m: float,
     sun_elevation: float,
@@ -98,7 +98,7 @@ def bake(
     r0 = sizes[0] + altitude_m
     ground = min(sizes[0], r0 - _EYE_M)
     sun = np.array([elementary.cos(sun_elevation), elementary.sin(sun_elevation)])
-    look = Look(r0, ground, sun, steps, weights)
+    look = Observer(r0, ground, sun, steps, weights)
     low, high = far_suns(look)
     skylight = np.empty((_SUNS, spectra.shape[1]))
     air = _Air(sizes, spectra, medium.phase)
@@ -113,7 +113,7 @@ def bake(
 
 
 def direct(
-    medium: Medium,
+    medium: AirMedium,
     weights: NDArray[np.float64],
     altitude_m: float,
     sun_elevation: float,
@@ -154,7 +154,9 @@ def _disc_above(center: float, radius: float) -> float:
     return float((elementary.acos(-x) + x * half_chord) / elementary.PI)
 
 
-def zenith_depth(medium: Medium, altitude_m: float, nm: float, nodes: NDArray) -> dict[str, float]:
+def zenith_depth(
+    medium: AirMedium, altitude_m: float, nm: float, nodes: NDArray
+) -> dict[str, float]:
     """Optical depth at a wavelength straight up from the observer, by what makes it."""
     sizes = medium.planet.sizes()
     gas, aerosol, layer = columns(sizes[0] + altitude_m, 1.0, sizes)
@@ -179,7 +181,7 @@ def _skylight(sun_sine: float, air: _Air) -> NDArray[np.float64]:
         for i in range(_AROUND):
             bearing = elementary.PI * (i + 0.5) / _AROUND
             toward = cosine * sun_cosine * elementary.cos(bearing) + sine * sun_sine
-            sight = Sight(sizes[0], sine, toward, sun_sine)
+            sight = SightLine(sizes[0], sine, toward, sun_sine)
             gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol)
             solid_angle = 2.0 * elementary.PI / (_UP * _AROUND)
             for w in range(wavelengths):
@@ -197,7 +199,7 @@ def _skylights(first: int, last: int, low: float, high: float, air: _Air, out: N
 
 @kernel
 def _rows(
-    first: int, last: int, look: Look, bearings: int, air: _Air, far: FarGround, out: NDArray
+    first: int, last: int, look: Observer, bearings: int, air: _Air, far: FarGround, out: NDArray
 ) -> None:
     """The left half of the picture: bearings from 180 degrees off the sun to the sun."""
     r0, ground, sun, _, weights = look
@@ -218,7 +220,7 @@ def _rows(
             count, hits = prepare(r0, sine, cosine, ground, sizes, spectra, steps)
             for n in range(bearings):
                 toward = angle_to_sun(sine, cosine, n / (bearings - 1), sun)
-                sight = Sight(r0, sine, toward, sun[1])
+                sight = SightLine(r0, sine, toward, sun[1])
                 gather(count, sight, sizes, spectra, steps, of_gas[n], of_aerosol[n])
             for column in range(height):
                 share = 1.0 - (column + 0.5) / height

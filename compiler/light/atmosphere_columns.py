@@ -92,7 +92,7 @@ def _at_node(
 
 @inlined
 def _root(square: float) -> float:
-    """Of what rounding may have brought below 0."""
+    """Returns the square root of a value that rounding may have brought below 0."""
     return np.sqrt(square if square > 0.0 else 0.0)
 
 

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere_columns import columns
-from scenec.compiler.light.atmosphere_planets import Medium
+from scenec.compiler.light.atmosphere_planets import AirMedium
 from scenec.compiler.light.atmosphere_rays import (
-    Sight,
+    SightLine,
     Steps,
     angle_to_sun,
     cubic,
@@ -55,7 +55,7 @@ _MOST_AGAIN = 0.995
 
 
 def mean_cosine(phase: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean cosine g of an aerosol's phase function (``Medium.phase``), [wavelengths].
+    """Mean cosine g of an aerosol's phase function (``AirMedium.phase``), [wavelengths].
 
     Of Cornette and Shanks' lobe: 3 g (4 + g^2) / (5 (2 + g^2)).
     """
@@ -80,7 +80,7 @@ def spectral_albedo(nm: NDArray[np.float64], color: NDArray[np.float64]) -> NDAr
     return np.interp(nm, [465.0, 550.0, 610.0], color[::-1])
 
 
-class Look(NamedTuple):
+class Observer(NamedTuple):
     """An eye under a sky.
 
     Attributes:
@@ -98,14 +98,14 @@ class Look(NamedTuple):
     weights: NDArray[np.float64]
 
 
-class Air(NamedTuple):
+class Optics(NamedTuple):
     """An atmosphere, and what light that is scattered again needs of it.
 
     Attributes:
         sizes: ``Planet.sizes``.
         spectra, even: Coefficients of the medium and of the reduced one (``reduced``).
         g: The aerosol's mean cosine.
-        phase: ``Medium.phase``.
+        phase: ``AirMedium.phase``.
         table: Of ``make_table``.
     """
 
@@ -132,7 +132,7 @@ class FarGround(NamedTuple):
     albedo: NDArray[np.float64]
 
 
-def far_suns(look: Look) -> tuple[float, float]:
+def far_suns(look: Observer) -> tuple[float, float]:
     """Sines of the sun's elevation over ground in sight: up to the horizon's dip away."""
     horizon = elementary.acos(look.ground / look.r0)
     elevation = elementary.atan2(look.sun[1], look.sun[0])
@@ -183,7 +183,7 @@ def _table_part(
                 for a in range(_AROUND):
                     bearing = elementary.PI * (a + 0.5) / _AROUND
                     toward = cosine * sun_cosine * elementary.cos(bearing) + sine * sun_sine
-                    sight = Sight(r0, sine, toward, sun_sine)
+                    sight = SightLine(r0, sine, toward, sun_sine)
                     gather(count, sight, sizes, spectra, steps, of_gas, of_aerosol)
                     for w in range(nodes):
                         light = 0.25 / elementary.PI * (of_gas[w] + of_aerosol[w])
@@ -213,7 +213,7 @@ def _sun_of(j: int) -> tuple[float, float]:
 
 @kernel
 def add_again(
-    count: int, sight: Sight, sizes: NDArray, table: NDArray, steps: Steps, total: NDArray
+    count: int, sight: SightLine, sizes: NDArray, table: NDArray, steps: Steps, total: NDArray
 ) -> None:
     """Adds what a prepared ray of the reduced medium sends of the table's light, [wavelengths].
 
@@ -244,13 +244,13 @@ def add_again(
 
 
 def bake_again(
-    medium: Medium, look: Look, ground_color: NDArray[np.float64], height: int
+    medium: AirMedium, look: Observer, ground_color: NDArray[np.float64], height: int
 ) -> NDArray[np.float64]:
-    """What the picture of ``atmosphere.bake`` lacks, of the same shape and unit."""
+    """Bakes the multiple scattering that ``atmosphere.bake`` lacks, in the same shape and unit."""
     sizes, spectra, g = medium.planet.sizes(), medium.spectra(), mean_cosine(medium.phase)
     even = reduced(spectra, g)
     albedo = spectral_albedo(wavelengths(len(medium.gas)), ground_color)
-    air = Air(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
+    air = Optics(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
     low, high = far_suns(look)
     light = np.zeros((_GROUND_SUNS, len(g)))
     over_threads(_on_far_ground, _GROUND_SUNS, low, high, air, light)
@@ -261,9 +261,15 @@ def bake_again(
 
 @kernel
 def _again(
-    count: int, sight: Sight, air: Air, full: Steps, less: Steps, part: NDArray, total: NDArray
+    count: int,
+    sight: SightLine,
+    air: Optics,
+    full: Steps,
+    less: Steps,
+    part: NDArray,
+    total: NDArray,
 ) -> None:
-    """What a ray's single scattering lacks, [wavelengths], into ``total``.
+    """Fills ``total`` [wavelengths] with the multiple scattering along a ray.
 
     Args:
         full, less: The ray, prepared in the medium and in the reduced one.
@@ -280,7 +286,7 @@ def _again(
 
 
 @kernel
-def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray) -> None:
+def _forward_again(count: int, sight: SightLine, air: Optics, full: Steps, out: NDArray) -> None:
     """Light scattered forward twice or more, over the phase function and sunlight.
 
     Args:
@@ -307,7 +313,7 @@ def _forward_again(count: int, sight: Sight, air: Air, full: Steps, out: NDArray
 
 @inlined
 def _add_forward(
-    air: Air, behind: tuple[float, float, float], way: float, scattered: NDArray, out: NDArray
+    air: Optics, behind: tuple[float, float, float], way: float, scattered: NDArray, out: NDArray
 ) -> None:
     """A step's part of ``_forward_again``.
 
@@ -329,7 +335,7 @@ def _add_forward(
 
 
 @kernel
-def _both(air: Air, steps: int) -> tuple[Steps, Steps]:
+def _both(air: Optics, steps: int) -> tuple[Steps, Steps]:
     """Room for a ray in the medium and in the reduced one, whose steps have the same places."""
     nodes = air.spectra.shape[1]
     full = room(steps, nodes)
@@ -339,7 +345,7 @@ def _both(air: Air, steps: int) -> tuple[Steps, Steps]:
 
 
 @kernel
-def _on_level_ground(sun_sine: float, air: Air, out: NDArray) -> None:
+def _on_level_ground(sun_sine: float, air: Optics, out: NDArray) -> None:
     """Irradiance over the sun's of what single scattering lacks, [wavelengths], into ``out``."""
     sizes, phase, nodes = air.sizes, air.phase, air.spectra.shape[1]
     full, less = _both(air, _STEPS)
@@ -355,7 +361,7 @@ def _on_level_ground(sun_sine: float, air: Air, out: NDArray) -> None:
         count, _ = prepare(r0, sine, cosine, r0, sizes, air.even, less)
         for a in range(_AROUND):
             toward = angle_to_sun(sine, cosine, (a + 0.5) / _AROUND, sun)
-            sight = Sight(r0, sine, toward, sun_sine)
+            sight = SightLine(r0, sine, toward, sun_sine)
             _again(count, sight, air, full, less, part, total)
             _forward_again(count, sight, air, full, forward)
             for w in range(nodes):
@@ -365,7 +371,9 @@ def _on_level_ground(sun_sine: float, air: Air, out: NDArray) -> None:
 
 
 @kernel
-def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out: NDArray) -> None:
+def _on_far_ground(
+    first: int, last: int, low: float, high: float, air: Optics, out: NDArray
+) -> None:
     """Light on the ground at heights of the sun, [_GROUND_SUNS, wavelengths]."""
     for n in range(first, last):
         sine = low + (high - low) * n / (_GROUND_SUNS - 1.0)
@@ -373,8 +381,10 @@ def _on_far_ground(first: int, last: int, low: float, high: float, air: Air, out
 
 
 @kernel
-def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out: NDArray) -> None:
-    """What a single-scattered picture lacks, linear Rec.709, [height, height, 3]: its left half."""
+def _again_rows(
+    first: int, last: int, look: Observer, air: Optics, far: FarGround, out: NDArray
+) -> None:
+    """Fills rows of multiple scattering's left half, linear Rec.709, [height, height, 3]."""
     r0, ground, sun, steps, weights = look
     low, high, on_ground, albedo = far
     sizes, phase = air.sizes, air.phase
@@ -394,7 +404,7 @@ def _again_rows(first: int, last: int, look: Look, air: Air, far: FarGround, out
             count, hits = prepare(r0, sine, cosine, ground, sizes, air.spectra, full)
             for n in range(_BEARINGS):
                 toward = angle_to_sun(sine, cosine, n / (_BEARINGS - 1.0), sun)
-                sight = Sight(r0, sine, toward, sun[1])
+                sight = SightLine(r0, sine, toward, sun[1])
                 _again(count, sight, air, full, less, part, total[n])
                 _forward_again(count, sight, air, full, forward[n])
             for column in range(height):

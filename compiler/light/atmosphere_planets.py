@@ -33,14 +33,14 @@ class Planet:
     layer_half_m: float = 15_000.0
 
     def sizes(self) -> NDArray[np.float64]:
-        """As the kernels take it, [6]."""
+        """Returns the lengths as the kernels take them, [6]."""
         return np.array(
             [self.radius_m, self.top_m, self.gas_m, self.aerosol_m, self.layer_m, self.layer_half_m]
         )
 
 
 @dataclass(frozen=True)
-class Medium:
+class AirMedium:
     """Coefficients at the ground (of the absorber: in its densest height), by wavelength.
 
     Attributes:
@@ -101,11 +101,11 @@ _DUST_MEAN_COSINE = np.array([0.80, 0.77, 0.70, 0.69, 0.68, 0.68])
 _DUST_FORWARD, _DUST_WIDE, _DUST_LOBES_NM = 0.889, 0.094, 650.0
 
 
-def earth(count: int, air: float, dust: float, ozone: float) -> Medium:
+def earth(count: int, air: float, dust: float, ozone: float) -> AirMedium:
     """Earth's atmosphere at so many wavelengths."""
     nm = wavelengths(count)
     ones = np.ones(count)
-    return Medium(
+    return AirMedium(
         planet=EARTH,
         gas=air * _AIR / (nm * nm * nm * nm),
         aerosol=dust * _AEROSOL * ones,
@@ -115,7 +115,7 @@ def earth(count: int, air: float, dust: float, ozone: float) -> Medium:
     )
 
 
-def mars(count: int, air: float, dust: float, ozone: float) -> Medium:
+def mars(count: int, air: float, dust: float, ozone: float) -> AirMedium:
     """The atmosphere of Mars; its ozone, a hundredth of Earth's, is left out whatever its factor.
 
     Dust of 1.5 um diffracts light into a cone whose width grows with the wavelength. Measured at
@@ -128,7 +128,7 @@ def mars(count: int, air: float, dust: float, ozone: float) -> Medium:
     loss = dust * _DUST_DEPTH / MARS.aerosol_m
     forward = 1.0 - (1.0 - _DUST_FORWARD) * nm / _DUST_LOBES_NM
     mean = np.interp(nm, _DUST_NM, _DUST_MEAN_COSINE)
-    return Medium(
+    return AirMedium(
         planet=MARS,
         gas=air * _CO2_OVER_AIR * _AIR / (nm * nm * nm * nm),
         aerosol=loss * np.interp(nm, _DUST_NM, _DUST_ALBEDO),

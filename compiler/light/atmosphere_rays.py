@@ -21,7 +21,7 @@ from scenec.schemas.kernels import inlined, kernel
 _INV_PI = 1.0 / elementary.PI
 
 
-class Sight(NamedTuple):
+class SightLine(NamedTuple):
     """A ray, and where the sun is.
 
     Attributes:
@@ -38,7 +38,7 @@ class Sight(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """What a ray's steps hold, whatever the direction of the sun; ``prepare`` fills it.
+    """Holds a ray's steps, for any direction of the sun; ``prepare`` fills it.
 
     Attributes:
         t: Their ends, distances from the observer, float64 [2 * steps + 1].
@@ -126,7 +126,7 @@ def _climb(steps, first, count, closest, low, high, shift, down):  # type: ignor
 
 @kernel
 def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-untyped-def]
-    """What a ray's steps hold, whatever the direction of the sun.
+    """Fills a ray's steps, for any direction of the sun.
 
     Args:
         r0: The observer's distance from the planet's center.
@@ -189,7 +189,7 @@ def prepare(r0, sine, cosine, ground, sizes, spectra, out):  # type: ignore[no-u
 
 
 @kernel
-def shadow(sight: Sight, radius: float) -> tuple[float, float]:
+def shadow(sight: SightLine, radius: float) -> tuple[float, float]:
     """Distances between which a ray is in the planet's shadow; if never, the first is larger."""
     r0, sine, toward, sun_sine = sight
     # The shadow is a half cylinder: square distance from its axis below that of the planet.

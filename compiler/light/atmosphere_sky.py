@@ -15,7 +15,7 @@ from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
-    from scenec.compiler.scene.light import SunLight
+    from scenec.compiler.scene.light import SunDisc
 
 #: At which optical depths are reported, nm.
 _REPORTED_NM = 550.0
@@ -84,7 +84,7 @@ class AtmosphereSky(Sky):
         """Returns what the sun is above the planet."""
         return SUNS[sky["planet"]]
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns pictures, the sun at the observer, and facts of each picture.
 
         Samples that differ in the sun's bearing alone share a picture and turn it.
@@ -149,7 +149,7 @@ class AtmosphereSky(Sky):
 
 
 def resolution_error(picture: NDArray[np.float64]) -> float:
-    """What a picture that is read linearly between its texels errs above the horizon.
+    """Estimates the error of reading a picture linearly between texels, above the horizon.
 
     Halfway between texels a linear reading errs by an eighth of the second difference: of the
     luminance, its root mean square over the sky, relative to the sky's mean.

@@ -56,7 +56,7 @@ def wavelengths(count: int) -> NDArray[np.float64]:
 
 @cache
 def weights(count: int) -> NDArray[np.float64]:
-    """What each node adds to a color where all of the sunlight there arrives, [count, 3].
+    """Returns each node's part of a color where all of the sunlight arrives, [count, 3].
 
     Between nodes a medium is taken to be a cubic, while sunlight and the eye keep the detail of
     their tables. The sum over the nodes is the color of sunlight above the atmosphere, linear

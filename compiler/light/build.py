@@ -13,15 +13,15 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.plan import RigPlan
 from scenec.compiler.cameras.rigs import expose
 from scenec.compiler.light.clear_sky import level_sun_irradiance
-from scenec.compiler.light.cloud_shadows import Land
+from scenec.compiler.light.cloud_shadows import LandBox
 from scenec.compiler.light.clouds import add_clouds
 from scenec.compiler.light.lamps import build_lamps, meter_lamps
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.plan import LightPlan
 from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.mesh.plan import TerrainPlan
-from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.mesh.surface import GroundSurface
+from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunDisc
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.views.needed import Needs
 from scenec.schemas.errors import SceneError
@@ -33,9 +33,9 @@ def light_sky(
     drawn_light: LightPlan,
     drawn_samples: int,
     drawn_terrain: TerrainPlan,
-    surface: Surface,
+    surface: GroundSurface,
     needs: Needs,
-) -> tuple[Light, NDArray[np.float64] | None, Facts]:
+) -> tuple[SceneLight, NDArray[np.float64] | None, Facts]:
     """Builds suns and sky, and shadows of clouds on the ground; their irradiance with pictures."""
     land = None
     if drawn_light.clouds is not None:
@@ -43,14 +43,14 @@ def light_sky(
         east, north = (0.5 * size for size in field.grid.size_m)
         low, high = float(field.height.min()), float(field.height.max())
         reach_m = 0.0 if horizon is None else horizon.reach_m
-        land = Land((-east, -north, low), (east, north, high), reach_m)
+        land = LandBox((-east, -north, low), (east, north, high), reach_m)
     light = build_light(drawn_light, drawn_samples, needs.color, needs.labels, land)
     return light, light.irradiance if needs.color else None, light.facts
 
 
 def light_lamps(
-    drawn_light: LightPlan, rigs: tuple[Rig, ...], surface: Surface, light: Light
-) -> tuple[Light, tuple[Lamp, ...], Facts]:
+    drawn_light: LightPlan, rigs: tuple[Rig, ...], surface: GroundSurface, light: SceneLight
+) -> tuple[SceneLight, tuple[Lamp, ...], Facts]:
     """Builds lamps, which rigs may carry; leaves out what is dark at every sample."""
     lit, lamps, dark = without_dark(light, build_lamps(drawn_light.lamps, rigs, surface))
     return lit, lamps, {"left_out": [entry("light", what, why) for what, why in dark]}
@@ -60,8 +60,8 @@ def expose_rigs(
     drawn_rigs: tuple[RigPlan, ...],
     rigs: tuple[Rig, ...],
     lamps: tuple[Lamp, ...],
-    surface: Surface,
-    light: Light,
+    surface: GroundSurface,
+    light: SceneLight,
 ) -> tuple[tuple[Rig, ...], Facts]:
     """Exposes sensors by all the light there is; those that make pictures get their imaging."""
     if lamps:
@@ -70,7 +70,7 @@ def expose_rigs(
 
 
 @dataclass(frozen=True)
-class Light:
+class SceneLight:
     """The light of a batch, but for lamps, which need the rigs that carry them.
 
     Attributes:
@@ -78,9 +78,9 @@ class Light:
         irradiance: On level ground, from suns and sky, luminance, [samples], W/m^2.
     """
 
-    sun: SunLight | None
+    sun: SunDisc | None
     sky: SkyLight | None
-    more_suns: dict[str, SunLight]
+    more_suns: dict[str, SunDisc]
     haze: Haze | None
     sky_label_maps: SkyLabelMaps | None
     irradiance: NDArray[np.float64]
@@ -89,8 +89,8 @@ class Light:
 
 @memoized("light")
 def build_light(
-    plan: LightPlan, samples: int, color: bool, labels: bool, land: Land | None = None
-) -> Light:
+    plan: LightPlan, samples: int, color: bool, labels: bool, land: LandBox | None = None
+) -> SceneLight:
     """The light of a batch.
 
     Args:
@@ -103,7 +103,7 @@ def build_light(
     """
     label_maps = plan.sky.build_label_maps() if labels and plan.sky is not None else None
     if not color:
-        return Light(None, None, {}, None, label_maps, np.zeros(samples))
+        return SceneLight(None, None, {}, None, label_maps, np.zeros(samples))
     sky: SkyLight | None = None
     sun = plan.sun
     facts: dict[str, Any] = {}
@@ -126,20 +126,20 @@ def build_light(
         for i in range(samples):
             irradiance[i] += shares[i] * luminance(level_sun_irradiance(one, i))
     haze = plan.haze if plan.haze is not None and plan.haze.extinction.any() else None
-    return Light(sun, sky, plan.more_suns, haze, label_maps, irradiance, facts)
+    return SceneLight(sun, sky, plan.more_suns, haze, label_maps, irradiance, facts)
 
 
-def _held(kind: Sky | CloudLayer, made: Any) -> SkyAndSun:
+def _held(kind: Sky | CloudLayer, result: Any) -> SkyAndSun:
     """Returns what a sky or a layer of clouds made; checks another package's.
 
     Raises:
         SceneError: It is not what ``SkyAndSun`` says.
     """
-    types = (SkyLight | None, SunLight | None, dict)
-    is_held = isinstance(made, tuple) and len(made) == len(types)
-    if not is_held or not all(map(isinstance, made, types)):
-        raise SceneError(f"{_who(kind)}: returned {made!r:.60}: expected a SkyAndSun")
-    return made
+    types = (SkyLight | None, SunDisc | None, dict)
+    is_held = isinstance(result, tuple) and len(result) == len(types)
+    if not is_held or not all(map(isinstance, result, types)):
+        raise SceneError(f"{_who(kind)}: returned {result!r:.60}: expected a SkyAndSun")
+    return result
 
 
 def _who(kind: Sky | CloudLayer) -> str:
@@ -159,9 +159,9 @@ def _sky_irradiance(sky: SkyLight | None, samples: int) -> NDArray[np.float64]:
 
 
 def without_dark(
-    light: Light, lamps: tuple[Lamp, ...]
-) -> tuple[Light, tuple[Lamp, ...], list[tuple[str, str]]]:
-    """What shines at one sample at least.
+    light: SceneLight, lamps: tuple[Lamp, ...]
+) -> tuple[SceneLight, tuple[Lamp, ...], list[tuple[str, str]]]:
+    """Leaves out the lights that shine at no sample.
 
     A disc that is below the horizon has no light there: nothing in a scene stands for the planet
     that hides it, and it would shine on the edges of the terrain from below.
@@ -170,7 +170,7 @@ def without_dark(
         Light and lamps, and what was left out: (what, why).
     """
     left_out: list[tuple[str, str]] = []
-    suns: dict[str, SunLight] = {}
+    suns: dict[str, SunDisc] = {}
     sun = None
     for name, disc in (("sun", light.sun), *light.more_suns.items()):
         if disc is None:

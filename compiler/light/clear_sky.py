@@ -14,7 +14,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Array, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.latlong import directions, far_ground, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
-from scenec.compiler.scene.light import SkyLight, SunLight
+from scenec.compiler.scene.light import SkyLight, SunDisc
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -52,7 +52,7 @@ class ClearSky(Sky):
         """Returns True."""
         return True
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns pictures of a clear sky, and which of them each sample shows.
 
         They are baked with the sun at its true bearing, so none is ever turned. Samples with the
@@ -81,7 +81,7 @@ class ClearSky(Sky):
         return sky, sun, {}
 
 
-def level_sun_irradiance(sun: SunLight | None, sample: int) -> NDArray[np.float64]:
+def level_sun_irradiance(sun: SunDisc | None, sample: int) -> NDArray[np.float64]:
     """Irradiance of the sun on level ground, linear Rec.709, W/m^2, float64 [3]."""
     if sun is None:
         return np.zeros(3)

@@ -170,7 +170,7 @@ class Clouds:
         return replace(self, **layers)
 
 
-class Pattern(NamedTuple):
+class CloudPattern(NamedTuple):
     """A pattern over the ground.
 
     Attributes:
@@ -201,7 +201,7 @@ class Cumulus(NamedTuple):
         extinction: Within, 1/m; 0 where there is no layer.
     """
 
-    pattern: Pattern
+    pattern: CloudPattern
     tile: NDArray[np.float32]
     base_m: float
     thickness_m: float
@@ -219,14 +219,14 @@ class Cirrus(NamedTuple):
         rise: Range of the pattern over which it gets there.
     """
 
-    pattern: Pattern
+    pattern: CloudPattern
     height_m: float
     depth: float
     rise: float
 
 
 class CumulusField:
-    """What all samples of a batch share of a layer of cumulus."""
+    """Holds what all samples of a batch share of a layer of cumulus."""
 
     def __init__(self, plan: CumulusClouds) -> None:
         self._plan = plan
@@ -238,7 +238,7 @@ class CumulusField:
         """The layer at a sample."""
         plan = self._plan
         coverage, thickness = float(plan.coverage[sample]), float(plan.thickness_m[sample])
-        pattern = Pattern(
+        pattern = CloudPattern(
             self._values, _SIDE / (_SPAN * plan.size_m), float(plan.offset_m[sample, 0]),
             float(plan.offset_m[sample, 1]), 1.0, 0.0, _quantile(self._sorted, 1.0 - coverage),
         )  # fmt: skip
@@ -248,7 +248,7 @@ class CumulusField:
 
 
 class CirrusField:
-    """What all samples of a batch share of a sheet of cirrus."""
+    """Holds what all samples of a batch share of a sheet of cirrus."""
 
     def __init__(self, plan: CirrusClouds) -> None:
         self._plan = plan
@@ -262,7 +262,7 @@ class CirrusField:
         # Streaks run along the pattern's columns: to the north at a bearing of 0.
         turn = -float(plan.bearing_deg[sample]) * elementary.PI / 180.0
         low = _quantile(self._sorted, 1.0 - coverage)
-        pattern = Pattern(
+        pattern = CloudPattern(
             self._values, _SIDE / (_SPAN * plan.size_m), float(plan.offset_m[sample, 0]),
             float(plan.offset_m[sample, 1]), elementary.cos(turn), elementary.sin(turn), low,
         )  # fmt: skip
@@ -281,8 +281,8 @@ def no_cirrus() -> Cirrus:
     return Cirrus(_nothing(), 1.0, 0.0, 1.0)
 
 
-def _nothing() -> Pattern:
-    return Pattern(np.zeros((1, 1), np.float32), 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+def _nothing() -> CloudPattern:
+    return CloudPattern(np.zeros((1, 1), np.float32), 1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 def _quantile(sorted_values: NDArray[np.float32], share: float) -> float:
@@ -292,7 +292,7 @@ def _quantile(sorted_values: NDArray[np.float32], share: float) -> float:
 
 
 def _places_and_keys(key: int) -> tuple[NDArray[np.float64], list[int]]:
-    """Of a pattern's columns and rows, in clouds; and a key for each of its noises."""
+    """Returns the places of a pattern's columns and rows, in clouds; and a key for each noise."""
     place = np.arange(_SIDE, dtype=np.float64)
     place = (place + 0.5) * (_SPAN / _SIDE)
     return place, [int(mix(np.uint64((key + i) & (2**64 - 1)))) for i in range(5)]
@@ -309,11 +309,11 @@ def cumulus_values(key: int) -> NDArray[np.float32]:
 
 
 @kernel
-def _cumulus_rows(first, last, key, place, bend_x, bend_y, groups, out):  # type: ignore[no-untyped-def]
+def _cumulus_rows(first, last, key, place, warp_x, warp_y, groups, out):  # type: ignore[no-untyped-def]
     for j in range(first, last):
         for i in range(len(place)):
-            x = place[i] + 0.35 * bend_x[j, i]
-            y = place[j] + 0.35 * bend_y[j, i]
+            x = place[i] + 0.35 * warp_x[j, i]
+            y = place[j] + 0.35 * warp_y[j, i]
             near, _ = worley2(key, x, y, 1.0)
             small, _ = worley2(key ^ np.uint64(77), 2.3 * x, 2.3 * y, 1.0)
             out[j, i] = (
@@ -371,7 +371,7 @@ def _mirrored(place: float, size: int) -> float:
 
 
 @kernel
-def value_at(pattern: Pattern, east: float, north: float) -> float:
+def value_at(pattern: CloudPattern, east: float, north: float) -> float:
     """A pattern over a place, bilinear, meters."""
     side = pattern.values.shape[0]
     x, y = east - pattern.east_m, north - pattern.north_m
@@ -387,7 +387,7 @@ def value_at(pattern: Pattern, east: float, north: float) -> float:
 
 @kernel
 def rise_at(layer: Cumulus, east: float, north: float) -> float:
-    """How high clouds rise over a place: 0 and less is none, 1 the full height."""
+    """Returns the height of clouds over a place: 0 and less is none, 1 the full height."""
     return (value_at(layer.pattern, east, north) - layer.pattern.threshold) / _RISE
 
 

@@ -52,7 +52,7 @@ _DARK = 20.0
 
 
 class Shine(NamedTuple):
-    """What shines on clouds.
+    """Holds the light that falls on clouds.
 
     Attributes:
         to_sun: Unit vector, float64 [3].
@@ -205,7 +205,7 @@ def through_cumulus(layer, shine, way, texel, out):  # type: ignore[no-untyped-d
 
 @kernel
 def through_cirrus(sheet, shine, way, out):  # type: ignore[no-untyped-def]
-    """As ``through_cumulus``, for a thin sheet: what it scatters once, and even light."""
+    """Traces a ray through a thin sheet, as ``through_cumulus``: single scattering, even light."""
     sine = way[2]
     far = _distance(sheet.height_m, sine)
     depth = cirrus_depth_at(sheet, way[0] * far, way[1] * far)

@@ -32,8 +32,8 @@ _LOWEST = 0.035
 _PARTS = 8
 
 
-class Land(NamedTuple):
-    """Where shadows can fall.
+class LandBox(NamedTuple):
+    """Bounds the land that shadows can fall on.
 
     Attributes:
         low, high: Corners of the terrain's box.
@@ -46,7 +46,7 @@ class Land(NamedTuple):
 
 
 class Shadows(NamedTuple):
-    """What comes through to the land, see ``scene.Gobo``.
+    """Holds the light that reaches the land below clouds, see ``scene.Gobo``.
 
     Attributes:
         picture: uint16 [h, w].
@@ -61,7 +61,7 @@ class Shadows(NamedTuple):
 
 
 def cloud_shadows(
-    to_sun: NDArray[np.float64], radius: float, cumulus: Cumulus, cirrus: Cirrus, land: Land
+    to_sun: NDArray[np.float64], radius: float, cumulus: Cumulus, cirrus: Cirrus, land: LandBox
 ) -> Shadows | None:
     """Shadows of clouds over the land; None where there is one light on all of it.
 
@@ -97,9 +97,9 @@ def cloud_shadows(
 
 
 def _extent(
-    axes: NDArray[np.float64], land: Land, reach_m: float
+    axes: NDArray[np.float64], land: LandBox, reach_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of the land's box, along two axes: least and most, [2] each."""
+    """Returns the extent of the land's box along two axes: least and most, [2] each."""
     out = np.array([reach_m, reach_m, 0.0])
     corners = np.stack([np.array(land.low) - out, np.array(land.high) + out])
     along = corners[:, :, None] * axes
@@ -115,7 +115,7 @@ def _beams(
     cumulus: Cumulus,
     cirrus: Cirrus,
 ) -> NDArray[np.float64]:
-    """What is left of beams through texels' centers, top row first, float64 [h, w]."""
+    """Returns the transmission of beams through texels' centers, top row first, float64 [h, w]."""
     width, height = counts
     x = middle[0] + texel * (np.arange(width) + 0.5 - 0.5 * width)
     y = middle[1] - texel * (np.arange(height) + 0.5 - 0.5 * height)

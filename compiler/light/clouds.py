@@ -25,10 +25,10 @@ from scenec.compiler.light.cloud_fields import (
     no_cumulus,
 )
 from scenec.compiler.light.cloud_rays import Shine, beam_left, beams_left, draw_rows
-from scenec.compiler.light.cloud_shadows import Land, Shadows, cloud_shadows
+from scenec.compiler.light.cloud_shadows import LandBox, Shadows, cloud_shadows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
 from scenec.compiler.light.overcast import NIL
-from scenec.compiler.scene.light import Gobo, SkyLight, SunLight
+from scenec.compiler.scene.light import Gobo, SkyLight, SunDisc
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
@@ -41,11 +41,11 @@ _NEAR_RAD = 2.0 * _RADIAN
 def add_clouds(
     plan: Clouds,
     sky: SkyLight,
-    sun: SunLight | None,
+    sun: SunDisc | None,
     ground_color: NDArray[np.float64],
     samples: int,
-    land: Land | None = None,
-) -> tuple[SkyLight, SunLight | None, dict[str, Any]]:
+    land: LandBox | None = None,
+) -> tuple[SkyLight, SunDisc | None, dict[str, Any]]:
     """A sky with clouds, what is left of its sun, and facts of that at each sample.
 
     Samples that see the same clouds in the same light share a picture.
@@ -62,7 +62,7 @@ def add_clouds(
     cirrus_field = None if plan.cirrus is None else CirrusField(plan.cirrus)
     left = np.ones(samples)
     shadows: list[Shadows | None] = [None] * samples
-    known: dict[bytes, Shadows | None] = {}
+    shadows_of: dict[bytes, Shadows | None] = {}
     pictures: dict[str, NDArray[np.float32]] = {}
     names: dict[bytes, str] = {}
     texture = []
@@ -77,9 +77,9 @@ def add_clouds(
             if land is not None:
                 radius = 0.5 * float(sun.diameter_deg[i]) * _RADIAN
                 same = np.array([*to_sun, radius, *_numbers(cumulus, cirrus)]).tobytes()
-                if same not in known:
-                    known[same] = cloud_shadows(to_sun, radius, cumulus, cirrus, land)
-                shadows[i] = known[same]
+                if same not in shadows_of:
+                    shadows_of[same] = cloud_shadows(to_sun, radius, cumulus, cirrus, land)
+                shadows[i] = shadows_of[same]
         picture = sky.pictures[sky.texture[i]]
         assert isinstance(picture, np.ndarray), "clouds over a picture from a file"
         numbers = [*to_sun, *beam, *ground_color[i], sky.intensity[i], sky.rotation_deg[i]]
@@ -171,7 +171,7 @@ def draw_clouds(
     picture[rows:] *= (1.0 + near[:, None] * (share - 1.0))[:, None, :]
 
 
-def _sun_left(sun: SunLight, sample: int, cumulus: Cumulus, cirrus: Cirrus) -> float:
+def _sun_left(sun: SunDisc, sample: int, cumulus: Cumulus, cirrus: Cirrus) -> float:
     """Share of the sun's light that comes through clouds, a mean over its disc."""
     center = np.array(sun.direction(sample))
     radius = 0.5 * float(sun.diameter_deg[sample]) * _RADIAN
@@ -212,7 +212,7 @@ def _mean_left(to_sun: NDArray[np.float64], cumulus: Cumulus, cirrus: Cirrus) ->
 
 
 def _numbers(*layers: Cumulus | Cirrus) -> list[float]:
-    """What a layer is, but for what all samples share."""
+    """Lists the numbers of layers that samples do not share."""
     out = []
     for layer in layers:
         out += [value for value in layer if isinstance(value, float)]

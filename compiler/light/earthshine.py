@@ -20,7 +20,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Context, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.suns import of_luminance_one
-from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.light import SunDisc
 
 EARTH_RADIUS_KM = 6371.0
 MOON_DISTANCE_KM = 384400.0
@@ -71,14 +71,14 @@ class Earthshine:
         if is_black(node):
             yield node.fault(black("what is asked for"), "color")
 
-    def draw(self, context: Context) -> SunLight:
+    def draw(self, context: Context) -> SunDisc:
         """Returns the Earth's disc at every sample."""
         drawn = context.sampled(self)
         drawn["irradiance"] = earthshine_irradiance(
             drawn.pop("phase_deg"), drawn.pop("solar_irradiance"), drawn.pop("geometric_albedo")
         )
         drawn["color"] = of_luminance_one(drawn["color"])
-        return SunLight(**drawn)
+        return SunDisc(**drawn)
 
 
 def earthshine_irradiance(

@@ -43,7 +43,7 @@ class RigMount:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Target:
+class LampTarget:
     """A place that a lamp shines to."""
 
     EXAMPLE: ClassVar[dict[str, Any]] = {"x_m": 4, "y_m": 0, "z_m": 0.5}
@@ -62,7 +62,7 @@ class Target:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldMount(Target):
+class WorldMount(LampTarget):
     """Standing in the world."""
 
     EXAMPLE: ClassVar = {
@@ -81,7 +81,7 @@ class WorldMount(Target):
     """Compass bearing that it shines to, clockwise from +Y (north). Not with a target."""
     elevation_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=-90, at_least=-90, at_most=90)
     """Angle above the horizon that it shines to. Not with a target."""
-    target: Target | None = key(an("light_target", drawn=True), optional=True)
+    target: LampTarget | None = key(an("light_target", drawn=True), optional=True)
     """A place that it shines to."""
 
     @staticmethod
@@ -101,7 +101,7 @@ class WorldMount(Target):
         if made.target is None:
             return made
         target = context.at(f"{context.path}/target").sampled(made.target)
-        return replace(made, target=Target(**target))
+        return replace(made, target=LampTarget(**target))
 
 
 @dataclass(frozen=True, kw_only=True)

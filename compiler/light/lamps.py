@@ -14,7 +14,7 @@ from scenec.compiler.geometry.lenses import pixel_rays
 from scenec.compiler.geometry.poses import bearing_vector, compose, look_at
 from scenec.compiler.light.lamp import LampPlan, RigMount, WorldMount
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.light import Lamp, SpotLight
 from scenec.compiler.scene.rig import Rig, Sensor
@@ -31,7 +31,7 @@ _ROWS = (0.5, 0.625, 0.75, 0.875, 1.0)
 
 @memoized("lamps")
 def build_lamps(
-    plans: tuple[LampPlan, ...], rigs: tuple[Rig, ...], surface: Surface
+    plans: tuple[LampPlan, ...], rigs: tuple[Rig, ...], surface: GroundSurface
 ) -> tuple[Lamp, ...]:
     """All lamps, in the plan's order.
 
@@ -41,7 +41,7 @@ def build_lamps(
     return tuple(_lamp(plan, rigs, surface) for plan in plans)
 
 
-def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
+def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: GroundSurface) -> Lamp:
     if isinstance(plan.mount, RigMount):
         mount = plan.mount
         carrier = next(rig for rig in rigs if rig.name == mount.rig)
@@ -55,7 +55,7 @@ def _lamp(plan: LampPlan, rigs: tuple[Rig, ...], surface: Surface) -> Lamp:
     return Lamp(**own, to_world=to_world)
 
 
-def _world_poses(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64]]:
+def _world_poses(mount: WorldMount, surface: GroundSurface) -> list[NDArray[np.float64]]:
     """Poses of a lamp that stands in the world; it looks along +z."""
     on_ground = mount.heights == "ground"
     position = _world_points(mount.points(), on_ground, surface)
@@ -76,7 +76,7 @@ def _world_poses(mount: WorldMount, surface: Surface) -> list[NDArray[np.float64
 
 
 def _world_points(
-    at: NDArray[np.float64], on_ground: bool, surface: Surface
+    at: NDArray[np.float64], on_ground: bool, surface: GroundSurface
 ) -> NDArray[np.float64]:
     out = at.copy()
     if on_ground:
@@ -109,7 +109,7 @@ def meter_lamps(
     rigs: tuple[Rig, ...],
     plans: tuple[RigPlan, ...],
     lamps: tuple[Lamp, ...],
-    surface: Surface,
+    surface: GroundSurface,
     irradiance: NDArray[np.float64],
 ) -> tuple[Rig, ...]:
     """The rigs, with metered exposures that count the light of lamps.
@@ -136,7 +136,7 @@ def meter_lamps(
 
 
 def _on_ground(
-    poses: NDArray[np.float64], sensor: Sensor, lamps: tuple[Lamp, ...], surface: Surface
+    poses: NDArray[np.float64], sensor: Sensor, lamps: tuple[Lamp, ...], surface: GroundSurface
 ) -> NDArray[np.float64]:
     """Irradiance from lamps at the first lit place from the middle of a picture downwards: [s]."""
     _, fy, cx, cy, _ = sensor.intrinsics
@@ -161,9 +161,9 @@ def _on_ground(
 
 
 def _ground_hit(
-    origin: NDArray[np.float64], direction: NDArray[np.float64], surface: Surface
+    origin: NDArray[np.float64], direction: NDArray[np.float64], surface: GroundSurface
 ) -> NDArray[np.float64] | None:
-    """Where a ray goes into the ground, but for what is finer than its grid; None: nowhere."""
+    """Returns where a ray meets the ground, as fine as its grid; None: nowhere."""
     lengths = np.zeros(_STEPS)
     length = _NEAREST_M
     for i in range(_STEPS):

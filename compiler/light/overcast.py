@@ -18,7 +18,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Array, Finding, Node, black, forms, is_black, key
 from scenec.compiler.light.latlong import far_ground, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
-from scenec.compiler.scene.light import SkyLight, SunLight
+from scenec.compiler.scene.light import SkyLight, SunDisc
 
 #: Mean cosine of the angle by which droplets of clouds turn light (Hu and Stamnes 1993).
 ASYMMETRY = 0.85
@@ -59,7 +59,7 @@ class OvercastSky(Sky):
         if node.whole().at("light").entries.get("sun", {}) is None and "irradiance" not in node:
             yield node.fault("expected the key irradiance, or a sun above the cloud (light.sun)")
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns pictures of overcast skies, and what is left of the sun.
 
         A picture is of irradiance 1, so that samples that differ in strength alone share it.

@@ -18,7 +18,7 @@ from scenec.compiler.kinds.node import Node, unknown
 from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read_picture
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
 from scenec.compiler.light.sky import Sky, SkyAndSun
-from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunDisc
 from scenec.schemas.spelling import shown
 
 
@@ -197,7 +197,7 @@ class ImageSky(Sky):
         ids = ((value, table[name] if name else 0) for value, name in node["values"].items())
         return LabelMap(file=file, values=tuple(ids))
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns measured skies, copied byte for byte unless something about them is changed.
 
         Photographed panoramas hold negative radiances, by a little, where a color left the gamut;
@@ -238,14 +238,14 @@ class ImageSky(Sky):
         sky = SkyLight(pictures, texture, self.strength, self.rotation_deg, sharp)
         return sky, self._sun(suns) or sun, report
 
-    def _sun(self, suns: dict[Path, PictureSun | None]) -> SunLight | None:
+    def _sun(self, suns: dict[Path, PictureSun | None]) -> SunDisc | None:
         """The pictures' suns as one light: turned and as strong as the pictures are."""
         of_samples = [suns.get(file) for file in self.files]
         if not any(of_samples):
             return None
         none = PictureSun(0.0, 90.0, 0.0, np.ones(3), DIAMETER_DEG)
         chosen = [sun or none for sun in of_samples]
-        return SunLight(
+        return SunDisc(
             azimuth_deg=np.array([sun.azimuth_deg for sun in chosen]) + self.rotation_deg,
             elevation_deg=np.array([sun.elevation_deg for sun in chosen]),
             irradiance=np.array([sun.irradiance for sun in chosen]) * self.strength,

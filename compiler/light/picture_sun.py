@@ -143,7 +143,7 @@ def _spots(level: NDArray[np.float64], height: int) -> list[_Spot]:
 
 
 def _spot(level: NDArray[np.float64], height: int, row: int, column: int) -> _Spot:
-    """What stands out around a texel; values below 0 belong to another spot."""
+    """Measures the bright spot around a texel; values below 0 belong to another spot."""
     width = level.shape[1]
     middle = _direction(height, width, row, column)
     for _ in range(3):
@@ -230,7 +230,7 @@ def _quantiles(
 
 
 def _solid_angles(height: int, width: int) -> NDArray[np.float64]:
-    """Of a texel in each row, steradians, [height]."""
+    """Returns the solid angle of a texel in each row, steradians, [height]."""
     edge = elementary.cos_array(elementary.PI * np.arange(height + 1) / height)
     return (edge[:-1] - edge[1:]) * (2.0 * elementary.PI / width)
 
@@ -287,7 +287,7 @@ def _interpolated_part(first, last, at, points, values, weight, out):  # type: i
 
 
 def _sun(
-    taken: NDArray[np.float64], index: NDArray[np.int64], shape: tuple[int, ...]
+    removed: NDArray[np.float64], index: NDArray[np.int64], shape: tuple[int, ...]
 ) -> tuple[PictureSun, float]:
     """The light that was taken out as a disc, and the solid angle it filled."""
     height, width = shape[:2]
@@ -301,7 +301,7 @@ def _sun(
     across = across[1:] - across[:-1]
     edge = 2.0 * elementary.PI * np.arange(width + 1) / width
     east, north = -elementary.cos_array(edge), elementary.sin_array(edge)
-    level = luminance(taken)
+    level = luminance(removed)
     vector = np.array(
         [
             (level * across[row] * (east[column + 1] - east[column])).sum(),
@@ -311,7 +311,7 @@ def _sun(
     )
     irradiance = float(np.sqrt((vector * vector).sum()))
     upright = float(vector[2]) / irradiance
-    on_level = (taken * upward[row][:, None]).sum(axis=0)
+    on_level = (removed * upward[row][:, None]).sum(axis=0)
     solid = _solid_angles(height, width)[row]
     light = float((level * solid).sum())
     effective = light * light / float((level * level * solid).sum())

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from scenec.compiler.light.cloud_fields import Clouds
     from scenec.compiler.light.lamp import LampPlan
     from scenec.compiler.light.sky import Sky
-    from scenec.compiler.scene.light import Haze, SunLight
+    from scenec.compiler.scene.light import Haze, SunDisc
 
 #: Keys of a sky that the plan has of its own (``Plan.sky_labels``): its pictures need none of them.
 _LABELS = ("labels", "labels_below")
@@ -60,13 +60,13 @@ class Lights:
                 taken.setdefault(name, f"light/{group}/{name}")
 
     @staticmethod
-    def fill(light: dict[str, Any], own: Mapping[str, Any]) -> None:
+    def fill(light: dict[str, Any], keys: Mapping[str, Any]) -> None:
         """Puts what the sky says of its sun where the cfg is silent."""
         usual = kind_of("sky", light["sky"]["type"]).usual_sun(light["sky"])
         if usual is None:
             light["sun"] = None
         elif light["sun"] is not None:
-            given = own.get("sun", {})
+            given = keys.get("sun", {})
             light["sun"] |= {name: value for name, value in usual.items() if name not in given}
 
     def draw(self, context: Context) -> LightPlan:
@@ -97,8 +97,8 @@ class Lights:
 
 def draw_light(node: Mapping[str, Any], context: Context) -> LightPlan:
     """Returns the light of a batch, as the cfg's ``light`` says."""
-    made: Lights = draw_object("light", node, "light", context)
-    return made.draw(context.at("light"))
+    lights: Lights = draw_object("light", node, "light", context)
+    return lights.draw(context.at("light"))
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,9 @@ class LightPlan:
         more_suns: Further distant discs, by prim name.
     """
 
-    sun: SunLight | None
+    sun: SunDisc | None
     sky: Sky | None
-    more_suns: dict[str, SunLight] = field(default_factory=dict)
+    more_suns: dict[str, SunDisc] = field(default_factory=dict)
     haze: Haze | None = None
     clouds: Clouds | None = None
     lamps: tuple[LampPlan, ...] = ()

@@ -11,7 +11,7 @@ from scenec.compiler.kinds import Array, Context, Node, bounded, forms
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
-    from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunLight
+    from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunDisc
 
 ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
     default=128,
@@ -20,11 +20,11 @@ ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
 
 
 #: Pictures of a sky, None for black; its sun, None for none; facts for report.json.
-type SkyAndSun = tuple[SkyLight | None, SunLight | None, dict[str, Any]]
+type SkyAndSun = tuple[SkyLight | None, SunDisc | None, dict[str, Any]]
 
 
 class Sky(ABC):
-    """What surrounds the scene. Numbers of each sample are arrays once they are drawn."""
+    """Surrounds the scene. Numbers of each sample are arrays once they are drawn."""
 
     #: Albedo of the far ground, [s, 3]; clouds that are drawn before the sky are lit by it.
     ground_color: Array
@@ -34,7 +34,7 @@ class Sky(ABC):
         return replace(self, **context.sampled(self))  # type: ignore[type-var]
 
     @abstractmethod
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns pictures of the sky, the sun as it is seen in it, and facts for report.json.
 
         Args:
@@ -73,7 +73,7 @@ class CloudLayer(ABC):
         return replace(self, **context.sampled(self))  # type: ignore[type-var]
 
     @abstractmethod
-    def add(self, sky: SkyLight, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def add(self, sky: SkyLight, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns the sky with the layer in its pictures, what is left of the sun, and facts.
 
         Args:
@@ -92,6 +92,6 @@ class BlackSky(Sky):
     def draw(self, context: Context) -> None:
         """Returns None."""
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """Returns no pictures, and the sun."""
         return None, sun, {}

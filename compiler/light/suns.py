@@ -13,7 +13,7 @@ from scenec.compiler.kinds import Array, Context, Finding, Node, black, forms, i
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
-    from scenec.compiler.scene.light import SunLight
+    from scenec.compiler.scene.light import SunDisc
 
 
 def of_luminance_one(color: Array) -> Array:
@@ -25,7 +25,7 @@ def of_luminance_one(color: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sun:
+class SunKeys:
     """A disc far away."""
 
     EXAMPLE: ClassVar = {
@@ -33,7 +33,7 @@ class Sun:
         "azimuth_deg": {"type": "uniform", "min": 0, "max": 360},
     }
 
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "light_sun": {
             "DESCRIPTION": "A second sun; its keys are those of the sun.",
             "EXAMPLE": {
@@ -69,10 +69,10 @@ class Sun:
             is_sun = node.path == ("light", "sun")
             yield node.fault(black("an irradiance" if is_sun else "what is asked for"), "color")
 
-    def draw(self, context: Context) -> SunLight:
+    def draw(self, context: Context) -> SunDisc:
         """Returns the sun at every sample; one without a color is white."""
-        from scenec.compiler.scene.light import SunLight
+        from scenec.compiler.scene.light import SunDisc
 
         drawn = {"color": np.ones((context.samples, 3)), **context.sampled(self)}
         drawn["color"] = of_luminance_one(drawn["color"])
-        return SunLight(**drawn)
+        return SunDisc(**drawn)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from scenec.compiler.materials.periodic import Plane
-from scenec.compiler.materials.plan import Sources
+from scenec.compiler.materials.plan import MapSources
 from scenec.compiler.materials.resample import resampled
 from scenec.compiler.materials.values import (
     Source,
@@ -18,14 +18,14 @@ from scenec.compiler.materials.values import (
     raw,
     stored,
 )
-from scenec.compiler.scene.material import Material, Picture
+from scenec.compiler.scene.material import ImageFile, Material
 from scenec.schemas.maps import MAP_CHANNELS
 
 #: Channel of each kind in a packed picture.
 _CHANNELS = {"ambient_occlusion": 0, "roughness": 1, "metallic": 2}
 
 
-def baked(material: Material, sources: Sources | None) -> tuple[Material, dict[str, str]]:
+def baked(material: Material, sources: MapSources | None) -> tuple[Material, dict[str, str]]:
     """A material whose maps hold all that its sources say, and what was done, by kind.
 
     Roughness is 1 - gloss. Albedo is multiplied with 1 - strength (1 - occlusion), in linear light;
@@ -57,7 +57,7 @@ def baked(material: Material, sources: Sources | None) -> tuple[Material, dict[s
     return replace(material, maps=replace(maps, files=ordered)), done
 
 
-def _occluded(color: Source | None, occlusion: Plane, strength: float) -> Picture:
+def _occluded(color: Source | None, occlusion: Plane, strength: float) -> ImageFile:
     factor = np.float32(1.0) - np.float32(strength) * (np.float32(1.0) - occlusion)
     if color is None:
         return color_picture(np.repeat(factor[..., None], 3, axis=2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from scenec.compiler.materials.finish import Shown, finish
+from scenec.compiler.materials.finish import MeshLimits, finish
 from scenec.compiler.materials.footprint import footprints
 from scenec.compiler.materials.mirrors import any_mirror
 from scenec.compiler.materials.plan import MaterialPlan
@@ -13,7 +13,7 @@ from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.scene import Scene
-from scenec.compiler.terrain.program import Relief
+from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.needed import Keep, Needs, note_outputs, without_unused
@@ -61,13 +61,13 @@ def finish_materials(
     if color_views is not None:
         shown = {name: one.material for name, one in material_plans.items()}
         looked_at = footprints(shown, ground, objects, color_views, unseen)
-    found = finish(material_plans, ground, looked_at, Shown(reached_px, finest_m))
+    found = finish(material_plans, ground, looked_at, MeshLimits(reached_px, finest_m))
     surfaces = {"surfaces": found.facts} if found.facts else {}
     return found.materials, {**surfaces, "left_out": found.left_out}
 
 
 def prune_scene(
-    scene: Scene, needs: Needs, keep: Keep, relief: Relief
+    scene: Scene, needs: Needs, keep: Keep, relief: ReliefResult
 ) -> tuple[Scene, Record | None, Facts]:
     """Leaves out what no camera can see the effect of."""
     sharp = scene.sky is not None and scene.sky.sharp

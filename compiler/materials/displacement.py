@@ -24,7 +24,7 @@ from scenec.compiler.materials.periodic import Plane, moments
 from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.resample import box
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.scene.material import Cells
+from scenec.compiler.scene.material import TilingCells
 from scenec.compiler.terrain.detail import Detail, Spectrum, Sum
 from scenec.compiler.terrain.grid import bicubic
 from scenec.schemas.cells import SIDE, STEPS, table
@@ -49,8 +49,8 @@ class Displacement:
     """
 
     size_m: float
-    cells: Cells | None
-    made: Surface | tuple[Path, float]
+    cells: TilingCells | None
+    source: Surface | tuple[Path, float]
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters above the mean at points, float64 [n]."""
@@ -65,8 +65,8 @@ class Displacement:
         return _cached_spectrum(self._key())
 
     def _key(self) -> _Key:
-        file = None if isinstance(self.made, Surface) else stamp(self.made[0])
-        return self.made, self.size_m, file
+        file = None if isinstance(self.source, Surface) else stamp(self.source[0])
+        return self.source, self.size_m, file
 
 
 def draw_displacement(
@@ -109,24 +109,24 @@ type _Key = tuple[Surface | tuple[Path, float], float, Stamp | None]
 
 @lru_cache(maxsize=4)
 def _cached_plane(key: _Key) -> Plane:
-    made, size_m, _ = key
-    return _made_plane(made, size_m)
+    source, size_m, _ = key
+    return _source_plane(source, size_m)
 
 
 @memoized("displacement")
-def _made_plane(made: Surface | tuple[Path, float], size_m: float) -> Plane:
-    return surface_relief(made, size_m) if isinstance(made, Surface) else file_relief(*made)
+def _source_plane(source: Surface | tuple[Path, float], size_m: float) -> Plane:
+    return surface_relief(source, size_m) if isinstance(source, Surface) else file_relief(*source)
 
 
 @lru_cache(maxsize=16)
 def _cached_spectrum(key: _Key) -> Spectrum:
-    made, size_m, _ = key
-    return _made_spectrum(made, size_m)
+    source, size_m, _ = key
+    return _source_spectrum(source, size_m)
 
 
 @memoized("displacement")
-def _made_spectrum(made: Surface | tuple[Path, float], size_m: float) -> Spectrum:
-    return octaves_of(_cached_plane(Displacement(size_m, None, made)._key()), size_m)
+def _source_spectrum(source: Surface | tuple[Path, float], size_m: float) -> Spectrum:
+    return octaves_of(_cached_plane(Displacement(size_m, None, source)._key()), size_m)
 
 
 def octaves_of(plane: Plane, size_m: float) -> Spectrum:
@@ -151,8 +151,8 @@ def octaves_of(plane: Plane, size_m: float) -> Spectrum:
 
 
 @lru_cache(maxsize=8)
-def _turns(cells: Cells | None) -> NDArray[np.float64]:
-    """Of each cell: shift along u and v, cosine and sine of its turn."""
+def _turns(cells: TilingCells | None) -> NDArray[np.float64]:
+    """Returns each cell's shift along u and v, and cosine and sine of its turn."""
     if cells is None:
         return _NO_CELLS
     found = table(cells.seed)

@@ -45,13 +45,13 @@ def finer_normals(
     along = slopes(vectors)
     texel_m = size_m / min(along[0].shape)
     scale = pixels_per_m / (tolerance_px * 2.0 * elementary.PI)
-    shown = _shown(along, 2.0 * texel_m, scale, 2.0 * finest_m)
+    shown = _resolved(along, 2.0 * texel_m, scale, 2.0 * finest_m)
     kept = [plane - part for plane, part in zip(along, shown, strict=True)]
     leaning = unit(np.stack([*kept, np.ones_like(kept[0])], axis=-1))
     return normal_picture(leaning), {"slope_rms": rms_of(*along), "slope_rms_kept": rms_of(*kept)}
 
 
-def _shown(
+def _resolved(
     along: tuple[Plane, Plane], wave_m: float, scale: float, least_m: float
 ) -> tuple[Plane, Plane]:
     """Slopes that the mesh shows, of the octave from ``wave_m`` and of all larger ones."""
@@ -62,14 +62,14 @@ def _shown(
     coarse = (box(along[0]), box(along[1]))
     low = [doubled(plane) for plane in coarse]
     band = (along[0] - low[0], along[1] - low[1])
-    rest = _shown(coarse, 2.0 * wave_m, scale, least_m)
+    rest = _resolved(coarse, 2.0 * wave_m, scale, least_m)
     share = _share(band, wave_m * scale if wave_m >= least_m else 0.0)
     above = [doubled(plane) for plane in rest]
     return above[0] + band[0] * share, above[1] + band[1] * share
 
 
 def _share(band: tuple[Plane, Plane], scale: float) -> Plane:
-    """What of an octave's slopes is the mesh's, from their mean square about each place."""
+    """Returns the mesh's share of an octave's slopes, from their mean square about each place."""
     square = band[0] * band[0] + band[1] * band[1]
     times = 0
     while times < 2 and min(square.shape) > 1 and not (square.shape[0] % 2 or square.shape[1] % 2):

@@ -11,9 +11,9 @@ from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.footprint import Footprint
 from scenec.compiler.materials.heights import forget_looks
-from scenec.compiler.materials.leave_out import LeftOut, unseen, with_factor, without_unneeded
+from scenec.compiler.materials.leave_out import UnusedMap, unseen, with_factor, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
 from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
 from scenec.compiler.scene.ground import Ground
@@ -23,8 +23,8 @@ from scenec.schemas.maps import COLORS, MAP_CHANNELS
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What of the ground's mesh bears on its pictures.
+class MeshLimits:
+    """Says how fine the ground's mesh is, for its pictures.
 
     Attributes:
         tolerance_px: Reached by the mesh; None: it shows no relief finer than the grid.
@@ -54,7 +54,7 @@ def finish(
     materials: dict[str, MaterialPlan],
     ground: Ground,
     looked_at: dict[str, Footprint] | None,
-    mesh: Shown,
+    mesh: MeshLimits,
 ) -> Finished:
     """Makes pictures, and leaves out what no camera can notice.
 
@@ -91,9 +91,9 @@ def _with_heights(ground: Ground) -> set[str]:
 
 @memoized("surfaces", lambda name, **_: name)
 def _finished(
-    name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: Shown
+    name: str, drawn: MaterialPlan, high: bool, footprint: Footprint | None, mesh: MeshLimits
 ) -> Finished:
-    """What becomes of one material: it reads nothing of the others."""
+    """Finishes one material, which reads nothing of the others."""
     out, material, sources = Finished(), drawn.material, drawn.sources
     facts: dict[str, Any] = {}
     as_is = footprint is None or (sources is not None and sources.as_is)
@@ -110,14 +110,14 @@ def _finished(
         facts["made"] = done
     if material.maps is not None and high and sources is not None and sources.heights is not None:
         material = _with_files(material, {**material.maps.files, "height": sources.heights})
-    left: list[LeftOut] = []
+    left: list[UnusedMap] = []
     if (footprint is None or footprint.seen > 0.0) and material.maps is not None:
         if footprint is not None:
-            material = _beside_relief(material, drawn, footprint, mesh, facts)
+            material = _without_mesh_relief(material, drawn, footprint, mesh, facts)
         material = _with_lean(material, facts)
         if footprint is not None and not as_is:
             material, left = without_unneeded(material)
-            material = _made_smaller(material, footprint, facts)
+            material = _reduced(material, footprint, facts)
     elif not as_is and material.maps is not None:
         material, left = unseen(material, material.maps)
     out.left_out += [_entry(name, f"the picture of {one.kind}", one.why, one.bytes) for one in left]
@@ -132,7 +132,7 @@ def _finished(
 
 
 def _with_lean(material: Material, facts: dict[str, Any]) -> Material:
-    """How its normals lean: before texels go whose facets hide each other all the same."""
+    """Measures how its normals lean, before texels go whose facets hide each other all the same."""
     maps = material.maps
     # By texture coordinates come models, whose files mean no more than they say.
     if maps is None or maps.projection == "uv" or "normal" not in maps.files:
@@ -147,7 +147,7 @@ def _with_files(material: Material, files: dict[str, Source]) -> Material:
     return replace(material, maps=replace(material.maps, files=ordered))
 
 
-def _note_folder(name: str, sources: Sources | None, out: Finished) -> None:
+def _note_folder(name: str, sources: MapSources | None, out: Finished) -> None:
     if sources is None:
         return
     for files, why in (
@@ -161,11 +161,11 @@ def _entry(material: str, what: str, why: str, size: int | None) -> dict[str, An
     return entry("surfaces", f"materials/{material}: {what}", why, size=size or 0)
 
 
-def _beside_relief(
+def _without_mesh_relief(
     material: Material,
     drawn: MaterialPlan,
     footprint: Footprint,
-    mesh: Shown,
+    mesh: MeshLimits,
     facts: dict[str, Any],
 ) -> Material:
     """Normals without what the mesh shows of the same relief."""
@@ -191,23 +191,23 @@ def _beside_relief(
     return _with_files(material, {**maps.files, "normal": picture})
 
 
-def _made_smaller(material: Material, footprint: Footprint, facts: dict[str, Any]) -> Material:
+def _reduced(material: Material, footprint: Footprint, facts: dict[str, Any]) -> Material:
     """Pictures with no more texels than pixels show."""
     assert material.maps is not None
     files: dict[str, Source] = {}
-    told: dict[str, Any] = {}
+    reports: dict[str, Any] = {}
     for kind, source in material.maps.files.items():
         high, wide = stored(source).shape[:2]
         times = halvings(high, wide, footprint.counted)
         found = reduced(source, kind, times) if times else None
         files[kind] = source if found is None else found.picture
-        told[kind] = {
+        reports[kind] = {
             "texels": [wide, high],
             "texels_per_pixel": min(high, wide) / footprint.counted,
         }
         if found is None:
             continue
-        told[kind] |= {
+        reports[kind] |= {
             "texels_kept": [wide >> times, high >> times],
             "texels_per_pixel_kept": (min(high, wide) >> times) / footprint.counted,
             "bytes_saved": size_of(source) - len(found.picture.data),
@@ -215,6 +215,6 @@ def _made_smaller(material: Material, footprint: Footprint, facts: dict[str, Any
         }
         if kind in COLORS:
             material = with_factor(material, kind, found.factor)
-    facts["pictures"] = told
+    facts["pictures"] = reports
     assert material.maps is not None
     return replace(material, maps=replace(material.maps, files=files))

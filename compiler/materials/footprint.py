@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.geometry.normals import cross_products
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
@@ -46,13 +46,13 @@ def footprints(
     views: tuple[Views, Views],
     unseen: float,
 ) -> dict[str, Footprint]:
-    """Of all materials with maps.
+    """Returns the footprints of all materials with maps.
 
     Args:
         views: The cameras, for the ground (which may hide behind hills) and for objects.
         unseen: Part that pixels count where no view shows something.
     """
-    found: dict[str, Footprint] = {}
+    footprint_of: dict[str, Footprint] = {}
     names = tuple(name for name, material in materials.items() if material.maps is not None)
     of_parts = [_of_ground(names, part, views[0]) for part in ground.parts]
     for name in names:
@@ -63,8 +63,8 @@ def footprints(
         for one in objects:
             own = _of_objects(name, material, one, views[1])
             seen, possible = max(seen, own[0]), max(possible, own[1])
-        found[name] = Footprint(seen, max(seen, unseen * possible))
-    return found
+        footprint_of[name] = Footprint(seen, max(seen, unseen * possible))
+    return footprint_of
 
 
 @memoized("footprint")
@@ -73,12 +73,12 @@ def _of_ground(
 ) -> dict[str, tuple[float, float]]:
     """Pixels per meter of layers by material: in a view, and were all of it in view."""
     # Blends by height can show much of what has little weight.
-    faint = 0.0 if any(layer.height_blend > 0.0 for layer in ground.layers) else FAINT
+    least = 0.0 if any(layer.height_blend > 0.0 for layer in ground.layers) else FAINT
     used = tuple(name for name in names if any(name == one.material for one in ground.layers))
     if not used or not ground.tiles:
         return dict.fromkeys(names, (0.0, 0.0))
     middles, radii = (np.concatenate(p) for p in zip(*map(_blocks, ground.tiles), strict=True))
-    shown = [_shown(tile, ground, used, faint) for tile in ground.tiles]
+    shown = [_visible_faces(tile, ground, used, least) for tile in ground.tiles]
     largest = {name: [0.0, 0.0] for name in names}
     for part, unseen in enumerate((0.0, 1.0)):
         bounds = pixels_of_balls(views, middles, radii, unseen, NEAREST_M)
@@ -92,7 +92,9 @@ def _of_ground(
     return {name: (seen, possible) for name, (seen, possible) in largest.items()}
 
 
-def _shown(tile: Tile, ground: Ground, names: tuple[str, ...], faint: float) -> NDArray[np.bool_]:
+def _visible_faces(
+    tile: MeshTile, ground: Ground, names: tuple[str, ...], least: float
+) -> NDArray[np.bool_]:
     """Faces at one of whose corners a material's layers have more than a faint share, for each."""
     left = np.ones(len(tile.points))
     total = np.zeros((len(names), len(tile.points)))
@@ -101,15 +103,15 @@ def _shown(tile: Tile, ground: Ground, names: tuple[str, ...], faint: float) -> 
         if ground.layers[index].material in names:
             total[names.index(ground.layers[index].material)] += left * alpha
         left *= 1.0 - alpha
-    some = total > faint
-    shown: NDArray[np.bool_] = np.logical_or(
+    some = total > least
+    visible: NDArray[np.bool_] = np.logical_or(
         some[:, tile.faces[:, 0]] | some[:, tile.faces[:, 1]], some[:, tile.faces[:, 2]]
     )
-    return shown
+    return visible
 
 
 def _largest(
-    blocks: list[tuple[Tile, int, NDArray[np.bool_]]],
+    blocks: list[tuple[MeshTile, int, NDArray[np.bool_]]],
     bounds: NDArray[np.float64],
     views: Views,
     unseen: float,
@@ -134,7 +136,7 @@ def _largest(
     return best
 
 
-def _corners(tile: Tile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
+def _corners(tile: MeshTile, faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
     a, b, c = (
         tile.points[tile.faces[faces, i]].astype(np.float64) + tile.translate for i in range(3)
     )
@@ -150,7 +152,7 @@ def _balls(
     return middle, np.sqrt(np.maximum(np.maximum(away[0], away[1]), away[2]))
 
 
-def _blocks(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _blocks(tile: MeshTile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Balls about blocks of a tile's faces: middles [blocks, 3] and radii [blocks]."""
     a, b, c = (tile.points[tile.faces[:, i]] for i in range(3))
     starts = np.arange(0, len(tile.faces), _BLOCK)

@@ -11,7 +11,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import forms, key
 from scenec.compiler.materials.periodic import Plane
 from scenec.compiler.materials.surface import GRAIN_M, Surface
-from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
+from scenec.compiler.materials.tile import Paint, Tile, dome, mix, number, only, shade, step
 
 #: Cells of a pavement, in grains: as many stones' areas an octave, N(>D) ~ D^-2 as of rocks.
 _WIDTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
@@ -33,7 +33,7 @@ class Sand(Surface):
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.8
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fade = tile.fade(grain)
@@ -56,7 +56,7 @@ class Sand(Surface):
         # Coarse pale grains gather on crests, dark fines in troughs.
         color = shade(color, 1.0 + 0.05 * crest + 0.035 * lumps)
         color = mix(color, [0.9, 0.86, 0.83], 0.5 * step(0.4, 2.0, tile.noise(tile.size_m / 3)))
-        return Look(height, color, 0.04 * (tone - 0.5) * fade)
+        return Paint(height, color, 0.04 * (tone - 0.5) * fade)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Gravel(Surface):
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.4
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fine = tile.noise(0.3 * grain, 0.7)
@@ -99,7 +99,7 @@ class Gravel(Surface):
             vein = step(0.985, 0.995, number(stones, 6))
             color = mix(color, mix(own, [1.5, 1.5, 1.48], 0.7 * vein), above)
             rough += above * (0.14 * (number(stones, 6) - 0.6) - rough)
-        return Look(height, color, np.asarray(rough, np.float32))
+        return Paint(height, color, np.asarray(rough, np.float32))
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class MudCracks(Surface):
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 0.045
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fine = tile.noise(0.1 * grain, 0.75)
@@ -140,7 +140,7 @@ class MudCracks(Surface):
         stains = step(0.2, 1.8, tile.noise(1.5 * grain, 0.6))
         color = mix(color, [0.87, 0.83, 0.78], 0.5 * stains)
         color = mix(color, [0.34, 0.31, 0.28], 0.9 * gap)
-        return Look(height, color, 0.05 * fine * 0.3 + 0.1 * (gap - 0.6 * stains))
+        return Paint(height, color, 0.05 * fine * 0.3 + 0.1 * (gap - 0.6 * stains))
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class Regolith(Surface):
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 0.2
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         lumps = tile.noise(2.5 * grain, 0.6)
@@ -188,7 +188,7 @@ class Regolith(Surface):
             # Dust lies around its foot, in its own shade.
             foot = step(-0.07, 0.0, reach) * there * (1.0 - body)
             color = shade(color, 1.0 - 0.14 * foot)
-        return Look(height, color, 0.02 * powder)
+        return Paint(height, color, 0.02 * powder)
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class Soil(Surface):
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.25
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fine = tile.noise(0.35 * grain, 0.75)
@@ -235,7 +235,7 @@ class Soil(Surface):
             body = body * only(number(bits, 1) < self.litter, tile.fade(0.07 * width * grain, 1))
             color = mix(color, shade(tint, 0.75 + 0.5 * number(bits, 2)), 0.9 * body)
             height = height + body * (0.12 + 0.3 * (np.maximum(height, 0.0) - height))
-        return Look(height, color, 0.03 * fine)
+        return Paint(height, color, 0.03 * fine)
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ class Pavement(Surface):
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 1.0
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fine = tile.noise(0.15 * grain, 0.75)
@@ -288,7 +288,7 @@ class Pavement(Surface):
             foot = step(-0.07, 0.0, reach) * there * (1.0 - above)
             color = shade(color, 1.0 - 0.2 * foot)
             rough += above * (0.1 * (number(found, 6) - 0.7) - rough)
-        return Look(height, color, np.asarray(rough, np.float32))
+        return Paint(height, color, np.asarray(rough, np.float32))
 
 
 def _ripple(phase: Plane) -> Plane:

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.pictures import read_heights
 from scenec.compiler.materials.periodic import Plane, moments
-from scenec.compiler.materials.plan import Sources
+from scenec.compiler.materials.plan import MapSources
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.materials.tile import Look, Tile
+from scenec.compiler.materials.tile import Paint, Tile
 from scenec.schemas import files
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import Stamp
 
 
 @lru_cache(maxsize=2)
-def painted_look(surface: Surface, size_m: float) -> Look:
-    """What a kind of surface looks like; not to be changed. Few are kept: they are large."""
+def painted_look(surface: Surface, size_m: float) -> Paint:
+    """Paints a kind of surface; the result is not to be changed. Few are cached: they are large."""
     return surface.paint(Tile(surface.key, size_m, surface.resolution))
 
 
@@ -72,7 +72,7 @@ def surface_relief(surface: Surface, size_m: float) -> Plane:
     return _centered(height, relief_m(surface, size_m, deviation) / (deviation or 1.0))
 
 
-def blend_heights(surface: Surface, size_m: float, sources: Sources | None) -> Plane | None:
+def blend_heights(surface: Surface, size_m: float, sources: MapSources | None) -> Plane | None:
     """Heights in [0, 1] that blends of layers go by, float32 [h, w]; None: there are none."""
     if sources is not None and sources.heights is not None:
         return gray(sources.heights)

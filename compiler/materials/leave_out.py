@@ -17,7 +17,7 @@ _UPRIGHT = 0.9
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnusedMap:
     """A picture that is not written.
 
     Attributes:
@@ -31,19 +31,19 @@ class LeftOut:
     bytes: int
 
 
-def without_unneeded(material: Material) -> tuple[Material, list[LeftOut]]:
+def without_unneeded(material: Material) -> tuple[Material, list[UnusedMap]]:
     """A material without pictures that show nothing a number would not.
 
     Constant ones become numbers; roughness of what has no glossy part goes, and flat normals.
     """
-    left: list[LeftOut] = []
+    left: list[UnusedMap] = []
     maps = material.maps
     if maps is None:
         return material, left
     files: dict[str, Source] = dict(maps.files)
 
     def drop(kind: str, why: str) -> None:
-        left.append(LeftOut(kind, why, size_of(files.pop(kind))))
+        left.append(UnusedMap(kind, why, size_of(files.pop(kind))))
 
     if "metallic" in files and _is_constant(files["metallic"]):
         value = float(raw(files["metallic"])[0, 0])
@@ -67,7 +67,7 @@ def without_unneeded(material: Material) -> tuple[Material, list[LeftOut]]:
     return replace(material, maps=replace(maps, files=files)), left
 
 
-def unseen(material: Material, maps: MaterialMaps) -> tuple[Material, list[LeftOut]]:
+def unseen(material: Material, maps: MaterialMaps) -> tuple[Material, list[UnusedMap]]:
     """A material that no camera sees, as light that it sends on sees it: by its means."""
     left = []
     for kind, source in maps.files.items():
@@ -80,7 +80,7 @@ def unseen(material: Material, maps: MaterialMaps) -> tuple[Material, list[LeftO
             material = replace(material, roughness=moments(raw(source))[0])
         elif kind == "metallic":
             material = replace(material, metallic=moments(raw(source))[0])
-        left.append(LeftOut(kind, "no camera sees the material: its mean does", size_of(source)))
+        left.append(UnusedMap(kind, "no camera sees the material: its mean does", size_of(source)))
     return replace(material, maps=replace(maps, files={})), left
 
 

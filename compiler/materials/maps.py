@@ -14,7 +14,7 @@ from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
     # A cfg is checked without what paints.
-    from scenec.compiler.materials.plan import Sources
+    from scenec.compiler.materials.plan import MapSources
     from scenec.compiler.materials.surface import Surface
     from scenec.compiler.scene.material import MaterialMaps
 
@@ -130,8 +130,8 @@ class MapsKeys:
 
     def draw(
         self, context: Context, *, worn: bool, glows: bool
-    ) -> tuple[MaterialMaps, Surface | None, Sources | None]:
-        """How pictures lie and which are shown as they are; what makes further ones; their sources.
+    ) -> tuple[MaterialMaps, Surface | None, MapSources | None]:
+        """Returns how pictures are mapped, what paints further ones, and their sources.
 
         Args:
             worn: Whether objects have the material.
@@ -139,8 +139,8 @@ class MapsKeys:
         """
         # Imported here: a cfg without files is checked without what reads them.
         from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
-        from scenec.compiler.materials.plan import Sources
-        from scenec.compiler.scene.material import Cells, Far, MaterialMaps
+        from scenec.compiler.materials.plan import MapSources
+        from scenec.compiler.scene.material import Far, MaterialMaps, TilingCells
 
         given = {kind: getattr(self, kind) for kind in _FILES if getattr(self, kind) is not None}
         own, found, convention = frozenset(given), TextureSet({}, None, (), ()), None
@@ -159,7 +159,7 @@ class MapsKeys:
         size_m = self.size_m or (surface.SIZE_M if surface else 1.0)
         cells = None
         if self.cells is not None:
-            cells = Cells(self.cells["size_m"] or size_m, context.key("cells") >> 33)
+            cells = TilingCells(self.cells["size_m"] or size_m, context.key("cells") >> 33)
         maps = MaterialMaps(
             size_m=size_m,
             files={kind: given[kind] for kind in MAP_CHANNELS if kind in given},
@@ -168,7 +168,7 @@ class MapsKeys:
             cells=cells,
             far=None if self.far is None else Far(**self.far),
         )
-        sources = Sources(
+        sources = MapSources(
             gloss=given.get("gloss"),
             occlusion=given.get("ambient_occlusion"),
             occlusion_strength=self.ambient_occlusion_strength,
@@ -180,7 +180,7 @@ class MapsKeys:
             unused=tuple(unused),
             unknown=found.unknown,
         )
-        nothing = sources == Sources(occlusion_strength=sources.occlusion_strength)
+        nothing = sources == MapSources(occlusion_strength=sources.occlusion_strength)
         return maps, surface, None if nothing else sources
 
 

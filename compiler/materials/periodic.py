@@ -25,7 +25,7 @@ _SHIFT = np.uint64(40)
 _TO_UNIT = 2.0**-24
 
 
-class Cells(NamedTuple):
+class CellPattern(NamedTuple):
     """Cells about scattered points, one in each square of a lattice.
 
     Attributes:
@@ -43,7 +43,7 @@ class Cells(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """What is the same for each row: of each octave and column, [octaves, n].
+    """Holds what all rows share: of each octave and column, [octaves, n].
 
     Attributes:
         point: The lattice point to the left, int32.
@@ -180,7 +180,7 @@ def _scatter(key, count, jitter):  # type: ignore[no-untyped-def]
 
 @inlined
 def _inside(u, v):  # type: ignore[no-untyped-def]
-    """What is not in a pixel's cell or next to it is at least this far away."""
+    """Returns the least distance of what is neither in a pixel's cell nor next to it."""
     return 1.0 + min(min(u, 1.0 - u), min(v, 1.0 - v))
 
 
@@ -298,7 +298,7 @@ def _cells_part(begin, end, lattice, warp_x, warp_y, bordered, out):  # type: ig
 
 
 def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-untyped-def]
-    """Periodic cellular noise after Worley (1996), as ``Cells``.
+    """Periodic cellular noise after Worley (1996), as ``CellPattern``.
 
     Args:
         count: Cells a side.
@@ -309,7 +309,7 @@ def cells(key, n, count, jitter, warp_x, warp_y, bordered):  # type: ignore[no-u
     lattice = _Lattice(count, *_scatter(key, count, jitter))
     near, across, down = (np.empty((n, n), np.float32) for _ in range(3))
     border, hashed = np.zeros((n, n), np.float32), np.empty((n, n), np.uint64)
-    out = Cells(near, border, across, down, hashed)
+    out = CellPattern(near, border, across, down, hashed)
     over_threads(_cells_part, n, lattice, warp_x, warp_y, bordered, out)
     return out
 

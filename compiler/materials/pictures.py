@@ -12,11 +12,11 @@ from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.materials.heights import blend_heights, painted_look, relief_m
 from scenec.compiler.materials.periodic import Plane, moments
-from scenec.compiler.materials.plan import MaterialPlan, Sources
+from scenec.compiler.materials.plan import MapSources, MaterialPlan
 from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Tile
 from scenec.compiler.materials.values import encoded, picture_of
-from scenec.compiler.scene.material import Material, MaterialMaps, Picture
+from scenec.compiler.scene.material import ImageFile, Material, MaterialMaps
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -42,13 +42,13 @@ def with_pictures(drawn: MaterialPlan, high: bool = False) -> tuple[Material, di
 
 @memoized("pictures")
 def _painted(
-    material: Material, maps: MaterialMaps, surface: Surface, sources: Sources | None, high: bool
+    material: Material, maps: MaterialMaps, surface: Surface, sources: MapSources | None, high: bool
 ) -> tuple[Material, dict[str, Any]]:
     tile = Tile(surface.key, maps.size_m, surface.resolution)
     look = painted_look(surface, maps.size_m)
     height = np.asarray(look.height, np.float32)
     rougher = np.asarray(look.roughness, np.float32)
-    pictures: dict[str, Picture] = {}
+    pictures: dict[str, ImageFile] = {}
     base_color = material.base_color
     if "base_color" not in maps.files and surface.contrast > 0.0:
         codes, base_color = color_codes(look.color, surface.contrast, base_color)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Sources:
+class MapSources:
     """Further files that a cfg names for a material, which its pictures are made of.
 
     Attributes:
@@ -54,4 +54,4 @@ class MaterialPlan:
 
     material: Material
     procedural: Surface | None = None
-    sources: Sources | None = None
+    sources: MapSources | None = None

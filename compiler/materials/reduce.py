@@ -29,7 +29,7 @@ from scenec.compiler.materials.values import (
     stored,
     unit,
 )
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.maps import COLORS
 
 #: Texels to a pixel that are kept at least. With 1, picture and pixels end at the same wavelength;
@@ -55,13 +55,13 @@ class Reduced:
         facts: For report.json.
     """
 
-    picture: Picture
+    picture: ImageFile
     factor: tuple[float, float, float]
     facts: dict[str, Any]
 
 
 def halvings(high: int, wide: int, pixels: float) -> int:
-    """How often a picture can be halved and still have a texel to a pixel.
+    """Counts how often a picture can be halved and still have a texel to a pixel.
 
     Args:
         high, wide: Its sides, in texels.

@@ -13,7 +13,7 @@ import numpy as np
 
 from scenec.compiler.kinds import forms, key
 from scenec.compiler.materials.surface import GRAIN_M, Surface
-from scenec.compiler.materials.tile import Look, Tile, dome, mix, number, only, shade, step
+from scenec.compiler.materials.tile import Paint, Tile, dome, mix, number, only, shade, step
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Granite(Surface):
     SIZE_M: ClassVar[float] = 0.6
     RELIEF: ClassVar[float] = 0.09
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fade = tile.fade(grain)
@@ -51,7 +51,7 @@ class Granite(Surface):
         height = 0.7 * rough + fade * (0.75 * (tone - 0.5) + 0.25 * step(0.0, 0.2, crystals.border))
         height -= 0.3 * fade * dark
         color = shade(color, 1.0 + 0.07 * np.clip(height, -2.0, 2.0))
-        return Look(height, color, 0.12 * (0.3 - quartz) + 0.04 * rough)
+        return Paint(height, color, 0.12 * (0.3 - quartz) + 0.04 * rough)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Basalt(Surface):
     SIZE_M: ClassVar[float] = 0.6
     RELIEF: ClassVar[float] = 0.12
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         rough = tile.noise(6.0 * grain, 0.62)
@@ -93,7 +93,7 @@ class Basalt(Surface):
         # Dust where it is low and does not run off.
         dust = step(0.0, 2.6, 0.35 * fine - rough) * (1.0 - step(0.0, 0.2, depth))
         color = mix(color, [1.36, 1.2, 1.02], 0.6 * dust)
-        return Look(height, color, 0.12 * dust - 0.03 * fine)
+        return Paint(height, color, 0.12 * dust - 0.03 * fine)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Sandstone(Surface):
     SIZE_M: ClassVar[float] = 1.0
     RELIEF: ClassVar[float] = 1.2
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         bed = tile.fitting(self.bed_m)
@@ -135,7 +135,7 @@ class Sandstone(Surface):
         rust = step(0.6, 1.8, tile.noise(tile.size_m / 2, 0.6))
         color = mix(color, [0.82, 0.66, 0.54], 0.45 * rust)
         color = shade(color, 1.0 - 0.14 * step(1.1, 2.0, -pits))
-        return Look(height, color, 0.03 * pits)
+        return Paint(height, color, 0.03 * pits)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Breccia(Surface):
     SIZE_M: ClassVar[float] = 1.2
     RELIEF: ClassVar[float] = 0.07
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         rough = tile.noise(2.0 * grain, 0.62)
@@ -178,7 +178,7 @@ class Breccia(Surface):
             rim = step(0.0, 0.05, found.border - gap) - step(0.05, 0.12, found.border - gap)
             color = shade(color, 1.0 - 0.12 * there * (rim - edge * step(0.0, 0.1, rim)))
             stone = np.maximum(stone, edge)
-        return Look(height, color, 0.05 - 0.1 * stone + 0.02 * fine)
+        return Paint(height, color, 0.05 - 0.1 * stone + 0.02 * fine)
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Weathered(Surface):
     SIZE_M: ClassVar[float] = 1.2
     RELIEF: ClassVar[float] = 0.1
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         knobs = tile.noise(3.0 * grain, 0.5)
@@ -219,4 +219,4 @@ class Weathered(Surface):
         dust = step(0.2, 1.6, -knobs) * (1.0 - varnish)
         color = mix(color, [1.34, 1.24, 1.1], 0.6 * dust)
         color = shade(color, (1.0 - 0.55 * np.clip(open_, 0.0, 1.0)) * (1.0 - 0.18 * pits))
-        return Look(height, color, 0.1 * (dust - 0.7 * varnish) + 0.03 * fine)
+        return Paint(height, color, 0.1 * (dust - 0.7 * varnish) + 0.03 * fine)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from scenec.compiler.kinds import bounded, forms, key, noise_key
-from scenec.compiler.materials.tile import Look, Tile
+from scenec.compiler.materials.tile import Paint, Tile
 
 GRAIN_M = bounded(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
 
@@ -27,13 +27,13 @@ class Surface(ABC):
 
     #: Side of one repeat that suits the usual ``grain_m``, meters.
     SIZE_M: ClassVar[float]
-    #: What ``Look.height`` is in, as a part of ``grain_m``.
+    #: What ``Paint.height`` is in, as a part of ``grain_m``.
     RELIEF: ClassVar[float]
 
     @abstractmethod
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness on a tile."""
 
     def unit(self, tile: Tile) -> float:
-        """What ``Look.height`` is in, meters, where no relief is asked for."""
+        """Returns the unit of ``Paint.height``, meters, where no relief is asked for."""
         return self.RELIEF * tile.fitting(self.grain_m)

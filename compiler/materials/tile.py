@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.materials import periodic
-from scenec.compiler.materials.periodic import Cells, Plane
+from scenec.compiler.materials.periodic import CellPattern, Plane
 from scenec.compiler.noise.lattice import subkey
 
 #: A color, or a plane of colors, relative to the mean.
@@ -23,8 +23,8 @@ _CELL_PX, _WAVE_PX = 3, 2
 
 
 @dataclass
-class Look:
-    """What a kind paints, before it is brought to the mean and relief asked for.
+class Paint:
+    """Holds what a kind paints, before it is scaled to the mean and relief asked for.
 
     Attributes:
         height: Shape of the relief, up to a factor and an offset.
@@ -83,7 +83,7 @@ class Tile:
         warp: float = 0.0,
         warp_m: float | None = None,
         bordered: bool = True,
-    ) -> Cells:
+    ) -> CellPattern:
         """Cells of a mean width, their borders bent by noise.
 
         Args:
@@ -91,7 +91,7 @@ class Tile:
             jitter: How far their points are from a square lattice.
             warp: How far borders are bent, rms, in cells.
             warp_m: Wavelength of the bends; a cell's width if left out.
-            bordered: Whether ``Cells.border`` is asked for.
+            bordered: Whether ``CellPattern.border`` is asked for.
         """
         most = self.pixels // _CELL_PX
         count = min(max(round(min(self.size_m / width_m, most)), _FEWEST), most)
@@ -100,31 +100,33 @@ class Tile:
         if warp > 0.0:
             bends = [np.float32(warp) * self.noise(warp_m or width_m, 0.6, 4) for _ in range(2)]
         warp_x, warp_y = bends
-        found: Cells = periodic.cells(key, self.pixels, count, jitter, warp_x, warp_y, bordered)
-        return found
+        cells: CellPattern = periodic.cells(
+            key, self.pixels, count, jitter, warp_x, warp_y, bordered
+        )
+        return cells
 
-    def waves(self, length_m: float, bend: Plane) -> Plane:
+    def waves(self, length_m: float, shift: Plane) -> Plane:
         """Phase of waves in their wavelengths, [0, 1): whole waves fit into the tile.
 
         Args:
             length_m: Wavelength.
-            bend: Added to the phase.
+            shift: Added to the phase.
         """
         count = float(min(max(round(min(self.size_m / length_m, 1e6)), 1), self.pixels // 4))
         lean = round(0.3 * count)
         at = (np.arange(self.pixels) + 0.5) / self.pixels
-        phase = count * at[None, :] + lean * at[:, None] + bend
+        phase = count * at[None, :] + lean * at[:, None] + shift
         return _plane(phase - np.floor(phase))
 
-    def beds(self, length_m: float, bend: Plane) -> Plane:
+    def beds(self, length_m: float, offset: Plane) -> Plane:
         """Noise of the height alone, of mean 0 and rms 1: layers, bent.
 
         Args:
             length_m: Thickness of the thickest ones.
-            bend: How far up each pixel looks, in tiles.
+            offset: How far up each pixel looks, in tiles.
         """
         profile = self.noise(length_m, 0.7)[:, 0].astype(np.float64)
-        rows = np.arange(self.pixels)[:, None] + self.pixels * bend.astype(np.float64)
+        rows = np.arange(self.pixels)[:, None] + self.pixels * offset.astype(np.float64)
         low = np.floor(rows)
         part = rows - low
         i = low.astype(np.int64) % self.pixels
@@ -134,8 +136,8 @@ class Tile:
 
     def _key(self) -> np.uint64:
         self._next += 1
-        made: np.uint64 = subkey(np.uint64(self.key), self._next)
-        return np.uint64(made)
+        key: np.uint64 = subkey(np.uint64(self.key), self._next)
+        return np.uint64(key)
 
 
 def step(low: float, high: float, x: Values) -> Plane:
@@ -156,7 +158,7 @@ def dome(x: Values) -> Plane:
     return _plane(np.sqrt(1.0 - rest * rest))
 
 
-def number(cells: Cells, index: int) -> Plane:
+def number(cells: CellPattern, index: int) -> Plane:
     """A number in [0, 1) for each cell; another for each index."""
     return _plane(periodic.numbers(cells.hashed, index))
 

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from scenec.compiler.kinds import forms, key
-from scenec.compiler.materials.periodic import Cells, Plane
+from scenec.compiler.materials.periodic import CellPattern, Plane
 from scenec.compiler.materials.surface import GRAIN_M, Surface
-from scenec.compiler.materials.tile import Look, Tile, mix, number, only, shade, step
+from scenec.compiler.materials.tile import Paint, Tile, mix, number, only, shade, step
 
 #: Green and dead blades, and the earth between, relative to the mean.
 _GREEN, _DEAD, _EARTH = (0.62, 1.06, 0.6), (1.75, 1.35, 1.5), (0.6, 0.42, 0.5)
@@ -37,7 +37,7 @@ class Turf(Surface):
     SIZE_M: ClassVar[float] = 1.2
     RELIEF: ClassVar[float] = 0.16
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness."""
         grain = tile.fitting(self.grain_m)
         fine = tile.noise(0.12 * grain, 0.7)
@@ -62,10 +62,10 @@ class Turf(Surface):
             # Dark where blades come together, pale toward their tips.
             lit = (0.5 + 0.6 * tip) * (0.75 + 0.5 * number(tufts, 6)) * (0.8 + 0.3 * blade)
             color = mix(color, shade(own, lit), above)
-        return Look(height, color, 0.05 * fine)
+        return Paint(height, color, 0.05 * fine)
 
 
-def _blades(tufts: Cells) -> tuple[Plane, Plane, Plane]:
+def _blades(tufts: CellPattern) -> tuple[Plane, Plane, Plane]:
     """Blades that lean out from the middles of tufts.
 
     Returns:

@@ -17,24 +17,24 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import pixels_of, png
 from scenec.compiler.materials.heights import stamp
 from scenec.compiler.materials.periodic import Plane, moments
-from scenec.compiler.scene.material import Picture
+from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
-type Source = Path | Picture
+type Source = Path | ImageFile
 #: float32 [h, w, 3].
 type Planes = NDArray[np.float32]
 #: Pixels of pictures made here, for as long as these are there: they need not be decoded.
-_made: WeakKeyDictionary[Picture, NDArray] = WeakKeyDictionary()
+_codes_of: WeakKeyDictionary[ImageFile, NDArray] = WeakKeyDictionary()
 
 
-def picture_of(codes: NDArray) -> Picture:
+def picture_of(codes: NDArray) -> ImageFile:
     """A picture with pixels as ``stored`` gives them."""
-    picture = Picture(".png", png(codes))
+    picture = ImageFile(".png", png(codes))
     codes.setflags(write=False)
-    _made[picture] = codes
+    _codes_of[picture] = codes
     return picture
 
 
@@ -44,8 +44,8 @@ def stored(source: Source) -> NDArray:
     Raises:
         SceneError: They cannot be read.
     """
-    if isinstance(source, Picture):
-        known = _made.get(source)
+    if isinstance(source, ImageFile):
+        known = _codes_of.get(source)
         return _stored(source, None) if known is None else known
     return _stored(source, stamp(source))
 
@@ -64,12 +64,12 @@ def _stored(source: Source, _stamp: Stamp | None) -> NDArray:
 def forget_pixels() -> None:
     """Frees what ``stored`` keeps."""
     _stored.cache_clear()
-    _made.clear()
+    _codes_of.clear()
 
 
 def size_of(source: Source) -> int:
     """Bytes of a picture's file."""
-    return len(source.data) if isinstance(source, Picture) else source.stat().st_size
+    return len(source.data) if isinstance(source, ImageFile) else source.stat().st_size
 
 
 def colors(source: Source) -> Planes:
@@ -151,7 +151,7 @@ def _encode_part(first, last, plane, factor, table, borders, codes):  # type: ig
             codes[row, column] = code
 
 
-def color_picture(planes: Planes) -> Picture:
+def color_picture(planes: Planes) -> ImageFile:
     """Linear colors as sRGB codes; gray where all three are equal."""
     codes = np.stack([encoded(np.ascontiguousarray(planes[..., i]), 1.0) for i in range(3)], -1)
     if np.array_equal(codes[..., 0], codes[..., 1]) and np.array_equal(
@@ -161,14 +161,14 @@ def color_picture(planes: Planes) -> Picture:
     return picture_of(codes)
 
 
-def gray_picture(plane: Plane, fine: bool = False) -> Picture:
+def gray_picture(plane: Plane, fine: bool = False) -> ImageFile:
     """Values in [0, 1] as 8 bits, or 16."""
     largest = 65535 if fine else 255
     codes = np.floor(np.clip(plane.astype(np.float64), 0.0, 1.0) * largest + 0.5)
     return picture_of(codes.astype(np.uint16 if fine else np.uint8)[..., None])
 
 
-def normal_picture(vectors: Planes) -> Picture:
+def normal_picture(vectors: Planes) -> ImageFile:
     """Unit vectors as 8 bits."""
     codes = np.floor(127.5 * (vectors.astype(np.float64) + 1.0) + 0.5)
     return picture_of(np.clip(codes, 0.0, 255.0).astype(np.uint8))

@@ -32,7 +32,7 @@ SHADE_LEGS = 6.0
 
 
 class Channels(NamedTuple):
-    """What a triangle must follow, at the grid's samples.
+    """Holds what triangles must follow, at the grid's samples.
 
     Attributes:
         height: Meters; shown in pixels as they are. float64 [ny, nx].
@@ -85,7 +85,7 @@ def _grown(channels: Channels) -> tuple[int, int]:
 
 
 class _Limit(NamedTuple):
-    """What one unit of shade counts as, and beyond which an error is large enough, pixels."""
+    """Limits errors, pixels: what a unit of shade counts as, and what is large enough."""
 
     shade_px: float
     enough_px: float
@@ -173,7 +173,7 @@ class _Stencils(NamedTuple):
 
 
 def _stencils(s: int, center: bool) -> _Stencils:
-    """Of the middles of squares of half side ``s``, or of their sides."""
+    """Returns the stencils of squares of half side ``s``, at their middles or sides."""
     corners, samples, u, v = [], [], [], []
     for x, y in ((-s, -s), (-s, s), (s, -s), (s, s)) if center else ((-s, 0), (0, -s)):
         apex = (-x, y) if center else (y, x)

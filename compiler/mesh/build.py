@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.mesh.cover import lay
+from scenec.compiler.mesh.cover import fit_merges
 from scenec.compiler.mesh.horizon import Land, build_horizon
 from scenec.compiler.mesh.plan import TerrainPlan
 from scenec.compiler.mesh.precision import require_resolvable
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.program import Relief, run
+from scenec.compiler.terrain.program import ReliefResult, run
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.shade import shade
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
@@ -25,7 +25,7 @@ from scenec.compiler.views.resolution import Views, pixels_per_meter, views_of
 from scenec.schemas.left_out import Facts, entry
 
 
-def build_relief(drawn_terrain: TerrainPlan) -> tuple[Relief, Samples, Facts]:
+def build_relief(drawn_terrain: TerrainPlan) -> tuple[ReliefResult, Samples, Facts]:
     """Runs the relief's program; what its samples take up of noises the layers share."""
     grid = Grid.with_spacing(drawn_terrain.size_m, drawn_terrain.spacing_m)
     noises = Samples.of(grid)
@@ -34,36 +34,40 @@ def build_relief(drawn_terrain: TerrainPlan) -> tuple[Relief, Samples, Facts]:
 
 
 def build_surface(
-    drawn_terrain: TerrainPlan, relief: Relief, noises: Samples, has_rigs: bool
-) -> tuple[Surface, Facts]:
+    drawn_terrain: TerrainPlan, relief: ReliefResult, noises: Samples, has_rigs: bool
+) -> tuple[GroundSurface, Facts]:
     """Covers the relief with layers; the ground before it is meshed.
 
     Raises:
         SceneError: A layer cannot cover as much as it shall.
     """
     field = relief.field
-    merges, facts = lay(drawn_terrain.merges, drawn_terrain.coverage, field, noises)
+    merges, facts = fit_merges(drawn_terrain.merges, drawn_terrain.coverage, field, noises)
     # Without a view nothing says what is too small to see.
     seen = drawn_terrain.meshing.tolerance_px is not None and has_rigs
     smooth = seen and not isinstance(field, MeshSurface)
     shaded = shade(drawn_terrain.shades, field)
     details, displacements = relief.details, drawn_terrain.displacements
-    return Surface(field, merges, details, displacements, smooth, shaded), {"cover": facts}
+    return GroundSurface(field, merges, details, displacements, smooth, shaded), {"cover": facts}
 
 
-def build_land(drawn_terrain: TerrainPlan, surface: Surface) -> tuple[Land | None, Facts]:
+def build_land(drawn_terrain: TerrainPlan, surface: GroundSurface) -> tuple[Land | None, Facts]:
     """Runs the relief beyond the terrain's border; None where nothing lies there."""
     horizon = drawn_terrain.horizon
     if horizon is None:
         return None, {}
     east, north = (size + 2.0 * horizon.reach_m for size in drawn_terrain.size_m)
     relief = run(horizon.relief, Grid.with_spacing((east, north), horizon.spacing_m))
-    far = Surface(relief.field, details=relief.details)
+    far = GroundSurface(relief.field, details=relief.details)
     return Land.around(surface, far, horizon.blend_m), {"horizon": {"relief": relief.steps}}
 
 
 def see_ground(
-    drawn_terrain: TerrainPlan, surface: Surface, rigs: tuple[Rig, ...], keep: Keep, needs: Needs
+    drawn_terrain: TerrainPlan,
+    surface: GroundSurface,
+    rigs: tuple[Rig, ...],
+    keep: Keep,
+    needs: Needs,
 ) -> tuple[Views, NDArray[np.float64] | None, tuple[Views, Views] | None, Facts]:
     """Finds how closely the ground is looked at.
 
@@ -91,7 +95,7 @@ def see_ground(
 
 def build_ground(
     drawn_terrain: TerrainPlan,
-    surface: Surface,
+    surface: GroundSurface,
     noises: Samples,
     land: Land | None,
     views: Views,
@@ -124,7 +128,9 @@ def build_ground(
     return ground, float(meshed["float32_error_max_m"]), reached_px, facts
 
 
-def note_plain_mesh(drawn_terrain: TerrainPlan, relief: Relief, filleted: tuple[str, ...]) -> Facts:
+def note_plain_mesh(
+    drawn_terrain: TerrainPlan, relief: ReliefResult, filleted: tuple[str, ...]
+) -> Facts:
     """Reports what of the relief is finer than samples, where the mesh has no place for it."""
     is_mesh = isinstance(relief.field, MeshSurface)
     if not is_mesh and drawn_terrain.meshing.tolerance_px is not None:

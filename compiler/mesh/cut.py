@@ -54,7 +54,7 @@ class CutMesh:
     def uncut(
         cls, points: NDArray, faces: NDArray, cell: NDArray[np.int32], normals: NDArray
     ) -> CutMesh:
-        """Of a mesh's own vertices."""
+        """Wraps a mesh that has only its own vertices."""
         vertices = np.arange(len(points), dtype=np.int32)
         parents, above = np.stack([vertices, vertices], axis=1), np.zeros((0, len(faces)), bool)
         return cls(points, faces, parents, np.zeros(len(points)), cell, above, normals)
@@ -62,7 +62,7 @@ class CutMesh:
 
 @dataclass(frozen=True)
 class CutReport:
-    """What one cut did.
+    """Reports what one cut did.
 
     Attributes:
         vertices, faces: Added by it.

@@ -13,7 +13,7 @@ from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.plan import HorizonPlan, TerrainPlan
 from scenec.compiler.scene.ground import GroundLayer
-from scenec.compiler.terrain.condition import Condition, Interval, draw_condition
+from scenec.compiler.terrain.condition import Interval, ReliefCondition, draw_condition
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator
@@ -94,7 +94,9 @@ def _on_relief(nodes: Sequence[Mapping[str, Any]], path: str, context: Context) 
     return context
 
 
-def _mask(nodes: Sequence[Mapping[str, Any]], path: str, context: Context) -> tuple[Condition, ...]:
+def _mask(
+    nodes: Sequence[Mapping[str, Any]], path: str, context: Context
+) -> tuple[ReliefCondition, ...]:
     """Returns the mask of an operator."""
     context = replace(context, choice="relief_mask")
     return tuple(

@@ -20,9 +20,9 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh import adaptive
 from scenec.compiler.mesh.mesh import Meshing
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import albedo_variation
-from scenec.compiler.scene.ground import GroundLayer, Horizon, Tile
+from scenec.compiler.scene.ground import GroundLayer, Horizon, MeshTile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import Views, pixels_of_balls
 
@@ -49,7 +49,7 @@ _RELAX = 1.5
 
 @dataclass(frozen=True)
 class Land:
-    """What lies beyond the terrain, at any point.
+    """Represents the land beyond the terrain, at any point.
 
     Attributes:
         surface: Its own relief.
@@ -59,13 +59,13 @@ class Land:
         blend_m: Width over which these give way to the relief.
     """
 
-    surface: Surface
+    surface: GroundSurface
     half_m: tuple[float, float]
     border_m: NDArray[np.float64]
     blend_m: float
 
     @classmethod
-    def around(cls, terrain: Surface, surface: Surface, blend_m: float) -> Land:
+    def around(cls, terrain: GroundSurface, surface: GroundSurface, blend_m: float) -> Land:
         """Land whose heights begin as those of a terrain's border."""
         half = terrain.field.grid.size_m[0] * 0.5, terrain.field.grid.size_m[1] * 0.5
         columns = 4 * _SIDE * _MOST_SIDES
@@ -93,7 +93,7 @@ class Land:
         own[some] += (1.0 - share[some]) * (self._border_at(x[some], y[some]) - own[some])
         return own
 
-    def near(self, beyond_m: float) -> Surface:
+    def near(self, beyond_m: float) -> GroundSurface:
         """Its heights up to so far beyond the border, in cells, for what lies there.
 
         Those inside of the border go on from it and mean nothing.
@@ -101,15 +101,15 @@ class Land:
         span = 2.0 * max(self.half_m) + 2.0 * beyond_m
         size = 2.0 * self.half_m[0] + 2.0 * beyond_m, 2.0 * self.half_m[1] + 2.0 * beyond_m
         grid = Grid.with_spacing(size, span / _NEAR_CELLS)
-        return Surface(HeightField(grid, self.height_at(*grid.points()).reshape(grid.shape)))
+        return GroundSurface(HeightField(grid, self.height_at(*grid.points()).reshape(grid.shape)))
 
-    def off_m(self, near: Surface, positions: NDArray[np.float32]) -> float:
-        """How far ``near`` is off its heights where objects stand, [n, 3], at most, meters."""
+    def off_m(self, near: GroundSurface, positions: NDArray[np.float32]) -> float:
+        """Returns the most that ``near`` is off its heights at positions [n, 3], meters."""
         x, y = np.ascontiguousarray(positions[:, :2].T, np.float64)
         return float(np.abs(near.height_at(x, y) - self.height_at(x, y)).max(initial=0.0))
 
     def _border_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of the border where a column through points begins, float64 [n]."""
+        """Returns the border's height where the column through each point begins, float64 [n]."""
         away = self.distance_m(x, y)
         along = x / (self.half_m[0] + away), y / (self.half_m[1] + away)
         east_west = np.abs(along[0]) >= np.abs(along[1])
@@ -126,9 +126,9 @@ class Land:
 
 @memoized("ground")
 def build_horizon(
-    terrain: Surface,
+    terrain: GroundSurface,
     land: Land,
-    tiles: Sequence[Tile],
+    tiles: Sequence[MeshTile],
     layer: GroundLayer,
     reach_m: float,
     variation_key: int,
@@ -179,7 +179,7 @@ def build_horizon(
         near = albedo_variation(variation_key, at_x, at_y)
         wide = albedo_variation(variation_key, at_x / _PATCHES, at_y / _PATCHES)
         variation[:] = near + share * (wide - near)
-    tile = Tile(
+    tile = MeshTile(
         name=NAME,
         translate=np.zeros(3),
         points=world,
@@ -200,7 +200,7 @@ def build_horizon(
 
 
 def _distances(half: tuple[float, float], reach_m: float, columns: int) -> NDArray[np.float64]:
-    """Of the rectangles from the border, meters: whole roots of triangles of them."""
+    """Returns the rectangles' distances from the border, meters: whole roots of triangles."""
     middle = 0.5 * (half[0] + half[1])
     first = min(2.0 * elementary.PI / columns * middle, 0.5 * reach_m)
     span = elementary.log((middle + reach_m) / (middle + first))
@@ -302,7 +302,7 @@ def _normals(grid: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _border(
-    tiles: Sequence[Tile], half: tuple[float, float]
+    tiles: Sequence[MeshTile], half: tuple[float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], list[int]]:
     """Vertices on the terrain's border, counterclockwise from the southwest corner.
 
@@ -365,7 +365,7 @@ def _errors(
     views: Views,
     meshing: Meshing,
 ) -> dict[str, float]:
-    """How far the middles of triangles are from the land."""
+    """Measures how far the middles of triangles are from the land."""
     middle = points.astype(np.float64)[faces].mean(axis=1)
     height = land.height_at(*(np.ascontiguousarray(middle[:, axis]) for axis in (0, 1)))
     error = np.abs(height - middle[:, 2])

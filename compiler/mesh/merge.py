@@ -40,7 +40,7 @@ class Merge:
         threshold: Weight at which the label changes, in (0, 1).
         center: Noise value at which the weight is 1/2.
         noisy: Whether the noise has a say; it must have where there are no conditions.
-        where: Conditions that must hold as well. ``cover.lay`` makes ``limits`` of them.
+        where: Conditions that must hold as well. ``cover.fit_merges`` makes ``limits`` of them.
         limits: The conditions on the relief that the merge is laid on.
     """
 
@@ -87,7 +87,7 @@ class Merge:
             ValueError: The merge has conditions and is not laid.
         """
         if len(self.limits) != len(self.where):
-            raise ValueError("a merge with conditions is laid on a relief first: cover.lay")
+            raise ValueError("a merge with conditions is laid on a relief first: cover.fit_merges")
         values = [limit.value(x, y) for limit in self.limits]
         return self.side_of(values, self.noise(x, y) if self.noisy else None)
 

@@ -16,8 +16,8 @@ from scenec.compiler.kinds.forms import CONSTANT, COUNT
 from scenec.compiler.mesh import adaptive
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.merge import Merge, label_index
-from scenec.compiler.mesh.refine import Limits, refine
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.refine import RefineLimits, refine
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal, gradient
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import Views
@@ -59,8 +59,8 @@ class Meshing:
 
 
 @dataclass(frozen=True)
-class Appearance:
-    """What is laid over the ground, at points of any shape.
+class GroundAppearance:
+    """Holds the layers and albedo of the ground, at points of any shape.
 
     Attributes:
         sides: Of the merges, float64 [k, ...].
@@ -93,12 +93,12 @@ def base_mesh(surface: MeshSurface) -> CutMesh:
 
 
 def adaptive_mesh(
-    surface: Surface,
-    appearance: Appearance,
+    surface: GroundSurface,
+    appearance: GroundAppearance,
     pixels_per_m: NDArray[np.float64],
     views: Views,
     meshing: Meshing,
-) -> tuple[CutMesh, Appearance, dict[str, Any]]:
+) -> tuple[CutMesh, GroundAppearance, dict[str, Any]]:
     """Triangles as large as the tolerance lets them be.
 
     Args:
@@ -121,7 +121,7 @@ def adaptive_mesh(
     while True:
         tolerance, faces = _within_budget(channels, errors, meshing, tolerance)
         mesh, samples = _mesh(field, faces)
-        known = Appearance(
+        known = GroundAppearance(
             appearance.sides.reshape(-1, field.height.size)[:, samples],
             appearance.variation.reshape(-1)[samples],
         )
@@ -129,7 +129,7 @@ def adaptive_mesh(
         reached, worst_m, rms_m = _measured(field, faces, pixels_per_m)
         if not surface.smooth:
             break
-        limits = Limits(
+        limits = RefineLimits(
             tolerance,
             meshing.finest(spacing),
             # Where not even the coarsest mesh is within the budget it is not made finer.
@@ -164,7 +164,7 @@ def adaptive_mesh(
 def _channels(
     field: HeightField,
     merges: Sequence[Merge],
-    appearance: Appearance,
+    appearance: GroundAppearance,
     pixels_per_m: NDArray[np.float64],
 ) -> adaptive.Channels:
     shape, spacing = field.grid.shape, field.grid.spacing_m
@@ -183,7 +183,7 @@ def label_error(
     sides: NDArray[np.float64],
     pixels_per_m: NDArray[np.float64],
 ) -> float:
-    """How far from the line that it should be beyond the worst wrong label of a sample is, pixels.
+    """Returns how far beyond the line of its label the worst mislabeled sample is, pixels.
 
     Args:
         layer: Label of its faces, int32 [m].
@@ -204,7 +204,7 @@ def label_error(
 
 @kernel
 def _distances(side, rows, columns, dx, dy):  # type: ignore[no-untyped-def]
-    """Of some samples to the zero line of a field [ny, nx], meters, float64 [n]."""
+    """Returns the distances of some samples to a field's zero line, meters, float64 [n]."""
     out = np.empty(len(rows))
     for n in range(len(rows)):
         out[n] = adaptive.distance_to_line(side, rows[n], columns[n], dx, dy)

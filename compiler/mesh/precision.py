@@ -12,7 +12,7 @@ from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import HeightField
-from scenec.compiler.terrain.program import Relief
+from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
 from scenec.schemas.errors import SceneError
 from scenec.schemas.left_out import Facts
@@ -86,15 +86,15 @@ def refuse(
     Raises:
         SceneError: Always but where the closest look is a lidar's, which has no pixels.
     """
-    found: list[tuple[float, Rig, Sensor]] = []
+    candidates: list[tuple[float, Rig, Sensor]] = []
     for rig in rigs:
         for sensor in rig.sensors:
             alone = Rig(rig.name, rig.to_world, (sensor,), rig.times, (), rig.between)
             near = pixels_per_meter(field, views_of((alone,)), unseen)
-            found.append((float(near.max(initial=0.0)), rig, sensor))
-    if not found:
+            candidates.append((float(near.max(initial=0.0)), rig, sensor))
+    if not candidates:
         return
-    nearest, rig, sensor = max(found, key=lambda one: one[0])
+    nearest, rig, sensor = max(candidates, key=lambda one: one[0])
     off = error_m * nearest
     if off <= REFUSE_PX:
         return
@@ -113,7 +113,7 @@ def refuse(
 
 def find_precision(
     drawn_terrain: TerrainPlan,
-    relief: Relief,
+    relief: ReliefResult,
     rigs: tuple[Rig, ...],
     near: NDArray[np.float64] | None,
     ground: Ground,

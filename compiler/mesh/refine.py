@@ -12,7 +12,7 @@ from scenec.compiler.geometry.bisect import Bisection
 from scenec.compiler.geometry.growing import Growing
 from scenec.compiler.geometry.normals import normal_of
 from scenec.compiler.mesh.cut import CutMesh
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
 from scenec.schemas.kernels import kernel
 
@@ -30,8 +30,8 @@ _STEP = (0.7548776662466927, 0.5698402909980532)
 
 
 @dataclass(frozen=True)
-class Limits:
-    """When to stop.
+class RefineLimits:
+    """Says when refinement stops.
 
     Attributes:
         tolerance_px: Error that may show.
@@ -77,9 +77,9 @@ class _Work:
 def refine(
     mesh: CutMesh,
     sides: NDArray[np.float64],
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> tuple[CutMesh, NDArray[np.float64], dict[str, Any]] | None:
     """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
 
@@ -105,7 +105,7 @@ def refine(
     return None
 
 
-def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: Surface) -> _Work:
+def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: GroundSurface) -> _Work:
     bisection = Bisection(len(mesh.points), mesh.faces)
     x, y = np.ascontiguousarray(mesh.points[:, :2].T)
     height = surface.height_at(x, y, sides)
@@ -123,7 +123,9 @@ def _start(mesh: CutMesh, sides: NDArray[np.float64], surface: Surface) -> _Work
     )
 
 
-def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> NDArray[np.integer]:
+def _doubtful(
+    work: _Work, surface: GroundSurface, views: Views, limits: RefineLimits
+) -> NDArray[np.integer]:
     """Faces of the grid's mesh that can be wrong between the samples, where it was not measured.
 
     The others are flat to the tolerance at their samples, no line crosses them, and neither detail
@@ -148,30 +150,30 @@ def _doubtful(work: _Work, surface: Surface, views: Views, limits: Limits) -> ND
 
 def _pixels(
     work: _Work,
-    asked: NDArray[np.integer],
+    which: NDArray[np.integer],
     center: NDArray[np.float64],
     radius: NDArray[np.float64],
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> NDArray[np.float64]:
     """Pixels that a meter of some faces takes, float64 [n]: evaluated once for each face."""
-    pixels = work.pixels.rows[asked]
+    pixels = work.pixels.rows[which]
     new = np.flatnonzero(np.isnan(pixels))
     pixels[new] = pixels_of_balls(
         views, center[new], radius[new], limits.unseen, _nearest_m(limits)
     )
-    work.pixels.rows[asked[new]] = pixels[new]
+    work.pixels.rows[which[new]] = pixels[new]
     return pixels
 
 
-def _nearest_m(limits: Limits) -> float:
+def _nearest_m(limits: RefineLimits) -> float:
     """No point of a face counts as nearer to a camera than this."""
     return min(NEAREST_M, limits.finest_m)
 
 
-def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
+def _know(work: _Work, surface: GroundSurface, which: NDArray[np.integer]) -> None:
     """Evaluates the surface above the middles of some edges, int [n], where it was not yet."""
-    unknown = _unknown(asked, work.middles.rows)
+    unknown = _unknown(which, work.middles.rows)
     height, sides = surface.evaluate(*_halfway(work.points.rows, work.mesh.edges, unknown))
     work.middles.rows[unknown] = height
     _put(np.reshape(sides, (len(sides), len(unknown))), unknown, work.middle_sides.rows)
@@ -179,26 +181,26 @@ def _know(work: _Work, surface: Surface, asked: NDArray[np.integer]) -> None:
 
 def _wanted(
     work: _Work,
-    asked: NDArray[np.integer],
-    surface: Surface,
+    which: NDArray[np.integer],
+    surface: GroundSurface,
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> NDArray[np.bool_]:
-    """Which of some faces show too large an error."""
-    faces = work.mesh.faces[asked]
+    """Selects the faces that show too large an error."""
+    faces = work.mesh.faces[which]
     center, radius, leg = _balls(work.points.rows, faces)
     # What is coarse enough needs no view.
     large = leg > limits.finest_m
     some = np.flatnonzero(large)
-    pixels = np.zeros(len(asked))
-    pixels[some] = _pixels(work, asked[some], center[some], radius[some], views, limits)
+    pixels = np.zeros(len(which))
+    pixels[some] = _pixels(work, which[some], center[some], radius[some], views, limits)
     finer = surface.finer_than(2.0 * leg, work.shares.rows, faces, (center, radius))
     finer = np.minimum(_UNRESOLVED * finer, _STEEP * leg)
     most = _SLACK * limits.tolerance_px
     out: NDArray[np.bool_] = finer * pixels > most
     # Where detail is reason enough, what lies above the middles need not be known.
     rest = np.flatnonzero(~out)
-    faces, face_edges = faces[rest], work.mesh.face_edges[asked[rest]]
+    faces, face_edges = faces[rest], work.mesh.face_edges[which[rest]]
     _know(work, surface, face_edges.ravel())
     error = _errors(
         work.points.rows, work.sides.rows, work.middles.rows, work.middle_sides.rows,
@@ -208,7 +210,9 @@ def _wanted(
     return out
 
 
-def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArray[np.integer]:
+def _halved(
+    work: _Work, wanted: NDArray[np.integer], surface: GroundSurface
+) -> NDArray[np.integer]:
     """Halves some faces, and what must follow; the faces that are new."""
     halved = work.mesh.halve(wanted)
     x, y = _halfway(work.points.rows, work.mesh.edges, halved.middle_of)
@@ -231,9 +235,9 @@ def _halved(work: _Work, wanted: NDArray[np.integer], surface: Surface) -> NDArr
 def _finish(
     coarse: CutMesh,
     work: _Work,
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
-    limits: Limits,
+    limits: RefineLimits,
 ) -> tuple[CutMesh, dict[str, Any]]:
     order, points = work.mesh.order, work.points.rows
     faces, refined = work.mesh.faces[order], work.refined.rows[order]
@@ -252,7 +256,7 @@ def _finish(
 def _measured(
     points: NDArray[np.float64],
     faces: NDArray[np.int32],
-    surface: Surface,
+    surface: GroundSurface,
     views: Views,
     unseen: float,
 ) -> dict[str, Any]:
@@ -288,16 +292,16 @@ def _put(columns, at, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _unknown(asked, middles):  # type: ignore[no-untyped-def]
-    """Those of some edges of which nothing is known yet, each once, int64 [u].
+def _unknown(which, middles):  # type: ignore[no-untyped-def]
+    """Selects the edges that are not measured yet, each once, int64 [u].
 
     Args:
-        asked: Edges, [n].
+        which: Edges, [n].
         middles: float64 [e], NaN where it is not known; infinite of those returned.
     """
-    out = np.empty(len(asked), np.int64)
+    out = np.empty(len(which), np.int64)
     count = 0
-    for e in asked:
+    for e in which:
         if np.isnan(middles[e]):
             middles[e] = np.inf
             out[count] = e

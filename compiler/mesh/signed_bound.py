@@ -38,7 +38,7 @@ class SignedBound:
     softness: tuple[float, float]
 
     def value(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What is held against the bounds at points, float64 [n]."""
+        """Returns the value that is compared with the bounds at points, float64 [n]."""
         return self.condition.value_at(self.quantities, x, y)
 
     def t(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -61,11 +61,11 @@ def signed_bound(
     Args:
         value: What is held against the bounds at the samples, float64 [ny, nx].
     """
-    low, high = (_shown(value, at, condition.softness) for at in (condition.low, condition.high))
+    low, high = (_softness(value, at, condition.softness) for at in (condition.low, condition.high))
     return SignedBound(condition, quantities, (low, high))
 
 
-def _shown(value: NDArray[np.float64], bound: float | None, softness: float) -> float:
+def _softness(value: NDArray[np.float64], bound: float | None, softness: float) -> float:
     """The softness at one bound."""
     if bound is None:
         return 1.0

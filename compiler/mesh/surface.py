@@ -23,7 +23,7 @@ _Sides = Sequence[NDArray[np.float64]] | NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Surface:
+class GroundSurface:
     """Heights and label fields at points.
 
     Attributes:
@@ -72,7 +72,7 @@ class Surface:
         return height
 
     def lift_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far the surface lies above the grid's triangles, float64 [n], meters."""
+        """Returns the surface's height above the grid's triangles, float64 [n], meters."""
         if not self.smooth:
             return np.zeros(x.shape)
         return self.height_at(x, y) - self.field.height_at(x, y)
@@ -118,7 +118,7 @@ class Surface:
         return float(joined(spectra).amplitude_m.sum())
 
     def _shares(self, sides: _Sides, count: int) -> NDArray[np.float64]:
-        """What each layer contributes where all are merged, float64 [k, n]: adds up to 1."""
+        """Returns each merged layer's share, float64 [k, n]: they add up to 1."""
         shares = np.ones((1 + len(self.merges), count))
         for k, (merge, side) in enumerate(zip(self.merges, sides, strict=True), start=1):
             shares[k] = merge.weight_of_side(side)
@@ -128,7 +128,7 @@ class Surface:
 
 @kernel
 def _cover(shares):  # type: ignore[no-untyped-def]
-    """What layers above them leave of layers, float64 [k, n], in place."""
+    """Multiplies layers by the transparency of those above them, float64 [k, n], in place."""
     for layer in range(1, len(shares)):
         for below in range(layer):
             for n in range(shares.shape[1]):
@@ -137,7 +137,7 @@ def _cover(shares):  # type: ignore[no-untyped-def]
 
 @kernel
 def _largest(faces, shares, length, tables):  # type: ignore[no-untyped-def]
-    """Of what lies everywhere and of layers by their shares, the most at a face's corners."""
+    """Returns the largest relief finer than each face at its corners, layers by their shares."""
     out = np.zeros(len(faces))
     of_layers = np.empty(shares.shape[1])
     for f in range(len(faces)):

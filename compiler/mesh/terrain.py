@@ -167,7 +167,7 @@ class GroundBase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundLayer:
+class GroundLayerKeys:
     """A layer merged over those before it: where its noise passes the threshold and all its
     conditions hold, the label is this layer's. The color blends about the border.
     """

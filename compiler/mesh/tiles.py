@@ -14,16 +14,16 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.mesh.adaptive import ROOT_CELLS
 from scenec.compiler.mesh.cut import SNAP, CutMesh, Field, cut
 from scenec.compiler.mesh.mesh import (
-    Appearance,
+    GroundAppearance,
     Meshing,
     adaptive_mesh,
     base_mesh,
     grid_mesh,
     label_error,
 )
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.noise.fractal import fbm2_points
-from scenec.compiler.scene.ground import Tile
+from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NO_VIEWS, Views
@@ -43,7 +43,7 @@ _VARIATION_GAIN = 0.75
 
 @memoized("ground")
 def build_tiles(
-    surface: Surface,
+    surface: GroundSurface,
     variation_key: int,
     meshing: Meshing = WHOLE_GRID,
     pixels_per_m: NDArray[np.float64] | None = None,
@@ -53,7 +53,7 @@ def build_tiles(
     cut_labels: bool = True,
     samples: Samples | None = None,
     border_exact: bool = False,
-) -> tuple[tuple[Tile, ...], dict[str, Any]]:
+) -> tuple[tuple[MeshTile, ...], dict[str, Any]]:
     """The terrain's tiles.
 
     Args:
@@ -77,7 +77,7 @@ def build_tiles(
     sides = np.empty((len(merges), *field.grid.shape))
     for merge, side in zip(merges, sides, strict=True):
         side[:] = merge.side_on(samples)
-    known = Appearance(np.zeros((len(merges), 0)), np.zeros(0))
+    known = GroundAppearance(np.zeros((len(merges), 0)), np.zeros(0))
     if isinstance(field, MeshSurface):
         mesh = base_mesh(field)
     elif meshing.tolerance_px is None or pixels_per_m is None:
@@ -85,7 +85,7 @@ def build_tiles(
     else:
         # The same whatever the outputs: what is left out must not move what stays.
         varied = _variation(surface, variation_key, *field.grid.points())
-        appearance = Appearance(sides, varied.reshape(field.grid.shape))
+        appearance = GroundAppearance(sides, varied.reshape(field.grid.shape))
         mesh, known, report["mesh"] = adaptive_mesh(
             surface, appearance, pixels_per_m, views, meshing
         )
@@ -144,10 +144,10 @@ def build_tiles(
     }
 
 
-def _at_all(field: Field, known: NDArray[np.float64], mesh: CutMesh) -> NDArray[np.float64]:
+def _at_all(field: Field, given: NDArray[np.float64], mesh: CutMesh) -> NDArray[np.float64]:
     """A field at all vertices, where it is known at the first of them."""
-    x, y = np.ascontiguousarray(mesh.points[len(known) :, :2].T)
-    return np.concatenate([known, field(x, y)]) if len(x) else known
+    x, y = np.ascontiguousarray(mesh.points[len(given) :, :2].T)
+    return np.concatenate([given, field(x, y)]) if len(x) else given
 
 
 def albedo_variation(
@@ -161,7 +161,7 @@ def albedo_variation(
 
 
 def _variation(
-    surface: Surface, key: int, x: NDArray[np.float64], y: NDArray[np.float64]
+    surface: GroundSurface, key: int, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """``albedo_variation`` and the surface's shade at points, in [-1, 1]."""
     noise = albedo_variation(key, x, y)
@@ -270,7 +270,7 @@ def _gather(
     layer: NDArray[np.int32],
     weights: NDArray[np.float32],
     variation: NDArray[np.float32],
-) -> tuple[Tile, ...]:
+) -> tuple[MeshTile, ...]:
     # Within a tile, faces go by cell, so that neighbors in memory are neighbors on the ground.
     order = np.argsort(tile_of_face, kind="stable")
     starts = np.searchsorted(tile_of_face[order], np.arange(tile_counts[0] * tile_counts[1] + 1))
@@ -285,7 +285,7 @@ def _gather(
         # A multiple of the quantum: translate + float32(local) then restores the points exactly.
         middle = np.round(0.5 * (at.min(axis=0) + at.max(axis=0)) / quantum) * quantum
         tiles.append(
-            Tile(
+            MeshTile(
                 name=f"tile_{t // tile_counts[0]:03d}_{t % tile_counts[0]:03d}",
                 translate=middle,
                 points=(at - middle).astype(np.float32),

@@ -57,7 +57,7 @@ class Fractal:
     offset: float = 0.0
     distortion: float = 0.0
     warps: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
-    shown: int = 0
+    first_octave: int = 0
     scale_m: float = 1.0
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,15 +66,17 @@ class Fractal:
             return np.empty(0)
         box_x, box_y = (np.array([a.min(), a.max()]) / self.scale_m for a in (x, y))
         x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
-        return self._sum(Places(x, y, self.scale_m, False), box_x, box_y, x.size)
+        return self._sum(NoisePoints(x, y, self.scale_m, False), box_x, box_y, x.size)
 
     def on(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """On a grid of columns x and rows y, both rising, meters: float64 [ny, nx]."""
         u, v = x / self.scale_m, y / self.scale_m
-        return self._sum(Places(u, v, 1.0, True), u, v, x.size * y.size).reshape(y.size, x.size)
+        return self._sum(NoisePoints(u, v, 1.0, True), u, v, x.size * y.size).reshape(
+            y.size, x.size
+        )
 
     def _sum(
-        self, places: Places, x: NDArray[np.float64], y: NDArray[np.float64], n: int
+        self, places: NoisePoints, x: NDArray[np.float64], y: NDArray[np.float64], n: int
     ) -> NDArray[np.float64]:
         """At n places within a rectangle."""
         # One octave is in [-1, 1], so a sum of those that warp is in [-2, 2].
@@ -84,14 +86,16 @@ class Fractal:
         octaves = tabulate(keys, x, y, self.lacunarity, n, margin)
         warps = [tabulate(k, x, y, WARP_LACUNARITY, n, 0.0) for k in self.warps or (none, none)]
         variant = _VARIANTS[self.variant]
-        form = Form(variant, self.gain, self.lacunarity, self.offset, self.distortion, self.shown)
+        form = FractalForm(
+            variant, self.gain, self.lacunarity, self.offset, self.distortion, self.first_octave
+        )
         out = np.empty(n)
         over_threads(_sum_part, n, octaves, *warps, places, form, out, least=POINTS)
         return out
 
 
-class Places(NamedTuple):
-    """Where a noise is wanted.
+class NoisePoints(NamedTuple):
+    """Holds the places at which a noise is evaluated.
 
     Attributes:
         x, y: Positions, float64 [n] each; or those of a grid's columns and rows in units of the
@@ -106,15 +110,15 @@ class Places(NamedTuple):
     grid: bool
 
 
-class Form(NamedTuple):
-    """What is summed, in numbers: see ``Fractal``."""
+class FractalForm(NamedTuple):
+    """Holds the parameters of a sum of octaves: see ``Fractal``."""
 
     variant: int
     gain: float
     lacunarity: float
     offset: float
     distortion: float
-    shown: int
+    first_octave: int
 
 
 def warp_keys(key: int, octaves: int) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
@@ -161,7 +165,7 @@ def fbm2_points(
 
 
 @inlined
-def _take(places: Places, first: int, u: NDArray, v: NDArray) -> None:
+def _take(places: NoisePoints, first: int, u: NDArray, v: NDArray) -> None:
     """Positions of the points from a first one on."""
     if not places.grid:
         # Slices: their indices need no look at their sign, and the loop has lanes.
@@ -198,8 +202,8 @@ def _fbm(octaves: Octaves, u: NDArray, v: NDArray, noise: NDArray, out: NDArray)
 
 
 @kernel
-def _at_zero(octaves: int, form: Form) -> tuple[float, float]:
-    """What the sums are centered by: where every octave is zero, hetero's growth, others' level."""
+def _at_zero(octaves: int, form: FractalForm) -> tuple[float, float]:
+    """Returns what the sums are centered by: at octaves of zero, hetero's growth, others' level."""
     growth = 1.0
     level = 0.0
     weight = 1.0
@@ -218,7 +222,7 @@ def _at_zero(octaves: int, form: Form) -> tuple[float, float]:
 
 @inlined
 def _add(
-    form: Form, octave: int, weight: float, noise: NDArray, signal: NDArray, value: NDArray
+    form: FractalForm, octave: int, weight: float, noise: NDArray, signal: NDArray, value: NDArray
 ) -> None:
     """Adds one octave."""
     offset = form.offset
@@ -249,7 +253,7 @@ def _add(
 
 
 @inlined
-def _center(form: Form, octaves: int, value: NDArray) -> None:
+def _center(form: FractalForm, octaves: int, value: NDArray) -> None:
     """Centers a sum of some octaves, in place."""
     growth, level = _at_zero(octaves, form)
     if form.variant == _HETERO and octaves > 0:
@@ -267,8 +271,8 @@ def _sum_part(
     octaves: Octaves,
     warp_x: Octaves,
     warp_y: Octaves,
-    places: Places,
-    form: Form,
+    places: NoisePoints,
+    form: FractalForm,
     out: NDArray,
 ) -> None:
     """``Fractal`` at the points from ``first`` to ``last``: float64, into ``out`` [n]."""
@@ -298,12 +302,12 @@ def _sum_part(
         value[:] = 0.0
         weight = 1.0
         for octave in range(count):
-            if octave >= form.shown or not sums:
+            if octave >= form.first_octave or not sums:
                 octave_at(octaves, octave, u, v, noise)
                 _add(form, octave, weight, noise, signal, value)
-                if octave == form.shown - 1:
+                if octave == form.first_octave - 1:
                     coarse[:] = value
-                    _center(form, form.shown, coarse)
+                    _center(form, form.first_octave, coarse)
             weight *= form.gain
             next_octave(u, v, form.lacunarity)
         _center(form, count, value)

@@ -22,7 +22,7 @@ _BITS = np.float64(_SHIFT).view(np.uint64)
 
 
 @inlined
-def whole(x: float) -> np.uint64:
+def to_integer(x: float) -> np.uint64:
     """A whole number below 2**51, modulo 2**64: a conversion that has lanes on every CPU."""
     return np.uint64(bits_of(x + _SHIFT)) - _BITS
 

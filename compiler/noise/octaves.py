@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2, mix, whole
+from scenec.compiler.noise.lattice import hash2, mix, to_integer
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
 from scenec.schemas.kernels import inlined, kernel
 
@@ -92,8 +92,8 @@ def tabulate(
 def _hash(key: np.uint64, u: NDArray, v: NDArray, corners: NDArray) -> None:
     """Directions at the corners of points' cells, by hashing."""
     for k in range(u.size):
-        i = whole(np.floor(u[k]))
-        j = whole(np.floor(v[k]))
+        i = to_integer(np.floor(u[k]))
+        j = to_integer(np.floor(v[k]))
         west = mix(key ^ i)
         east = mix(key ^ (i + _ONE))
         corners[0, k] = mix(west ^ j) & DIRECTION_MASK
@@ -111,7 +111,7 @@ def _look_up(
     j0 = first[1]
     north = np.uint64(width)
     for k in range(u.size):
-        at = whole((np.floor(v[k]) - j0) * width + (np.floor(u[k]) - i0))
+        at = to_integer((np.floor(v[k]) - j0) * width + (np.floor(u[k]) - i0))
         corners[0, k] = table[at]
         corners[1, k] = table[at + _ONE]
         corners[2, k] = table[at + north]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.noise.lattice import hash2, mix, whole
+from scenec.compiler.noise.lattice import hash2, mix, to_integer
 from scenec.schemas.intrinsics import float_of
 from scenec.schemas.kernels import inlined, kernel
 
@@ -100,8 +100,8 @@ def worley2_points(
         y = v[k]
         fi = np.floor(x)
         fj = np.floor(y)
-        i = whole(fi)
-        j = whole(fj)
+        i = to_integer(fi)
+        j = to_integer(fj)
         least = np.inf
         next_least = np.inf
         for a in range(-1, 2):
@@ -184,8 +184,8 @@ def blocks2_points(key: np.uint64, u: NDArray, v: NDArray, jitter: float, out: N
     for k in range(u.size):
         fi = np.floor(u[k])
         fj = np.floor(v[k])
-        i = whole(fi)
-        j = whole(fj)
+        i = to_integer(fi)
+        j = to_integer(fj)
         highest = 0.0
         for a in range(-1, 2):
             column = mix(key ^ (i + np.uint64(a)))

@@ -66,7 +66,7 @@ class Bodies(NamedTuple):
 
 
 class Touching(NamedTuple):
-    """What of some objects is next to the ground.
+    """Holds the parts of objects that are next to the ground.
 
     Attributes:
         lowest: The vertices least above the ground: x, y in the world, z over the object's origin,

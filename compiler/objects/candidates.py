@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.noise.lattice import hash2, subkeys, unit
-from scenec.compiler.objects.lattice import Lattice
+from scenec.compiler.objects.lattice import PlanLattice
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
-class Cells(NamedTuple):
-    """What kernels take of ``Candidates``.
+class CandidateData(NamedTuple):
+    """Holds ``Candidates`` as kernels take them.
 
     Attributes:
         cumulative, corners: As there.
@@ -37,7 +37,7 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Where three uniform numbers lead: a cell or a face by the first, a place in it by the others.
+    """Maps three uniform numbers to a place: the first to a cell or face, the others within it.
 
     Attributes:
         lattice: The cells; faces are taken where there are ``corners``.
@@ -46,15 +46,15 @@ class Candidates:
         share: Part of the density that ``where`` left.
     """
 
-    lattice: Lattice
+    lattice: PlanLattice
     cumulative: NDArray[np.float64]
     corners: NDArray[np.float64]
     share: float
 
-    def cells(self) -> Cells:
-        """As ``point`` takes it."""
+    def cells(self) -> CandidateData:
+        """Returns the arrays as ``point`` takes them."""
         (ny, nx), of = self.lattice.shape, self.lattice
-        return Cells(self.cumulative, self.corners, (of.x0, of.y0), (of.dx, of.dy), nx, ny)
+        return CandidateData(self.cumulative, self.corners, (of.x0, of.y0), (of.dx, of.dy), nx, ny)
 
     def at(
         self, u: NDArray[np.float64]

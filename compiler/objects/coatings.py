@@ -119,7 +119,7 @@ def _noise(key, points):  # type: ignore[no-untyped-def]
 
 @kernel
 def _depths(points, normals, faces, steps):  # type: ignore[no-untyped-def]
-    """How far each vertex lies below a surface that diffusion has smoothed, along its normal."""
+    """Returns each vertex's depth below a surface that diffusion has smoothed, along its normal."""
     smooth = points.copy()
     for _step in range(steps):
         total = np.zeros(points.shape)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.kinds.declare import key
 from scenec.compiler.kinds.forms import LENGTH_PER_BATCH, RAGGED, TEXT
-from scenec.compiler.objects.lattice import Circles, Lattice, nearest
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.lattice import Circles, PlanLattice, nearest
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.condition import Interval, Ragged, soft_interval
 from scenec.compiler.terrain.quantities import Samples
 
@@ -24,10 +24,10 @@ class PlacementCondition(ABC):
     """One condition on a place."""
 
     @abstractmethod
-    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
-        """How much holds at the middles of cells, in [0, 1]: float64 [ny, nx]."""
+    def weight(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
+        """Returns the weight at the middles of cells, in [0, 1]: float64 [ny, nx]."""
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """Width of cells that shows all there is of it; None: those of the relief's grid do."""
         return None
 
@@ -41,14 +41,14 @@ class OnRelief(PlacementCondition):
 
     condition: Interval
 
-    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def weight(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """The soft interval."""
-        return self.condition.weight_on(around.quantities, Samples(*lattice.axes, kept=0))
+        return self.condition.weight_on(context.quantities, Samples(*lattice.axes, cache_bytes=0))
 
 
 @dataclass(frozen=True)
 class OnMaterial(PlacementCondition):
-    """Where ground layers show, with the weight of their color: of the ground as it is laid.
+    """Weighs by where ground layers show, with the weight of their color: of the ground as laid.
 
     Attributes:
         layers: Indices of those that count, 0 for the base.
@@ -56,11 +56,11 @@ class OnMaterial(PlacementCondition):
 
     layers: tuple[int, ...]
 
-    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def weight(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """The part of the color that is theirs."""
-        samples = Samples(*lattice.axes, kept=0)
+        samples = Samples(*lattice.axes, cache_bytes=0)
         weight, left = np.zeros(lattice.shape), np.ones(lattice.shape)
-        merges = around.surface.merges
+        merges = context.surface.merges
         # From the top down: ``left`` is what shows through.
         for i in range(len(merges), 0, -1):
             if i >= min(self.layers):
@@ -83,7 +83,7 @@ class OffTerrain(PlacementCondition):
 
     half_m: tuple[float, float]
 
-    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def weight(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """1 or 0."""
         on_x = np.abs(lattice.x) < self.half_m[0] + 0.5 * lattice.dx
         on_y = np.abs(lattice.y) < self.half_m[1] + 0.5 * lattice.dy
@@ -98,7 +98,7 @@ class _Distance(PlacementCondition):
     softness_m: float
     ragged: Ragged | None
 
-    def _soft(self, lattice: Lattice, circles: Circles) -> NDArray[np.float64]:
+    def _soft(self, lattice: PlanLattice, circles: Circles) -> NDArray[np.float64]:
         reach = max(bound for bound in (self.min_m, self.max_m, 0.0) if bound is not None)
         reach += self.softness_m + lattice.dx + lattice.dy
         if self.ragged is not None:
@@ -123,9 +123,9 @@ class FromCameras(_Distance):
     """Width over which it fades about a bound: half of it on either side."""
     ragged: Ragged | None = key(RAGGED, optional=True)
 
-    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def weight(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """The soft interval; without cameras all is far."""
-        x, y = (np.ascontiguousarray(around.cameras[:, axis]) for axis in (0, 1))
+        x, y = (np.ascontiguousarray(context.cameras[:, axis]) for axis in (0, 1))
         return self._soft(lattice, Circles(x, y, np.zeros(len(x))))
 
 
@@ -151,12 +151,12 @@ class FromObjects(_Distance):
     """Width over which it fades about a bound: half of it on either side."""
     ragged: Ragged | None = key(RAGGED, optional=True)
 
-    def weight(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def weight(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """The soft interval; without objects all is far."""
-        return self._soft(lattice, around.objects[self.of])
+        return self._soft(lattice, context.objects[self.of])
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """Half of the smallest radius."""
-        radius = around.objects[self.of].radius
+        radius = context.objects[self.of].radius
         radius = radius[radius > 0.0]
         return 0.5 * float(radius.min()) if len(radius) else None

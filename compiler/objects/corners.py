@@ -58,7 +58,7 @@ def split(
 
 
 @kernel
-def _corner_normals(normals, faces, start, around, limit):  # type: ignore[no-untyped-def]
+def _corner_normals(normals, faces, start, incident, limit):  # type: ignore[no-untyped-def]
     out = np.empty((len(faces), 3, 3))
     length = np.empty(len(faces))
     for f in range(len(faces)):
@@ -70,7 +70,7 @@ def _corner_normals(normals, faces, start, around, limit):  # type: ignore[no-un
             v = faces[f, k]
             x, y, z = 0.0, 0.0, 0.0
             for at in range(start[v], start[v + 1]):
-                g = around[at]
+                g = incident[at]
                 along = ux * normals[g, 0] + uy * normals[g, 1] + uz * normals[g, 2]
                 if g == f or along >= limit * length[f] * length[g]:
                     x += normals[g, 0]

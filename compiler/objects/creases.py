@@ -90,7 +90,7 @@ def _quality(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _move(points, faces, start, around, normals, distances, reach):  # type: ignore[no-untyped-def]
+def _move(points, faces, start, incident, normals, distances, reach):  # type: ignore[no-untyped-def]
     target = np.empty(3)
     old = np.empty(3)
     done = np.zeros(len(points), np.bool_)
@@ -103,7 +103,7 @@ def _move(points, faces, start, around, normals, distances, reach):  # type: ign
             points[n] = target
             done[n] = True
             for k in range(start[n], start[n + 1]):
-                f = faces[around[k]]
+                f = faces[incident[k]]
                 if _quality(points[f[0]], points[f[1]], points[f[2]]) < _QUALITY:
                     points[n] = old
                     done[n] = False

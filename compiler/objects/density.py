@@ -19,8 +19,8 @@ from scenec.compiler.kinds import Context, Finding, Node, file, forms, key, nois
 from scenec.compiler.noise.fractal import fbm2_points
 from scenec.compiler.noise.octaves import BLOCK
 from scenec.compiler.noise.worley import worley2_points
-from scenec.compiler.objects.lattice import Circles, Lattice, splat, table
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.lattice import Circles, PlanLattice, splat, table
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.polyline import project_on
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
@@ -38,10 +38,10 @@ class Density(ABC):
     """Relative density in plan: only ratios count."""
 
     @abstractmethod
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells, float64 [ny, nx], nowhere below 0."""
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """Width of cells that shows all there is of it; None: those of the relief's grid do."""
         return None
 
@@ -53,7 +53,7 @@ class Everywhere(Density):
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Relative density at points, float64 [n]."""
 
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells."""
         return self.at(*lattice.points()).reshape(lattice.shape)
 
@@ -123,7 +123,7 @@ class WorleyDensity(Everywhere):
         power = self.sharpness * elementary.log_array(np.where(inside, left, 1.0))
         return np.where(inside, elementary.exp_array(power), 0.0)
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """Some cells to a heap."""
         return self.scale_m / 16.0
 
@@ -156,7 +156,7 @@ class ImageDensity(Density):
         """
         return read_gray(self.file)[::-1]
 
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells."""
         pixels = self.pixels()
         sums = np.zeros((pixels.shape[0] + 1, pixels.shape[1] + 1))
@@ -170,10 +170,10 @@ class ImageDensity(Density):
         least = 1e-12 * float(sums[-1, -1])
         return np.where(inside > least, inside, 0.0)
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """Some cells to a pixel, whose borders need not be the cells'."""
         height, width = self.pixels().shape
-        size = around.surface.field.grid.size_m
+        size = context.surface.field.grid.size_m
         return 0.25 * min(size[0] / width, size[1] / height)
 
 
@@ -251,7 +251,7 @@ class ClusterDensity(Density):
     sigma_m: float
     background: float
 
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells."""
         at = table(CLUSTER_REACH)
         values = elementary.exp_array(-0.5 * at * at)
@@ -260,7 +260,7 @@ class ClusterDensity(Density):
         dense = splat(lattice, parents, ones, values, CLUSTER_REACH)
         return with_background(dense, self.background)
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """Half of sigma."""
         return 0.5 * self.sigma_m
 
@@ -283,7 +283,7 @@ class PathDensity(Density):
     """Distance from the path at which they are densest, as in the berms of a track."""
     background: float = key(forms.BACKGROUND)
 
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells."""
         reach = self.offset_m + (_PATH_REACH if self.law == "gaussian" else 1.0) * self.width_m
         offset, _ = project_on(lattice.x, lattice.y, read_polyline(self.file), reach, True)
@@ -296,7 +296,7 @@ class PathDensity(Density):
             dense[near] = elementary.exp_array(-0.5 * away[near] * away[near])
         return with_background(dense, self.background)
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """A part of the width, small where it ends sharply."""
         return self.width_m / (12.0 if self.law == "band" else 4.0)
 
@@ -320,9 +320,9 @@ class AroundDensity(Density):
     """Smaller objects have none, by the diameter of the ball."""
     background: float = key(forms.BACKGROUND)
 
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells."""
-        there = around.objects[self.of]
+        there = context.objects[self.of]
         at = table(1.0 + self.reach)
         left = np.clip(1.0 - (at - 1.0) / self.reach, 0.0, 1.0)
         values = np.where(at >= self.inside, left * left, 0.0)
@@ -330,9 +330,9 @@ class AroundDensity(Density):
         dense = splat(lattice, there, weight, values, 1.0 + self.reach)
         return with_background(dense, self.background)
 
-    def finest_m(self, around: Surroundings) -> float | None:
+    def finest_m(self, context: PlacementContext) -> float | None:
         """A quarter of the smallest radius: its inner border is sharp."""
-        radius = around.objects[self.of].radius
+        radius = context.objects[self.of].radius
         radius = radius[(2.0 * radius >= self.min_size_m) & (radius > 0.0)]
         return 0.25 * float(radius.min()) if len(radius) else None
 

@@ -121,7 +121,7 @@ def _square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _square_around(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
+def _squared_distance(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance to a face and its three neighbors, the nearest of them."""
     best = _square_to_triangle(mesh.points, mesh.faces[face], x, y, z)
     for k in range(3):
@@ -131,17 +131,17 @@ def _square_around(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _farthest(own, other, divide, multiply, worst):  # type: ignore[no-untyped-def]
+def _farthest(mesh, other, divide, multiply, worst):  # type: ignore[no-untyped-def]
     """Over points of one mesh, what exceeds ``worst``: the distance to the other, and back."""
-    a, b = own.points, other.points
+    a, b = mesh.points, other.points
     done = np.zeros(len(a), np.bool_)
-    for f in range(len(own.faces)):
-        i, j, k = own.faces[f]
+    for f in range(len(mesh.faces)):
+        i, j, k = mesh.faces[f]
         face = f // divide * multiply
         for s in range(7):
             # Three vertices, three middles of edges, the middle of the face; each point once.
             if s < 3:
-                corner = own.faces[f, s]
+                corner = mesh.faces[f, s]
                 if done[corner]:
                     continue
                 done[corner] = True
@@ -164,7 +164,7 @@ def _farthest(own, other, divide, multiply, worst):  # type: ignore[no-untyped-d
             apart = abs(t - 1.0) * np.sqrt(x * x + y * y + z * z)
             if not apart > worst:
                 continue
-            there = _square_around(other, face, x, y, z)
-            back = _square_around(own, f, t * x, t * y, t * z)
+            there = _squared_distance(other, face, x, y, z)
+            back = _squared_distance(mesh, f, t * x, t * y, t * z)
             worst = max(worst, min(apart, np.sqrt(max(there, back))))
     return worst

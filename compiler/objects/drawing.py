@@ -15,7 +15,7 @@ from scenec.compiler.distributions.numbers import Distribution, Number, draw_num
 from scenec.compiler.kinds import Context, draw_kind
 from scenec.compiler.objects.conditions import OffTerrain, OnMaterial, OnRelief, PlacementCondition
 from scenec.compiler.objects.families.shape import Turn
-from scenec.compiler.objects.plan import Count, ModelSource, RockShapes, ScatterPlan
+from scenec.compiler.objects.plan import ModelSource, ObjectCount, RockShapes, ScatterPlan
 from scenec.compiler.objects.scattered import Scattered
 from scenec.compiler.terrain.condition import draw_condition
 from scenec.schemas.errors import SceneError
@@ -97,10 +97,10 @@ def draw_scattered(
     )
 
 
-def _counted(law: Scattered, size: Number, context: Context) -> tuple[Count, int]:
-    """How many there are, and how many there can be: ``where`` only takes some away."""
+def _counted(law: Scattered, size: Number, context: Context) -> tuple[ObjectCount, int]:
+    """Returns the number of objects, and the most there can be: ``where`` only removes some."""
     if law.count is not None:
-        return Count(int(law.count), None, 0.0), int(law.count)
+        return ObjectCount(int(law.count), None, 0.0), int(law.count)
     rounding = float(context.streams.uniforms(f"{context.path}/count_rounding", 1)[0])
     per_m2 = law.per_m2
     if per_m2 is None:
@@ -113,15 +113,15 @@ def _counted(law: Scattered, size: Number, context: Context) -> tuple[Count, int
             f"{context.size_m[1]:g} m are {expected:.3g} objects, at most {MOST_OBJECTS:,} are "
             "taken; lower per_m2, or raise the smallest size"
         )
-    return Count(None, float(per_m2), rounding), int(expected + rounding)
+    return ObjectCount(None, float(per_m2), rounding), int(expected + rounding)
 
 
 def _place(node: Mapping[str, Any], path: str, context: Context) -> PlacementCondition:
     if node["type"] == "material":
         return OnMaterial(context.layers_of(node))
     if node["type"] in ("camera", "object"):
-        made: PlacementCondition = draw_kind("objects_where", node, path, context)
-        return made
+        condition: PlacementCondition = draw_kind("objects_where", node, path, context)
+        return condition
     return OnRelief(draw_condition(node, replace(context, path=path, choice="objects_where")))
 
 

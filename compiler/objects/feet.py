@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from scenec.compiler.distributions.numbers import Number, draw_number
 from scenec.compiler.kinds import Context, forms, key
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.noise.perlin import fbm3
 from scenec.compiler.objects.bodies import Bodies, vertices_of
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls
@@ -82,7 +82,9 @@ class FilletPlan:
     key: int
 
 
-def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surface, int]:
+def add_fillets(
+    plan: FilletPlan, stones: Scatter, context: PlacementContext
+) -> tuple[GroundSurface, int]:
     """The ground with fines about a class of stones, for all that is placed after it.
 
     Stones have none whose ramp is lower than twice the error that may show in the view that is
@@ -90,12 +92,12 @@ def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surfa
 
     Args:
         stones: At their finest level, where they stand.
-        around: The ground that they stand on, and the cameras.
+        context: The ground that they stand on, and the cameras.
 
     Returns:
-        The ground of ``around``, with detail more or as it was; how many stones have a ramp.
+        The ground of ``context``, with detail more or as it was; how many stones have a ramp.
     """
-    surface, tolerance_px = around.surface, around.tolerance_px
+    surface, tolerance_px = context.surface, context.tolerance_px
     if tolerance_px is None or not surface.smooth or not stones.count:
         return surface, 0
     own = stones.ids.astype(np.int64) - 1
@@ -103,7 +105,7 @@ def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surfa
     size = 2.0 * radii
     height, reach = plan.height[own] * size, plan.reach[own] * size
     near = pixels_of_balls(
-        around.views, middles, radii + reach, 1.0, min(NEAREST_M, float(radii.min()))
+        context.views, middles, radii + reach, 1.0, min(NEAREST_M, float(radii.min()))
     )
     least = _LEAST * tolerance_px
     some = np.flatnonzero((height * near >= least) & (height > 0.0) & (reach > 0.0))
@@ -121,7 +123,7 @@ def heap(plan: FilletPlan, stones: Scatter, around: Surroundings) -> tuple[Surfa
 def _feet(
     stones: Scatter,
     some: NDArray[np.int64],
-    surface: Surface,
+    surface: GroundSurface,
     ramps: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> Feet:
     """Outlines of some stones at the height that their ramps have there, 0 where there is none."""
@@ -145,7 +147,10 @@ def _feet(
 
 
 def _planes(
-    surface: Surface, x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]
+    surface: GroundSurface,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    radius: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Planes through the ground at even points on circles, least squares: float64 [n, 3].
 

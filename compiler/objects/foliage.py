@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.model import MeshModel
 from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.noise.lattice import mix
 from scenec.compiler.objects.rocks import Chain
@@ -50,7 +50,7 @@ class _Pieces(NamedTuple):
     group: NDArray[np.int64]
 
 
-def foliage_chain(finest: Prototype, model: Model) -> Chain:
+def foliage_chain(finest: Prototype, model: MeshModel) -> Chain:
     """The levels of a model whose materials let light through, as leaves do; others have one.
 
     Its connected pieces of few triangles are leaves, needles, blades and twigs. Each level keeps
@@ -84,11 +84,11 @@ def foliage_chain(finest: Prototype, model: Model) -> Chain:
         own = pieces.group[alive]
         growth = np.ones(len(pieces.area))
         growth[alive] = whole[own] / of_group[own]
-        kept = pieces.group < 0
-        kept[alive] = True
-        faces, which = kept[pieces.of_face], np.flatnonzero(kept[pieces.of_vertex])
+        left = pieces.group < 0
+        left[alive] = True
+        faces, which = left[pieces.of_face], np.flatnonzero(left[pieces.of_vertex])
         move[which] = _moves(model.points, which, pieces, partner, growth)
-        made = _part_of(finest, faces, kept[pieces.of_vertex[uncut]], move[uncut])
+        made = _part_of(finest, faces, left[pieces.of_vertex[uncut]], move[uncut])
         if len(made.faces) > WORTH * len(levels[-1].faces):
             break
         error = _rms(move, model.faces[faces], pieces, faces)
@@ -96,7 +96,7 @@ def foliage_chain(finest: Prototype, model: Model) -> Chain:
     return tuple(levels)
 
 
-def _pieces(model: Model, partner: NDArray[np.int64]) -> _Pieces:
+def _pieces(model: MeshModel, partner: NDArray[np.int64]) -> _Pieces:
     of_vertex = pieces_of(model.faces, len(model.points))
     of_face = of_vertex[model.faces[:, 0]]
     count = int(of_vertex.max()) + 1
@@ -166,12 +166,15 @@ def _half(alive: NDArray[np.int64], group: NDArray[np.int64], level: int) -> NDA
 
 
 def _part_of(
-    finest: Prototype, kept: NDArray[np.bool_], used: NDArray[np.bool_], move: NDArray[np.float64]
+    finest: Prototype,
+    left: NDArray[np.bool_],
+    used: NDArray[np.bool_],
+    move: NDArray[np.float64],
 ) -> Prototype:
     """Some faces of a prototype, with the vertices that they use, moved."""
-    faces = finest.faces[kept]
+    faces = finest.faces[left]
     number = np.cumsum(used, dtype=np.int32) - 1
-    new_face = np.cumsum(kept, dtype=np.int32) - 1
+    new_face = np.cumsum(left, dtype=np.int32) - 1
     moved = (finest.points[used] + move[used]).astype(np.float32)
     wide = moved.astype(np.float64)
     return replace(
@@ -182,9 +185,9 @@ def _part_of(
         normals=finest.normals[used],
         variation=finest.variation[used],
         radius=float(np.sqrt((wide * wide).sum(axis=1).max())) * (1.0 + 1e-6),
-        uv=None if finest.uv is None else finest.uv[kept],
+        uv=None if finest.uv is None else finest.uv[left],
         parts=tuple(
-            replace(part, faces=new_face[part.faces[kept[part.faces]]]) for part in finest.parts
+            replace(part, faces=new_face[part.faces[left[part.faces]]]) for part in finest.parts
         ),
     )
 
@@ -205,17 +208,20 @@ def _moves(
 
 
 def _rms(
-    move: NDArray[np.float64], corners: NDArray[np.int32], pieces: _Pieces, kept: NDArray[np.bool_]
+    move: NDArray[np.float64],
+    corners: NDArray[np.int32],
+    pieces: _Pieces,
+    left: NDArray[np.bool_],
 ) -> float:
-    """Of what the corners of kept leaves move by, each leaf by its area."""
-    own = pieces.of_face[kept]
+    """Returns the root mean square of the moves of kept leaves' corners, weighted by leaf area."""
+    own = pieces.of_face[left]
     weight = np.where(pieces.group[own] >= 0, pieces.area[own] / pieces.triangles[own], 0.0)
     square = (move * move).sum(axis=1)[corners].mean(axis=1)
     return float(np.sqrt((weight * square).sum() / weight.sum()))
 
 
 def _partners(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Of each vertex the one across its strip: each is the other's nearest; else itself."""
+    """Returns the vertex across each one's strip, where it is mutually nearest; else itself."""
     nearest = np.arange(len(points))
     _across(points, faces, np.full(len(points), np.inf), nearest)
     mutual = nearest[nearest] == np.arange(len(points))

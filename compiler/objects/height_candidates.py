@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density, UniformDensity
-from scenec.compiler.objects.lattice import Lattice
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.lattice import PlanLattice
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.grid import HeightField
 from scenec.schemas.errors import SceneError
 
@@ -20,28 +20,31 @@ def candidates_on(
     field: HeightField,
     density: Density,
     where: Sequence[PlacementCondition],
-    around: Surroundings,
+    context: PlacementContext,
     name: str,
 ) -> Candidates:
-    """Where objects of a density lie on heights: it is taken as constant over each cell.
+    """Returns the places of a density's objects on heights: it is constant over each cell.
 
     Raises:
         SceneError: It is zero everywhere.
     """
     if isinstance(density, UniformDensity) and not where:
-        return Candidates(Lattice.over(field.grid), np.zeros(0), np.zeros((0, 3, 2)), 1.0)
-    lattice = lattice_of(field, density, where, around)
-    weights = (place.weight(lattice, around) for place in where)
-    cumulative, share = weighed(density.on(lattice, around), weights, name)
+        return Candidates(PlanLattice.over(field.grid), np.zeros(0), np.zeros((0, 3, 2)), 1.0)
+    lattice = lattice_of(field, density, where, context)
+    weights = (place.weight(lattice, context) for place in where)
+    cumulative, share = weighed(density.on(lattice, context), weights, name)
     return Candidates(lattice, cumulative, np.zeros((0, 3, 2)), share)
 
 
 def lattice_of(
-    field: HeightField, density: Density, where: Sequence[PlacementCondition], around: Surroundings
-) -> Lattice:
+    field: HeightField,
+    density: Density,
+    where: Sequence[PlacementCondition],
+    context: PlacementContext,
+) -> PlanLattice:
     """Cells fine enough for a density and its conditions."""
-    finest = [density.finest_m(around), *(place.finest_m(around) for place in where)]
-    return Lattice.over(field.grid, min((f for f in finest if f is not None), default=None))
+    finest = [density.finest_m(context), *(place.finest_m(context) for place in where)]
+    return PlanLattice.over(field.grid, min((f for f in finest if f is not None), default=None))
 
 
 def weighed(

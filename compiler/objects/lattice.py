@@ -34,7 +34,7 @@ class Circles(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Lattice:
+class PlanLattice:
     """Equal cells over the terrain.
 
     Attributes:
@@ -50,7 +50,7 @@ class Lattice:
     shape: tuple[int, int]
 
     @classmethod
-    def over(cls, grid: Grid, finest_m: float | None = None) -> Lattice:
+    def over(cls, grid: Grid, finest_m: float | None = None) -> PlanLattice:
         """The grid's cells, each split evenly where something finer than them is to be shown.
 
         Args:
@@ -99,12 +99,12 @@ class Lattice:
 
 
 def table(reach: float) -> NDArray[np.float64]:
-    """Where the table of a radial function has its values: from 0 to its reach."""
+    """Returns the radii at which a radial function is tabulated: from 0 to its reach."""
     return reach * np.arange(_STEPS + 1) / _STEPS
 
 
 def splat(
-    lattice: Lattice,
+    lattice: PlanLattice,
     centers: Circles,
     weight: NDArray[np.float64],
     values: NDArray[np.float64],
@@ -156,7 +156,7 @@ def _splat(first, last, axes, centers, weight, values, reach, out):  # type: ign
                         out[j, i] += weight[n] * value
 
 
-def nearest(lattice: Lattice, circles: Circles, reach_m: float) -> NDArray[np.float64]:
+def nearest(lattice: PlanLattice, circles: Circles, reach_m: float) -> NDArray[np.float64]:
     """Distance in plan from the nearest of many circles, meters: float64 [ny, nx].
 
     Below 0 within a circle, by how far it is to its border; ``reach_m`` where it is farther.

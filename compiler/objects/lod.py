@@ -36,7 +36,7 @@ class ObjectDetail:
 
 @dataclass(frozen=True)
 class Levels:
-    """What the levels of a class's instances would show.
+    """Holds what the levels of detail of a class's instances would show.
 
     Attributes:
         scatter: Instances of the finest levels.
@@ -63,8 +63,10 @@ class Levels:
         """Scale of each instance, [n]."""
         return self.scatter.scales.max(axis=1, initial=0.0).astype(np.float64)
 
-    def shown(self, level: int) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
-        """Which instances have a level; its mesh; its error in pixels (without views: meters)."""
+    def levels_at(
+        self, level: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64]]:
+        """Returns which instances have a level; its mesh; its error in pixels, or meters."""
         there = level < self.lengths
         index = np.where(there, self.finest + level, self.finest)
         error = self.errors[index] * self.size
@@ -83,7 +85,7 @@ class Levels:
             return chosen
         # Errors do not fall along a chain: the last level that passes is the coarsest.
         for level in range(1, int(self.lengths.max(initial=1))):
-            there, index, error = self.shown(level)
+            there, index, error = self.levels_at(level)
             chosen = np.where(there & (error <= limit), index, chosen)
         return chosen
 
@@ -96,7 +98,7 @@ def see_levels(
     tolerance_px: float,
     small_pieces: bool = False,
 ) -> Levels:
-    """What the levels of a class would show in the views.
+    """Measures what the levels of a class would show in the views.
 
     Args:
         scatter: Instances of the finest levels.
@@ -186,8 +188,8 @@ def _balls(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     return middles, np.sqrt(squares) * (1.0 + 1e-6)
 
 
-def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0) -> float | None:
-    """How much larger than asked errors have to be for all classes to keep to a budget.
+def budget_factor(classes: Sequence[Levels], max_triangles: int, base: int = 0) -> float | None:
+    """Returns the factor by which errors must exceed their tolerances to keep to a budget.
 
     Args:
         classes: All that counts; those whose tolerance is 0 keep their finest levels.
@@ -199,7 +201,7 @@ def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0
     Raises:
         SceneError: Even the coarsest levels are more.
     """
-    total = others + sum(int(c.triangles[c.chosen()].sum()) for c in classes)
+    total = base + sum(int(c.triangles[c.chosen()].sum()) for c in classes)
     if total <= max_triangles:
         return None
     thresholds, savings = [np.zeros(0)], [np.zeros(0, np.int64)]
@@ -209,7 +211,7 @@ def budget_factor(classes: Sequence[Levels], max_triangles: int, others: int = 0
         before = levels.chosen()
         # Errors do not fall along a chain, so these come one after the other at each instance.
         for level in range(1, int(levels.lengths.max(initial=1))):
-            there, index, error = levels.shown(level)
+            there, index, error = levels.levels_at(level)
             there &= index > before
             thresholds.append(error[there] / levels.tolerance_px)
             savings.append(levels.triangles[index[there] - 1] - levels.triangles[index[there]])

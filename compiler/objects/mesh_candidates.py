@@ -16,7 +16,7 @@ from scenec.compiler.objects.candidates import Candidates
 from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density, Everywhere
 from scenec.compiler.objects.height_candidates import lattice_of, weighed
-from scenec.compiler.objects.surroundings import Surroundings
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
 
@@ -52,7 +52,7 @@ class MeshCandidates:
         surface: MeshSurface,
         density: Density,
         where: Sequence[PlacementCondition],
-        around: Surroundings,
+        context: PlacementContext,
         name: str,
     ):
         """Weighs the faces.
@@ -77,13 +77,13 @@ class MeshCandidates:
         self._faces, self._corners, self._normals, self._length = faces, corners, normals, length
         x, y = (np.ascontiguousarray(middle[faces, axis]) for axis in (0, 1))
         dense = 0.5 * normals[faces, 2]
-        lattice = lattice_of(surface, density, where, around)
+        lattice = lattice_of(surface, density, where, context)
         cells = lattice.index_at(x, y)
         if isinstance(density, Everywhere):
             dense = dense * density.at(x, y)
         else:
-            dense = dense * density.on(lattice, around).ravel()[cells]
-        weights = (place.weight(lattice, around).ravel()[cells] for place in where)
+            dense = dense * density.on(lattice, context).ravel()[cells]
+        weights = (place.weight(lattice, context).ravel()[cells] for place in where)
         cumulative, share = weighed(dense, weights, name)
         #: As points in plan.
         self.candidates: Candidates = Candidates(

@@ -35,7 +35,7 @@ _COORDINATE = bounded(CONSTANT, at_least=-1_000_000_000, at_most=1_000_000_000)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelFile:
+class ModelKeys:
     """A mesh from a file, with its parts, materials and pictures."""
 
     EXAMPLE: ClassVar = {"file": "rock.obj", "unit_m": 0.01, "up": "y"}
@@ -80,7 +80,7 @@ class ModelPart:
 
 @dataclass(frozen=True)
 class PartRule:
-    """What is drawn of one part of a class's models.
+    """Holds what is drawn of one part of a class's models.
 
     Attributes:
         name: Of a part, of what stands above it, or of a material of the file.
@@ -93,7 +93,7 @@ class PartRule:
     labels: Labels
 
 
-def draw_models(nodes: Sequence[Mapping[str, Any]], context: Context) -> tuple[ModelFile, ...]:
+def draw_models(nodes: Sequence[Mapping[str, Any]], context: Context) -> tuple[ModelKeys, ...]:
     """Returns the models of a class."""
     path = f"{context.path}/models"
     return tuple(draw_object("model", own, f"{path}/{i}", context) for i, own in enumerate(nodes))

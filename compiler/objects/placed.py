@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.rotations import upright_to
-from scenec.compiler.mesh.surface import Surface
-from scenec.compiler.objects.models import ModelFile, PartRule
+from scenec.compiler.mesh.surface import GroundSurface
+from scenec.compiler.objects.models import ModelKeys, PartRule
 from scenec.compiler.scene.labels import Labels
 from scenec.compiler.scene.objects import Placed, Prototype
 from scenec.schemas.errors import SceneError
@@ -84,7 +84,7 @@ class PlacedPlan:
     material: str | None
     labels: Labels
     instances: bool
-    models: tuple[ModelFile, ...]
+    models: tuple[ModelKeys, ...]
     rules: tuple[PartRule, ...]
     model: NDArray[np.int32]
     ids: NDArray[np.int64]
@@ -97,7 +97,7 @@ class PlacedPlan:
 def place_objects(
     plan: PlacedPlan,
     prototypes: tuple[Prototype, ...],
-    surface: Surface,
+    surface: GroundSurface,
     times: NDArray[np.float64],
 ) -> Placed:
     """The objects at every sample.
@@ -133,7 +133,7 @@ def place_objects(
 
 def _frames(
     plan: PlacedPlan,
-    surface: Surface,
+    surface: GroundSurface,
     at: NDArray[np.float64],
     radius: NDArray[np.float64],
     numbers: NDArray[np.int64],
@@ -166,7 +166,10 @@ def _frames(
 
 
 def _normals_under(
-    surface: Surface, x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]
+    surface: GroundSurface,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    radius: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Normals of the planes through the ground at objects' rims: [n, 3]."""
     step = np.maximum(radius, max(surface.field.grid.spacing_m))[:, None]

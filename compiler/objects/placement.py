@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.geometry.rotations import align_to_normals
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.bodies import Bodies, vertices
 from scenec.compiler.objects.height_pyramid import HeightPyramid
 from scenec.compiler.objects.mesh_candidates import MeshCandidates, Spots
 from scenec.compiler.objects.mesh_seating import seat_on_mesh
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.seating import seat, seat_on_detail
-from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.fillets import Fillets
 from scenec.compiler.terrain.grid import HeightField
@@ -33,20 +33,20 @@ _SHOWS_PX = 0.5
 _AT_ONCE = 1 << 20
 
 
-class Placement:
+class ClassPlacement:
     """The instances of a class where they are so far."""
 
     def __init__(
         self,
         plan: ScatterPlan,
         prototypes: tuple[Prototype, ...],
-        around: Surroundings,
+        context: PlacementContext,
         mesh: MeshCandidates | None,
     ):
         self._plan, self._prototypes, self._mesh = plan, prototypes, mesh
-        self._around = around
+        self._context = context
         self._radius = np.array([p.radius for p in prototypes], np.float64)
-        self.surface = around.surface
+        self.surface = context.surface
         details = self.surface.details if self.surface.smooth else ()
         self._fillets = [detail for detail in details if isinstance(detail, Fillets)]
         everywhere = tuple(detail for detail in details if not isinstance(detail, Fillets))
@@ -127,7 +127,7 @@ class Placement:
     @property
     def ground(self) -> HeightPyramid:
         """The relief."""
-        return self._around.height_pyramid()
+        return self._context.height_pyramid()
 
     def pixels_per_m(
         self, at: NDArray[np.float64], prototype: NDArray[np.int32], size: NDArray[np.float64]
@@ -139,22 +139,22 @@ class Placement:
     def _pixels_per_m(
         self, at: NDArray[np.float64], radius: NDArray[np.float64], least: float
     ) -> NDArray[np.float64]:
-        around = self._around
-        if not len(around.views.eye) or not len(at):
+        context = self._context
+        if not len(context.views.eye) or not len(at):
             return np.zeros(len(at))
-        return pixels_of_balls(around.views, at, radius, around.unseen, min(NEAREST_M, least))
+        return pixels_of_balls(context.views, at, radius, context.unseen, min(NEAREST_M, least))
 
     def _radii(self, which: NDArray[np.int64]) -> NDArray[np.float64]:
         size = self._plan.scale[which].astype(np.float32).astype(np.float64)
         return self._radius[self._plan.prototype[which]] * size
 
     def positions(self, which: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Of some instances, float32 [m, 3]."""
+        """Returns the positions of some instances, float32 [m, 3]."""
         columns = [at[which].astype(np.float32) for at in (self.x, self.y, self.z)]
         return np.stack(columns, axis=1)
 
     def rounding_m(self, which: NDArray[np.int64]) -> float:
-        """How far float32 moves an instance up or down at most, meters."""
+        """Returns how far float32 moves an instance up or down at most, meters."""
         z = self.z[which]
         return float(np.abs(z.astype(np.float32) - z).max(initial=0.0))
 
@@ -171,9 +171,12 @@ def surface_normals(
 
 
 def seating_report(
-    scatter: Scatter, embed: NDArray[np.float64], placement: Placement, which: NDArray[np.int64]
+    scatter: Scatter,
+    embed: NDArray[np.float64],
+    placement: ClassPlacement,
+    which: NDArray[np.int64],
 ) -> dict[str, Any]:
-    """How well finished instances sit: measured again on the arrays as the stage will have them.
+    """Measures how well finished instances sit, on the arrays as the stage will have them.
 
     ``float_max_m`` and ``sink_max_m`` are how far the deepest vertex is above and below the depth
     asked for under the surface as it will be meshed, with all rounding; ``gap_max_px`` what that is
@@ -221,8 +224,10 @@ def seating_report(
     }
 
 
-def _gaps(surface: Surface, bodies: Bodies, origin_z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far the deepest vertex of each body lies above the depth asked for, meters, [n]."""
+def _gaps(
+    surface: GroundSurface, bodies: Bodies, origin_z: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Returns the height of each body's deepest vertex above the depth asked for, meters, [n]."""
     (x, y, z), starts = vertices(bodies)
     z += np.repeat(origin_z, np.diff(starts, append=len(z)))
     above = np.minimum.reduceat(z - surface.height_at(x, y), starts)

@@ -13,7 +13,7 @@ from scenec.compiler.objects.conditions import PlacementCondition
 from scenec.compiler.objects.density import Density
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.feet import FilletPlan
-from scenec.compiler.objects.models import ModelFile, PartRule
+from scenec.compiler.objects.models import ModelKeys, PartRule
 from scenec.compiler.objects.scattered import Spacing
 from scenec.compiler.scene.labels import Labels
 
@@ -44,15 +44,15 @@ class ModelSource:
             their origin.
     """
 
-    models: tuple[ModelFile, ...]
+    models: tuple[ModelKeys, ...]
     rules: tuple[PartRule, ...]
     variation: float
     touch: bool
 
 
 @dataclass(frozen=True)
-class Count:
-    """How many there are: a number, or one to the square meter of terrain in plan.
+class ObjectCount:
+    """Gives the number of objects: exact, or per square meter of terrain in plan.
 
     Attributes:
         exact: The number, or None.
@@ -67,7 +67,7 @@ class Count:
 
 @dataclass(frozen=True)
 class ScatterPlan:
-    """One class of scattered objects; n instances at most, see ``Count``.
+    """One class of scattered objects; n instances at most, see ``ObjectCount``.
 
     Attributes:
         material, labels, instances: As in ``Scatter``.
@@ -92,7 +92,7 @@ class ScatterPlan:
     labels: Labels
     instances: bool
     source: RockShapes | ModelSource
-    count: Count
+    count: ObjectCount
     density: Density
     where: tuple[PlacementCondition, ...]
     spacing: Spacing | None

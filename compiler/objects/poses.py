@@ -56,7 +56,7 @@ class ObjectPose:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed:
+class PlacedKeys:
     """Single objects at given poses: a lander, a target, a calibration board.
 
     Their poses may change with time.

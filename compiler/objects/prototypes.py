@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.looks import ModelMaterial
-from scenec.compiler.assets.model import Model
+from scenec.compiler.assets.model import MeshModel
 from scenec.compiler.assets.parts import is_of
 from scenec.compiler.geometry.rounding import rounding_of
 from scenec.compiler.materials.plan import MaterialPlan
@@ -31,12 +31,12 @@ class Looks:
     """Materials of the scene: those of the cfg, and those that come with models."""
 
     materials: dict[str, MaterialPlan]
-    _made: list[tuple[str, str]] = field(default_factory=list)
+    _owned: list[tuple[str, str]] = field(default_factory=list)
 
     def add(self, owner: str, wanted: str, material: Material) -> str:
         """The name of a model's material: ``<class>_<material>``, numbered if another has it."""
         made = MaterialPlan(material)
-        for other, name in self._made:
+        for other, name in self._owned:
             if other == owner and self.materials[name] == made:
                 return name
         base = re.sub(r"\W", "_", f"{owner}_{wanted or 'surface'}", flags=re.ASCII)
@@ -45,7 +45,7 @@ class Looks:
             number += 1
             name = f"{base}_{number}"
         self.materials[name] = made
-        self._made.append((owner, name))
+        self._owned.append((owner, name))
         return name
 
 
@@ -53,7 +53,7 @@ def build_prototype(
     plan: ScatterPlan | PlacedPlan,
     source: ModelSource | PlacedPlan,
     name: str,
-    model: Model,
+    model: MeshModel,
     looks: Looks | None,
 ) -> Prototype:
     """A model as a prototype, in meters, about the file's origin.
@@ -92,7 +92,7 @@ def build_prototype(
     )
 
 
-def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int64]:
+def _rules_of_faces(model: MeshModel, rules: tuple[PartRule, ...]) -> NDArray[np.int64]:
     """Index of the last rule that fits each face; -1: none."""
     found = np.full(len(model.faces), -1)
     for index, rule in enumerate(rules):
@@ -105,7 +105,7 @@ def _rules_of_faces(model: Model, rules: tuple[PartRule, ...]) -> NDArray[np.int
 def _parts(
     plan: ScatterPlan | PlacedPlan,
     source: ModelSource | PlacedPlan,
-    model: Model,
+    model: MeshModel,
     rule_of_face: NDArray[np.int64],
     looks: Looks | None,
 ) -> tuple[MeshPart, ...]:
@@ -115,7 +115,9 @@ def _parts(
         own_material = np.full(len(model.faces), -1, np.int32)
     key = (rule_of_face + 1) * (len(model.materials) + 1) + own_material + 1
     _, first, of_face = np.unique(key, return_index=True, return_inverse=True)
-    found: dict[tuple[str | None, tuple[tuple[str, int], ...] | None], list[NDArray[np.int64]]] = {}
+    groups: dict[
+        tuple[str | None, tuple[tuple[str, int], ...] | None], list[NDArray[np.int64]]
+    ] = {}
     wanted: dict[tuple[str | None, Any], str] = {}
     for index in np.argsort(first, kind="stable"):
         face = int(first[index])
@@ -129,10 +131,10 @@ def _parts(
             title = title or made.name
         own = {**plan.labels, **rule.labels} if rule is not None and rule.labels else None
         part = (look, None if own is None else tuple(sorted(own.items())))
-        found.setdefault(part, []).append(np.flatnonzero(of_face == index))
+        groups.setdefault(part, []).append(np.flatnonzero(of_face == index))
         wanted.setdefault(part, title)
     parts: list[MeshPart] = []
-    for (look, changed), blocks in found.items():
+    for (look, changed), blocks in groups.items():
         if look is None and changed is None:
             # As the class is.
             continue
@@ -145,17 +147,17 @@ def _parts(
     return tuple(parts)
 
 
-def as_material(made: ModelMaterial, variation: float, has_uv: bool) -> Material:
+def as_material(source: ModelMaterial, variation: float, has_uv: bool) -> Material:
     """A file's material in the scene's terms; pictures need texture coordinates."""
     maps = None
-    if made.pictures and has_uv:
-        maps = MaterialMaps(1.0, dict(made.pictures), made.normal_convention, "uv")
+    if source.pictures and has_uv:
+        maps = MaterialMaps(1.0, dict(source.pictures), source.normal_convention, "uv")
     return Material(
-        base_color=made.base_color,
-        roughness=made.roughness,
-        specular=made.specular,
+        base_color=source.base_color,
+        roughness=source.roughness,
+        specular=source.specular,
         variation=variation,
-        metallic=made.metallic,
+        metallic=source.metallic,
         maps=maps,
-        diffuse_transmission=made.diffuse_transmission,
+        diffuse_transmission=source.diffuse_transmission,
     )

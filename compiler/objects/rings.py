@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Finding, Node, forms, given, key
 from scenec.compiler.objects.density import Density, with_background
-from scenec.compiler.objects.lattice import Circles, Lattice, splat, table
-from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.terrain.condition import Condition, product
+from scenec.compiler.objects.lattice import Circles, PlanLattice, splat, table
+from scenec.compiler.objects.placement_context import PlacementContext
+from scenec.compiler.terrain.condition import ReliefCondition, product
 from scenec.compiler.terrain.operators.crater_profile import profile_table
 from scenec.compiler.terrain.operators.craters import (
     Craters,
-    craters_laid,
+    craters_of,
     require_craters,
-    shown_on,
+    resolved_on,
 )
 
 
@@ -43,7 +43,7 @@ class RingDensity(Density):
     freshness: float = key(forms.PER_BATCH, default=2, at_least=0, at_most=20)
     """Exponent on freshness: 0 treats all craters alike, larger ones favor fresh craters."""
     background: float = key(forms.BACKGROUND)
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
+    craters: tuple[tuple[Craters, tuple[ReliefCondition, ...]], ...] = given(craters_of)
     """With the conditions of their masks, which are taken at their middles."""
 
     @staticmethod
@@ -57,7 +57,7 @@ class RingDensity(Density):
                 "min_radii" if "min_radii" in node else "max_radii",
             )
 
-    def on(self, lattice: Lattice, around: Surroundings) -> NDArray[np.float64]:
+    def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
         """At the middles of cells."""
         dense = np.zeros(lattice.shape)
         at = table(self.max_radii)
@@ -67,7 +67,7 @@ class RingDensity(Density):
         # Within a tenth of a radius from the middle the law would diverge.
         falling /= np.maximum(at, 0.1) * np.maximum(at, 0.1) * np.maximum(at, 0.1)
         for craters, conditions in self.craters:
-            shown = shown_on(craters, around.quantities.grid)
+            shown = resolved_on(craters, context.quantities.grid)
             if not shown.any():
                 continue
             x, y = craters.x_m[shown], craters.y_m[shown]
@@ -81,7 +81,7 @@ class RingDensity(Density):
                     self.freshness * elementary.log_array(np.maximum(left, 1e-9))
                 )
             if conditions:
-                quantities = around.quantities
+                quantities = context.quantities
                 weight *= quantities.between(product(conditions, quantities), x, y)
             dense += splat(lattice, Circles(x, y, radius), weight, falling, self.max_radii)
         return with_background(dense, self.background)

@@ -14,12 +14,12 @@ from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
-from scenec.compiler.objects.placement import Placement, seating_report
-from scenec.compiler.objects.plan import Count, ScatterPlan
+from scenec.compiler.objects.placement import ClassPlacement, seating_report
+from scenec.compiler.objects.placement_context import PlacementContext
+from scenec.compiler.objects.plan import ObjectCount, ScatterPlan
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.scattered import Spacing
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
-from scenec.compiler.objects.surroundings import Surroundings
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.errors import SceneError
@@ -28,7 +28,7 @@ from scenec.schemas.threads import POINTS, over_threads
 
 
 def scatter(
-    plan: ScatterPlan, chains: Sequence[Chain], around: Surroundings, facts: dict[str, Any]
+    plan: ScatterPlan, chains: Sequence[Chain], context: PlacementContext, facts: dict[str, Any]
 ) -> Scatter:
     """The instances of one class, all at their finest level.
 
@@ -38,13 +38,13 @@ def scatter(
 
     Args:
         chains: The levels of each prototype; seated is the finest, so that none moves with another.
-        around: Ground, cameras, and the classes placed before.
+        context: Ground, cameras, and the classes placed before.
         facts: Receives what was done, for report.json.
 
     Raises:
         SceneError: The density is zero everywhere, or there is no place for all.
     """
-    work = _Scattering(plan, tuple(chain[0] for chain in chains), around)
+    work = _Scattering(plan, tuple(chain[0] for chain in chains), context)
     n, placement = work.n, work.placement
     work.place_all()
     without_room = int((work.tries < 0).sum())
@@ -83,36 +83,36 @@ def scatter(
 
 
 def _stem(prototype: Prototype) -> Prototype:
-    """What stands on the ground where the origin does: that point, and how high the model is."""
+    """Reduces a prototype to what meets the ground at its origin: that point, and its height."""
     height = max(float(prototype.points[:, 2].max()), 0.0)
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height]], np.float32)
     return replace(prototype, points=points)
 
 
 def _scales(plan: ScatterPlan, which: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Of some instances as the stage will have them, [m, 3]."""
+    """Returns the scales of some instances as the stage will have them, [m, 3]."""
     return np.repeat(plan.scale[which].astype(np.float32)[:, None], 3, axis=1)
 
 
 def _candidates(
-    plan: ScatterPlan, around: Surroundings
+    plan: ScatterPlan, context: PlacementContext
 ) -> tuple[Candidates | None, MeshCandidates | None]:
     """Candidates; None where there is nothing to place."""
     if plan.count.exact == 0 or plan.count.per_m2 == 0.0:
         return None, None
-    field = around.surface.field
+    field = context.surface.field
     if isinstance(field, MeshSurface):
-        mesh = MeshCandidates(field, plan.density, plan.where, around, plan.name)
+        mesh = MeshCandidates(field, plan.density, plan.where, context, plan.name)
         return mesh.candidates, mesh
-    return candidates_on(field, plan.density, plan.where, around, plan.name), None
+    return candidates_on(field, plan.density, plan.where, context, plan.name), None
 
 
-def _count(count: Count, candidates: Candidates | None, around: Surroundings) -> int:
+def _count(count: ObjectCount, candidates: Candidates | None, context: PlacementContext) -> int:
     if count.exact is not None:
         return count.exact
     if candidates is None or count.per_m2 is None:
         return 0
-    size = around.surface.field.grid.size_m
+    size = context.surface.field.grid.size_m
     return int(count.per_m2 * size[0] * size[1] * min(candidates.share, 1.0) + count.rounding_u)
 
 
@@ -127,16 +127,16 @@ class _Scattering:
     """
 
     def __init__(
-        self, plan: ScatterPlan, prototypes: tuple[Prototype, ...], around: Surroundings
+        self, plan: ScatterPlan, prototypes: tuple[Prototype, ...], context: PlacementContext
     ) -> None:
-        self.plan, self.prototypes, self._around = plan, prototypes, around
-        self._candidates, mesh = _candidates(plan, around)
-        self.n = n = _count(plan.count, self._candidates, around)
+        self.plan, self.prototypes, self._context = plan, prototypes, context
+        self._candidates, mesh = _candidates(plan, context)
+        self.n = n = _count(plan.count, self._candidates, context)
         self._u = plan.position_u[:n]
         radius = np.array([p.radius for p in prototypes], np.float64)[plan.prototype[:n]]
         self._radius = radius * plan.scale[:n].astype(np.float32).astype(np.float64)
         self.seated = prototypes if plan.source.touch else tuple(map(_stem, prototypes))
-        self.placement = Placement(plan, self.seated, around, mesh)
+        self.placement = ClassPlacement(plan, self.seated, context, mesh)
         self.tries: NDArray[np.int64] = np.zeros(n, np.int64)
         #: Radius of each circle in plan, half of the gap included, float64 [n].
         self._reach = self._radius
@@ -161,7 +161,7 @@ class _Scattering:
     def _packed(self, spacing: Spacing, first: NDArray[np.int64]) -> NDArray[np.int64]:
         """The try that each takes, none before its first; -1 where there is no place."""
         assert self._candidates is not None
-        laid = self._around.objects
+        laid = self._context.objects
         of = spacing.of or (self.plan.name,)
         others = [laid[name] for name in of if name in laid]
         disks = Disks(len(first) + sum(len(other.x) for other in others))
@@ -179,7 +179,7 @@ class _Scattering:
         Where disks keep apart, all are put anew, the largest first: what was moved does not have to
         do with the room that smaller ones left.
         """
-        cameras = self._around.cameras
+        cameras = self._context.cameras
         cameras = np.ascontiguousarray(cameras[np.argsort(cameras[:, 0], kind="stable")])
         first = np.zeros(self.n, np.int64)
         looked_at = np.flatnonzero(self.tries >= 0) if len(cameras) else first[:0]
@@ -205,7 +205,7 @@ class _Scattering:
     def _near(
         self, which: NDArray[np.int64], cameras: NDArray[np.float64], cubes: Cubes
     ) -> NDArray[np.int64]:
-        """Of some instances, those that a camera is in, or nearer to than the clearance."""
+        """Selects the instances that contain a camera, or are nearer to one than the clearance."""
         plan, clearance = self.plan, self.plan.clearance_m
         at = self.placement.positions(which).astype(np.float64)
         reach = np.maximum(self._radius[which] + clearance, 0.0)
@@ -221,15 +221,15 @@ class _Scattering:
             )
         ]
 
-    def require_all(self, found: int, what: str) -> None:
+    def require_all(self, placed: int, what: str) -> None:
         """Refuses instances that found no place, unless the plan lets fewer be.
 
         Raises:
             SceneError: There are some.
         """
-        if found == self.n or self.plan.fewer:
+        if placed == self.n or self.plan.fewer:
             return
-        size, reach = self._around.surface.field.grid.size_m, self._reach
+        size, reach = self._context.surface.field.grid.size_m, self._reach
         allowed = 1.0 if self._candidates is None else self._candidates.allowed()
         part = np.pi * float((reach * reach).sum()) / (size[0] * size[1] * allowed)
         where = "the terrain"
@@ -237,7 +237,7 @@ class _Scattering:
             where = f"the {100 * allowed:.3g} % of it they may be on"
         covered = f" (side by side their circles would cover {100 * part:.3g} % of {where})"
         raise SceneError(
-            f"objects/{self.plan.name}: only {found:,} of {self.n:,} found a place where they "
+            f"objects/{self.plan.name}: only {placed:,} of {self.n:,} found a place where they "
             f"{what}, in at most {MOST_TRIES} tries each{covered if self.plan.spacing else ''}; "
             'ask for fewer or smaller ones, allow them more room, or say "shortfall": "fewer"'
         )

@@ -108,7 +108,7 @@ class Scattered:
             yield node.fault(f"expected either the key count or the key per_m2{hint}")
         if "beyond_m" in node:
             yield from _check_beyond(node.whole(), node)
-        yield from _check_others(node)
+        yield from _check_references(node)
 
 
 def _check_beyond(cfg: Node, thing: Node) -> Iterator[Finding]:
@@ -146,7 +146,7 @@ def _check_beyond(cfg: Node, thing: Node) -> Iterator[Finding]:
             )
 
 
-def _check_others(thing: Node) -> Iterator[Finding]:
+def _check_references(thing: Node) -> Iterator[Finding]:
     """Classes that one refers to stand before it; what keeps apart may do so from its own."""
     own, classes = str(thing.path[-1]), thing.whole().at("objects")
     sound = [str(other.path[-1]) for other in classes.each("*")]

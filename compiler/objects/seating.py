@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.bodies import Bodies, Touching, touching
 from scenec.compiler.objects.height_pyramid import HeightPyramid, plane_above
 from scenec.compiler.terrain.grid import surface_height
@@ -47,7 +47,9 @@ def seat(ground: HeightPyramid, bodies: Bodies) -> NDArray[np.float64]:
     return -found.gap - bodies.embed * (found.top - found.bottom)
 
 
-def seat_on_detail(surface: Surface, ground: HeightPyramid, bodies: Bodies) -> NDArray[np.float64]:
+def seat_on_detail(
+    surface: GroundSurface, ground: HeightPyramid, bodies: Bodies
+) -> NDArray[np.float64]:
     """Heights at which objects sit in the surface with what is finer than the grid, see ``seat``.
 
     Only the ``LOWEST`` vertices over the grid's triangles are held against the surface, each of

@@ -25,7 +25,7 @@ class GroundLayer:
 
 
 @dataclass(frozen=True)
-class Tile:
+class MeshTile:
     """A piece of terrain.
 
     Attributes:
@@ -59,7 +59,7 @@ class Horizon:
     """
 
     layer: GroundLayer
-    tile: Tile
+    tile: MeshTile
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Ground:
     """
 
     layers: tuple[GroundLayer, ...]
-    tiles: tuple[Tile, ...]
+    tiles: tuple[MeshTile, ...]
     horizon: Horizon | None = None
 
     @property
@@ -83,6 +83,6 @@ class Ground:
         return own, Ground((*self.layers, self.horizon.layer), (self.horizon.tile,))
 
     @property
-    def meshes(self) -> tuple[Tile, ...]:
+    def meshes(self) -> tuple[MeshTile, ...]:
         """All tiles, and the horizon's."""
         return tuple(tile for part in self.parts for tile in part.tiles)

@@ -33,7 +33,7 @@ class Gobo:
 
 
 @dataclass(frozen=True)
-class SunLight:
+class SunDisc:
     """The sun at every sample.
 
     Attributes:

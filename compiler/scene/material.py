@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageFile:
     """A picture that came inside of another file, as it stood there.
 
     Attributes:
@@ -19,7 +19,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Cells:
+class TilingCells:
     """Pictures laid in cells, each turned and shifted, so that they do not repeat.
 
     Attributes:
@@ -60,17 +60,17 @@ class MaterialMaps:
     """
 
     size_m: float
-    files: dict[str, Path | Picture]
+    files: dict[str, Path | ImageFile]
     normal_convention: str
     projection: str = "above"
-    cells: Cells | None = None
+    cells: TilingCells | None = None
     far: Far | None = None
     lean: float = 0.0
 
 
 @dataclass(frozen=True)
 class Reflectance:
-    """How the dull part of a surface scatters, where it is not Lambert's law.
+    """Describes how the diffuse part of a surface scatters, where not by Lambert's law.
 
     Attributes:
         model: "lommel_seeliger" or "hapke"; the color is r0, the reflectance of a half space of

@@ -74,7 +74,7 @@ class Prototype:
 
 @dataclass(frozen=True)
 class ObjectClass:
-    """What objects of one class have, scattered or placed.
+    """Holds what objects of one class have in common, scattered or placed.
 
     Attributes:
         material: Name of the material; None where each prototype's parts have theirs.

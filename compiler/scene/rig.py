@@ -28,7 +28,7 @@ class Focus:
     focal_length_m: float
 
     def radius_m(self, sample: int) -> float:
-        """Of the aperture."""
+        """Returns the radius of the aperture."""
         return 0.5 * self.focal_length_m / float(self.f_number[sample])
 
 
@@ -101,8 +101,8 @@ class Sensor:
 
 
 @dataclass(frozen=True)
-class LidarNoise:
-    """What is wrong with a lidar's answers; fields are the cfg's keys."""
+class LidarErrors:
+    """Describes the errors of a lidar; fields are the cfg's keys."""
 
     range_m: float
     range_ratio: float
@@ -132,7 +132,7 @@ class Lidar:
     azimuths: int
     azimuth_deg: tuple[float, float]
     range_m: tuple[float, float]
-    noise: LidarNoise
+    noise: LidarErrors
     noise_key: int
     trigger: tuple[int, int] = (1, 0)
     rays: NDArray[np.float64] | None = None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.labels import Labels
-from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunLight
+from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunDisc
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed
 from scenec.compiler.scene.rig import Rig
@@ -24,7 +24,7 @@ from scenec.schemas.errors import SceneError
 
 @dataclass(frozen=True)
 class Georeference:
-    """Where on a planet the terrain lies; recorded, and never part of any arithmetic.
+    """Locates the terrain on a planet; recorded, and never part of any arithmetic.
 
     Attributes:
         crs: Coordinate reference system: an authority's code, or WKT.
@@ -64,13 +64,13 @@ class Scene:
     materials: dict[str, Material]
     ground: Ground
     objects: Objects
-    sun: SunLight | None
+    sun: SunDisc | None
     sky: SkyLight | None
     rigs: tuple[Rig, ...]
     outputs: tuple[str, ...]
     bounds: NDArray[np.float64]
     georeference: Georeference | None = None
-    more_suns: dict[str, SunLight] = field(default_factory=dict)
+    more_suns: dict[str, SunDisc] = field(default_factory=dict)
     lamps: tuple[Lamp, ...] = ()
     haze: Haze | None = None
     sky_label_maps: SkyLabelMaps | None = None

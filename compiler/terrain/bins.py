@@ -14,7 +14,7 @@ from scenec.schemas.kernels import inlined, kernel
 _MOST = 1 << 20
 
 
-class Bins(NamedTuple):
+class BinIndex(NamedTuple):
     """Squares of the terrain, and which things reach into each.
 
     Attributes:
@@ -38,7 +38,7 @@ def binned(
     reach: NDArray[np.float64],
     extent: tuple[tuple[float, float], tuple[float, float]],
     size: float,
-) -> Bins:
+) -> BinIndex:
     """Bins of disks.
 
     Args:
@@ -58,7 +58,7 @@ def binned(
     _enter((x, y, reach), frame, np.zeros_like(count), start, member)
     before = np.zeros((ny + 1, nx + 1), np.int64)
     before[1:, 1:] = np.cumsum(np.cumsum(count.reshape(ny, nx), axis=0), axis=1)
-    return Bins(x0, y0, size, start, member, before)
+    return BinIndex(x0, y0, size, start, member, before)
 
 
 @kernel
@@ -92,7 +92,7 @@ def bins_between(low: float, high: float, first: float, size: float, n: int) -> 
 
 
 @inlined
-def bin_at(bins: Bins, x: float, y: float) -> int:
+def bin_at(bins: BinIndex, x: float, y: float) -> int:
     """Number of the bin that a point is in."""
     ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
     i, _ = bins_between(x, x, bins.x0, bins.size, nx)
@@ -101,7 +101,7 @@ def bin_at(bins: Bins, x: float, y: float) -> int:
 
 
 @inlined
-def any_within(bins: Bins, x: float, y: float, radius: float) -> bool:
+def any_within(bins: BinIndex, x: float, y: float, radius: float) -> bool:
     """Whether anything may reach into a disk."""
     ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
     i0, i1 = bins_between(x - radius, x + radius, bins.x0, bins.size, nx)

@@ -8,7 +8,7 @@ from scenec.compiler.kinds import Finding, Node
 
 
 class Bounds:
-    """What a condition has to say: a smallest value, a largest one, or both."""
+    """Checks the bounds of a condition: a smallest value, a largest one, or both."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -31,7 +31,7 @@ from scenec.compiler.kinds.forms import (
 )
 from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.grid import Grid
-from scenec.compiler.terrain.operators.multifractal import octaves_shown
+from scenec.compiler.terrain.operators.multifractal import octaves_resolved
 from scenec.compiler.terrain.quantities import Quantities, Samples
 from scenec.schemas.kernels import kernel
 
@@ -52,12 +52,12 @@ class Ragged:
     key: int = noise_key()
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What is added at points, float64 [n]."""
+        """Returns what is added at points, float64 [n]."""
         added: NDArray[np.float64] = self.amplitude * self._noise().at(x, y)
         return added
 
     def on(self, samples: Samples) -> NDArray[np.float64]:
-        """What is added at the points of a grid, float64 [ny, nx]."""
+        """Returns what is added at the points of a grid, float64 [ny, nx]."""
         added: NDArray[np.float64] = self.amplitude * samples.noise(self, self._noise())
         return added
 
@@ -65,12 +65,12 @@ class Ragged:
         return fbm2(self.key, self.scale_m, self.octaves, 0.5, 2.0, 0.0)
 
 
-class Condition(ABC):
+class ReliefCondition(ABC):
     """One factor of a mask."""
 
     @abstractmethod
     def weight_of(self, quantities: Quantities) -> NDArray[np.float64]:
-        """How much holds at each sample, in [0, 1]: float64 [ny, nx]."""
+        """Returns the weight at each sample, in [0, 1]: float64 [ny, nx]."""
 
     def weight(self, grid: Grid, height: NDArray[np.float64]) -> NDArray[np.float64]:
         """``weight_of`` heights, float64 [ny, nx], that nothing else is asked of."""
@@ -78,7 +78,7 @@ class Condition(ABC):
 
 
 class Quantity(ABC):
-    """What a relief, a noise or a distance is at a place."""
+    """Evaluates a relief, a noise or a distance at places."""
 
     #: Values of keys that are left out, where that depends on where the condition stands.
     USUAL: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -102,7 +102,7 @@ class Quantity(ABC):
 
 
 @dataclass(frozen=True)
-class Interval(Condition):
+class Interval(ReliefCondition):
     """A quantity between two bounds.
 
     Attributes:
@@ -121,7 +121,7 @@ class Interval(Condition):
     def value_at(
         self, quantities: Quantities, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """What is held against the bounds at points, float64 [n]."""
+        """Returns the value that is compared with the bounds at points, float64 [n]."""
         value = self.quantity.at(quantities, self, x, y)
         return value if self.ragged is None else value + self.ragged.at(x, y)
 
@@ -145,7 +145,7 @@ class Interval(Condition):
     def _weight(
         self, value: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Of a quantity at columns x and rows y."""
+        """Returns the weight of a quantity at columns x and rows y."""
         if self.ragged is not None:
             value = value.copy()
             rows, columns = np.divmod(self._undecided(value.ravel(), self.ragged), x.size)
@@ -153,7 +153,7 @@ class Interval(Condition):
         return soft_interval(value, self.low, self.high, self.softness)
 
     def _undecided(self, value: NDArray[np.float64], ragged: Ragged) -> NDArray[np.int64]:
-        """Which of some values a noise may lift into a bound's softness, or out of it."""
+        """Selects the values that a noise may lift into a bound's softness, or out of it."""
         bounds = [bound for bound in (self.low, self.high) if bound is not None]
         # All octaves together are below twice the first one; and a hair, for what rounds.
         reach = 0.5 * self.softness + 2.0 * abs(ragged.amplitude)
@@ -195,7 +195,7 @@ def _weigh(quantity: NDArray, bound: float, sign: float, softness: float, weight
             weight[k] *= inside >= 0.0
 
 
-def product(conditions: Sequence[Condition], quantities: Quantities) -> NDArray[np.float64]:
+def product(conditions: Sequence[ReliefCondition], quantities: Quantities) -> NDArray[np.float64]:
     """Weights of one condition or more, multiplied: float64 [ny, nx]."""
     weight = conditions[0].weight_of(quantities)
     for condition in conditions[1:]:
@@ -355,7 +355,7 @@ class Noise(Quantity):
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
         """The octaves that the grid shows."""
         spacing = max(quantities.grid.spacing_m)
-        octaves = octaves_shown(self.octaves, self.scale_m, self.lacunarity, spacing)
+        octaves = octaves_resolved(self.octaves, self.scale_m, self.lacunarity, spacing)
         return self._noise(octaves).on(quantities.grid.x(), quantities.grid.y())
 
     def at(self, quantities: Quantities, held: Interval, x: NDArray, y: NDArray) -> NDArray:

@@ -66,14 +66,14 @@ def finer_than(tables: Finer, spectrum: int, length_m: float) -> float:
 
 
 class Detail(Protocol):
-    """What to add between a grid's samples."""
+    """Adds relief between a grid's samples."""
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
         ...
 
     def spectrum(self) -> Spectrum:
-        """How large it is."""
+        """Returns its amplitudes by wavelength."""
         ...
 
 
@@ -121,7 +121,7 @@ class Detailed(Protocol):
     """An operator that knows what a grid leaves out of it."""
 
     def detail(self, grid: Grid) -> Detail | None:
-        """What to add, or None if the grid holds it all."""
+        """Returns the relief to add, or None if the grid holds it all."""
         ...
 
 
@@ -146,7 +146,7 @@ class Weighted:
         return out
 
     def spectrum(self) -> Spectrum:
-        """As where the mask is 1."""
+        """Returns the spectrum where the mask is 1."""
         return self.detail.spectrum()
 
 
@@ -170,7 +170,7 @@ class Sum:
         return out
 
     def spectrum(self) -> Spectrum:
-        """Of all parts."""
+        """Returns the spectrum of all parts."""
         return joined([part.spectrum() for part in self.parts])
 
 
@@ -187,7 +187,7 @@ def joined(spectra: Sequence[Spectrum]) -> Spectrum:
 def octave_spectrum(
     scale_m: float, octaves: range, lacunarity: float, gain: float, amplitude_m: float
 ) -> Spectrum:
-    """Of some octaves of a noise whose first one has a given size and amplitude."""
+    """Returns the spectrum of some octaves of a noise, by its first one's size and amplitude."""
     wavelength, amplitude = [], []
     for octave in range(octaves.stop):
         if octave >= octaves.start:

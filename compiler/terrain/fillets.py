@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned, bins_between
+from scenec.compiler.terrain.bins import BinIndex, any_within, bin_at, binned, bins_between
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -28,7 +28,7 @@ _LEVEL, _CORE = 0.5, 1.5
 
 
 class Feet(NamedTuple):
-    """Where stones stand in the ground, and how high it is heaped there.
+    """Holds the outlines of stones in the ground, and the fillets around them.
 
     Attributes:
         x, y: Middles of outlines, meters, float64 [n].
@@ -66,7 +66,7 @@ class Fillets:
 
     feet: Feet
     far: NDArray[np.float64]
-    bins: Bins
+    bins: BinIndex
 
     @classmethod
     def of(cls, feet: Feet) -> Fillets:
@@ -105,7 +105,7 @@ class Fillets:
         return out
 
     def spectrum(self) -> Spectrum:
-        """Of the highest, under its stone: see ``_ramp``."""
+        """Returns the spectrum of the highest fillet, under its stone: see ``_ramp``."""
         highest = float(
             (_CORE * self.feet.height * np.maximum(self.feet.share.max(axis=1), 1.0)).max()
         )
@@ -114,7 +114,7 @@ class Fillets:
 
 @inlined
 def _side(dx: float, dy: float) -> float:
-    """Where a direction is among ``directions()``, in [0, SIDES]."""
+    """Returns the place of a direction among ``directions()``, in [0, SIDES]."""
     around = abs(dx) + abs(dy)
     if dy >= 0.0:
         turn = dy / around if dx >= 0.0 else 1.0 - dx / around
@@ -162,8 +162,8 @@ def _heights_part(first, last, feet, far, bins, x, y, out):  # type: ignore[no-u
 
 
 @kernel
-def _finer_part(first, last, heaped, x, y, radius, length, out):  # type: ignore[no-untyped-def]
-    feet, far, bins = heaped
+def _finer_part(first, last, fillets, x, y, radius, length, out):  # type: ignore[no-untyped-def]
+    feet, far, bins = fillets
     ny, nx = bins.before.shape[0] - 1, bins.before.shape[1] - 1
     for n in range(first, last):
         out[n] = 0.0

@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Finding, Node, forms, given, key
 from scenec.compiler.terrain.bounds import Bounds
-from scenec.compiler.terrain.condition import Condition, Interval, Quantity, Ragged, product
+from scenec.compiler.terrain.condition import Interval, Quantity, Ragged, ReliefCondition, product
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, profile_table
 from scenec.compiler.terrain.operators.craters import (
     Bowls,
     Craters,
-    craters_laid,
+    craters_of,
     outline_directions,
     require_craters,
-    shown_on,
+    resolved_on,
     uneven_distances,
     window,
 )
@@ -63,7 +63,7 @@ class Freshness(Quantity):
     """Width over which it fades about a bound: half of it on either side. On the ground at least an
     eighth of what changes over a spacing there."""
     ragged: Ragged | None = key(forms.RAGGED, optional=True)
-    craters: tuple[tuple[Craters, tuple[Condition, ...]], ...] = given(craters_laid)
+    craters: tuple[tuple[Craters, tuple[ReliefCondition, ...]], ...] = given(craters_of)
     """What was laid, in order, each with the conditions of its mask, which are taken on the relief
     that is asked about."""
 
@@ -103,7 +103,7 @@ def crater_freshness(
     """
     fresh = np.zeros(grid.shape)
     for craters, mask in layers:
-        shown = shown_on(craters, grid)
+        shown = resolved_on(craters, grid)
         if not shown.any():
             continue
         table = profile_table(float(craters.state[shown].max()))

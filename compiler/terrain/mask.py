@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.terrain.condition import Condition, product
+from scenec.compiler.terrain.condition import ReliefCondition, product
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operator import ReliefOperator, applied
 from scenec.compiler.terrain.quantities import Quantities, Samples
@@ -30,7 +30,7 @@ class Masked:
     """
 
     operator: ReliefOperator
-    conditions: tuple[Condition, ...]
+    conditions: tuple[ReliefCondition, ...]
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights, blended."""

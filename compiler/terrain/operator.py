@@ -30,11 +30,11 @@ def applied(operator: ReliefOperator, grid: Grid, height: NDArray[np.float64]) -
     kind, group = type(operator), "scenec.relief"
     if kind.__module__.startswith("scenec."):
         return operator.apply(grid, height)
-    made: Any = operator.apply(grid, height.copy())
+    result: Any = operator.apply(grid, height.copy())
     who = f"{named(group, plugin_name(group, kind))}: returned"
-    if not isinstance(made, tuple) or len(made) != 2 or not isinstance(made[1], dict):
-        raise SceneError(f"{who} {type(made).__name__}: expected heights and a dict")
-    heights, report = made
+    if not isinstance(result, tuple) or len(result) != 2 or not isinstance(result[1], dict):
+        raise SceneError(f"{who} {type(result).__name__}: expected heights and a dict")
+    heights, report = result
     if not isinstance(heights, np.ndarray) or heights.shape != grid.shape:
         found = list(heights.shape) if isinstance(heights, np.ndarray) else type(heights).__name__
         raise SceneError(f"{who} heights {found}: expected an array {list(grid.shape)}")

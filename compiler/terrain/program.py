@@ -25,8 +25,8 @@ HIGHEST_M = 1e18
 
 
 @dataclass(frozen=True)
-class Relief:
-    """What a program made.
+class ReliefResult:
+    """Holds the result of a program.
 
     Attributes:
         field: Heights.
@@ -45,7 +45,7 @@ def run(
     grid: Grid,
     max_triangles: int = DEFAULT_TRIANGLES,
     samples: Samples | None = None,
-) -> Relief:
+) -> ReliefResult:
     """Applies operators in order to level ground.
 
     Args:
@@ -93,7 +93,7 @@ def run(
             "amplitude, gain or octaves"
         )
     field = HeightField(grid, height) if base is None else base.lifted(height)
-    return Relief(field, tuple(details), steps)
+    return ReliefResult(field, tuple(details), steps)
 
 
 def _highest(details: Sequence[Detail], grid: Grid) -> float:

@@ -32,15 +32,15 @@ class Samples:
         x, y: Of its columns and rows, meters, float64 [nx], [ny].
     """
 
-    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64], kept: int = 1 << 27):
+    def __init__(self, x: NDArray[np.float64], y: NDArray[np.float64], cache_bytes: int = 1 << 27):
         """``kept``: bytes of noises that are kept at most."""
         self.x, self.y = x, y
-        self._left = kept
+        self._left = cache_bytes
         self._noises: dict[Hashable, NDArray[np.float64]] = {}
 
     @classmethod
     def of(cls, grid: Grid) -> Samples:
-        """Of a relief's grid."""
+        """Returns the samples of a relief's grid."""
         return cls(grid.x(), grid.y())
 
     def noise(self, key: Hashable, noise: Fractal) -> NDArray[np.float64]:
@@ -74,7 +74,7 @@ class Quantities:
         return type(self), (self.grid, self.height)
 
     def once(self, key: object, make: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """What ``make`` gives, made at most once for a key."""
+        """Returns the result of ``make``, which is called at most once for a key."""
         if key not in self._known:
             self._known[key] = make()
         return self._known[key]

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from scenec.compiler.kinds import an, forms, key, list_of
-from scenec.compiler.terrain.condition import Condition, product
+from scenec.compiler.terrain.condition import ReliefCondition, product
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.quantities import Quantities
 
@@ -29,12 +29,12 @@ class Shade:
     by: float = key(forms.PER_BATCH, at_least=-2, at_most=2)
     """Added to the v of the materials' variation, which stays within [-1, 1]: the albedo is
     base_color (1 + variation v). Below 0 is darker."""
-    where: tuple[Condition, ...] = key(list_of(an("ground_where"), "One condition.", least=1))
+    where: tuple[ReliefCondition, ...] = key(list_of(an("ground_where"), "One condition.", least=1))
     """Conditions, whose weights multiply; taken at the grid's samples."""
 
 
 def shade(shades: Sequence[Shade], field: HeightField) -> HeightField | None:
-    """What all of them add at a relief's samples, and between them; None: there are none."""
+    """Returns the sum of all shades at, and between, a relief's samples; None without shades."""
     if not shades:
         return None
     quantities = Quantities(field.grid, field.height)

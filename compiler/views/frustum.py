@@ -186,9 +186,9 @@ def views_at_samples(rigs: tuple[Rig, ...]) -> Views:
         for rig in rigs:
             carried: tuple[Sensor | Lidar, ...] = (*rig.sensors, *rig.lidars)
             for sensor in carried:
-                seen = outline(sensor, MARGIN)
+                border = outline(sensor, MARGIN)
                 for pose in sensor_poses(rig, sensor):
-                    yield pose[:3, 3], pose[:3, :3], seen, 0
+                    yield pose[:3, 3], pose[:3, :3], border, 0
 
     return _views(rows())
 
@@ -201,27 +201,27 @@ def views_of_all(rigs: tuple[Rig, ...]) -> Views:
             carried: tuple[Sensor | Lidar, ...] = (*rig.sensors, *rig.lidars)
             for sensor in carried:
                 margin = 0.0 if isinstance(sensor, Lidar) else _BORDER_PX / min(sensor.resolution)
-                seen = outline(sensor, margin)
+                border = outline(sensor, margin)
                 for sample, pose in enumerate(composed(rig.to_world, sensor.to_rig)):
                     if isinstance(sensor, Lidar):
-                        yield pose[:3, 3], pose[:3, :3], seen, 0
+                        yield pose[:3, 3], pose[:3, :3], border, 0
                     else:
-                        yield from _of_camera(sensor, margin, seen, sample, pose)
+                        yield from _of_camera(sensor, margin, border, sample, pose)
 
     return _views(rows())
 
 
 def _of_camera(
-    sensor: Sensor, margin: float, seen: Outline, sample: int, at: NDArray[np.float64]
+    sensor: Sensor, margin: float, border: Outline, sample: int, at: NDArray[np.float64]
 ) -> Iterator[_Row]:
     turn = at[:3, :3]
     shows = COLOR if "rgb" in sensor.outputs else 0
     for step in _eyes(sensor):
         color = shows if step == 0.0 else 0
-        yield at[:3, 3] + step * turn[:, 0], turn, seen, color
+        yield at[:3, 3] + step * turn[:, 0], turn, border, color
         for behind, of_part, axes in _while_open(sensor, sample, step, margin):
             yield behind, axes, of_part, color | MOVING
-    for right, down, moved in _around_aperture(sensor, sample):
+    for right, down, moved in _aperture_eyes(sensor, sample):
         of_point = outline(sensor, margin, moved)
         yield at[:3, 3] + right * turn[:, 0] + down * turn[:, 1], turn, of_point, COLOR
 
@@ -245,14 +245,14 @@ def _views(rows: Iterable[_Row]) -> Views:
 
 
 def _eyes(sensor: Sensor) -> tuple[float, ...]:
-    """Where a sensor looks from, along its x axis: a stereo camera has a second eye."""
+    """Returns the places of a sensor's eyes along its x axis: a stereo camera has two."""
     measuring = sensor.depth_camera
     if measuring is not None and isinstance(measuring.model, StereoDepth):
         return 0.0, measuring.model.baseline_m
     return (0.0,)
 
 
-def _around_aperture(
+def _aperture_eyes(
     sensor: Sensor, sample: int
 ) -> Iterator[tuple[float, float, tuple[float, float]]]:
     """Corners of a square around a sensor's aperture, and the principal point's way there, pixels.

@@ -1,4 +1,4 @@
-"""What no camera sees, but changes the light on what one does: the rule, and its one number.
+"""Finds what no camera sees, but changes the light on what one does: the rule and its number.
 
 With color an object out of view stays if
 
@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import Views
-from scenec.compiler.views.horizon import Relief, touched
 from scenec.compiler.views.lamps import in_cone
+from scenec.compiler.views.occlusion import BlockRelief, touched
 from scenec.compiler.views.visible import SHOWN, visible
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
@@ -44,15 +44,15 @@ _STRIDE = 1.0 / 16.0
 _LOOKED_AT = 8
 
 
-class Seen(NamedTuple):
-    """Where what is seen stands, by the blocks of the relief.
+class VisibleBlocks(NamedTuple):
+    """Holds the places of what is seen, by the blocks of the relief.
 
     Attributes:
         top: The highest place seen in a block, -inf where nothing is; float64 [by, bx].
         distance: Of each block to the nearest that holds something seen, meters, inf where nothing
             is seen at all; float64 [by, bx].
         ground: Height that the ground is nowhere below, -inf where it may be missing.
-        frame: As in ``Relief``; blocks are square.
+        frame: As in ``BlockRelief``; blocks are square.
         longest: How far from each other two things can be, meters.
     """
 
@@ -63,15 +63,15 @@ class Seen(NamedTuple):
     longest: float
 
 
-def seen_blocks(
-    relief: Relief,
+def visible_blocks(
+    relief: BlockRelief,
     bounds: NDArray[np.float64],
     views: Views,
     middles: NDArray[np.float64],
     radii: NDArray[np.float64],
     beyond: bool = False,
-) -> Seen:
-    """Where what some views see stands.
+) -> VisibleBlocks:
+    """Returns the places of what some views see.
 
     Args:
         relief: Of the ground, in square blocks over all there is.
@@ -95,25 +95,25 @@ def seen_blocks(
         top[[0, -1]] = top[:, [0, -1]] = np.inf
     # Points of two blocks are nearer than their middles by up to a diagonal.
     distance = width * np.maximum(np.sqrt(squared_distances(top)) - np.sqrt(2.0), 0.0)
-    ground = np.where(relief.whole, relief.low, -np.inf)
+    ground = np.where(relief.is_solid, relief.low, -np.inf)
     size = bounds[1] - bounds[0]
-    return Seen(top, distance, ground, relief.frame, float(np.sqrt((size * size).sum())))
+    return VisibleBlocks(top, distance, ground, relief.frame, float(np.sqrt((size * size).sum())))
 
 
 def view_factors(
-    seen: Seen, middles: NDArray[np.float64], radii: NDArray[np.float64]
+    blocks: VisibleBlocks, middles: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """View factors of balls from the nearest place seen, at most; inf beside it."""
-    i, j = np.floor((middles[:, :2] - seen.frame[:2]) / seen.frame[2]).astype(np.int64).T
-    rows, columns = seen.top.shape
-    distance = seen.distance[np.clip(j, 0, rows - 1), np.clip(i, 0, columns - 1)]
+    i, j = np.floor((middles[:, :2] - blocks.frame[:2]) / blocks.frame[2]).astype(np.int64).T
+    rows, columns = blocks.top.shape
+    distance = blocks.distance[np.clip(j, 0, rows - 1), np.clip(i, 0, columns - 1)]
     with np.errstate(divide="ignore"):
         sine = radii / distance
     return np.asarray(sine * sine)
 
 
-def shadows_seen(
-    seen: Seen, scene: Scene, middles: NDArray[np.float64], radii: NDArray[np.float64]
+def shadows_visible_blocks(
+    blocks: VisibleBlocks, scene: Scene, middles: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Whose shadow may fall on what is seen, under the light of any sample.
 
@@ -123,7 +123,7 @@ def shadows_seen(
     out = np.zeros(len(middles), np.bool_)
     for light, lit in _lights(scene, middles, radii):
         which = np.flatnonzero(lit & ~out)
-        over_threads(_sweep, len(which), seen, light, middles, radii, which, out, least=POINTS)
+        over_threads(_sweep, len(which), blocks, light, middles, radii, which, out, least=POINTS)
     return out
 
 
@@ -166,7 +166,7 @@ def _mark(middles, radii, frame, top):  # type: ignore[no-untyped-def]
 
 @kernel
 def squared_distances(top):  # type: ignore[no-untyped-def]
-    """Of each block to the nearest that has a top, in blocks; inf where none has."""
+    """Returns each block's squared distance to the nearest that has a top, in blocks; or inf."""
     rows, columns = top.shape
     # Along columns first, then the lowest of their parabolas along rows: Meijster, Roerdink and
     # Hesselink, "A general algorithm for computing distance transforms in linear time" (2000).
@@ -193,15 +193,15 @@ def squared_distances(top):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sweep(first, last, seen, light, middles, radii, which, out):  # type: ignore[no-untyped-def]
+def _sweep(first, last, blocks, light, middles, radii, which, out):  # type: ignore[no-untyped-def]
     for k in range(first, last):
         n = which[k]
         x, y, z = middles[n]
-        out[n] = _falls(seen, light, x, y, z, radii[n])
+        out[n] = _falls(blocks, light, x, y, z, radii[n])
 
 
 @kernel
-def _falls(seen, light, x, y, z, radius):  # type: ignore[no-untyped-def]
+def _falls(blocks, light, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether the ball's shadow may fall on what is seen: swept in steps, each in a ball."""
     wx, wy, wz, widening = light[0], light[1], light[2], light[3]
     if light[4] == 0.0:
@@ -214,46 +214,46 @@ def _falls(seen, light, x, y, z, radius):  # type: ignore[no-untyped-def]
         sine = (radius + widening) / length
         widening = sine / np.sqrt(1.0 - sine * sine)
     at, reach = 0.0, radius * np.sqrt(1.0 + widening * widening)
-    while at <= seen.longest:
-        step = max(max(2.0 * reach, _STRIDE * at), 0.5 * seen.frame[2])
+    while at <= blocks.longest:
+        step = max(max(2.0 * reach, _STRIDE * at), 0.5 * blocks.frame[2])
         after = reach + step * widening
         middle, around = at + 0.5 * step, 0.5 * step + after
-        if _meets(seen, x + middle * wx, y + middle * wy, z + middle * wz, around):
+        if _meets(blocks, x + middle * wx, y + middle * wy, z + middle * wz, around):
             return True
         at, reach = at + step, after
         # No ray of it leaves the ground again.
-        if _is_buried(seen, x + at * wx, y + at * wy, z + at * wz, reach):
+        if _is_buried(blocks, x + at * wx, y + at * wy, z + at * wz, reach):
             return False
     return False
 
 
 @kernel
-def _meets(seen, x, y, z, radius):  # type: ignore[no-untyped-def]
+def _meets(blocks, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether a ball may hold a point of something seen."""
-    rows, columns = seen.top.shape
-    i0, i1, j0, j1 = touched(seen.frame, x, y, radius)
+    rows, columns = blocks.top.shape
+    i0, i1, j0, j1 = touched(blocks.frame, x, y, radius)
     if i1 - i0 >= _LOOKED_AT or j1 - j0 >= _LOOKED_AT:
         i = min(max((i0 + i1) // 2, 0), columns - 1)
         j = min(max((j0 + j1) // 2, 0), rows - 1)
-        return seen.distance[j, i] <= radius + seen.frame[2]
+        return blocks.distance[j, i] <= radius + blocks.frame[2]
     for j in range(max(j0, 0), min(j1, rows - 1) + 1):
         for i in range(max(i0, 0), min(i1, columns - 1) + 1):
-            if seen.top[j, i] >= z - radius:
+            if blocks.top[j, i] >= z - radius:
                 return True
     return False
 
 
 @kernel
-def _is_buried(seen, x, y, z, radius):  # type: ignore[no-untyped-def]
+def _is_buried(blocks, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Whether a ball certainly lies below the ground as a whole."""
-    rows, columns = seen.ground.shape
-    i0, i1, j0, j1 = touched(seen.frame, x, y, radius)
+    rows, columns = blocks.ground.shape
+    i0, i1, j0, j1 = touched(blocks.frame, x, y, radius)
     if i1 - i0 >= _LOOKED_AT or j1 - j0 >= _LOOKED_AT:
         return False
     if i0 < 0 or j0 < 0 or i1 >= columns or j1 >= rows:
         return False
     for j in range(j0, j1 + 1):
         for i in range(i0, i1 + 1):
-            if seen.ground[j, i] <= z + radius:
+            if blocks.ground[j, i] <= z + radius:
                 return False
     return True

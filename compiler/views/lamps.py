@@ -1,4 +1,4 @@
-"""What lamps shine on; leaving out those whose cones hold nothing of the scene."""
+"""Finds what lamps shine on, and leaves out those whose cones hold nothing of the scene."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _ball_of_tiles(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.floa
 def in_cone(
     lamp: Lamp, sample: int, middles: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Which balls a cone around a lamp's (its apex further back) meets at a sample, bool [n]."""
+    """Selects the balls in a lamp's cone, its apex moved back, at a sample, bool [n]."""
     if not lamp.intensity[sample].any():
         return np.zeros(len(middles), np.bool_)
     half = float(lamp.cone_deg[sample]) * (elementary.PI / 180.0)

@@ -1,4 +1,4 @@
-"""What the outputs of a batch need of its Scene, and leaving out the rest.
+"""Selects what the outputs of a batch need of its Scene, and leaves out the rest.
 
 ======================  ============================================================================
 output                  needs, beside geometry, places and cameras
@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
@@ -43,7 +43,7 @@ _SHADING, _NUMBER = 24, 4
 
 
 class Keep(StrEnum):
-    """How much of a scene stays in the stage.
+    """Chooses how much of a scene stays in the stage.
 
     ``SEEN``: what the cameras of the batch can see the effect of (the default).
     ``UNPRUNED``: everything, as coarse where no camera sees it as ``SEEN`` would have it: meshes
@@ -58,7 +58,7 @@ class Keep(StrEnum):
 
 
 class Needs(NamedTuple):
-    """What the outputs show.
+    """Says what the outputs show.
 
     Attributes:
         color: Materials, shading and light.
@@ -70,7 +70,7 @@ class Needs(NamedTuple):
 
 
 def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True) -> Needs:
-    """What a batch's outputs need.
+    """Returns what a batch's outputs need.
 
     Args:
         keep: ``Keep.ALL`` needs everything that the cfg has: someone will walk around in the stage.
@@ -102,7 +102,7 @@ def with_color(rigs: tuple[Rig, ...], keep: Keep = Keep.SEEN) -> tuple[Rig, ...]
 
 @dataclass(frozen=True)
 class Used[Kind]:
-    """What is left of a Scene's contents.
+    """Holds what is left of a Scene's contents.
 
     Attributes:
         materials: By name, drawn or built.
@@ -169,8 +169,8 @@ def _without_unused_prototypes(
     )
 
 
-def _bytes_of(mesh: Prototype | Tile) -> int:
-    """Of what is always written of a mesh: points, faces, and three a face."""
+def _bytes_of(mesh: Prototype | MeshTile) -> int:
+    """Returns the bytes that are always written of a mesh: points, faces, and three a face."""
     return int(mesh.points.nbytes + mesh.faces.nbytes + _NUMBER * len(mesh.faces))
 
 
@@ -202,8 +202,8 @@ def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Gr
     number = np.cumsum([*shown, True], dtype=np.int32) - 1
     rows = np.flatnonzero(shown[1:])
 
-    def renumbered(tile: Tile, own: int) -> Tile:
-        weights = np.concatenate([tile.weights[rows], tile.weights[len(tile.weights) - own :]])
+    def renumbered(tile: MeshTile, count: int) -> MeshTile:
+        weights = np.concatenate([tile.weights[rows], tile.weights[len(tile.weights) - count :]])
         return replace(tile, layer=number[tile.layer].astype(np.int32), weights=weights)
 
     return Ground(
@@ -228,7 +228,7 @@ def note_outputs(
         levels: How many kinds of labels there are.
         lit: Whether the cfg has any light.
     """
-    meshes: list[Tile | Prototype] = [
+    meshes: list[MeshTile | Prototype] = [
         *ground.meshes,
         *(mesh for one in objects for mesh in one.prototypes),
     ]

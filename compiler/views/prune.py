@@ -25,18 +25,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.cache.memo import memoized
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import COLOR, Views, chosen, views_of_all
-from scenec.compiler.views.horizon import Relief, relief_of_tiles, with_horizon
 from scenec.compiler.views.illumination import (
     MIN_VIEW_FACTOR,
-    seen_blocks,
-    shadows_seen,
+    shadows_visible_blocks,
     view_factors,
+    visible_blocks,
 )
 from scenec.compiler.views.needed import Keep, Needs, without_unused
+from scenec.compiler.views.occlusion import BlockRelief, relief_of_tiles, with_horizon
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 
@@ -101,7 +101,7 @@ class _Balls:
         return self.middles[balls], self.radii[balls]
 
     def keep(self, which: NDArray[np.bool_], of_balls: NDArray[np.bool_], why: Reason) -> None:
-        """Those of some instances stay of which any ball is chosen."""
+        """Keeps those of some instances of which any ball is chosen."""
         stays = of_balls.reshape(-1, self._samples).any(axis=1)
         self.reason[np.flatnonzero(which)[stays]] = _CODE[why]
 
@@ -130,23 +130,23 @@ def prune(
         return Pruned(scene, [], _record(scene.objects, whole, {}))
     relief = relief_of_tiles(_ground_of(scene), scene.bounds, len(views.eye))
     if not hills:
-        relief.whole[:] = False
+        relief.is_solid[:] = False
     views = with_horizon(views, relief)
-    classes = [_seen(one, views, scene.bounds) for one in scene.objects]
+    classes = [_visible_balls(one, views, scene.bounds) for one in scene.objects]
     facts: dict[str, Any] = {}
-    gone: dict[str, Reason] = {}
+    removed: dict[str, Reason] = {}
     showing = chosen(views, views.kind & COLOR > 0)
     if needs.color and len(showing.eye):
         facts["light"] = {"min_view_factor": MIN_VIEW_FACTOR, "everywhere": everywhere}
         _mark_lit(scene, classes, showing, relief, everywhere)
     else:
-        gone = _unseen_tiles(tiles, views)
+        removed = _unseen_tiles(tiles, views)
     left_out: list[dict[str, Any]] = []
     objects = tuple(
         _without(one, balls, needs.color, left_out)
         for one, balls in zip(scene.objects, classes, strict=True)
     )
-    ground = _without_tiles(scene.ground, gone, left_out)
+    ground = _without_tiles(scene.ground, removed, left_out)
     used = without_unused(scene.materials, ground, objects, needs)
     left_out += [{**one, "pass": PASS} for one in used.left_out]
     reasons = [balls.reason for balls in classes]
@@ -160,12 +160,12 @@ def prune(
     return Pruned(
         replace(scene, ground=used.ground, objects=used.objects, materials=used.materials),
         left_out,
-        _record(scene.objects, reasons, gone),
+        _record(scene.objects, reasons, removed),
         facts,
     )
 
 
-def _ground_of(scene: Scene) -> tuple[Tile, ...]:
+def _ground_of(scene: Scene) -> tuple[MeshTile, ...]:
     """All that is ground where objects are: a horizon, too, where they lie beyond the border."""
     tiles = scene.ground.tiles
     if scene.ground.horizon is None:
@@ -179,7 +179,7 @@ def _ground_of(scene: Scene) -> tuple[Tile, ...]:
     return tiles
 
 
-def _seen(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _Balls:
+def _visible_balls(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _Balls:
     """A class as balls, and which of them are seen."""
     middles, radii = one.balls()
     radii = radii * (1.0 + _SLACK) + _ROUNDING * float(np.abs(bounds).max())
@@ -194,19 +194,19 @@ def _seen(one: Scatter | Placed, views: Views, bounds: NDArray[np.float64]) -> _
 
 
 def _mark_lit(
-    scene: Scene, classes: Sequence[_Balls], showing: Views, relief: Relief, everywhere: bool
+    scene: Scene, classes: Sequence[_Balls], showing: Views, relief: BlockRelief, everywhere: bool
 ) -> None:
     """Marks what stays for its shadow or for the light that it takes or sends."""
     shown = [balls.of(balls.reason == _CODE[Reason.SEEN]) for balls in classes]
     none = np.zeros((0, 3)), np.zeros(0)
     middles, radii = (np.concatenate(part) for part in zip(none, *shown, strict=True))
     beyond = scene.ground.horizon is not None
-    seen = seen_blocks(relief, scene.bounds, showing, middles, radii, beyond)
+    seen = visible_blocks(relief, scene.bounds, showing, middles, radii, beyond)
     for one, balls in zip(scene.objects, classes, strict=True):
         if everywhere or _shines(one, scene):
             balls.reason[balls.open] = _CODE[Reason.LIGHT]
         left = balls.open
-        balls.keep(left, shadows_seen(seen, scene, *balls.of(left)), Reason.SHADOW)
+        balls.keep(left, shadows_visible_blocks(seen, scene, *balls.of(left)), Reason.SHADOW)
         left = balls.open
         balls.keep(left, view_factors(seen, *balls.of(left)) >= MIN_VIEW_FACTOR, Reason.LIGHT)
 
@@ -216,7 +216,7 @@ def _shines(one: Scatter | Placed, scene: Scene) -> bool:
     return any(material is not None and max(material.emission) > 0.0 for material in found)
 
 
-def _unseen_tiles(tiles: Sequence[Tile], views: Views) -> dict[str, Reason]:
+def _unseen_tiles(tiles: Sequence[MeshTile], views: Views) -> dict[str, Reason]:
     """Tiles of which no view may see a triangle; one stays in any case."""
     found = {}
     for tile in tiles:
@@ -244,26 +244,26 @@ def _without(
     bytes_of_one = sum(array[:1].nbytes for array in arrays.values())
     triangles = np.array([len(mesh.faces) for mesh in one.prototypes], np.int64)[one.prototype]
     for reason, why in _WHY.items():
-        gone = balls.reason == _CODE[reason]
-        if gone.any():
+        removed = balls.reason == _CODE[reason]
+        if removed.any():
             left_out.append(
                 entry(
                     PASS,
-                    f"objects/{one.name}: {int(gone.sum()):,} of {one.count:,}",
+                    f"objects/{one.name}: {int(removed.sum()):,} of {one.count:,}",
                     f"{why}, and no picture shows its effect" if color else why,
-                    instances=int(gone.sum()),
-                    triangles=int(triangles[gone].sum()),
-                    size=int(gone.sum()) * bytes_of_one,
+                    instances=int(removed.sum()),
+                    triangles=int(triangles[removed].sum()),
+                    size=int(removed.sum()) * bytes_of_one,
                 )
             )
     return replace(one, **{name: array[kept] for name, array in arrays.items()})
 
 
 def _without_tiles(
-    ground: Ground, gone: dict[str, Reason], left_out: list[dict[str, Any]]
+    ground: Ground, removed: dict[str, Reason], left_out: list[dict[str, Any]]
 ) -> Ground:
     for reason, why in _WHY.items():
-        tiles = [tile for tile in ground.tiles if gone.get(tile.name) is reason]
+        tiles = [tile for tile in ground.tiles if removed.get(tile.name) is reason]
         if tiles:
             arrays = [a for t in tiles for a in (t.points, t.faces, t.layer, t.normals, t.weights)]
             left_out.append(
@@ -275,7 +275,7 @@ def _without_tiles(
                     size=sum(array.nbytes for array in arrays),
                 )
             )
-    return replace(ground, tiles=tuple(tile for tile in ground.tiles if tile.name not in gone))
+    return replace(ground, tiles=tuple(tile for tile in ground.tiles if tile.name not in removed))
 
 
 def _record(

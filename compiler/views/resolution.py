@@ -1,4 +1,4 @@
-"""How closely the cameras of a batch look at each part of the terrain."""
+"""Measures how closely the cameras of a batch look at each part of the terrain."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scenec.compiler.scene.rig import Rig
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import Views as Views
 from scenec.compiler.views.frustum import in_view, views_at_samples
-from scenec.compiler.views.horizon import is_hidden, with_hidden_ground
+from scenec.compiler.views.occlusion import is_hidden, with_hidden_ground
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 

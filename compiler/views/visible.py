@@ -1,4 +1,4 @@
-"""Which balls a view may see: conservative, by view volumes and by the ground alone.
+"""Finds the balls that a view may see: conservative, by view volumes and by the ground alone.
 
 No object hides another.
 """
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.views.frustum import Views, in_view
-from scenec.compiler.views.horizon import is_hidden
+from scenec.compiler.views.occlusion import is_hidden
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scenec.backends.annotation.contract import Pass, View
 from scenec.backends.annotation.passes import normal
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, poses, toward
 from scenec.compiler.cameras.ranging import ScanPattern
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
@@ -31,11 +31,11 @@ from scenec.compiler.kinds.forms import (
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.materials.tile import Look, Tile, mix, step
+from scenec.compiler.materials.tile import Paint, Tile, mix, step
 from scenec.compiler.noise.fractal import fbm2
 from scenec.compiler.objects.density import Everywhere
 from scenec.compiler.objects.families.shape import Shape
-from scenec.compiler.scene.light import SkyLight, SunLight
+from scenec.compiler.scene.light import SkyLight, SunDisc
 from scenec.compiler.terrain.condition import Interval, Quantity
 from scenec.compiler.terrain.grid import Applied, Grid, gradient
 from scenec.compiler.terrain.quantities import Quantities
@@ -169,13 +169,13 @@ class Stubble(Surface):
         "properties": {"grain_m": {"description": "Width of a stalk.", **LENGTH, "default": 0.01}},
     }
 
-    def paint(self, tile: Tile) -> Look:
+    def paint(self, tile: Tile) -> Paint:
         """Relief, color and roughness on a square that repeats."""
         soil = tile.noise(20.0 * self.grain_m, 0.6)
         stalks = tile.cells(4.0 * self.grain_m)
         stalk = step(0.3, 0.15, stalks.near) * tile.fade(4.0 * self.grain_m)
         color = mix([0.8, 0.7, 0.6], [2.2, 1.9, 1.1], stalk)
-        return Look(0.3 * soil + stalk, color, 0.05 * soil)
+        return Paint(0.3 * soil + stalk, color, 0.05 * soil)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,16 +192,16 @@ class Spiral:
     #: Whether it has to know where objects are.
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """Poses of all samples, once the ground is there."""
-        times = self.sampling.times(2.0 * self.period_s, around.samples, around.what)
+        times = self.sampling.times(2.0 * self.period_s, context.samples, context.what)
         angle = 2.0 * elementary.PI * times / self.period_s
         away = np.stack([elementary.sin_array(angle), elementary.cos_array(angle)], axis=1)
-        ground = float(around.ground(np.zeros((1, 2)))[0])
+        ground = float(context.ground(np.zeros((1, 2)))[0])
         height = ground + 2.0 + self.rise_m * times / self.period_s
         position = np.column_stack([self.radius_m * away, height])
         way = np.array([0.0, 0.0, ground]) - position
-        return Built(poses(position, toward(way, -away)), times)
+        return RigPoses(poses(position, toward(way, -away)), times)
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class Dusk(Sky):
         },
     }  # fmt: skip
 
-    def build(self, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def build(self, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """One picture that is brightest in the north, turned; the cfg's sun; nothing to report."""
         to = directions(64)
         glow = np.where(to[..., 2] > 0.0, 0.1 + np.maximum(to[..., 1], 0.0), 0.0)
@@ -253,7 +253,7 @@ class Veil(CloudLayer):
         },
     }  # fmt: skip
 
-    def add(self, sky: SkyLight, sun: SunLight | None, samples: int) -> SkyAndSun:
+    def add(self, sky: SkyLight, sun: SunDisc | None, samples: int) -> SkyAndSun:
         """The sky as it is; what comes through of the sun; that share, for report.json."""
         if sun is None:
             return sky, None, {}

@@ -1,4 +1,4 @@
-"""What adapters cost beside bare scripts of the same renderers on the same stage.
+"""Compares what adapters cost with bare scripts of the same renderers on the same stage.
 
     python lab/benchmarks/adapters.py [--backends A,B] [--cfg FILE | --stage FILE] [--spp N]
                                           [--rounds N] [--fast]
@@ -8,10 +8,10 @@
 Two processes hold the same stage's arrays: one the adapter, one a script as the renderer's
 documentation would have one write (``bare_*.py`` here). They are asked in turns, so that a busy
 machine is busy for both; the table has medians and medians of the paired ratios. The witness is
-what the renderer sees, row and face of each pixel: pyrender's also without culling, which is the
-same work as the script's. Radiance has new light for each picture; where the mean of what the two
-draw differs by more than 2 %, the table compares different pictures, and the status is 2. Blender's
-script knows no maps, no metals, no haze, no lamps, nothing that moves: there both draw without.
+what Cycles sees, row and face of each pixel. Radiance has new light for each picture; where the
+mean of what the two draw differs by more than 2 %, the table compares different pictures, and the
+status is 2. Blender's script knows no maps, no metals, no haze, no lamps, nothing that moves: there
+both draw without.
 
 With ``--shipped`` the cfgs that ship, CPU seconds: of the first frame (loading and drawing) and of
 each further one, their ratio to the bare script and to the same scene in plain colors, and the
@@ -33,7 +33,6 @@ import numpy as np
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.contract import Radiance
 from scenec.backends.picture.noise import estimate
-from scenec.backends.pyrender import Pyrender
 from scenec.backends.registry import open_backend
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
@@ -44,10 +43,10 @@ from scenec.schemas.errors import ScenecError
 class Adapter:
     """A backend, with the methods of a bare script."""
 
-    def __init__(self, scene: RenderScene, backend: str, culling: bool) -> None:
+    def __init__(self, scene: RenderScene, backend: str) -> None:
         self.scene: RenderScene = scene
         self.drawn: Radiance | None = None
-        self.backend: Any = open_backend(backend) if culling else Pyrender(culling=False)
+        self.backend = open_backend(backend)
 
     def load(self) -> None:
         """Build the scene."""
@@ -76,12 +75,7 @@ _made: Any = None
 
 
 def hold(
-    backend: str,
-    stage: Path,
-    bare: bool,
-    culling: bool = True,
-    plain: bool = False,
-    width: int | None = None,
+    backend: str, stage: Path, bare: bool, plain: bool = False, width: int | None = None
 ) -> int:
     """Make the adapter or the bare script of a stage; how many samples there are.
 
@@ -89,7 +83,6 @@ def hold(
         backend: Name.
         stage: File.
         bare: Whether it is the script.
-        culling: Of pyrender.
         plain: Whether to leave maps out; Cycles without a width draws what its script knows anyway.
         width: Of pictures, pixels, if not as the stage says.
     """
@@ -106,7 +99,7 @@ def hold(
     elif plain:
         surfaces = tuple(replace(surface, maps=None) for surface in scene.surfaces)
         scene = replace(scene, surfaces=surfaces)
-    _made = script.Bare(scene) if bare else Adapter(scene, backend, culling)
+    _made = script.Bare(scene) if bare else Adapter(scene, backend)
     return len(scene.cameras)
 
 
@@ -150,15 +143,7 @@ def rows(study: Study, backend: str, stage: Path) -> Iterator[list[Cell]]:
         if backend == "cycles":
             ratio = loads[0].wall_s / loads[1].wall_s
             yield [backend, "load", *(c.wall_s for c in loads), ratio, None, None, None]
-        if backend != "mitsuba":
             yield compared("witness", both, lambda turn: ("witness", turn % samples))
-        if backend == "pyrender":
-            with held() as whole:
-                whole(hold, backend, stage, False, False)
-                whole(ask, "load")
-                yield compared("witness, without culling", [whole, bare],
-                               lambda turn: ("witness", turn % samples))  # fmt: skip
-            return
         # Mitsuba's script draws sample 0 alone.
         of = samples if backend == "cycles" else 1
         yield compared(
@@ -178,7 +163,7 @@ def shipped(study: Study, backend: str, name: str, stage: Path) -> list[Cell]:
         for one in three:
             # Blender's script draws the plain scene, Mitsuba's the whole one, and sample 0 alone.
             simple = one is plain or (one is bare and backend == "cycles")
-            found = one(hold, backend, stage, one is bare, True, simple, width).value
+            found = one(hold, backend, stage, one is bare, simple, width).value
             samples = found if backend == "cycles" else 1
         loads = [one(ask, "load").cpu_s for one in three]
         turns = [
@@ -207,7 +192,7 @@ def main(study: Study) -> None:
             (name, study.batch(CONFIGS / f"{name}.json") / "stage.usda")
             for name in study.options.shipped[: 1 if study.fast else None]
         )
-        backends = [name for name in study.options.backends if name != "pyrender"]
+        backends = study.options.backends
         study.table(header, (shipped(study, b, *stage) for stage in stages for b in backends))
         return
     stage = study.options.stage or study.batch(study.options.cfg) / "stage.usda"
@@ -219,5 +204,5 @@ def main(study: Study) -> None:
 
 
 if __name__ == "__main__":
-    backends = ("mitsuba", "cycles", "pyrender")
+    backends = ("mitsuba", "cycles")
     run(main, backends=backends, cfg=DEMO, stage=Path, spp=32, rounds=5, shipped=names, width=640)

@@ -24,8 +24,8 @@ from scenec.lab.runner import Cell, Study, run
 ANNOTATION = ["label", "instance", "depth", "range", "normal", "position", "face"]
 
 
-def drawn_cfg(number: int) -> dict[str, Any]:
-    """The cfg of one scene."""
+def drawn_cfg(number: int, sensor: str) -> dict[str, Any]:
+    """The cfg of one scene, with one of its cameras, "eye" or "small"."""
     rng = np.random.default_rng(number)
 
     def uniform(low: float, high: float) -> float:
@@ -34,120 +34,73 @@ def drawn_cfg(number: int) -> dict[str, Any]:
     def log_uniform(low: float, high: float) -> float:
         return float(f"{math.exp(rng.uniform(math.log(low), math.log(high))):.4g}")
 
+    # Whatever is drawn is drawn in this order: a number is a scene.
     size = log_uniform(20, 400)
-    layers = int(rng.integers(1, 5))
-    grounds = [f"ground_{i}" for i in range(layers)]
+    grounds = [f"ground_{i}" for i in range(int(rng.integers(1, 5)))]
     amplitude = log_uniform(0.003, 0.06) * size
-    classes = int(rng.integers(1, 4))
-    rocks = int(log_uniform(1, 100_000))
-    cfg: dict[str, Any] = {
-        "version": 1,
-        "name": f"drawn_{number}",
-        "samples": 1,
-        "labels": {
-            "class": {"sky": 1, "ground": 2, "rock": 3},
-            "material": {"sky": 1, **{name: i + 2 for i, name in enumerate(grounds)}, "stone": 9},
-        },
-        "terrain": {
-            "size_m": [size, size],
-            "spacing_m": size / float(rng.integers(100, 700)),
-            "relief": [
-                {"type": "plane", "slope": [uniform(-0.2, 0.2), uniform(-0.2, 0.2)]},
-                {
-                    "type": "multifractal",
-                    "amplitude_m": amplitude,
-                    "scale_m": log_uniform(0.03, 0.3) * size,
-                    "octaves": int(rng.integers(2, 9)),
-                },
-            ],
-            "ground": [
-                {
-                    "material": name,
-                    "labels": {"class": "ground", "material": name},
-                    **({"noise": {"scale_m": log_uniform(0.02, 0.3) * size}} if i else {}),
-                }
-                for i, name in enumerate(grounds)
-            ],
-        },
-        "materials": {
-            name: {
-                "base_color": [uniform(0.02, 0.9) for _ in range(3)],
-                "variation": uniform(0, 0.4),
-                "specular": uniform(0, 0.3) if rng.random() < 0.5 else 0.0,
-                "roughness": uniform(0.2, 1.0),
-                "metallic": uniform(0, 1) if rng.random() < 0.2 else 0.0,
-            }
-            for name in [*grounds, "stone"]
-        },
-        "objects": {
-            f"rocks_{i}": {
-                "type": "rocks",
-                "count": max(1, rocks // classes),
-                "material": "stone",
-                "labels": {"class": "rock", "material": "stone"},
-                "prototypes": int(rng.integers(1, 9)),
-                "subdivisions": int(rng.integers(1, 5 if rocks < 20_000 else 3)),
-                "size_m": {
-                    "type": "log_uniform",
-                    "min": log_uniform(0.0005, 0.002) * size,
-                    "max": log_uniform(0.003, 0.03) * size,
-                },
-                "orientation": str(rng.choice(["random", "normal", "upright"])),
-                "embed": uniform(0, 0.8),
-            }
-            for i in range(classes)
-        },
-        "light": {
-            "sun": {
-                "elevation_deg": uniform(3, 90),
-                "azimuth_deg": uniform(0, 360),
-                "diameter_deg": uniform(0.1, 2.0),
-            },
-        },
-        "rigs": {
-            "rig": {
-                "pose": {
-                    "type": "random_target",
-                    "position": {
-                        "x_m": uniform(-0.3, 0.3) * size,
-                        "y_m": uniform(-0.3, 0.3) * size,
-                        # Half of the views graze.
-                        "height_m": log_uniform(0.1, 2.0)
-                        if rng.random() < 0.5
-                        else log_uniform(2.0, 60.0),
-                    },
-                    "target": {
-                        "distance_m": log_uniform(0.02, 0.5) * size,
-                        "bearing_deg": uniform(0, 360),
-                    },
-                    "roll_deg": uniform(-20, 20),
-                },
-                "sensors": {},
-            }
-        },
-    }
-    if rng.random() < 0.8:
-        cfg["light"]["sky"] = {
-            "type": "clear",
-            "resolution": 64,
-            "irradiance": log_uniform(30, 400),
-            "labels": {"class": "sky", "material": "sky"},
+    classes, rocks = int(rng.integers(1, 4)), int(log_uniform(1, 100_000))
+    terrain: dict[str, Any] = {
+        "size_m": [size, size], "spacing_m": size / float(rng.integers(100, 700)),
+        "relief": [
+            {"type": "plane", "slope": [uniform(-0.2, 0.2), uniform(-0.2, 0.2)]},
+            {"type": "multifractal", "amplitude_m": amplitude,
+             "scale_m": log_uniform(0.03, 0.3) * size, "octaves": int(rng.integers(2, 9))},
+        ],
+        "ground": [
+            {"material": name, "labels": {"class": "ground", "material": name},
+             **({"noise": {"scale_m": log_uniform(0.02, 0.3) * size}} if i else {})}
+            for i, name in enumerate(grounds)
+        ],
+    }  # fmt: skip
+    materials = {
+        name: {
+            "base_color": [uniform(0.02, 0.9) for _ in range(3)], "variation": uniform(0, 0.4),
+            "specular": uniform(0, 0.3) if rng.random() < 0.5 else 0.0,
+            "roughness": uniform(0.2, 1.0),
+            "metallic": uniform(0, 1) if rng.random() < 0.2 else 0.0,
         }
-    else:
-        for level in cfg["labels"].values():
-            del level["sky"]
+        for name in [*grounds, "stone"]
+    }  # fmt: skip
+    objects = {
+        f"rocks_{i}": {
+            "type": "rocks", "count": max(1, rocks // classes), "material": "stone",
+            "labels": {"class": "rock", "material": "stone"},
+            "prototypes": int(rng.integers(1, 9)),
+            "subdivisions": int(rng.integers(1, 5 if rocks < 20_000 else 3)),
+            "size_m": {"type": "log_uniform", "min": log_uniform(0.0005, 0.002) * size,
+                       "max": log_uniform(0.003, 0.03) * size},
+            "orientation": str(rng.choice(["random", "normal", "upright"])),
+            "embed": uniform(0, 0.8),
+        }
+        for i in range(classes)
+    }  # fmt: skip
+    sun = {"elevation_deg": uniform(3, 90), "azimuth_deg": uniform(0, 360),
+           "diameter_deg": uniform(0.1, 2.0)}  # fmt: skip
+    x, y = uniform(-0.3, 0.3) * size, uniform(-0.3, 0.3) * size
+    # Half of the views graze.
+    height = log_uniform(0.1, 2.0) if rng.random() < 0.5 else log_uniform(2.0, 60.0)
+    target = {"distance_m": log_uniform(0.02, 0.5) * size, "bearing_deg": uniform(0, 360)}
+    pose = {"type": "random_target", "position": {"x_m": x, "y_m": y, "height_m": height},
+            "target": target, "roll_deg": uniform(-20, 20)}  # fmt: skip
+    labels: dict[str, dict[str, int]] = {
+        "class": {"ground": 2, "rock": 3},
+        "material": {**{name: i + 2 for i, name in enumerate(grounds)}, "stone": 9},
+    }
+    light: dict[str, Any] = {"sun": sun}
+    if rng.random() < 0.8:
+        light["sky"] = {"type": "clear", "resolution": 64, "irradiance": log_uniform(30, 400),
+                        "labels": {"class": "sky", "material": "sky"}}  # fmt: skip
+        labels = {level: {"sky": 1, **ids} for level, ids in labels.items()}
     fov = uniform(20, 110)
-    sensors = cfg["rigs"]["rig"]["sensors"]
-    sensors["eye"] = {"resolution": [640, 480], "fov_deg": fov, "outputs": ANNOTATION}
-    sensors["small"] = {"resolution": [96, 72], "fov_deg": fov, "outputs": ["rgb", "depth"]}
-    return cfg
-
-
-def with_outputs(cfg: dict[str, Any], sensor: str) -> dict[str, Any]:
-    """The cfg with one of its sensors alone."""
-    rig = cfg["rigs"]["rig"]
-    sensors = {sensor: rig["sensors"][sensor]}
-    return {**cfg, "rigs": {"rig": {**rig, "sensors": sensors}}}
+    sensors = {
+        "eye": {"resolution": [640, 480], "fov_deg": fov, "outputs": ANNOTATION},
+        "small": {"resolution": [96, 72], "fov_deg": fov, "outputs": ["rgb", "depth"]},
+    }
+    return {
+        "version": 1, "name": f"drawn_{number}", "samples": 1, "labels": labels,
+        "terrain": terrain, "materials": materials, "objects": objects, "light": light,
+        "rigs": {"rig": {"pose": pose, "sensors": {sensor: sensors[sensor]}}},
+    }  # fmt: skip
 
 
 def main(study: Study) -> None:
@@ -159,16 +112,16 @@ def main(study: Study) -> None:
 
     def scenes() -> Iterator[list[Cell]]:
         for number in range(options.first, options.first + count):
-            cfg = drawn_cfg(number)
+            cfg = drawn_cfg(number, "eye")
             row: list[Cell] = [number, sum(thing["count"] for thing in cfg["objects"].values())]
-            out = study.batch(with_outputs(cfg, "eye"), seed=number).parent
+            out = study.batch(cfg, seed=number).parent
             found = compare(out, backends, options=CompareOptions(passes=("depth",)))
             for name in backends:
                 seen = found.witnesses[name]
                 witnesses[name].append(seen)
                 row.append(f"{seen.differing} ({seen.beyond})")
             if number - options.first < options.rgb:
-                out = study.batch(with_outputs(cfg, "small"), seed=number).parent
+                out = study.batch(drawn_cfg(number, "small"), seed=number).parent
                 how = CompareOptions(spp=spp, floor=True)
                 for light in compare(out, backends, options=how).radiance:
                     # Without light there is no ratio.

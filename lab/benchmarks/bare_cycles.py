@@ -20,7 +20,7 @@ UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def plain(scene: RenderScene) -> RenderScene:
-    """What the bare script can draw of a scene, for both."""
+    """Reduces a scene to what the bare script can draw."""
     surfaces = tuple(
         replace(
             surface, maps=None, metallic=0.0, roughness_variation=0.0, reflectance=None,

@@ -1,8 +1,10 @@
-"""The scene that benchmarks of large numbers change: rocks on hills, one camera."""
+"""Cfgs that several scripts change, of rocks on hills or level ground; a rig, a noise."""
 
 from __future__ import annotations
 
 from typing import Any
+
+from scenec.compiler.terrain.operators.multifractal import Multifractal
 
 
 def rocks_on_hills(
@@ -58,4 +60,44 @@ def rocks_on_hills(
             }
         },
     }
+    return cfg | change
+
+
+def fbm(
+    key: int, amplitude_m: float, scale_m: float, octaves: int = 8, **more: Any
+) -> Multifractal:
+    """A noise of halving octaves, unless ``more`` says another variant, gain or offset."""
+    usual = {"lacunarity": 2.0, "gain": 0.5, "variant": "fbm", "offset": 0.7}
+    return Multifractal(
+        key=key, amplitude_m=amplitude_m, scale_m=scale_m, octaves=octaves, **usual | more
+    )
+
+
+def looking(
+    place: tuple[float, float, float],
+    distance_m: float,
+    target_m: float = 0.0,
+    bearing_deg: float = 0.0,
+    **sensor: Any,
+) -> dict[str, Any]:
+    """A rig of one camera, ``eye``: its x, y and height, what it looks at, keys of the sensor."""
+    x, y, height = place
+    target = {"distance_m": distance_m, "bearing_deg": bearing_deg, "height_m": target_m}
+    position = {"x_m": x, "y_m": y, "height_m": height}
+    pose = {"type": "random_target", "position": position, "target": target}
+    return {"pose": pose, "sensors": {"eye": sensor}}
+
+
+def plain(
+    size_m: float, spacing_m: float, material: dict[str, Any], rig: dict[str, Any], **change: Any
+) -> dict[str, Any]:
+    """A cfg of level ground of one material, ``ground``, and one rig: rgb alone, without labels."""
+    cfg = {
+        "version": 1, "name": "plain", "samples": 1, "labels": {}, "outputs": ["rgb"],
+        "terrain": {
+            "size_m": [size_m, size_m], "spacing_m": spacing_m, "relief": [{"type": "plane"}],
+            "ground": [{"material": "ground"}],
+        },
+        "materials": {"ground": material}, "rigs": {"camera": rig},
+    }  # fmt: skip
     return cfg | change

@@ -1,4 +1,4 @@
-"""What the first minute costs: seconds until each command answers, with and without kernels.
+"""Times the first minute: seconds until each command answers, with and without kernels.
 
     python lab/benchmarks/cold.py [--cfg FILE]
 
@@ -51,7 +51,7 @@ event.register("numba:compile", Notes())
 
 
 def notes_of(place: Path) -> list[tuple[str, float]]:
-    """Of all processes: kernel and CPU seconds."""
+    """Reads the notes of all processes: kernel and CPU seconds."""
     return [
         tuple(json.loads(line))
         for file in sorted(place.parent.glob(f"{place.name}.*"))

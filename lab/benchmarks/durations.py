@@ -1,4 +1,4 @@
-"""What the tests cost, by file.
+"""Measures what the tests cost, by file.
 
     python lab/benchmarks/durations.py [--read FILE]
 

@@ -1,4 +1,4 @@
-"""What levels of detail of plants change in frames of Mitsuba, and what they save.
+"""Measures what levels of detail of plants change in frames of Mitsuba, and save.
 
     python lab/benchmarks/foliage.py [--models A,B] [--spp 32] [--fast]
 
@@ -65,7 +65,7 @@ def _averaged(picture: NDArray[Any]) -> NDArray[np.float64]:
 def _seen(
     study: Study, name: str, lod_px: float, seed: int
 ) -> tuple[tuple[NDArray[Any], NDArray[np.float64]], int]:
-    """Where plants are, the luminance of each pixel, and how many triangles there are."""
+    """Renders plants: where they are, the luminance of each pixel, the number of triangles."""
     size = 9.0 if name.startswith(SMALL) else 55.0
     plants = {
         "type": "meshes",

@@ -10,7 +10,6 @@ was before. Without a GPU it ends with status 2, unless the CPU's rows are asked
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import threading
@@ -26,10 +25,12 @@ from scenec.backends.registry import backend_class, backend_names
 from scenec.backends.run.doctor import start
 from scenec.backends.run.executors import ask
 from scenec.backends.run.units import OfBackend
-from scenec.lab.benchmarks.million import cfg
+from scenec.lab.benchmarks.growth import of_kind
 from scenec.lab.runner import ROOT, SCENEC, Cell, Study, command, names, run
 from scenec.schemas.errors import BackendError
 from scenec.schemas.exr import read_exr
+from scenec.schemas.records import FrameRecord
+from scenec.schemas.sidecars import read_sidecar
 
 #: By which mean light may differ; noise of whole pictures is far below.
 _OFF = 2e-3
@@ -99,21 +100,16 @@ def most_gib(found: list[tuple[float, float, float]]) -> float:
     return (max(taken) - taken[0]) / 1024
 
 
-def frames_of(out: Path, backend: str) -> list[dict]:
-    """Sidecars, in order."""
-    folder = out / "batch_0000" / "frames" / backend
-    return [
-        json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.rglob("0*.json"))
-    ]
+def frames_of(out: Path, backend: str) -> list[FrameRecord]:
+    """Reads sidecars, in order."""
+    files = sorted((out / "batch_0000" / "frames" / backend).rglob("0*.json"))
+    return [read_sidecar(path) for path in files]
 
 
 def mean_light(out: Path, backend: str) -> float:
-    """Of all frames."""
-    folder = out / "batch_0000" / "frames" / backend
-    found = [
-        read_exr(path)["rgb"].mean(dtype=np.float64) for path in sorted(folder.rglob("0*.exr"))
-    ]
-    return float(np.mean(found))
+    """Averages the light of all frames."""
+    files = sorted((out / "batch_0000" / "frames" / backend).rglob("0*.exr"))
+    return float(np.mean([read_exr(path)["rgb"].mean(dtype=np.float64) for path in files]))
 
 
 def measured(out: Path, backend: str, device: str, spp: int, frames: int) -> list[Cell]:
@@ -123,12 +119,13 @@ def measured(out: Path, backend: str, device: str, spp: int, frames: int) -> lis
     with watched() as taken:
         cost = command([*SCENEC, *words, "--spp", str(spp), "--samples", f"0:{frames}"])
     told = frames_of(out, backend)
-    seconds = [sum(frame["seconds"].values()) for frame in told]
+    steps = [frame.seconds or {} for frame in told]
+    seconds = [sum(one.values()) for one in steps]
     steady = float(np.median(seconds[1:])) if len(seconds) > 1 else seconds[0]
-    drawn = float(np.median([frame["seconds"]["radiance"] for frame in told[1:] or told]))
-    width, height = told[0]["resolution"]
+    drawn = float(np.median([one["radiance"] for one in steps[1:] or steps]))
+    width, height = told[0].resolution
     rate = width * height * spp / drawn / 1e6
-    host = max(frame["peak_memory_gb"] or 0.0 for frame in told)
+    host = max(frame.peak_memory_gb or 0.0 for frame in told)
     return [cost.wall_s, seconds[0], steady, rate, host, most_gib(taken), mean_light(out, backend)]
 
 
@@ -136,17 +133,15 @@ def main(study: Study) -> None:
     """Prints what works, and the table."""
     options = study.options
     found, lines = devices(options.backends or backend_names())
-    for line in lines:
-        study.say(f"- {line}")
     if lines:
-        study.say("")
+        study.say("".join(f"- {line}\n" for line in lines))
     if not options.cpu and all(device == "cpu" for _, device in found):
         raise BackendError("no GPU works here with any backend; see the lines above")
     frames, spp = (2, 4) if study.fast else (options.frames, options.spp)
     count = 10_000 if study.fast else options.count
     scenes = {
         "demo": ROOT / "configs/jacksboro.json",
-        f"{count:,} rocks": study.cfg(cfg("rocks", count) | {"samples": frames}, "rocks"),
+        f"{count:,} rocks": study.cfg(of_kind("rocks", count) | {"samples": frames}, "rocks"),
     }
 
     def rows() -> Iterator[list[Cell]]:

@@ -1,4 +1,4 @@
-"""What a sensor's picture costs: all stages of ``imaging``, together and one by one.
+"""Times a sensor's picture: all stages of ``imaging``, together and one by one.
 
     python lab/benchmarks/imaging.py [--width 1280] [--height 720] [--runs 15] [--fast]
 
@@ -24,23 +24,10 @@ from scenec.schemas import picture
 from scenec.schemas.imaging import Imaging
 
 FULL = Imaging(
-    pattern_seed=1,
-    noise_seed=2,
-    time_s=1e-3,
-    iso=400.0,
-    read_noise_e=2.3,
-    dark_current_e_s=2.0,
-    prnu=0.006,
-    dsnu_e=0.6,
-    hot=1e-4,
-    hot_rate_e_s=500.0,
-    dead=1e-5,
-    mosaic="rggb",
-    vignetting_power=4,
-    bloom=0.02,
-    bloom_sigma_px=8.0,
-    jpeg_quality=90,
-)
+    pattern_seed=1, noise_seed=2, time_s=1e-3, iso=400.0, read_noise_e=2.3, dark_current_e_s=2.0,
+    prnu=0.006, dsnu_e=0.6, hot=1e-4, hot_rate_e_s=500.0, dead=1e-5, mosaic="rggb",
+    vignetting_power=4, bloom=0.02, bloom_sigma_px=8.0, jpeg_quality=90,
+)  # fmt: skip
 
 
 def _scene(height: int, width: int) -> NDArray[np.float32]:

@@ -19,14 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from scenec.compiler.compile import compile_cfg
-from scenec.lab.runner import CONFIGS, ROOT, Cell, Cost, Study, apart, run
+from scenec.lab.runner import CONFIGS, ROOT, SHIPPED, Cell, Cost, Study, apart, run
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.manifest import read_manifest
-
-CFGS = (
-    "landing_site", "mars_yard", "meadow_edge", "forest_edge", "jacksboro", "lunar_mare",
-    "volcanic_desert",
-)  # fmt: skip
 
 
 def compiled(
@@ -74,7 +69,7 @@ def changes(cfg: dict[str, Any], costliest: str) -> Iterator[tuple[str, dict[str
 
 
 def digests(out: Path) -> dict[str, str]:
-    """Of all files of a manifest."""
+    """Reads the digests of all files of a manifest."""
     return {path: entry.sha256 for path, entry in read_manifest(out).files.items()}
 
 
@@ -130,4 +125,4 @@ def main(study: Study) -> None:
 
 
 if __name__ == "__main__":
-    run(main, cfgs=CFGS, verify=False, batches=1)
+    run(main, cfgs=SHIPPED, verify=False, batches=1)

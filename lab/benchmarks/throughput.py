@@ -1,15 +1,17 @@
 """Frames a second by backend and workers: end to end, where a frame's seconds go, what bounds it.
 
     python lab/benchmarks/throughput.py [--backends A,B,...] [--device NAME] [--workers N,...]
-        [--frames N] [--spp N] [--fast] [-o FILE]
+        [--frames N] [--spp N] [--width N] [--cluster local] [--fast] [-o FILE]
 
-The demo (configs/jacksboro.json) as it is, 640×480, all that it asks for written; compiled before.
+The demo (configs/jacksboro.json) as it is, 640×480 unless told, all that it asks for written;
+compiled before; by processes, or with ``--cluster`` by dask's.
 ``--frames`` is for each worker; numbers of workers beyond the cores are left out. ``opened`` is
 when the first worker had read the stage and started its renderer. ``in all`` counts from the first
 moment, with the start of workers and renderers; ``steady`` counts the second half of the frames,
 and so do CPU seconds (of all processes) and the GPU's. A phase's seconds are wall clock, the median
 of all frames; ``rest`` is a worker's mean time in no phase, in the second half. What a worker does
-once (``once``) is the median of the frames that did it.
+once (``once``) is the median of the frames that did it. Last, what handing out a unit costs: the
+mean of a thousand that do nothing.
 """
 
 from __future__ import annotations
@@ -23,17 +25,18 @@ from collections.abc import Collection, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, cast
 
 import psutil
 
-from scenec.backends.run.executors import Processes
+from scenec.backends.run.executors import make_executor
 from scenec.backends.run.render import render
-from scenec.backends.run.units import Made
+from scenec.backends.run.units import Made, OfBackend
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.gpu import most_gib, watched
 from scenec.lab.runner import DEMO, Cell, Study, apart, run
 from scenec.schemas.frames import ANNOTATION
-from scenec.schemas.units import Outcome, Take, Unit
+from scenec.schemas.units import Executor, Outcome, Take, Unit, run_all
 
 #: Seconds a worker's first frame alone takes.
 _START = ("load", "exposure")
@@ -103,16 +106,18 @@ def _of_second_half(sums: list[float]) -> float:
     return (sums[-1] - sums[middle - 1]) / (len(sums) - middle)
 
 
-class _Noted(Processes):
-    """Processes that note when each frame is done, and what it took."""
+class _Noted:
+    """An executor that notes when each frame is done, and what it took."""
 
-    def __init__(self, workers: int) -> None:
-        super().__init__(workers)
-        self.case = Case(start_s=time.perf_counter())
+    def __init__(self, executor: Executor) -> None:
+        self._executor, self.case = executor, Case(start_s=time.perf_counter())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._executor, name)
 
     def work(self, take: Take) -> Generator[tuple[Unit, Outcome]]:
         """See ``Executor``."""
-        with closing(super().work(take)) as ended:
+        with closing(self._executor.work(take)) as ended:
             for unit, outcome in ended:
                 self.case.opened_s = self.case.opened_s or time.perf_counter()
                 if isinstance(outcome.value, Made):
@@ -128,20 +133,39 @@ def _cpu_s() -> float:
     return sum(times.user + times.system for times in used)
 
 
-def rendered(out: Path, backend: str, device: str, workers: int, frames: int, spp: int) -> Case:
+def rendered(
+    out: Path, backend: str, device: str, workers: int, frames: int, spp: int, cluster: str | None
+) -> Case:
     """Renders the first frames of an output into a folder that goes away."""
-    with tempfile.TemporaryDirectory(dir=out) as folder, _Noted(workers) as executor:
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory(dir=out) as folder, make_executor(workers, cluster) as inner:
+        noted = _Noted(inner)
+        noted.case.start_s = start
         report = render(
             out, backend, device=device, spp=spp, samples=range(frames), folder=Path(folder),
-            executor=executor,
+            executor=cast(Executor, noted),
         )  # fmt: skip
-        executor.case.device = report.device
-        return executor.case
+        noted.case.device = report.device
+        return noted.case
+
+
+def cost_of_a_unit(workers: int, cluster: str | None, count: int) -> float:
+    """Milliseconds, of one that does nothing."""
+    with make_executor(workers, cluster) as executor:
+        start = 0.0
+        for number, _ in enumerate(run_all(executor, [OfBackend("0", exec)] * (count + 8))):
+            if number == 7:
+                start = time.perf_counter()
+        return 1e3 * (time.perf_counter() - start) / count
 
 
 def compiled(study: Study, samples: int) -> Path:
     """The demo with as many samples."""
     cfg = json.loads(DEMO.read_text(encoding="utf-8")) | {"samples": samples}
+    for rig in cfg["rigs"].values():
+        for sensor in rig["sensors"].values():
+            width, height = sensor["resolution"]
+            sensor["resolution"] = [study.options.width, study.options.width * height // width]
     return compile_cfg(study.cfg(cfg), seed=1, out=study.scratch / "out").out
 
 
@@ -153,6 +177,7 @@ def main(study: Study) -> None:
     numbers = [n for n in options.workers if n <= cores] or [1]
     numbers = numbers[:1] if study.fast else numbers
     out = compiled(study, each * max(numbers))
+    units = 50 if study.fast else 1000
     least_s: list[list[Cell]] = []
     for backend in options.backends:
         cases: dict[int, Case] = {}
@@ -182,6 +207,10 @@ def main(study: Study) -> None:
          f"{_MANY_CORES} cores"],
         least_s,
     )  # fmt: skip
+    study.table(
+        ["workers", "ms a unit that does nothing"],
+        ([n, cost_of_a_unit(n, options.cluster, units)] for n in numbers),
+    )
 
 
 def _rates(
@@ -193,7 +222,8 @@ def _rates(
     for workers in numbers:
         with watched() as taken:
             frames = each * workers
-            cost = apart(rendered, out, backend, device, workers, frames, options.spp)
+            how = (device, workers, frames, options.spp, options.cluster)
+            cost = apart(rendered, out, backend, *how)
         case = cases[workers] = cost.value
         case.gpu = taken
         yield [
@@ -217,5 +247,5 @@ def at_most(cpu_s: float, gpu_s: float, cores: int) -> float:
 if __name__ == "__main__":
     run(
         main, backends=("annotation", "pyrender", "mitsuba"), device="auto",
-        workers=(1, 2, 4, 8, 16), frames=8, spp=16,
+        workers=(1, 2, 4, 8, 16), frames=8, spp=16, width=640, cluster=str,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Writes docs/clouds.md: skies with clouds, their error against rendered volumes and their cost.
+"""Makes what docs/clouds.md shows: skies with clouds, their error against volumes, their cost.
 
     python lab/pages/clouds.py [--fast] [-o FOLDER]
 
@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from scenec.backends.picture.exposure import expose
 from scenec.backends.picture.metering import Seen
 from scenec.backends.picture.sky import Sky, lookup
-from scenec.backends.run.render import render
-from scenec.compiler.compile import compile_cfg
+from scenec.backends.registry import open_backend
+from scenec.backends.stage.read import read_stage
 from scenec.compiler.light import atmosphere
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import weights
@@ -35,34 +37,30 @@ from scenec.compiler.light.cloud_fields import (
     no_cumulus,
     rise_at,
 )
-from scenec.compiler.light.cloud_rays import Shine, beam_left, through_cumulus
+from scenec.compiler.light.cloud_rays import Shine, through_cumulus
 from scenec.compiler.light.clouds import draw_clouds
 from scenec.compiler.light.latlong import luminance, resampled
-from scenec.compiler.light.overcast import overcast_sky, reflected, transmitted
-from scenec.lab.pages import cloud_shadows
-from scenec.lab.runner import ROOT, Page, run, table
-from scenec.schemas.files import atomic
-from scenec.schemas.frames import read_frame
+from scenec.compiler.light.overcast import overcast_sky
+from scenec.lab.benchmarks.cfgs import looking
+from scenec.lab.pictures import beside_assets, frames, photograph, save, sheet
+from scenec.lab.runner import ROOT, Page, held, in_turns, run
 from scenec.schemas.kernels import kernel
 from scenec.schemas.picture import develop
-from scenec.testing import photons
 
 GROUND = np.array([0.2, 0.2, 0.15])
 #: Above the air, W/m^2.
 SUN = 1361.0
 #: A view: pixels, and how wide it is.
 SIZE, FOV_DEG = (460, 300), 75.0
-_GAP, _LEGEND, _INK = 6, 22, (34, 34, 34)
 #: The dome's frame to the world: +Y is up in the one, +Z in the other; north is the other's -Z.
 TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 #: Of the volume that Mitsuba renders: half its width and a cell, meters; the view's pixels.
 HALF_M, CELL_M, PIXELS = 9000.0, 25.0, (32, 20)
-
-HEAD = """# Clouds, measured
-
-What [`light.clouds` and overcast skies](light.md#skies) look like, what they err and what they
-cost. CPU seconds on {cores} cores; {versions}.
-"""
+BACKENDS = ("mitsuba", "cycles", "pyrender")
+#: Hills of heath and sand, 2.4 km wide, seen from 40 m above.
+HEATH: dict[str, Any] = json.loads(
+    Path(__file__).with_name("heath.json").read_text(encoding="utf-8")
+)
 
 
 def cumulus(coverage: float = 0.35, key: int = 11, **more: float) -> Cumulus:
@@ -120,7 +118,7 @@ def ways(bearing: float, elevation: float, size: tuple[int, int], fov: float) ->
     return np.asarray(out / np.sqrt((out * out).sum(axis=-1, keepdims=True)))
 
 
-def pictures(page: Page) -> str:
+def pictures(page: Page) -> None:
     """Six skies through a camera."""
     rows = 128 if page.fast else 768
     gray = overcast_sky(rows, np.array([0.95, 1.0, 1.07]), GROUND).astype(np.float64)
@@ -133,25 +131,19 @@ def pictures(page: Page) -> str:
         "both, sun at 6°, aside": (6, cumulus(0.35, key=12), cirrus(), 110, 18),
         "overcast": (0, none, bare, 0, 20),
     }
-    width, height = SIZE
-    sheet = Image.new("RGB", (2 * width + _GAP, 3 * (height + _LEGEND)), (255, 255, 255))
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(14)
-    for k, (name, (sun, heaps, streaks, bearing, up)) in enumerate(views.items()):
+    tiles = []
+    for name, (sun, heaps, streaks, bearing, up) in views.items():
         picture = gray if name == "overcast" else sky_with(sun, heaps, streaks, rows)
         sky = Sky(np.ascontiguousarray(picture, np.float32), TO_WORLD)
         to = ways(bearing, up, SIZE, FOV_DEG)
         seen = lookup(sky, np.ascontiguousarray(to.reshape(-1, 3))).reshape(to.shape)
         level = luminance(seen).astype(np.float64).ravel()
         shown = develop(seen, expose(Seen(np.zeros(0), level), 1).ev + 1.0)
-        x, y = (k % 2) * (width + _GAP), (k // 2) * (height + _LEGEND)
-        sheet.paste(Image.fromarray(shown), (x, y))
-        draw.text((x + 2, y + height + 3), name, _INK, font)
-    with atomic(page.picture("looks")) as target:
-        sheet.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
-    return "## What they look like\n\n" + page.shown("looks", "Six skies with clouds")
+        tiles.append((name, Image.fromarray(shown)))
+    save(sheet([tiles[k : k + 2] for k in (0, 2, 4)], SIZE[0]), page.picture("looks"))
 
 
-def scenes(page: Page) -> str:
+def scenes(page: Page) -> None:
     """Shipped ground under three skies, as a renderer draws it."""
     cfg = json.loads((ROOT / "configs" / "volcanic_desert.json").read_text())
     labels = cfg["light"]["sky"].get("labels", {})
@@ -164,60 +156,21 @@ def scenes(page: Page) -> str:
         "in its shadow": {"sun": sun, "sky": made, "clouds": {"cumulus": shade, "cirrus": {}}},
         "overcast": {"sun": sun, "sky": {"type": "overcast", "labels": labels}},
     }
-    pose = {
-        "type": "random_target",
-        "position": {"x_m": 18, "y_m": -26, "height_m": 2.0},
-        "target": {"distance_m": 24, "bearing_deg": 335, "height_m": 4.0},
-    }
-    sensors = {"eye": {"resolution": list(SIZE), "fov_deg": FOV_DEG}}
-    cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb"]}
-    cfg |= {"rigs": {"view": {"pose": pose, "sensors": sensors}}}
+    rig = looking((18, -26, 2.0), 24, 4.0, 335, resolution=list(SIZE), fov_deg=FOV_DEG)
+    cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb"], "rigs": {"view": rig}}
     cfg.pop("$schema", None)
-    (page.scratch / "configs").mkdir()
-    (page.scratch / "assets").symlink_to(ROOT / "assets")
-    panels, told = [], []
+    folder = beside_assets(page.scratch)
+    tiles, told = [], []
     for k, (name, light) in enumerate(lights.items()):
-        file = page.scratch / "configs" / f"light{k}.json"
+        file, out = folder / f"light{k}.json", page.scratch / f"out{k}"
         file.write_text(json.dumps(cfg | {"light": light}))
-        out = page.scratch / f"out{k}"
-        compile_cfg(file, seed=2, out=out)
-        report = render(out, "pyrender", spp=4 if page.fast else 16)
-        frame = read_frame(report.frames[0])
-        panels.append(develop(frame.passes["rgb"], frame.sidecar.exposure_ev))
+        (frame,) = frames(file, out, "pyrender", seed=2, spp=4 if page.fast else 16)
+        tiles.append(("", photograph(frame)))
         facts = json.loads((out / "batch_0000" / "report.json").read_text())
         left = facts.get("clouds", {}).get("sun_transmittance", [0.0])[0]
         told.append(f"{name} ({100.0 * left:.0f} % of the sun)")
-    with atomic(page.picture("scenes")) as target:
-        row = Image.fromarray(np.concatenate(panels, axis=1))
-        row.quantize(256, dither=Image.Dither.NONE).save(target, format="PNG", optimize=True)
-    return (
-        "## In a scene\n\n`configs/volcanic_desert.json` as pyrender draws it, exposed by its "
-        f"meter; from the left: {', '.join(told)}.\n\n"
-        + page.shown("scenes", "A desert below cumulus, in its shadow and below an overcast sky")
-    )
-
-
-def coverage(page: Page) -> str:
-    """What is asked for and what there is, over places and over the sky."""
-    count = 200 if page.fast else 4000
-    rng = np.random.default_rng(4)
-    rows: list[list[str | float]] = []
-    up = np.array([0.0, 0.0, 1.0])
-    low = np.array([0.0, np.cos(np.radians(20.0)), np.sin(np.radians(20.0))])
-    for asked in (0.1, 0.3, 0.5, 0.7, 0.9):
-        layer = cumulus(asked)
-        left = np.empty((count, 2))
-        for k, (east, north) in enumerate(rng.uniform(-40000.0, 40000.0, (count, 2))):
-            there = layer._replace(pattern=layer.pattern._replace(east_m=east, north_m=north))
-            left[k] = [beam_left(way, 0.0, 0.0, there, no_cirrus()) for way in (up, low)]
-        shares = [(left[:, 0] < 0.95).mean(), left[:, 0].mean(), left[:, 1].mean()]
-        rows.append([f"{asked:g}", *(f"{share:.2f}" for share in shares)])
-    return (
-        "## How much they cover\n\nThe share of the ground that lies below cumulus, and the mean "
-        "share of a sun overhead and of one at 20° that comes through: clouds are as high as wide, "
-        f"so a low sun is hidden more often. Over {count} places.\n\n"
-        + table(["coverage", "below clouds", "sun overhead", "sun at 20°"], rows)
-    )
+    save(sheet([tiles], SIZE[0]), page.picture("scenes"))
+    page.value("scenes", ", ".join(told))
 
 
 @kernel
@@ -236,7 +189,7 @@ def _look(layer, shine, to, texel, left, out):  # type: ignore[no-untyped-def]
         left[k], _ = through_cumulus(layer, shine, to[k], texel, out[k])
 
 
-def volumes(page: Page) -> str:
+def volumes(page: Page) -> None:
     """The sun's light in cumulus, against all that Mitsuba follows through the same densities."""
     from scenec.backends.mitsuba.variant import load_mitsuba
 
@@ -266,24 +219,7 @@ def volumes(page: Page) -> str:
         where = {0.0: "behind the eye", 90.0: "aside", 180.0: "before the eye"}[aside]
         cells = (f"{100.0 * error:+.0f} %" for error in errors)
         rows.append([f"{elevation:g}°, {where}", f"{other.mean():.0f}", *cells])
-    return (
-        "## Against a volume in Mitsuba\n\nThe same densities in cells of "
-        f"{CELL_M:g} m, droplets of asymmetry 0.85 that absorb nothing, a sun of 1000 W/m², no "
-        "sky and no ground, by `volpath` with up to 1,000 scatterings; pixels that clouds fill.\n\n"
-        + table(
-            [
-                "sun",
-                "Mitsuba's mean, W/(m² sr)",
-                "error of the mean",
-                "of the brightest quarter",
-                "of the darker half",
-            ],
-            rows,
-        )
-        + "\nA point is lit as in a slab: light that leaves a cloud at its sides is not missed, "
-        "and what crosses from cloud to cloud is not there. Under a low sun next to none of its "
-        "light gets to the shaded sides; here some does.\n"
-    )
+    page.rows(rows)
 
 
 def _blocks(picture: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -295,7 +231,7 @@ def _blocks(picture: NDArray[np.float64]) -> NDArray[np.float64]:
 def rendered(
     mi: Any, layer: Cumulus, grid: NDArray[np.float32], to_sun: NDArray[np.float64], spp: int
 ) -> NDArray[np.float64]:
-    """What Mitsuba sees of clouds, [h, w]."""
+    """Renders clouds by Mitsuba, [h, w]."""
     place = mi.ScalarTransform4f
     low, high = layer.base_m, layer.base_m + layer.thickness_m
     texels = place().translate([-HALF_M, -HALF_M, low]).scale([2 * HALF_M, 2 * HALF_M, high - low])
@@ -322,48 +258,61 @@ def rendered(
     return np.array(mi.render(mi.load_dict(scene), spp=spp, seed=3))[..., 0].astype(float)
 
 
-def below(page: Page) -> str:
-    """Daylight below an overcast sky: against photons, and against what is measured."""
-    rng = np.random.Generator(np.random.Philox(key=7))
-    rows: list[list[str | float]] = []
-    for depth in (5.0, 15.0, 40.0):
-        for sine in (0.25, 0.5, 0.9):
-            total, left = (float(a[0]) for a in transmitted(np.array([depth]), np.array([sine])))
-            counted = photons.scattered_down(rng, depth, 1.0, 1.0, 0.85, sine)
-            off = 100.0 * ((total - left) / counted - 1.0)
-            height = np.degrees(np.arcsin(sine))
-            rows.append([f"{depth:g}", f"{height:.0f}", f"{counted:.3f}", f"{off:+.1f} %"])
-    measured: list[list[str | float]] = []
-    for elevation in (10.0, 20.0, 30.0, 45.0, 60.0):
-        sine = np.sin(np.radians(elevation))
-        row: list[str | float] = [f"{elevation:g}", f"{3.0 + 210.0 * sine:.0f}"]
-        for depth in (20.0, 40.0, 60.0):
-            share = float(transmitted(np.array([depth]), np.array([sine]))[0][0])
-            row.append(
-                f"{1000.0 * sine * share / (1.0 - 0.2 * reflected(np.array([depth]))[0]):.0f}"
-            )
-        measured.append(row)
-    return (
-        "## Below an overcast sky\n\nDiffuse light that comes through a layer of droplets over "
-        "black ground, over the beam's on level ground, by photons and by the two-stream "
-        "equations:\n\n"
-        + table(["depth", "sun, °", "photons", "two streams"], rows)
-        + "\nIrradiance on level ground of albedo 0.2, W/m², below the default sun of 1000 W/m². "
-        "The second column is what Krochmann and Seidl (1974) fitted to measurements, 300 + 21,000 "
-        "sin(elevation) lux, at 100 lux for 1 W/m²:\n\n"
-        + table(["sun, °", "measured", "depth 20", "depth 40 (default)", "depth 60"], measured)
+def shadows(page: Page) -> None:
+    """Draws shadows on the land in all renderers, and times a frame with and without."""
+    out, tiles = page.scratch / "heath", []
+    for name in BACKENDS:
+        (frame,) = frames(page.cfg(HEATH), out, name, spp=4 if page.fast else 48)
+        tiles.append(("", photograph(frame)))
+    save(sheet([tiles], 460), page.picture("shadows"))
+    _frames(page, out / "batch_0000" / "stage.usda")
+
+
+def _frames(page: Page, stage: Path) -> None:
+    """Times frames with shadows and without, by renderer."""
+    rows = []
+    for name in BACKENDS:
+        with held() as process:
+            cost, over = process(frame_cost, name, stage, 2 if page.fast else 7).value
+        rows.append([name, f"{cost:.2f}", f"{100.0 * (over - 1.0):+.1f} %"])
+    page.rows(rows)
+
+
+def frame_cost(name: str, stage: Path, runs: int) -> tuple[float, float]:
+    """CPU seconds of a frame without shadows, and those with over those."""
+    scene = read_stage(stage)
+    (camera,) = scene.cameras[0]
+    k = camera.intrinsics.copy()
+    k[0] *= 320 / camera.width
+    k[1] *= 240 / camera.height
+    camera = replace(camera, width=320, height=240, intrinsics=k)
+    with_, suns = scene.lighting[0], scene.lighting[0].suns
+    without = replace(with_, suns=tuple(replace(sun, gobo=None) for sun in suns))
+    both = replace(
+        scene, samples=2, lighting=(with_, without), cameras=((camera,),) * 2, haze=(),
+        times=np.zeros(2),
+    )  # fmt: skip
+    backend = open_backend(name)
+    backend.load(both)
+    found = in_turns(
+        {
+            "with": lambda turn: backend.radiance(camera, 0, 32, turn),
+            "without": lambda turn: backend.radiance(camera, 1, 32, turn),
+        },
+        runs,
     )
+    # The least: what else the machine does only adds.
+    cost = {name: min(one.cpu) for name, one in found.items()}
+    return cost["without"], cost["with"] / cost["without"]
 
 
-def cost(page: Page) -> str:
+def cost(page: Page) -> None:
     """CPU seconds of a picture."""
     sky_with(50.0, cumulus(), cirrus(), 32)
-    start = time.process_time()
-    cumulus()
-    fields = [time.process_time() - start]
-    start = time.process_time()
-    cirrus()
-    fields.append(time.process_time() - start)
+    for name, work in (("heaps", cumulus), ("streaks", cirrus)):
+        start = time.process_time()
+        work()
+        page.value(name, f"{time.process_time() - start:.1f} s")
     rows: list[list[str | float]] = []
     shown: list[NDArray[np.float64]] = []
     to = ways(150.0, 30.0, (640, 480), 90.0)
@@ -387,28 +336,13 @@ def cost(page: Page) -> str:
             f"{np.sqrt((off * off).mean()):.1f}",
             f"{100.0 * (off.max(axis=-1) > 16).mean():.1f} %",
         ]
-    return (
-        "## Cost\n\nCPU seconds of a picture with the clear sky behind; all threads share the "
-        f"work. The pattern, once a batch, takes {fields[0]:.1f} s for cumulus and {fields[1]:.1f} "
-        "s for cirrus. Samples alike in light and clouds share a picture. Last columns: the "
-        "first clouds in pictures of 640 × 480 pixels and 90° against the most rows: root mean "
-        "square of 8-bit codes, and pixels off by more than 16 of them.\n\n"
-        + table(["rows", "cumulus, coverage 0.35", "coverage 0.7", "cirrus", "rms", "pixels"], rows)
-    )
-
-
-def _shadows(page: Page) -> str:
-    """Shadows on the land."""
-    return cloud_shadows.shadows(page, cumulus, no_cirrus())
+    page.rows(rows)
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    page.write(
-        HEAD,
-        ("numpy", "numba", "mitsuba", "pyrender-maintained"),
-        (pictures, scenes, _shadows, coverage, volumes, below, cost),
-    )
+    """Refreshes the page."""
+    packages = ("numpy", "numba", "mitsuba", "pyrender-maintained")
+    page.refresh(packages, (pictures, scenes, shadows, volumes, cost))
 
 
 if __name__ == "__main__":

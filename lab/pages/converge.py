@@ -1,54 +1,37 @@
-"""Writes docs/converge.md: error against run time of three renderers, and what follows from it.
+"""Makes what docs/converge.md shows: error against run time of three renderers.
 
-python lab/pages/converge.py [--fast] [-o FOLDER]
+    python lab/pages/converge.py [--fast] [-o FOLDER]
 
 Renders one frame of configs/mars_yard.json, 128 x 96, up a ladder of samples per pixel, with and
-without denoising, each rung from four noise seeds; then to an error, for a time, and with the
-backend that the measured curves choose. How often the bound of an error holds takes longer to
-measure: the page shows what lab/benchmarks/estimate.py left in docs/converge_estimate.json.
+without denoising, each rung from four noise seeds; then to an error, and for a time. How often the
+bound of an error holds takes longer to measure: the page shows what lab/benchmarks/estimate.py left
+in docs/converge_estimate.json.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.estimate import share
-from scenec.lab.runner import ROOT, Page, run, table
-from scenec.quality.converge import ConvergeReport, Ladder, converge
-from scenec.quality.converge.metrics import FORMULAS, Reference, root, square_and_error
+from scenec.lab.pictures import beside_assets
+from scenec.lab.runner import CONFIGS, ROOT, Page, run
+from scenec.quality.converge import Ladder, converge
+from scenec.quality.converge.metrics import Reference, root, square_and_error
 from scenec.quality.converge.run import NORMAL_95
-from scenec.quality.converge.series import (
-    FLOOR_HEADER,
-    STEP_HEADER,
-    floor_cells,
-    percent,
-    step_cells,
-)
+from scenec.quality.converge.series import floor_cells, percent, step_cells
 from scenec.schemas.frames import read_frame
 from scenec.testing.small import small_cfg
 
-CFG = "configs/mars_yard.json"
+CFG = CONFIGS / "mars_yard.json"
 BACKENDS = ("mitsuba", "cycles", "pyrender")
 #: Written by ``estimate.py --json``.
 ESTIMATE = ROOT / "docs" / "converge_estimate.json"
-ERRORS = (0.1, 0.03)
-SECONDS = (1.0, 4.0)
-HEAD = """# Error against run time
-
-Written by `lab/pages/converge.py` (`make docs`) on {cores} cores with {versions};
-seconds are those of that machine, errors follow from the code and the seeds.
-
-    scenec converge OUT --backends mitsuba,cycles,pyrender --denoise
-
-renders each backend at several qualities and compares with a reference of many samples, whose own
-noise is subtracted. It writes tables (CSV, JSON), plots and pictures of differences into
-`OUT/converge/`.
-"""
 
 
 class Example:
@@ -63,36 +46,22 @@ class Example:
             denoise=True,
             samples=range(1),
         )
-        cfg = small_cfg() if page.fast else json.loads((ROOT / CFG).read_text(encoding="utf-8"))
+        cfg = small_cfg() if page.fast else json.loads(CFG.read_text(encoding="utf-8"))
         cfg |= {"samples": 1, "batches": 1}
         for rig in cfg["rigs"].values():
             for sensor in rig["sensors"].values():
                 sensor["resolution"] = [64, 48] if page.fast else [128, 96]
-        # Beside the shipped ones, whose files it names.
-        file = ROOT / "configs" / ".converge_example.json"
+        file = beside_assets(page.scratch) / "converge.json"
         file.write_text(json.dumps(cfg), encoding="utf-8")
-        try:
-            self.out = compile_cfg(file, seed=1, out=page.scratch / "out").out
-        finally:
-            file.unlink()
-        self._found: ConvergeReport | None = None
+        self.out = compile_cfg(file, seed=1, out=page.scratch / "out").out
+        self.found = converge(self.out, BACKENDS, self.ladder)
 
-    @property
-    def found(self) -> ConvergeReport:
-        """The report, made when it is first asked for."""
-        if self._found is None:
-            self._found = converge(self.out, BACKENDS, self.ladder)
-        return self._found
-
-    def show(self, name: str, what: str) -> str:
-        """Copies a picture of the report; returns the Markdown that shows it."""
-        source = self.out / "converge" / name
-        path = self.page.picture(Path(name).stem)
-        shutil.copyfile(source, path)
-        return f"![{what}](pictures/{path.name})\n"
+    def show(self, name: str) -> None:
+        """Copies a picture of the report."""
+        shutil.copyfile(self.out / "converge" / name, self.page.picture(Path(name).stem))
 
     def true_error(self, stem: Path, backend: str) -> str:
-        """Of a frame, against the ladder's reference of its backend, with its 95 % interval."""
+        """Measures a frame's error against its backend's reference, with its 95 % interval."""
         frame = read_frame(stem)
         folder = self.out / "converge" / "pictures" / "batch_0000" / backend / "reference"
         first, second = (
@@ -105,104 +74,54 @@ class Example:
         low, high = (root(square + sign * NORMAL_95 * error) or 0.0 for sign in (-1, 1))
         return f"{percent(root(square))} ({percent(low)} to {percent(high)})"
 
-    def ladders(self) -> str:
-        """Each backend against itself."""
-        rows = [
-            [series.name, *step_cells(step), f"{percent(step.low)} to {percent(step.high)}"]
-            for series in self.found.series
-            if series.own
-            for step in series.steps
-        ]
-        header = ["backend", *STEP_HEADER, "rel. rms, 95 %"]
-        frame = "small" if self.page.fast else f"`{CFG}`"
-        text = f"## Each backend's convergence to itself\n\nOne frame of {frame}.\n\n"
-        text += table(header, rows) + "\n" + self.show("convergence.png", "convergence")
-        return text + "\nThe numbers:\n\n" + _items(f"`{k}`: {v}" for k, v in FORMULAS.items())
-
-    def slopes(self) -> str:
-        """What they mean."""
-        rows = [
+    def ladders(self, _: Page) -> None:
+        """Tables each backend's convergence to itself, and the slopes of it."""
+        own = [series for series in self.found.series if series.own]
+        self.page.rows(
+            [series.name, *step_cells(step)[:3], f"{percent(step.low)} to {percent(step.high)}",
+             *step_cells(step)[3:]]
+            for series in own for step in series.steps
+        )  # fmt: skip
+        self.show("convergence.png")
+        self.page.rows(
             [series.name, _slope(series.over_spp), _slope(series.over_seconds),
              series.over_spp.verdict]
-            for series in self.found.series
-            if series.own and series.over_spp is not None
-        ]  # fmt: skip
-        text = (
-            "## Slopes\n\nOf log(error) over log(samples) and log(seconds), with 95 % intervals.\n"
-        )
-        text += "Independent samples have -1/2; a flatter slope is a finding.\n\n"
-        text += table(["backend", "over samples", "over seconds", "over samples means"], rows)
+            for series in own if series.over_spp is not None
+        )  # fmt: skip
         notes = [note for note in self.found.notes if "slope" not in note or "FINDING" in note]
-        return text + "\n" + _items(notes)
+        self.page.value("notes", "\n" + "".join(f"- {note}\n" for note in notes))
 
-    def floors(self) -> str:
-        """What stays however many samples."""
-        text = "## The floor between backends\n\nOf references, the noise of both subtracted (not "
-        text += "from FLIP).\n\n"
-        text += table(FLOOR_HEADER, [floor_cells(floor) for floor in self.found.floors]) + "\n"
-        text += self.show("floor.png", "floor")
+    def floors(self, _: Page) -> None:
+        """Tables what stays between backends however many samples."""
+        self.page.rows([floor_cells(floor) for floor in self.found.floors])
+        self.show("floor.png")
         for path in self.found.files:
             if path.parent.name == "differences" and path.stem.endswith("mitsuba_pyrender"):
-                text += (
-                    "\nTwo pictures, FLIP between them (black 0, white 0.5 and more), and where "
-                )
-                text += "annotation differs (red):\n\n"
-                text += self.show(f"differences/{path.name}", "differences")
-        return text
+                self.show(f"differences/{path.name}")
 
-    def targets(self) -> str:
-        """Rendered to an error, and for a time."""
+    def targets(self, _: Page) -> None:
+        """Renders to an error, and for a time."""
         rows = []
-        goals: list[dict[str, Any]] = [{"error": value} for value in ERRORS]
-        goals += [{"seconds": value} for value in SECONDS]
-        for number, goal in enumerate(goals):
-            for backend in ("mitsuba", "cycles"):
-                folder = self.out / "targets" / str(number)
-                report = render(self.out, backend, passes=["rgb"], folder=folder, **goal)
-                sidecar = read_frame(report.frames[0]).sidecar
-                rounds, found = sidecar.rounds, sidecar.error
-                assert rounds is not None
-                asked = "--error" if "error" in goal else "--seconds"
-                rows.append(
-                    [
-                        f"`--backend {backend} {asked} {next(iter(goal.values())):g}`",
-                        str(sidecar.samples_per_pixel),
-                        str(len(rounds.rounds)),
-                        f"{rounds.seconds:.2f}",
-                        percent(found.relative_rms),
-                        percent(found.relative_rms_bound_95),
-                        self.true_error(report.frames[0], backend),
-                    ]
-                )
-        return "## To an error, or for a time\n\n" + table(
-            ["asked", "samples", "rounds", "s", "estimate", "95 % bound", "true error (95 %)"], rows
-        )
+        goals: list[dict[str, Any]] = [{"error": 0.1}, {"error": 0.03}, {"seconds": 1.0},
+                                       {"seconds": 4.0}]  # fmt: skip
+        for number, (goal, backend) in enumerate(product(goals, ("mitsuba", "cycles"))):
+            folder = self.out / "targets" / str(number)
+            report = render(self.out, backend, passes=["rgb"], folder=folder, **goal)
+            sidecar = read_frame(report.frames[0]).sidecar
+            rounds, found = sidecar.rounds, sidecar.error
+            assert rounds is not None
+            ((name, value),) = goal.items()
+            rows.append([
+                f"`--backend {backend} --{name} {value:g}`", str(sidecar.samples_per_pixel),
+                str(len(rounds.rounds)), f"{rounds.seconds:.2f}",
+                percent(found.relative_rms), percent(found.relative_rms_bound_95),
+                self.true_error(report.frames[0], backend),
+            ])  # fmt: skip
+        self.page.rows(rows)
 
-    def choice(self) -> str:
-        """``--backend auto``."""
-        asked = ["--error 0.1", "--error 0.01", "--seconds 2", "--spp 64"]
-        goals: list[dict[str, Any]] = [{"error": 0.1}, {"error": 0.01}, {"seconds": 2.0},
-                                       {"spp": 64}]  # fmt: skip
-        text = "## `--backend auto`\n\n"
-        for number, (words, goal) in enumerate(zip(asked, goals, strict=True)):
-            lines: list[str] = []
-            folder = self.out / "choices" / str(number)
-            render(self.out, "auto", passes=["rgb"], folder=folder, say=lines.append, **goal)
-            text += f"    scenec render OUT --backend auto --passes rgb {words} --replace\n"
-            text += "".join(f"    {line}\n" for line in lines if line.startswith("auto:")) + "\n"
-        return text
-
-    def estimate(self) -> str:
-        """How often the bound holds."""
-        text = "## How often the bound holds\n\n"
-        if not ESTIMATE.is_file():
-            return (
-                text + f"Not measured: `lab/benchmarks/estimate.py --json docs/{ESTIMATE.name}`.\n"
-            )
+    def estimate(self, _: Page) -> None:
+        """Tables how often the bound holds."""
         found = json.loads(ESTIMATE.read_text(encoding="utf-8"))
-        text += f"Over {len(found['single'])} drawn scenes (`lab/benchmarks/estimate.py`): "
-        text += "the share of pictures whose true error is below the 95 % bound that their halves "
-        text += "give.\n\n"
         names = {
             "single": "one picture a scene, 8 to 64 samples",
             "pooled": "four pictures a scene, 8 to 64 samples",
@@ -214,17 +133,16 @@ class Example:
         ]
         goal = [t["true"] <= found["error"] for t in found["adaptive"]]
         rows.append([f"in rounds: true error at most {found['error']:g}", *share(goal)])
-        return text + table(["pictures", "hold", "share", "95 % interval"], rows)
+        self.page.rows(rows)
+        self.page.value("scenes", str(len(found["single"])))
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
+    """Refreshes the page."""
     one = Example(page)
-    parts = (
-        one.ladders, one.slopes, one.floors, one.targets, one.choice, one.estimate
-    )  # fmt: skip
+    parts = (one.ladders, one.floors, one.targets, one.estimate)
     packages = ("mitsuba", "bpy", "pyrender-maintained")
-    page.write(HEAD, packages, [lambda _, part=part: part() for part in parts])
+    page.refresh(packages, parts)
 
 
 def _slope(fit: Any) -> str:
@@ -232,10 +150,6 @@ def _slope(fit: Any) -> str:
         return "-"
     sure = "" if fit.low is None else f" ({fit.low:.3f} to {fit.high:.3f})"
     return f"{fit.slope:.3f}{sure}"
-
-
-def _items(lines: Any) -> str:
-    return "".join(f"- {line}\n" for line in lines)
 
 
 if __name__ == "__main__":

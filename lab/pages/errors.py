@@ -1,4 +1,4 @@
-"""Writes docs/errors.md: error against cost of the compiler's approximations, for shipped cfgs.
+"""Makes the ladders of docs/errors.md: error against cost of the compiler's approximations.
 
     python lab/pages/errors.py [--fast] [-o FOLDER]
 
@@ -7,8 +7,6 @@ bytes are facts of the code.
 """
 
 from __future__ import annotations
-
-from functools import partial
 
 from scenec.compiler.cfg.load import load
 from scenec.lab.runner import ROOT, Page, run, table
@@ -27,30 +25,6 @@ SCENES = {
     "mars_yard": ("sky",),
 }
 _RUNGS, _FAST = 4, 2
-
-HEAD = """# Error against cost of the compiler's approximations
-
-The compiler approximates: meshes, levels of detail, skies, smoothing, pictures. This page varies
-each approximation alone, in three cfgs that ship (seed 1, batch 0), around the cfg's value, which
-is **bold**. `scenec explain OUT --ladder` measures the same for any output.
-
-- **worst** and **rms** are measured against a reference that does not depend on the rung: the
-  surface itself, the finest meshes, the atmosphere evaluated ray by ray. It stands below each
-  table. A worst case over points is a lower bound of the worst there is.
-- **claimed** is what the compiler itself states for that value (`report.json`), and **holds**
-  says whether that bounds the measured error; "-" where it states nothing.
-- **CPU s** is the processor time, over all threads, to make and write what the approximation
-  shapes, on {cores} cores ({versions}): a single reading if it is long; below a second, the mean of
-  repetitions that take 0.3 s together, after a first call. **bytes** is its size in the stage,
-  before leaving out what no camera sees.
-- Slopes are of the rms error, fitted through logarithms over all rungs: where error ~ cost^-a, half
-  the error costs 2^(1/a) times as much. For triangles of a smooth surface theory gives a = 1 (the
-  error of linear interpolation grows with the square of an edge). Fine detail, and a tolerance in
-  pixels, which lets far ground be coarse, change it.
-
-In the plots filled marks are measured errors, open marks are claims, and squares are the cfg's
-values.
-"""
 
 
 def scene(page: Page, name: str) -> str:
@@ -103,8 +77,9 @@ def findings(report: LadderReport) -> str:
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    page.write(HEAD, ("scenec", "numpy", "numba"), [partial(scene, name=name) for name in SCENES])
+    """Refreshes the page, whose tables are as many as there are approximations."""
+    page.value("ladders", "\n\n" + "\n".join(scene(page, name) for name in SCENES))
+    page.refresh(("scenec", "numpy", "numba"), ())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Writes docs/haze.md: the error and cost of haze, over its whole range.
+"""Makes the tables of docs/haze.md: the error and cost of haze.
 
     python lab/pages/haze.py [--fast] [-o FOLDER]
 
@@ -7,18 +7,15 @@ Seconds are CPU seconds on the machine that runs it; errors are facts of the cod
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.picture.airlight import FAR_M, Air, air_of, ambient, arrive, phase
+from scenec.backends.picture.airlight import FAR_M, Air, air_of, ambient, arrive
 from scenec.backends.picture.sky import Sky
 from scenec.backends.stage.scene import UPRIGHT, Haze, Sun
-from scenec.lab.runner import Page, run, table
+from scenec.lab.runner import Page, run, times
 
 #: Sun's irradiance above the layer, radiance of the sky, part that the ground reflects.
 SUN, SKY, GROUND = 1000.0, 20.0, 0.2
@@ -36,13 +33,6 @@ VOLUMES = [
     (3.0, 0.85, 1.0, 9, 0.2, HALF_M), (5.0, 0.65, 0.97, 30, 0.2, HALF_M),
 ]  # fmt: skip
 
-HEAD = """# Haze, measured
-
-What [haze](light.md#haze) computes, against quadrature and against a volume that Mitsuba renders,
-from next to nothing to beyond all that lets light through; and what a frame costs.
-{cores} cores; {versions}.
-"""
-
 
 def toward(elevation_deg: float, bearing_deg: float) -> NDArray[np.float64]:
     """A unit vector."""
@@ -59,77 +49,7 @@ def air(haze: Haze, sun_deg: float, reflected: float) -> tuple[Air, float]:
     return air_of(haze, (sun,), Sky(picture, UPRIGHT), 0.0), ground
 
 
-def _panels(end: float) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Nodes and weights of Gauss and Legendre on panels that shrink toward both ends."""
-    x, weight = np.polynomial.legendre.leggauss(24)
-    edges = 0.5 * end * np.concatenate([[0.0], np.geomspace(1e-13, 1.0, 140)])
-    for low, high in pairwise(edges):
-        half, middle = 0.5 * (high - low), 0.5 * (high + low)
-        yield middle + half * x, half * weight
-        yield end - (middle + half * x), half * weight
-
-
-def dense(of: Air, way: NDArray[np.float64], top: float, depth: float) -> float:
-    """Airlight by quadrature of its definition, first channel.
-
-    Args:
-        of: The haze.
-        way: Direction, unit.
-        top, depth: Optical depths: above the eye, and of the ray.
-    """
-    medium = of.medium
-    cosine = medium.to_light @ way
-    lobes = phase(cosine, medium.asymmetry**2)
-    lobes = np.concatenate([lobes, phase(cosine, medium.asymmetry) - lobes])
-    around = ambient(of, way[None])[0, ::3].astype(float)
-    strength = np.concatenate([around[1:], np.zeros(len(cosine))])
-    strength[-len(lobes) :] += np.tile(medium.beam[:, 0], 2) * lobes
-    sight = medium.sight[:, 0]
-    total = 0.0
-    for t, weight in _panels(min(depth, 800.0 / float(sight.min()))):
-        exponent = medium.rate[:, 0] * (top - way[2] * t)[:, None] + medium.offset[:, 0]
-        lit = strength * np.exp(-np.maximum(exponent, 0.0) - sight * t[:, None])
-        total += float((weight[:, None] * lit).sum())
-    blurred = np.exp(-sight[0] * depth) - np.exp(-depth)
-    return total + float(blurred * around[0])
-
-
-def quadrature(page: Page) -> str:
-    """The closed form against the integral, over all depths, heights and elevations."""
-    heights = (1e-6, 1.0, 1e6)
-    depths = (1e-6, 1.0, 1e6) if page.fast else (1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6)
-    ways = [(e, 20.0) for e in (-90, -30, -1, -1e-3, 0, 1e-3, 1, 30, 90)]
-    rows: list[list[str | float]] = []
-    for height, depth in product(heights, depths):
-        worst, finite, most = 0.0, True, 0.0
-        for sun, above in product((0.3, 30.0, 90.0), (0.0, 1.0, 12.0)):
-            of, _ = air(Haze(np.full(3, depth / height), height), sun, GROUND)
-            for elevation, bearing in ways:
-                way = toward(elevation, bearing)
-                z, top = above * height, depth * np.exp(-above)
-                down = way[2] < 0.0
-                length = z / -way[2] if down else FAR_M
-                whole = (depth - top) / -way[2] if down else min(top / max(way[2], 1e-300), FAR_M)
-                origin = np.array([[0.0, 0.0, z]])
-                _, added = arrive(
-                    of, origin, way[None, None], np.array([[length]]), ambient(of, way[None])
-                )
-                value = float(added[0, 0])
-                finite &= bool(np.isfinite(value) and value >= 0.0)
-                truth = dense(of, way, top, whole)
-                most = max(most, abs(truth))
-                worst = max(worst, abs(value - truth) / max(truth, 1e-9))
-        rows.append([f"{height:g}", f"{depth:g}", f"{worst:.0e}", "yes" if finite else "NO"])
-    return (
-        "## Against quadrature\n\nScale height and optical depth of the layer, straight up; the "
-        "worst relative error over suns at 0.3°, 30° and 90°, eyes on the ground and 1 and 12 "
-        "scale heights above it, and nine elevations from straight down over level to straight "
-        "up, to the ground or the sky (6,720 nodes; below 1e-9 W/(m² sr) absolute).\n\n"
-        + table(["scale height, m", "depth", "worst error", "finite, not negative"], rows)
-    )
-
-
-def volumes(page: Page) -> str:
+def volumes(page: Page) -> None:
     """All light against Mitsuba's, which follows it through as many scatterings as there are."""
     from scenec.backends.mitsuba.variant import load_mitsuba
 
@@ -159,19 +79,7 @@ def volumes(page: Page) -> str:
         cells = zip(of_all, ("+.0f", ".0f", "+.0f", ".1f"), strict=True)
         case = [f"{depth:g}", f"{g:g}", f"{albedo:g}", f"{sun}°", f"{reflected:g}", f"{eye_m:g} m"]
         rows.append([*case, *(f"{value:{digits}} %" for value, digits in cells)])
-    return (
-        "## Against a volume in Mitsuba\n\nRadiance along nine rays, air and what is behind it, by "
-        f"`volpath` in an exponential layer of {LAYER_M:g} m over level ground, sun {SUN:g} W/m² "
-        f"and a sky of {SKY:g} W/(m² sr); the eye is {LOW_M:g} m up, or {HALF_M:g} m with half of "
-        "the depth above it. What is scattered once is exact; the rest is computed for 16 sines "
-        "and 16 modes of azimuth (discrete ordinates). Mitsuba's noise is the largest standard "
-        "error of a ray.\n\n"
-        + table(
-            ["depth", "g", "albedo", "sun", "ground", "eye", "mean error", "std over rays",
-             "worst", "Mitsuba's noise"],
-            rows,
-        )
-    )  # fmt: skip
+    page.rows(rows)
 
 
 def rendered(
@@ -181,7 +89,7 @@ def rendered(
     ray: tuple[float, NDArray[np.float64]],
     spp: int,
 ) -> tuple[float, float]:
-    """What Mitsuba sees along a ray, and its standard error.
+    """Renders a ray by Mitsuba; its radiance and standard error.
 
     Args:
         mi: Its module.
@@ -224,7 +132,7 @@ def rendered(
     return float(pixels.mean()), float(pixels.std() / 8.0)
 
 
-def cost(page: Page) -> str:
+def cost(page: Page) -> None:
     """CPU seconds of a frame's haze but for rays at edges."""
     rng = np.random.default_rng(0)
     rows: list[list[str | float]] = []
@@ -236,36 +144,19 @@ def cost(page: Page) -> str:
             made, _ = air(haze, 30.0, GROUND)
             glow = ambient(made, ways)
             arrive(made, origins, ways[:, None], t, glow)
-            seconds = [
-                cpu(lambda h=haze: air(h, 30.0, GROUND)),
-                cpu(lambda m=made, w=ways: ambient(m, w)),
-                cpu(lambda m=made, o=origins, w=ways, d=t, s=glow: arrive(m, o, w[:, None], d, s)),
+            works = [
+                lambda h=haze: air(h, 30.0, GROUND),
+                lambda m=made, w=ways: ambient(m, w),
+                lambda m=made, o=origins, w=ways, d=t, s=glow: arrive(m, o, w[:, None], d, s),
             ]
+            seconds = [min(times(work, 5).cpu) for work in works]
             rows.append([name, what, *(f"{one:.3f}" for one in seconds)])
-    return (
-        "## Cost\n\nCPU seconds of one sample's light (once for all its cameras), of looking up "
-        "the light of sky and ground, and of transmittance and airlight. Where surfaces leave some "
-        "of a pixel to the sky the last two are due twice. At edges up to an eighth of a ray a "
-        "pixel is cast beside, of 1 to 5 microseconds each.\n\n"
-        + table(
-            ["picture", "haze", "light of a sample", "look-up", "transmittance, airlight"], rows
-        )
-    )
-
-
-def cpu(work: Callable[[], object]) -> float:
-    """The least CPU seconds of five runs."""
-    found = []
-    for _ in range(5):
-        start = time.process_time()
-        work()
-        found.append(time.process_time() - start)
-    return min(found)
+    page.rows(rows)
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    page.write(HEAD, ("numpy", "numba", "mitsuba"), (quadrature, volumes, cost))
+    """Refreshes the page."""
+    page.refresh(("numpy", "numba", "mitsuba"), (volumes, cost))
 
 
 if __name__ == "__main__":

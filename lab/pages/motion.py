@@ -1,6 +1,6 @@
-"""Writes docs/motion.md: made motions over a terrain, and the error of tracks between their keys.
+"""Makes what docs/motion.md shows: motions over a terrain, tracks between their keys.
 
-python lab/pages/motion.py [--fast] [-o FOLDER]
+    python lab/pages/motion.py [--fast] [-o FOLDER]
 
 Seconds are single readings on the machine that runs it; errors are facts of the code.
 """
@@ -12,7 +12,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from scenec.compiler.build import BuildLog, build_to
 from scenec.compiler.cameras.rigs import place_rigs
@@ -20,8 +21,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.compiler.mesh.build import build_surface
-from scenec.lab.benchmarks.tracks import motion, quaternions
-from scenec.lab.runner import Page, run, table
+from scenec.lab.runner import Cell, Page, run, times
 from scenec.testing.small import small_cfg
 
 MOTIONS: dict[str, dict[str, Any]] = {
@@ -36,7 +36,7 @@ MOTIONS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def made(page: Page) -> str:
+def made(page: Page) -> None:
     """All motions that are made, over one terrain."""
     samples = 200 if page.fast else 2000
     cfg = small_cfg(samples=samples)
@@ -48,6 +48,7 @@ def made(page: Page) -> str:
     log = BuildLog()
     surface = build_to(build_surface, plan)["surface"]
     seconds = page.timed(lambda: build_to(place_rigs, plan, surface=surface), 1)
+    page.value("seconds", f"{seconds:.2f} s")
     rigs = build_to(place_rigs, plan, log=log, surface=surface)["rigs"]
     figure, axes = plt.subplots(3, len(rigs), figsize=(16, 8), constrained_layout=True)
     half = 0.5 * np.array(plan.terrain.size_m)
@@ -76,17 +77,23 @@ def made(page: Page) -> str:
             [rig.name, f"{rig.times[-1]:.1f}", f"{speed.max():.2f}", f"{_length(bend).max():.2f}",
              f"{(at[:, 2] - ground).min():.2f}", f"{(at[:, 2] - ground).max():.2f}"]
         )  # fmt: skip
-    header = ["motion", "seconds", "speed, m/s", "acceleration, m/s²", "lowest, m", "highest, m"]
-    return (
-        f"## Made motions\n\nOver one terrain, {samples} samples each; all of them took "
-        f"{seconds:.2f} s, with what they ask of the objects.\n\n"
-        + page.save(figure, "made", 60) + "\n" + table(header, rows)
-        + "\nThe accelerations of lawn mowers and rovers are those of their turns, because they "
-        "start at full speed.\n"
-    )  # fmt: skip
+    page.save(figure, "made", 60)
+    page.rows(rows)
 
 
-def tracks(page: Page) -> str:
+def motion(t: NDArray[np.float64]) -> tuple[NDArray[np.float64], Rotation]:
+    """A handheld camera that is swung about: up to 5 rad/s and 3 m/s."""
+    euler = np.stack([1.2 * np.sin(2.1 * t), 0.9 * np.sin(3.3 * t), 1.5 * np.sin(1.4 * t)], axis=1)
+    place = np.stack([np.sin(2.0 * t), np.cos(1.3 * t), 0.5 * np.sin(2.9 * t)], axis=1)
+    return place, Rotation.from_euler("xyz", euler)
+
+
+def quaternions(r: Rotation) -> NDArray[np.float64]:
+    """Real part first."""
+    return np.roll(r.as_quat(), 1, axis=1)
+
+
+def tracks(page: Page) -> None:
     """Errors between keys."""
     at = np.linspace(1.0, 9.0, 2000)
     place, turn = motion(at)
@@ -108,17 +115,37 @@ def tracks(page: Page) -> str:
         axis.set_xlabel("keys a second")
         axis.set_title(f"largest error of {what}")
         axis.legend()
-    return (
-        "## Tracks between their keys\n\nA camera swings at up to 5 rad/s. Its track is sampled "
-        "at a rate and interpolated; the table shows the largest error.\n\n"
-        + page.save(figure, "error", 60) + "\n"
-        + table(["method", "rate, Hz", "position, mm", "turn, degrees"], rows)
-    )  # fmt: skip
+    page.save(figure, "error", 60)
+    page.rows(rows)
+
+
+def cost(page: Page) -> None:
+    """Times 10,000 poses between keys, beside SciPy."""
+    at, runs = np.linspace(0.0, 10.0, 10_000), 3 if page.fast else 15
+    rows: list[list[Cell]] = []
+    for keys in (2, 301, 10_001):
+        t = np.linspace(0.0, 10.0, keys)
+        p, r = motion(t)
+        q = quaternions(r)
+
+        def linear(t: NDArray = t, p: NDArray = p, r: Rotation = r) -> None:
+            Slerp(t, r)(at)
+            np.stack([np.interp(at, t, p[:, k]) for k in range(3)], axis=1)
+
+        def cubic(t: NDArray = t, p: NDArray = p, r: Rotation = r) -> None:
+            RotationSpline(t, r)(at)
+            CubicSpline(t, p)(at)
+
+        theirs = [min(times(work, runs).wall) for work in (linear, cubic)]
+        for method in METHODS:
+            own = min(times(lambda m=method, t=t, p=p, q=q: interpolate(t, p, q, at, m), runs).wall)
+            rows.append([str(keys), method, 1e3 * own, *(one / own for one in theirs)])
+    page.rows(rows)
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    page.write("# Motion\n\n{cores} cores, {versions}.\n", ("scenec", "numpy"), (made, tracks))
+    """Refreshes the page."""
+    page.refresh(("scenec", "numpy"), (made, tracks, cost))
 
 
 def _length(rows: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.conditions import OnRelief, PlacementCondition
 from scenec.compiler.objects.density import (
     AroundDensity,
@@ -25,18 +24,16 @@ from scenec.compiler.objects.density import (
 )
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.lattice import Circles
+from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.objects.rings import RingDensity
-from scenec.compiler.objects.surroundings import Surroundings
-from scenec.compiler.scene.objects import Scatter
 from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
-from scenec.compiler.terrain.operators.multifractal import Multifractal
-from scenec.lab.pages.placement_field import PLANE, SIZE, cfg, stand
-from scenec.lab.runner import Page, table
+from scenec.lab.benchmarks.cfgs import fbm
+from scenec.lab.pages.placement_field import PLANE, SIZE, place
+from scenec.lab.runner import Page
 from scenec.schemas.kernels import kernel
 
-_NOWHERE = np.zeros((0, 3))
 _CORNERS = np.array([[-18.0, -10.0], [-4.0, 7.0], [15.0, -6.0]])
 # Smallest squares over which a law is integrated, meters.
 _FINE = 0.1
@@ -73,7 +70,7 @@ def _skirts(x: NDArray, y: NDArray, there: Circles) -> NDArray[np.float64]:
 
 
 def _cases(
-    folder: Path, around: Surroundings
+    folder: Path, around: PlacementContext
 ) -> list[tuple[str, Density, tuple[PlacementCondition, ...], NDArray]]:
     """Name, density, where, and the density by its formula at the middles of fine squares."""
     axes = [_FINE * (np.arange(round(n / _FINE)) + 0.5) - 0.5 * n for n in SIZE]
@@ -90,76 +87,46 @@ def _cases(
     gray[:8, :10] = 255
     Image.fromarray(gray).save(folder / "map.png")
     craters = Craters(
-        np.array([-9.0, 9.0]),
-        np.array([3.0, -5.0]),
-        np.array([9.0, 6.0]),
-        np.full(2, 0.2),
-        np.full(2, 0.04),
-        np.zeros(2),
-        np.arange(2, dtype=np.uint64),
-        0.0,
+        np.array([-9.0, 9.0]), np.array([3.0, -5.0]), np.array([9.0, 6.0]), np.full(2, 0.2),
+        np.full(2, 0.04), np.zeros(2), np.arange(2, dtype=np.uint64), 0.0,
+    )  # fmt: skip
+    there = Circles(
+        np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]), np.array([3.0, 2.0, 1.0])
     )
+    around.objects["boulders"] = there
     lines = WorleyDensity(key=3, scale_m=7.0, distance="f2-f1", sharpness=6.0, jitter=0.9)
     heaps = WorleyDensity(key=3, scale_m=6.0, distance="f1", sharpness=4.0, jitter=0.9)
     noise = NoiseDensity(key=5, scale_m=6.0, octaves=3, contrast=2.0)
     away = _away(x, y)
     band = (np.abs(away - 2.0) <= 0.7).astype(float)
-    there = Circles(
-        np.array([-10.0, 2.0, 12.0]), np.array([-4.0, 6.0, -7.0]), np.array([3.0, 2.0, 1.0])
-    )
-    around.objects["boulders"] = there
     gentle = OnRelief(Interval(Slope(over_m=0.0), None, 8.0, 4.0))
     # As coarse as the grid, by the page's own account: at the middles of its cells.
     coarse = [0.4 * (np.arange(round(n / 0.4)) + 0.5) - 0.5 * n for n in SIZE]
     even = np.kron(_gentle(around.surface.field, *np.meshgrid(*coarse)), np.ones((4, 4)))
+    gaussian = PathDensity(file=path, law="gaussian", width_m=0.8, offset_m=0.0, background=0.0)
+    beside = PathDensity(file=path, law="band", width_m=0.7, offset_m=2.0, background=0.2)
+    rings = RingDensity(
+        craters=((craters, ()),), min_radii=1.0, max_radii=4.0, freshness=1.0, background=0.0
+    )
+    skirts = AroundDensity(of="boulders", reach=1.5, inside=0.8, min_size_m=0.0, background=0.0)
+    image = ImageDensity(file=folder / "map.png")
     return [
         ("uniform", UniformDensity(), (), np.ones(x.shape)),
         ("noise", noise, (), noise.at(*flat).reshape(x.shape)),
         ("worley f1", heaps, (), heaps.at(*flat).reshape(x.shape)),
         ("worley f2-f1", lines, (), lines.at(*flat).reshape(x.shape)),
-        (
-            "image",
-            ImageDensity(file=folder / "map.png"),
-            (),
-            np.kron(gray[::-1].astype(float), np.ones((10, 10))),
-        ),
+        ("image", image, (), np.kron(gray[::-1].astype(float), np.ones((10, 10)))),
         ("clusters", ClusterDensity(*parents, 1.2, 0.0), (), thomas),
-        (
-            "path, gaussian",
-            PathDensity(file=path, law="gaussian", width_m=0.8, offset_m=0.0, background=0.0),
-            (),
-            np.exp(-0.5 * (away / 0.8) ** 2),
-        ),
-        (
-            "path, band",
-            PathDensity(file=path, law="band", width_m=0.7, offset_m=2.0, background=0.2),
-            (),
-            0.2 + 0.8 * band / band.mean(),
-        ),
-        (
-            "rings",
-            RingDensity(
-                craters=((craters, ()),),
-                min_radii=1.0,
-                max_radii=4.0,
-                freshness=1.0,
-                background=0.0,
-            ),
-            (),
-            _rings(x, y, craters),
-        ),
-        (
-            "around",
-            AroundDensity(of="boulders", reach=1.5, inside=0.8, min_size_m=0.0, background=0.0),
-            (),
-            _skirts(x, y, there),
-        ),
+        ("path, gaussian", gaussian, (), np.exp(-0.5 * (away / 0.8) ** 2)),
+        ("path, band", beside, (), 0.2 + 0.8 * band / band.mean()),
+        ("rings", rings, (), _rings(x, y, craters)),
+        ("around", skirts, (), _skirts(x, y, there)),
         ("uniform, slope ≤ 8°", UniformDensity(), (gentle,), even),
     ]
 
 
 def _gentle(field: HeightField, x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """How much a slope of at most 8 degrees, soft over 4, holds: central differences at samples.
+    """Weighs a slope of at most 8 degrees, soft over 4, by central differences at samples.
 
     Between samples slopes are linear over the grid's triangles, as heights are.
     """
@@ -183,22 +150,11 @@ def _chi_square(x: NDArray, y: NDArray, wanted: NDArray) -> tuple[float, int]:
     return float(chi), int(there.sum()) - 1
 
 
-def densities(page: Page) -> str:
+def densities(page: Page) -> None:
     """Every spatial law: a picture, chi-square, seconds."""
     grid = Grid.with_spacing(SIZE, 0.4)
-    hills = Multifractal(
-        key=1,
-        amplitude_m=1.5,
-        scale_m=8.0,
-        octaves=5,
-        lacunarity=2.0,
-        gain=0.5,
-        variant="fbm",
-        offset=0.7,
-    )
-    around = Surroundings(
-        Surface(HeightField(grid, hills.apply(grid, np.zeros(grid.shape))[0])), _NOWHERE
-    )
+    hills = fbm(1, 1.5, 8.0, 5).apply(grid, np.zeros(grid.shape))[0]
+    around = PlacementContext(GroundSurface(HeightField(grid, hills)), np.zeros((0, 3)))
     n, shown = 100_000, 3000
     u = np.random.default_rng(1).random((n, 3))
     cases = _cases(page.scratch, around)
@@ -213,53 +169,19 @@ def densities(page: Page) -> str:
         )
         chi, degrees = _chi_square(x, y, wanted)
         sigmas = (chi - degrees) / np.sqrt(2.0 * degrees)
-        cell = places.lattice.dx
-        rows.append(
-            [
-                name,
-                f"{degrees}",
-                f"{chi / degrees:.3f}",
-                f"{sigmas:+.1f}",
-                f"{cell:.3g}",
-                f"{seconds:.4f}",
-            ]
-        )
+        rows.append([name, f"{degrees}", f"{chi / degrees:.3f}", f"{sigmas:+.1f}",
+                     f"{places.lattice.dx:.3g}", f"{seconds:.4f}"])  # fmt: skip
         axes.scatter(x[:shown], y[:shown], s=0.5, c="black", linewidths=0)
         axes.set(title=name, xticks=[], yticks=[], aspect="equal", xlim=(-20, 20), ylim=(-16, 16))
         axes.title.set_fontsize(9)
     # The last case's objects, held against its condition at their own places.
     astray = 100 * float((_gentle(around.surface.field, x, y) == 0.0).mean())
+    page.value("astray", f"{astray:.0f} %")
     plots.ravel()[-1].axis("off")
-    picture = page.save(figure, "densities")
+    page.save(figure, "densities")
     small = Image.open(page.picture("densities")).convert("L").quantize(16)
     small.save(page.picture("densities"), optimize=True)
-    return (
-        "## Places: each law of density against its formula\n\n"
-        f"{SIZE[0]:g} m × {SIZE[1]:g} m, relief every 0.4 m; {shown:,} objects of each law, from "
-        "above, north up.\n\n" + picture + "\n"
-        f"{n:,} objects counted in squares of 2 m, beside the numbers by the formula, "
-        f"integrated over squares of {_FINE:g} m (from the noises' own values there). Chi-square "
-        "per degree of freedom is about 1 for a sound law; the next column says by how many "
-        "standard deviations it is off. The density is taken as constant over each cell, which is "
-        "the "
-        "only approximation. Seconds are for the cells and all places.\n\n"
-        "Slope, height and curvature are known at the relief's samples and evaluated at the "
-        "middles of cells, and the last row is compared with that. On these hills, whose slopes "
-        f"change from sample to sample, {astray:.0f} % of the objects lie where the slope between "
-        "the samples is beyond the bound and its softness. `over_m` gives smoother slopes, a "
-        "smaller `spacing_m` finer ones.\n\n"
-        + table(
-            [
-                "density",
-                "degrees of freedom",
-                "χ² / degree",
-                "standard deviations",
-                "cells, m",
-                "s",
-            ],
-            rows,
-        )
-    )
+    page.rows(rows)
 
 
 @kernel
@@ -276,75 +198,28 @@ def _worst(x, y, reach):  # type: ignore[no-untyped-def]
     return worst
 
 
-def apart(page: Page) -> str:
-    """From few objects to as many as fit."""
+def isolated(page: Page) -> None:
+    """Places from few objects to as many as fit without overlap."""
     area = SIZE[0] * SIZE[1]
-    laws: tuple[tuple[str, Any, float], ...] = (
-        ("equal", 0.3, 0.25 * np.pi * 0.09),
-        # The mean square of exponent 2.5 between 0.1 m and 2 m, by hand.
-        (
-            "power law",
-            {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 2},
-            0.25 * np.pi * (1.5 / 0.5) * (2**0.5 - 0.1**0.5) / (0.1**-1.5 - 2**-1.5),
-        ),
-    )
+    law = {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 2}
+    usual = {"apart": {}, "clearance_m": 0, "lod_px": 0, "shortfall": "fewer", "subdivisions": 1}
+    parts = (0.05, 0.2, 0.4) if page.fast else (0.05, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.547)
+    more = () if page.fast else (0.6, 0.65, 0.7, 0.75)
+    # The mean square of exponent 2.5 between 0.1 m and 2 m, by hand.
+    mean = 0.25 * np.pi * (1.5 / 0.5) * (2**0.5 - 0.1**0.5) / (0.1**-1.5 - 2**-1.5)
     rows = []
-    for name, size, mean in laws:
-        parts = (0.05, 0.2, 0.4) if page.fast else (0.05, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.547)
-        more = () if page.fast or name == "equal" else (0.6, 0.65, 0.7, 0.75)
-        for part in (*parts, *more):
-            count = round(part * area / mean)
-            thing = {
-                "count": count,
-                "size_m": size,
-                "apart": {},
-                "clearance_m": 0,
-                "lod_px": 0,
-                "shortfall": "fewer",
-                "subdivisions": 1,
-            }
-            stood = stand(cfg({"rocks": thing}, relief=(PLANE,)))
-            (scatter,) = stood.objects
-            assert isinstance(scatter, Scatter)
-            x, y = scatter.positions[:, :2].astype(np.float64).T
-            radii = scatter.radii()
-            worst = _worst(np.ascontiguousarray(x), np.ascontiguousarray(y), radii)
-            asked = 0.25 * np.pi * (stood.plan.objects[0].scale ** 2).sum() / area
-            covered = np.pi * (radii * radii).sum() / area
-            rows.append(
-                [
-                    name,
-                    f"{asked:.3f}",
-                    f"{covered:.3f}",
-                    f"{count:,}",
-                    f"{scatter.count:,}",
-                    f"{stood.facts['rocks'].get('tries_max', 0)}",
-                    f"{stood.seconds:.2f}",
-                    f"{max(worst, 0.0):.1e}",
-                    f"{max(-worst, 0.0):.1e}",
-                ]
-            )
-    return (
-        "## Without overlap: from few to as many as fit\n\n"
-        f"Circles on {SIZE[0]:g} m × {SIZE[1]:g} m, dart throwing with up to 512 tries each, the "
-        'largest first, `"shortfall": "fewer"`: equal ones of 0.3 m, and diameters of a power '
-        "law of exponent 2.5 from 0.1 m to 2 m. Coverage is the sum of the circles over the area. "
-        "Random sequential adsorption of equal discs jams at 0.547 (Feder 1980), and approaches "
-        "that only after endless tries. A law of sizes, the largest first, gets farther. The "
-        "worst overlap and the least gap are measured by brute force over all pairs, from the "
-        "stage's numbers, between the balls around the finished rocks.\n\n"
-        + table(
-            [
-                "sizes",
-                "coverage asked",
-                "got",
-                "asked",
-                "placed",
-                "most tries",
-                "s",
-                "worst overlap, m",
-                "least gap, m",
-            ],
-            rows,
-        )
-    )
+    cases = [("equal", 0.3, part, 0.25 * np.pi * 0.09) for part in parts]
+    cases += [("power law", law, part, mean) for part in (*parts, *more)]
+    for name, size, part, each in cases:
+        count = round(part * area / each)
+        placed = place({"rocks": usual | {"count": count, "size_m": size}}, relief=(PLANE,))
+        x, y = placed.scatter.positions[:, :2].astype(np.float64).T
+        radii = placed.scatter.radii()
+        worst = _worst(np.ascontiguousarray(x), np.ascontiguousarray(y), radii)
+        asked = 0.25 * np.pi * (placed.plan.objects[0].scale ** 2).sum() / area
+        rows.append([
+            name, f"{asked:.3f}", f"{np.pi * (radii * radii).sum() / area:.3f}", f"{count:,}",
+            f"{placed.scatter.count:,}", str(placed.facts["rocks"].get("tries_max", 0)),
+            f"{placed.seconds:.2f}", f"{max(worst, 0.0):.1e}", f"{max(-worst, 0.0):.1e}",
+        ])  # fmt: skip
+    page.rows(rows)

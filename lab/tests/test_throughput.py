@@ -62,7 +62,7 @@ def test_the_script_renders_what_it_counts():
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    first, phases, bound = (
+    first, phases, bound, units = (
         part.splitlines()[2].strip("| ").split(" | ")
         for part in done.stdout.split("\n\n")
         if part.startswith("|")
@@ -71,3 +71,4 @@ def test_the_script_renders_what_it_counts():
     assert all(float(cell.replace(",", "")) > 0.0 for cell in first[4:9])
     assert float(phases[1]) > 0.0
     assert float(bound[2]) > 0.0
+    assert float(units[1]) > 0.0

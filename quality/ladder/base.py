@@ -15,11 +15,11 @@ from scenec.compiler.cameras.rigs import place_rigs
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.draw import draw
 from scenec.compiler.mesh.build import build_surface, see_ground
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.objects.build import build_objects
 from scenec.compiler.objects.plan import ScatterPlan
-from scenec.compiler.plan import Plan, needs_of_plan, seen_everywhere
-from scenec.compiler.scene.ground import Tile
+from scenec.compiler.plan import Plan, fine_everywhere, needs_of_plan
+from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.views.needed import Keep
@@ -51,16 +51,16 @@ class Base:
             attempt: How often it was drawn again.
         """
         plan = draw(spec, seed, batch, attempt)
-        self.plan: Plan = seen_everywhere(plan) if keep is Keep.ALL else plan
+        self.plan: Plan = fine_everywhere(plan) if keep is Keep.ALL else plan
         self.seed, self.keep = seed, keep
-        self.tiles: tuple[Tile, ...] | None = None
+        self.tiles: tuple[MeshTile, ...] | None = None
         self.needs = needs_of_plan(self.plan, keep)
         self.color, self.labels = self.needs.color, self.needs.labels
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> GroundSurface:
         """The ground before it is meshed, and before anything stands on it."""
-        surface: Surface = build_to(build_surface, self.plan)["surface"]
+        surface: GroundSurface = build_to(build_surface, self.plan)["surface"]
         return surface
 
     @cached_property

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.operators.craters import Craters
@@ -90,13 +90,13 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
 
 def _made(
     base: Base, found: list[Craters], grid: Grid, lift: float
-) -> tuple[tuple[Surface, int, int], tuple[int, int]]:
+) -> tuple[tuple[GroundSurface, int, int], tuple[int, int]]:
     """The craters on a grid, and bytes and triangles of what the stage has of them."""
     heights = _heights(found, grid)
     return heights, emitted(base, HeightField(grid, heights[0].field.height + lift))
 
 
-def _heights(found: list[Craters], grid: Grid) -> tuple[Surface, int, int]:
+def _heights(found: list[Craters], grid: Grid) -> tuple[GroundSurface, int, int]:
     """The craters on level ground; how many are shown, and how many are too narrow."""
     height = np.zeros(grid.shape)
     shown = left_out = 0
@@ -104,4 +104,4 @@ def _heights(found: list[Craters], grid: Grid) -> tuple[Surface, int, int]:
         height, report = one.apply(grid, height)
         shown += int(report["craters"])
         left_out += int(report["craters_below_grid"])
-    return Surface(HeightField(grid, height)), shown, left_out
+    return GroundSurface(HeightField(grid, height)), shown, left_out

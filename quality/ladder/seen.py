@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
 from scenec.quality.ladder.eyes import Eye
@@ -200,7 +200,7 @@ class Truth:
     lines: Skylines | None
 
     @classmethod
-    def of(cls, surface: Surface, eyes: Sequence[Eye]) -> Truth:
+    def of(cls, surface: GroundSurface, eyes: Sequence[Eye]) -> Truth:
         """Evaluates a surface that is a function of x and y."""
         field = surface.field
         spots = [spread(field), looked_at(field, eyes)]

@@ -21,7 +21,7 @@ from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import directions, horizontal_irradiance, luminance
 from scenec.compiler.light.sky import SkyAndSun
 from scenec.compiler.scene.ground import Ground
-from scenec.compiler.scene.light import SkyLight, SunLight
+from scenec.compiler.scene.light import SkyLight, SunDisc
 from scenec.compiler.scene.scene import Scene
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
@@ -68,8 +68,8 @@ def sky(base: Base, rungs: int) -> list[Ladder] | str:
     return "the sky is a picture from a file, which is taken as it is"
 
 
-def _first_sun(sun: SunLight) -> SunLight:
-    return SunLight(
+def _first_sun(sun: SunDisc) -> SunDisc:
+    return SunDisc(
         sun.azimuth_deg[:1], sun.elevation_deg[:1], sun.irradiance[:1], sun.diameter_deg[:1],
         sun.color[:1],
     )  # fmt: skip
@@ -104,7 +104,7 @@ def _sizes(resolution: int, rungs: int) -> list[tuple[int, bool]]:
     return sorted(sizes.items())
 
 
-def _clear(plan: ClearSky, sun: SunLight | None, rungs: int) -> Ladder:
+def _clear(plan: ClearSky, sun: SunDisc | None, rungs: int) -> Ladder:
     to, many = upper_half(_DIRECTIONS), upper_half(_MANY)
     truth = clear_along(plan, sun, to, many)
     level = irradiance(clear_along(plan, sun, many, many), many)
@@ -125,7 +125,7 @@ def _clear(plan: ClearSky, sun: SunLight | None, rungs: int) -> Ladder:
     )
 
 
-def _rows(plan: AtmosphereSky, sun: SunLight, rungs: int) -> Ladder:
+def _rows(plan: AtmosphereSky, sun: SunDisc, rungs: int) -> Ladder:
     to = upper_half(_DIRECTIONS)
     # Steps and wavelengths as of the pictures: these have ladders of their own.
     truth = atmosphere_along(plan, sun, to, atmosphere.STEPS, atmosphere.WAVELENGTHS)
@@ -231,7 +231,7 @@ def _picture(made: _Made, rows: int) -> tuple[tuple[SkyLight, dict[str, Any]], i
     return (light, facts), _bytes(light, sun)
 
 
-def _bytes(light: SkyLight, sun: SunLight | None) -> int:
+def _bytes(light: SkyLight, sun: SunDisc | None) -> int:
     """Of the layer of lights and its picture."""
     bare = Scene(
         name="",
@@ -251,7 +251,7 @@ def _bytes(light: SkyLight, sun: SunLight | None) -> int:
     return written(lambda folder: write_lights(folder / "lights.usdc", bare))
 
 
-def _constants(plan: AtmosphereSky, sun: SunLight, rungs: int) -> list[Ladder]:
+def _constants(plan: AtmosphereSky, sun: SunDisc, rungs: int) -> list[Ladder]:
     """Constants of the code, at texels of small pictures: apart from the pictures' resolution.
 
     A ladder's reference shares the two other constants with its rungs, so that these err by the one
@@ -319,7 +319,7 @@ def _constants(plan: AtmosphereSky, sun: SunLight, rungs: int) -> list[Ladder]:
 
 
 def _written(
-    plan: AtmosphereSky, sun: SunLight, numbers: dict[str, int]
+    plan: AtmosphereSky, sun: SunDisc, numbers: dict[str, int]
 ) -> tuple[NDArray[np.float64], int]:
     """A picture and the bytes of its file."""
     picture = _baked(plan, sun, **numbers)
@@ -343,7 +343,7 @@ def _texels(
 
 
 def _baked(
-    plan: AtmosphereSky, sun: SunLight, steps: int, bearings: int, count: int
+    plan: AtmosphereSky, sun: SunDisc, steps: int, bearings: int, count: int
 ) -> NDArray[np.float64]:
     of_nodes = weights(count)
     medium = MEDIA[plan.planet](

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.atmosphere import _EYE_M
 from scenec.compiler.light.atmosphere_multiple import (
-    Air,
-    Look,
+    Observer,
+    Optics,
     _again,
     _both,
     _forward_again,
@@ -20,7 +20,7 @@ from scenec.compiler.light.atmosphere_multiple import (
 )
 from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_rays import (
-    Sight,
+    SightLine,
     aerosol_phase,
     gas_phase,
     gather,
@@ -31,7 +31,7 @@ from scenec.compiler.light.atmosphere_sky import AtmosphereSky
 from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import luminance
-from scenec.compiler.scene.light import SunLight
+from scenec.compiler.scene.light import SunDisc
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -64,7 +64,7 @@ def bilinear(picture: NDArray, to: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def atmosphere_along(
     plan: AtmosphereSky,
-    sun: SunLight,
+    sun: SunDisc,
     to: NDArray[np.float64],
     steps: int,
     count: int,
@@ -95,8 +95,8 @@ def atmosphere_along(
     r0 = float(sizes[0] + plan.altitude_m[0])
     elevation = float(sun.elevation_deg[0]) * _RADIAN
     toward = np.array([elementary.cos(elevation), elementary.sin(elevation)])
-    look = Look(r0, float(min(sizes[0], r0 - _EYE_M)), toward, steps, nodes)
-    air = Air(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
+    look = Observer(r0, float(min(sizes[0], r0 - _EYE_M)), toward, steps, nodes)
+    air = Optics(sizes, spectra, even, g, medium.phase, make_table(sizes, even, albedo))
     found = np.zeros((len(to), 3))
     over_threads(_along, len(to), to, look, air, plan.scattering == "multiple", found)
     white = nodes.sum(axis=0)
@@ -117,7 +117,7 @@ def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untype
         cosine = np.sqrt(max((1.0 - sine) * (1.0 + sine), 0.0))
         # The sun stands in the south.
         toward = min(max(sun[1] * sine - sun[0] * to[n, 1], -1.0), 1.0)
-        sight = Sight(r0, sine, toward, sun[1])
+        sight = SightLine(r0, sine, toward, sun[1])
         prepare(r0, sine, cosine, ground, sizes, air.even, less)
         count, _hits = prepare(r0, sine, cosine, ground, sizes, spectra, full)
         if multiple:
@@ -138,7 +138,7 @@ def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untype
 
 
 def clear_along(
-    plan: ClearSky, sun: SunLight | None, to: NDArray[np.float64], fine: NDArray[np.float64]
+    plan: ClearSky, sun: SunDisc | None, to: NDArray[np.float64], fine: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """A clear sky's light along directions above the horizon, at the first sample.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds.table import name_of
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.operators.smooth import Diffusion, Smooth
@@ -107,7 +107,7 @@ def _in_space(base: Base, step: _Step, rungs: int) -> Ladder:
     window = Window.of(
         step.before.grid, coarser, (_ITERATED if iterated else _CELLS) >> (finer + 2)
     )
-    surface = Surface(step.before)
+    surface = GroundSurface(step.before)
 
     def sampled(grid: Grid) -> NDArray[np.float64]:
         return surface.height_at(*grid.points()).reshape(grid.shape)

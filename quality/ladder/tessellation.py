@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.emit.layer import label_names
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import pixels_per_meter
@@ -83,7 +83,7 @@ def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
     ]
 
 
-def _tiles(base: Base, tolerance_px: float) -> tuple[tuple[Tile, ...], dict[str, Any]]:
+def _tiles(base: Base, tolerance_px: float) -> tuple[tuple[MeshTile, ...], dict[str, Any]]:
     terrain = base.plan.terrain
     return build_tiles(
         base.built["surface"],

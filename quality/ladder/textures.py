@@ -18,7 +18,7 @@ from scenec.compiler.materials.plan import MaterialPlan
 from scenec.compiler.materials.reduce import halvings, reduced
 from scenec.compiler.materials.values import Source, colors, forget_pixels, stored
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.scene.ground import Ground, Tile
+from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
@@ -110,7 +110,7 @@ def textures(base: Base, rungs: int) -> list[Ladder] | str:
     ]
 
 
-def _tiles(base: Base) -> tuple[Tile, ...]:
+def _tiles(base: Base) -> tuple[MeshTile, ...]:
     """The mesh of the ground as the cfg asks for it."""
     if base.tiles is None:
         terrain = base.plan.terrain

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.scene.ground import Tile
+from scenec.compiler.scene.ground import MeshTile
 from scenec.schemas.kernels import kernel
 
 #: Points to a cell of the index.
@@ -74,7 +74,7 @@ class Index:
         starts = np.searchsorted(cell[order], np.arange(rows * columns + 1))
         self._points = _Cells(x, y, order, starts, columns, *low, size)
 
-    def heights(self, tiles: Sequence[Tile]) -> Heights:
+    def heights(self, tiles: Sequence[MeshTile]) -> Heights:
         """Of the mesh that tiles make.
 
         Args:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.emit.terrain import write_terrain
-from scenec.compiler.mesh.surface import Surface
+from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.terrain.grid import Grid, HeightField
@@ -63,7 +63,7 @@ def emitted(base: Base, field: HeightField) -> tuple[int, int]:
     near = pixels_per_meter(field, base.views, base.unseen) if base.rigs else None
     meshing = base.plan.terrain.meshing
     tiles, report = build_tiles(
-        Surface(field, smooth=meshing.tolerance_px is not None and near is not None),
+        GroundSurface(field, smooth=meshing.tolerance_px is not None and near is not None),
         base.plan.terrain.variation_key,
         meshing,
         near,

@@ -11,7 +11,7 @@ import pytest
 
 import scenec
 from scenec.api import options
-from scenec.api.declare import CallOptions, declared
+from scenec.api.declare import declared
 from scenec.backends.run.plan import RenderPlan
 from scenec.cli.main import main, parser
 from scenec.compiler.compile import FAULTS
@@ -20,17 +20,11 @@ from scenec.schemas.errors import ScenecError
 from scenec.testing.small import small_cfg, write_cfg
 
 RECORDS = {
-    "compile": options.CompileOptions,
-    "render": options.RenderOptions,
-    "scan": options.ScanOptions,
-    "run": options.RunOptions,
-    "sweep": options.SweepOptions,
-    "check": options.CheckOptions,
-    "export": options.ExportOptions,
-    "evaluate": options.EvaluateOptions,
-    "view": options.ViewOptions,
-    "preview": options.PreviewOptions,
-}
+    "compile": options.CompileOptions, "render": options.RenderOptions, "scan": options.ScanOptions,
+    "run": options.RunOptions, "sweep": options.SweepOptions, "check": options.CheckOptions,
+    "export": options.ExportOptions, "evaluate": options.EvaluateOptions,
+    "view": options.ViewOptions, "preview": options.PreviewOptions,
+}  # fmt: skip
 #: Of the command line alone: where it prints to, how much, in a window or not.
 OF_COMMANDS = {
     "help", "json", "verbose", "out", "cfg", "format", "list", "predictions", "open",
@@ -46,7 +40,7 @@ def actions(command: str) -> dict[str, argparse.Action]:
 
 
 @pytest.mark.parametrize("name", RECORDS)
-def test_a_call_takes_the_options_of_its_command_with_the_same_defaults(name: str) -> None:
+def test_a_call_takes_the_options_of_its_command_with_the_same_defaults(name):
     record, there = RECORDS[name], actions(name)
     known = {field.name: field.default for field in fields(record)}
     assert set(declared(record)) <= set(there)
@@ -58,13 +52,13 @@ def test_a_call_takes_the_options_of_its_command_with_the_same_defaults(name: st
     assert set(known) <= set(keywords)
 
 
-def test_a_call_says_its_options_as_the_command_does() -> None:
+def test_a_call_says_its_options_as_the_command_does():
     text = " ".join((scenec.render.__doc__ or "").split())
     said = (action.help for action in actions("render").values() if action.dest == "device")
     assert f"device: {next(said)}" in text
 
 
-def test_what_is_named_again_so_that_nothing_is_imported_is_the_same() -> None:
+def test_what_is_named_again_so_that_nothing_is_imported_is_the_same():
     assert options.FAULTS == FAULTS
     keep = declared(options.CompileOptions)["keep"]
     assert set(keep.metadata["choices"]) == {str(one.value) for one in Keep}
@@ -82,13 +76,7 @@ def test_what_is_named_again_so_that_nothing_is_imported_is_the_same() -> None:
         (options.CompileOptions, "seed", 2**64, ["compile", "A", "-o", "B", "--seed", f"{2**64}"]),
     ],
 )
-def test_a_value_is_refused_in_the_words_of_the_command_line(
-    record: type[CallOptions],
-    name: str,
-    value: object,
-    words: list[str],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_value_is_refused_in_the_words_of_the_command_line(record, name, value, words, capsys):
     with pytest.raises(ScenecError) as caught:
         record(**{name: value})
     with pytest.raises(SystemExit):
@@ -96,7 +84,7 @@ def test_a_value_is_refused_in_the_words_of_the_command_line(
     assert str(caught.value).removeprefix(f"{name}: ") in capsys.readouterr().err
 
 
-def test_an_option_that_is_a_text_is_read_as_the_command_line_reads_it() -> None:
+def test_an_option_that_is_a_text_is_read_as_the_command_line_reads_it():
     asked = options.RenderOptions(samples="0:3", passes="rgb,depth")  # type: ignore[arg-type]
     assert (asked.samples, asked.passes) == (range(3), ("rgb", "depth"))
     with pytest.raises(ScenecError, match="keep: 'sen': expected one of seen, unpruned, all"):
@@ -104,7 +92,7 @@ def test_an_option_that_is_a_text_is_read_as_the_command_line_reads_it() -> None
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calls")
     cfg = small_cfg(samples=2, outputs=["label", "instance", "depth"])
     made = scenec.run(cfg, folder / "out", seed=3, workers=0)
@@ -115,7 +103,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-def test_a_call_makes_what_its_command_makes(out: Path, tmp_path: Path) -> None:
+def test_a_call_makes_what_its_command_makes(out, tmp_path):
     cfg = write_cfg(tmp_path, small_cfg(samples=2, outputs=["label", "instance", "depth"]))
     assert main(["compile", str(cfg), "--seed", "3", "-o", str(tmp_path / "out")]) == 0
     stages = list((tmp_path / "out" / "batch_0000").glob("*.usd?"))
@@ -124,16 +112,14 @@ def test_a_call_makes_what_its_command_makes(out: Path, tmp_path: Path) -> None:
         assert (out / "batch_0000" / stage.name).read_bytes() == stage.read_bytes()
 
 
-def test_frames_are_read_when_they_are_looked_at(out: Path) -> None:
+def test_frames_are_read_when_they_are_looked_at(out):
     frames = scenec.open_frames(out)
     assert ["loaded" in vars(frame) for frame in frames] == [False, False]
     assert frames[1]["depth"].shape == frames[1]["label.class"].shape
     assert ["loaded" in vars(frame) for frame in frames] == [False, True]
 
 
-def test_answers_print_and_show_what_the_command_prints(
-    out: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_answers_print_and_show_what_the_command_prints(out, capsys):
     assert main(["explain", str(out), "--why", "rocks/1"]) == 0
     answer = scenec.why(out, "rocks/1")
     assert str(answer) == capsys.readouterr().out.strip()
@@ -144,7 +130,7 @@ def test_answers_print_and_show_what_the_command_prints(
     assert "left out" in found._repr_html_()
 
 
-def test_a_check_tells_a_sound_output_from_a_damaged_one(out: Path, tmp_path: Path) -> None:
+def test_a_check_tells_a_sound_output_from_a_damaged_one(out, tmp_path):
     cfg = small_cfg(samples=1, outputs=["depth"])
     made = Path(scenec.compile(cfg, tmp_path / "out").path)
     assert scenec.check(made).errors == scenec.check(out).errors == 0
@@ -154,7 +140,7 @@ def test_a_check_tells_a_sound_output_from_a_damaged_one(out: Path, tmp_path: Pa
     assert not damaged.sound
 
 
-def test_a_listener_hears_what_is_done(tmp_path: Path) -> None:
+def test_a_listener_hears_what_is_done(tmp_path):
     class Noting(scenec.Listener):
         """Keeps what it hears."""
 
@@ -175,7 +161,7 @@ def test_a_listener_hears_what_is_done(tmp_path: Path) -> None:
     assert heard.lines[-1] == "CompileReport"
 
 
-def test_a_sweep_of_values_is_that_of_their_texts(tmp_path: Path) -> None:
+def test_a_sweep_of_values_is_that_of_their_texts(tmp_path):
     cfg = small_cfg(samples=1)
     cfg["terrain"]["spacing_m"] = 0.5
     path = write_cfg(tmp_path, cfg)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,11 @@ from scenec.api.explain.why import why
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
-from scenec.cli.main import main
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.left_out import Reason, read_left_out
+from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -35,7 +36,7 @@ def made(folder: Path, outputs: list[str], keep: Keep = Keep.SEEN) -> Path:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     return made(tmp_path_factory.mktemp("why") / "a", ["label", "instance", "depth"])
 
 
@@ -179,16 +180,18 @@ def test_tiles_and_other_prims_are_answered_for(output, tmp_path):
     ],
 )
 def test_what_cannot_be_answered_ends_in_one_clear_line(output, question, words, capsys):
-    assert main(["explain", str(output), "--why", question]) == 2
-    said = capsys.readouterr()
+    said = output_of(capsys, ["explain", str(output), "--why", question], 2)
     assert said.out == ""
     assert len(said.err.splitlines()) == 1
     assert words in said.err
 
 
 def test_a_batch_is_chosen_by_its_number(output, capsys):
-    assert main(["explain", str(output), "--why", "rocks/5", "--batch", "1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(
+        output_of(
+            capsys, ["explain", str(output), "--why", "rocks/5", "--batch", "1", "--json"]
+        ).out
+    )
     assert found["batch"] == "batch_0001"
     record = read_left_out(output / "batch_0001")
     assert found["reason"] == str(record.classes["rocks"].of(5))
@@ -200,21 +203,17 @@ def test_the_answer_is_printed_for_people(output, capsys):
     record = read_left_out(output / "batch_0000")
     seen = int(record.classes["rocks"].where(Reason.SEEN)[0])
     gone = next(i for i in range(1, 151) if not record.classes["rocks"].of(i).kept)
-    assert main(["explain", str(output), "--why", f"rocks/{seen}"]) == 0
-    text = capsys.readouterr().out
+    text = output_of(capsys, ["explain", str(output), "--why", f"rocks/{seen}"]).out
     assert f"rocks/{seen} is in the stage of batch_0000: a camera may see it" in text
     assert "stands at       x " in text
     assert "level           rock_0" in text
-    assert main(["explain", str(output), "--why", f"rocks/{gone}"]) == 0
-    text = capsys.readouterr().out
+    text = output_of(capsys, ["explain", str(output), "--why", f"rocks/{gone}"]).out
     assert f"rocks/{gone} is not in the stage of batch_0000: " in text
     assert record.classes["rocks"].of(gone).text in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 100
 
 
 def test_a_stage_and_a_record_that_differ_are_said(output, tmp_path):
-    import shutil
-
     out = tmp_path / "out"
     shutil.copytree(output, out)
     path = out / "batch_0000" / "left_out.json"
@@ -231,7 +230,7 @@ def test_a_stage_and_a_record_that_differ_are_said(output, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def emptied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def emptied(tmp_path_factory):
     """Two classes of rocks, and a camera that looks up: nothing of either is in the stage."""
     folder = tmp_path_factory.mktemp("emptied")
     cfg = small_cfg(samples=1, batches=1, outputs=["label", "instance", "depth"])
@@ -260,5 +259,7 @@ def test_ids_of_classes_that_were_pruned_whole_are_those_they_had(emptied, capsy
     assert whole.counts == {str(Reason.OUT_OF_VIEW): 7}
     assert why(emptied, "/World/Objects/stones/instance_7") == why(emptied, "stones/7")
     assert why(emptied, "/World/Objects/stones/Prototypes/rock_0") == whole
-    assert main(["explain", str(emptied), "--why", "48"]) == 2
-    assert "rocks 1 to 40, stones 41 to 47" in capsys.readouterr().err
+    assert (
+        "rocks 1 to 40, stones 41 to 47"
+        in output_of(capsys, ["explain", str(emptied), "--why", "48"], 2).err
+    )

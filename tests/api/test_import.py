@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from importlib.metadata import version
 
 import pytest
 
@@ -19,7 +18,7 @@ print(*sorted(name for name in sys.modules if name.startswith("scenec.api")))
 """
 
 
-def test_importing_scenec_imports_nothing_but_itself() -> None:
+def test_importing_scenec_imports_nothing_but_itself():
     done = subprocess.run(
         [sys.executable, "-I", "-c", PROGRAM], capture_output=True, text=True, check=True
     )
@@ -30,27 +29,23 @@ def test_importing_scenec_imports_nothing_but_itself() -> None:
 
 
 @pytest.mark.parametrize("name", scenec.__all__)
-def test_each_public_name_is_what_its_module_documents(name: str) -> None:
+def test_each_public_name_is_what_its_module_documents(name):
     found = getattr(scenec, name)
     assert found.__module__ == f"scenec.api.{scenec._HOMES[name]}"
     assert found.__doc__
     assert name in dir(scenec)
 
 
-def test_every_public_name_has_a_home_and_a_type() -> None:
+def test_every_public_name_has_a_home_and_a_type():
     assert sorted(scenec._HOMES) == sorted(scenec.__all__)
 
 
-def test_the_version_is_that_of_the_package() -> None:
-    assert scenec.__version__ == version("scenec")
-
-
-def test_what_there_is_not_is_said() -> None:
+def test_what_there_is_not_is_said():
     with pytest.raises(AttributeError, match="'scenec' has no attribute 'rendre'"):
         _ = scenec.rendre
 
 
-def test_the_earlier_name_is_deprecated_and_shows_the_same() -> None:
+def test_the_earlier_name_is_deprecated_and_shows_the_same():
     sys.modules.pop("scenec.cli.notebook", None)
     with pytest.warns(DeprecationWarning, match="scenec.cli.notebook is scenec now"):
         from scenec.cli import notebook

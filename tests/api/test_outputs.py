@@ -7,7 +7,6 @@ import io
 import os
 import re
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,15 +32,13 @@ def pictures_in(html: str) -> list[Image.Image]:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> scenec.OutputFolder:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("notebook")
     cfg = builder.read(write_cfg(folder, small_cfg(samples=2)))
     return scenec.compile(cfg, folder / "out", seed=3)
 
 
-def test_a_cfg_in_python_compiles_as_its_file_does(
-    output: scenec.OutputFolder, tmp_path: Path
-) -> None:
+def test_a_cfg_in_python_compiles_as_its_file_does(output, tmp_path):
     path = write_cfg(tmp_path, small_cfg(samples=2))
     by_file = scenec.compile(path, tmp_path / "out", seed=3)
     stages = [(o.path / "batch_0000").glob("*.usd?") for o in (output, by_file)]
@@ -67,8 +64,8 @@ class Watching(scenec.Listener, StepProgress):
 
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_cfg_in_python_is_no_file_and_names_files_of_the_working_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
-) -> None:
+    tmp_path, monkeypatch, workers
+):
     hills = tmp_path / "hills"
     hills.mkdir()
     np.save(hills / "dem.npy", np.ones((8, 8)))
@@ -88,7 +85,7 @@ def test_a_cfg_in_python_is_no_file_and_names_files_of_the_working_directory(
     assert list(read_manifest(output.path).cfg.inputs) == ["terrain/relief/0/file"]
 
 
-def test_a_stage_shows_what_its_cameras_see(output: scenec.OutputFolder) -> None:
+def test_a_stage_shows_what_its_cameras_see(output):
     (stage,) = output.stages
     sketch = stage.sketch()
     camera = stage.cameras[0]
@@ -101,7 +98,7 @@ def test_a_stage_shows_what_its_cameras_see(output: scenec.OutputFolder) -> None
     assert ">300<" in html
 
 
-def test_a_sketch_of_fewer_pixels_sees_the_same(output: scenec.OutputFolder) -> None:
+def test_a_sketch_of_fewer_pixels_sees_the_same(output):
     scene = read_stage(output.stages[0].batch.stage)
     camera = scene.cameras[0][0]
     small = shown._smaller(camera, camera.width // 2)
@@ -112,7 +109,7 @@ def test_a_sketch_of_fewer_pixels_sees_the_same(output: scenec.OutputFolder) -> 
     assert shown._smaller(camera, 10_000) is camera
 
 
-def test_frames_give_arrays_and_show_every_pass(output: scenec.OutputFolder) -> None:
+def test_frames_give_arrays_and_show_every_pass(output):
     assert pictures_in(output._repr_html_())
     frames = output.render("annotation", passes=("label", "instance", "depth")).frames()
     assert len(frames) == 2
@@ -126,7 +123,7 @@ def test_frames_give_arrays_and_show_every_pass(output: scenec.OutputFolder) -> 
         _ = frames[0]["flow"]
 
 
-def test_faults_are_errors_of_the_library(tmp_path: Path) -> None:
+def test_faults_are_errors_of_the_library(tmp_path):
     cfg = builder.read(write_cfg(tmp_path))
     cfg.samples = 0
     with pytest.raises(CfgError, match=r"cfg:.* /samples: 0: expected at least 1"):

@@ -14,7 +14,6 @@ import sys
 import urllib.error
 import urllib.parse
 import urllib.request
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,7 @@ def size_of(png: str) -> tuple[int, int]:
 
 
 @pytest.mark.usefixtures("workers_here")
-def test_once_writes_a_page_that_asks_nobody(tmp_path: Path) -> None:
+def test_once_writes_a_page_that_asks_nobody(tmp_path):
     cfg = small_cfg(samples=6)
     cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [96, 64]
     path = write_cfg(tmp_path, cfg)
@@ -54,7 +53,7 @@ def test_once_writes_a_page_that_asks_nobody(tmp_path: Path) -> None:
     assert "%FIRST%" not in page.read_text()
 
 
-def test_large_pictures_alone_become_smaller(tmp_path: Path) -> None:
+def test_large_pictures_alone_become_smaller(tmp_path):
     cfg = small_cfg(batches=3)
     sensors = cfg["rigs"]["rover"]["sensors"]
     sensors["wide"] = {"resolution": [1000, 500], "fov_deg": 90}
@@ -68,7 +67,7 @@ def test_large_pictures_alone_become_smaller(tmp_path: Path) -> None:
     assert made["rigs"]["rover"]["sensors"]["wide"]["resolution"] == [480, 240]
 
 
-def test_a_map_is_lit_from_the_northwest_with_north_up() -> None:
+def test_a_map_is_lit_from_the_northwest_with_north_up():
     y, x = np.mgrid[0:40, 0:60]
     hill = np.maximum(0.0, 10.0 - np.hypot(x - 30, y - 20))
     light = shaded(hill).sum(axis=-1).astype(float)
@@ -79,7 +78,7 @@ def test_a_map_is_lit_from_the_northwest_with_north_up() -> None:
 
 
 @pytest.mark.slow
-def test_the_page_follows_the_file(tmp_path: Path) -> None:
+def test_the_page_follows_the_file(tmp_path):
     path = write_cfg(tmp_path, small_cfg(samples=1))
     words = ["preview", str(path), "--no-browser", "--spp", "1", "--no-cache"]
     command = [sys.executable, "-m", "scenec.cli.main", *words]
@@ -128,9 +127,7 @@ def asked(address: str, host: str | None = None) -> tuple[int, str]:
         return error.code, error.read().decode()
 
 
-def test_the_page_answers_to_its_own_names_and_to_its_token_alone(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_the_page_answers_to_its_own_names_and_to_its_token_alone(capfd):
     state = PreviewState()
     state.set(doing="a secret")
     with _served(state, 0) as address:
@@ -157,7 +154,7 @@ def test_the_page_answers_to_its_own_names_and_to_its_token_alone(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-def test_a_preview_that_is_ended_leaves_no_folder(tmp_path: Path, number: int) -> None:
+def test_a_preview_that_is_ended_leaves_no_folder(tmp_path, number):
     if signal.getsignal(number) == signal.SIG_IGN:
         pytest.skip("this signal is ignored here, as under nohup")
     path = write_cfg(tmp_path, small_cfg(samples=1))

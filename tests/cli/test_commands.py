@@ -6,16 +6,21 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from scenec.cli.main import main, parser
+from scenec.compiler.kinds.schema import load_schemas
 from scenec.schemas.errors import ScenecError
-from scenec.testing.processes import until
+from scenec.schemas.passes import PASSES
+from scenec.testing.processes import output_of, ran, scenec, until
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -26,12 +31,17 @@ def small_and_fast() -> dict:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
     cfg = write_cfg(folder, small_and_fast())
     arguments = ["run", str(cfg), "--seed", "5", "-o", str(folder / "out"), "--spp", "4"]
     assert main(arguments) == 0
     return folder / "out"
+
+
+@pytest.fixture
+def copy(output, tmp_path) -> Path:
+    return shutil.copytree(output, tmp_path / "out")
 
 
 def test_run_leaves_stages_frames_and_a_manifest(output):
@@ -45,15 +55,15 @@ def test_run_leaves_stages_frames_and_a_manifest(output):
 
 
 def test_render_does_not_make_frames_again(output, capsys):
-    assert main(["render", str(output), "--spp", "4", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = json.loads(output_of(capsys, ["render", str(output), "--spp", "4", "--json"]).out)
     assert (result["rendered"], result["skipped"]) == (0, 2)
 
 
 @pytest.mark.usefixtures("worker_here")
 def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
-    assert main(["check", str(output), "--backends", "mitsuba,reference", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    result = json.loads(
+        output_of(capsys, ["check", str(output), "--backends", "mitsuba,reference", "--json"]).out
+    )
     # The cfg has no land beyond its terrain.
     assert [finding["check"] for finding in result["findings"]] == ["sky"]
     assert result["agreement"]["frames"] == 2
@@ -63,18 +73,15 @@ def test_check_finds_the_output_sound_and_the_backends_agreed(output, capsys):
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path, capsys):
-    import shutil
-
-    out = tmp_path / "out"
-    shutil.copytree(output, out)
-    frames = out / "batch_0000" / "frames" / "mitsuba" / "rover_front"
+def test_check_renders_what_is_missing_and_touches_nothing_else(copy, capsys):
+    frames = copy / "batch_0000" / "frames" / "mitsuba" / "rover_front"
     for ending in ("exr", "json", "png"):
         (frames / f"000001.{ending}").unlink()
     kept = (frames / "000000.exr").read_bytes()
     # What is missing is a finding, and no reason not to compare the rest.
-    assert main(["check", str(out), "--backends", "mitsuba,pyrender", "--spp", "4"]) == 1
-    told = capsys.readouterr().out
+    told = output_of(
+        capsys, ["check", str(copy), "--backends", "mitsuba,pyrender", "--spp", "4"], 1
+    ).out
     assert "1 of 2 frames are missing: 000001" in told
     assert "mitsuba : pyrender" in told
     assert (frames / "000000.exr").read_bytes() == kept
@@ -82,50 +89,35 @@ def test_check_renders_what_is_missing_and_touches_nothing_else(output, tmp_path
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(output, tmp_path):
-    import shutil
-
-    out = tmp_path / "out"
-    shutil.copytree(output, out)
-    frames = out / "batch_0000" / "frames" / "annotation" / "rover_front"
+def test_a_frame_without_rgb_keeps_no_picture_of_an_earlier_one(copy, tmp_path):
+    frames = copy / "batch_0000" / "frames" / "annotation" / "rover_front"
     frames.mkdir(parents=True)
     (frames / "000000.png").write_bytes(b"a picture")
-    assert main(["render", str(out), "--passes", "depth,label.class"]) == 0
+    assert main(["render", str(copy), "--passes", "depth,label.class"]) == 0
     assert not list(frames.glob("*.png"))
     assert len(list(frames.parents[1].glob("mitsuba/rover_front/*.png"))) == 2
     target = str(tmp_path / "sheet.png")
-    assert main(["sheet", str(out), "--backend", "annotation", "-o", target]) == 0
+    assert main(["sheet", str(copy), "--backend", "annotation", "-o", target]) == 0
 
 
 def test_the_schema_of_cfgs_knows_all_passes():
-    from scenec.compiler.kinds.schema import load_schemas
-    from scenec.schemas.passes import PASSES
-
     for name in ("cfg", "sensor"):
         outputs = load_schemas()[f"#/$defs/{name}"]["properties"]["outputs"]
         assert sorted(outputs["items"]["enum"]) == sorted(PASSES)
 
 
-def test_check_fails_on_damage_and_names_it(output, tmp_path, capsys):
-    import shutil
-
-    damaged = tmp_path / "out"
-    shutil.copytree(output, damaged)
-    frame = damaged / "batch_0000" / "frames" / "mitsuba" / "rover_front" / "000001.exr"
+def test_check_fails_on_damage_and_names_it(copy, capsys):
+    frame = copy / "batch_0000" / "frames" / "mitsuba" / "rover_front" / "000001.exr"
     frame.write_bytes(frame.read_bytes()[:1000])
-    (damaged / "batch_0000" / "looks" / "mud.usda").unlink()
-    assert main(["check", str(damaged)]) == 1
-    said = capsys.readouterr().out
+    (copy / "batch_0000" / "looks" / "mud.usda").unlink()
+    said = output_of(capsys, ["check", str(copy)], 1).out
     assert "000001" in said
     assert "looks/mud.usda" in said
 
 
 def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, capsys):
-    from PIL import Image
-
     target = tmp_path / "sheet.png"
-    assert main(["sheet", str(output), "--backend", "mitsuba", "-o", str(target)]) == 0
-    said = capsys.readouterr()
+    said = output_of(capsys, ["sheet", str(output), "--backend", "mitsuba", "-o", str(target)])
     assert str(target) in said.out
     assert "frames" in said.err
     with Image.open(target) as picture:
@@ -133,30 +125,8 @@ def test_sheet_writes_a_picture_and_says_where_things_lie(output, tmp_path, caps
         assert picture.width > 5 * 480
 
 
-def test_explain_prints_errors_beside_seconds(output, capsys):
-    assert main(["explain", str(output)]) == 0
-    said = capsys.readouterr().out
-    assert "chord error" in said
-    assert "seconds" in said
-    assert main(["explain", str(output), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)["reports"]["batch_0000"]
-    assert report["objects"]["rocks"]["count"] == 300
-
-
-def test_explain_refuses_what_is_no_report(output, tmp_path, capsys):
-    import shutil
-
-    out = tmp_path / "out"
-    shutil.copytree(output, out)
-    for content in ("{}", "[]", "", '{"relief": 3}'):
-        (out / "batch_0000" / "report.json").write_text(content)
-        assert main(["explain", str(out)]) == 2
-        assert "report.json" in capsys.readouterr().err
-
-
 def test_doctor_says_what_works_here(capsys):
-    assert main(["doctor", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(output_of(capsys, ["doctor", "--json"]).out)
     found = said["backends"]
     assert {b["name"] for b in found} == {"mitsuba", "cycles", "pyrender"}
     assert all("llvm" in b["version"] for b in found if b["name"] == "mitsuba")
@@ -166,8 +136,6 @@ def test_doctor_says_what_works_here(capsys):
 
 
 def test_version_is_the_package_s(capsys):
-    from importlib.metadata import version
-
     with pytest.raises(SystemExit) as left:
         main(["--version"])
     assert left.value.code == 0
@@ -256,8 +224,7 @@ def test_settle_refuses_what_it_cannot_compute_with(tmp_path, capsys):
         for text in ("nan", "inf", "-1", "1e308"):
             out = tmp_path / "poses.csv"
             words = ["settle", str(cfg), "--objects", "rocks", "-o", str(out), option, text]
-            assert main(words) == 2
-            assert f"scenec: {option} " in capsys.readouterr().err
+            assert f"scenec: {option} " in output_of(capsys, words, 2).err
             assert not out.exists()
 
 
@@ -269,20 +236,17 @@ def test_without_a_seed_it_is_0():
 def test_validate_says_all_faults_and_writes_nothing(tmp_path, capsys):
     cfg = small_cfg(samples=2)
     path = write_cfg(tmp_path, cfg)
-    assert main(["validate", str(path), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(output_of(capsys, ["validate", str(path), "--json"]).out)
     assert said == {
         "cfg": str(path), "name": cfg["name"], "batches": 1, "samples": 2, "cameras": 1,
         "lidars": 0, "warnings": [],
     }  # fmt: skip
-    assert main(["validate", str(path), "--set", "light.sun.elevation_deg=0.785"]) == 0
-    said = capsys.readouterr()
+    said = output_of(capsys, ["validate", str(path), "--set", "light.sun.elevation_deg=0.785"])
     assert "warning: --set light.sun.elevation_deg=0.785: /light/sun/elevation_deg: " in said.err
     cfg["terrain"]["spacing"] = 0.2
     cfg["objects"]["rocks"]["material"] = "ston"
     write_cfg(tmp_path, cfg)
-    assert main(["validate", str(path)]) == 2
-    lines = capsys.readouterr().err.splitlines()
+    lines = output_of(capsys, ["validate", str(path)], 2).err.splitlines()
     assert any("/terrain/spacing" in line for line in lines)
     assert any("/objects/rocks/material" in line for line in lines)
     assert [path] == list(tmp_path.iterdir())
@@ -294,8 +258,9 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
     cfg["objects"]["rocks"]["material"] = "ston"
     cfg["light"]["sun"]["elevation_deg"] = {"type": "uniform", "min": 60, "max": 20}
     path = write_cfg(tmp_path, cfg)
-    assert main(["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]) == 2
-    lines = capsys.readouterr().err.splitlines()
+    lines = output_of(
+        capsys, ["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")], 2
+    ).err.splitlines()
     assert len(lines) >= 3
     assert all(line.startswith(f"{path}:") for line in lines)
     assert any("/terrain/spacing" in line and "spacing_m" in line for line in lines)
@@ -323,37 +288,25 @@ def test_all_faults_of_a_cfg_are_printed_at_once_with_their_places(tmp_path, cap
 def test_what_is_not_there_is_named_in_one_line(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_cfg(tmp_path, small_cfg())
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
+    said = output_of(capsys, arguments, 2).err
     assert words in said
     assert "Traceback" not in said
     assert len(said.splitlines()) == 1
 
 
 def test_a_pipe_that_closes_early_is_no_error(output):
-    command = f"{sys.executable} -m scenec.cli.main explain {output} --json | head -c 1"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    done = ran(
+        "bash", "-c", f"{sys.executable} -m scenec.cli.main explain {output} --json | head -c 1"
+    )
     assert "Traceback" not in done.stderr
 
 
 def test_interrupting_leaves_no_half_written_output(tmp_path):
     cfg = small_cfg(batches=500)
     out = tmp_path / "out"
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "scenec.cli.main",
-            "compile",
-            str(write_cfg(tmp_path, cfg)),
-            "--seed",
-            "1",
-            "-o",
-            str(out),
-        ],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    words = ["compile", write_cfg(tmp_path, cfg), "--seed", "1", "-o", out]
+    command = [sys.executable, "-m", "scenec.cli.main", *map(str, words)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     until((out / "batch_0001").exists, process)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
@@ -369,8 +322,7 @@ def test_a_process_that_may_open_too_few_files_says_how_many_it_needs(most, tmp_
     def few() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
-    command = [sys.executable, "-m", "scenec.cli.main", "export", str(tmp_path), "--format", "coco"]
-    done = subprocess.run(command, preexec_fn=few, capture_output=True, text=True, check=False)
+    done = scenec("export", tmp_path, "--format", "coco", preexec_fn=few)
     expected = f"this process may open {most} files at a time; expected 32 or more (ulimit -n 32)"
     assert (done.returncode, done.stderr) == (2, f"scenec: {expected}\n")
 
@@ -394,3 +346,18 @@ def test_an_error_of_too_many_open_files_says_how_many_there_may_be(monkeypatch,
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     said = "scenec: Too many open files (this process may open 256)\n"
     assert capsys.readouterr().err == said
+
+
+@pytest.mark.usefixtures("worker_here")
+def test_run_makes_all_that_a_cfg_asks_for_scans_too(tmp_path, capsys):
+    cfg = small_cfg(samples=1, outputs=["depth"])
+    cfg["rigs"]["rover"]["lidars"] = {
+        "top": {"beams": 4, "elevation_deg": [5, -25], "azimuths": 30, "range_m": [0.2, 30]}
+    }
+    out = tmp_path / "out"
+    words = ["run", str(write_cfg(tmp_path, cfg)), "--seed", "1", "-o", str(out), "--json"]
+    made = json.loads(output_of(capsys, [*words, "--backend", "reference"]).out)
+    assert made.keys() == {"compile", "scan", "render"}
+    assert made["scan"]["made"] == made["render"]["rendered"] == 1
+    assert (out / "batch_0000" / "scans" / "rover_top" / "000000.npz").is_file()
+    assert (out / "batch_0000" / "frames" / "annotation" / "rover_front" / "000000.exr").is_file()

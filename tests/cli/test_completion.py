@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +10,7 @@ import pytest
 from scenec.backends.registry import AUTO, BUILT_IN, GROUP
 from scenec.cli import completion
 from scenec.cli.main import parser
+from scenec.testing.processes import python
 
 PROGRAM = """
 import os, sys
@@ -42,14 +41,7 @@ def offered(line: str, folder: Path) -> tuple[set[str], set[str]]:
         "COMP_POINT": str(len(line.encode())),
         "COMP_TYPE": "9",
     }
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env=environment,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-c", PROGRAM, env=environment, cwd=folder)
     loaded = next(text for text in done.stdout.splitlines() if text.startswith("LOADED"))
     return {word.strip() for word in answer.read_text().split("\n")}, set(loaded.split()[1:])
 

@@ -17,6 +17,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.kinds import schema
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, check_output
+from scenec.testing.processes import output_of
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = sorted((ROOT / "configs" / "templates").glob("*.jsonc"))
@@ -28,8 +29,7 @@ CFGS = [*TEMPLATES, *sorted((ROOT / "configs").glob("*.json"))]
 @pytest.mark.parametrize("template", TEMPLATES, ids=lambda path: path.stem)
 def test_a_template_is_short_says_what_it_is_and_compiles_anywhere(template, tmp_path, capsys):
     file = tmp_path / "mine.jsonc"
-    assert main(["init", template.stem, "-o", str(file)]) == 0
-    assert f"scenec run {file}" in capsys.readouterr().out
+    assert f"scenec run {file}" in output_of(capsys, ["init", template.stem, "-o", str(file)]).out
     text = file.read_text()
     assert text == template.read_text()
     assert text.startswith("// ")
@@ -52,24 +52,19 @@ def test_a_template_is_short_says_what_it_is_and_compiles_anywhere(template, tmp
 
 
 def test_templates_are_listed_and_misspelled_ones_told(capsys):
-    assert main(["init", "--json"]) == 0
-    about = json.loads(capsys.readouterr().out)
+    about = json.loads(output_of(capsys, ["init", "--json"]).out)
     assert {"forest", "meadow", "mars", "moon", "desert"} <= set(about)
-    assert main(["init"]) == 0
-    assert capsys.readouterr().out.count("\n") == len(about)
-    assert main(["init", "forrest"]) == 2
-    assert 'did you mean "forest"?' in capsys.readouterr().err
+    assert output_of(capsys, ["init"]).out.count("\n") == len(about)
+    assert 'did you mean "forest"?' in output_of(capsys, ["init", "forrest"], 2).err
 
 
 def test_init_replaces_nothing_and_writes_to_standard_output(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["init", "moon"]) == 0
     (tmp_path / "moon.jsonc").write_text("mine")
-    assert main(["init", "moon"]) == 2
-    assert "moon.jsonc: is there already" in capsys.readouterr().err
+    assert "moon.jsonc: is there already" in output_of(capsys, ["init", "moon"], 2).err
     assert (tmp_path / "moon.jsonc").read_text() == "mine"
-    assert main(["init", "moon", "-o", "-"]) == 0
-    assert capsys.readouterr().out.startswith("// The Moon")
+    assert output_of(capsys, ["init", "moon", "-o", "-"]).out.startswith("// The Moon")
 
 
 def test_init_leaves_links_pipes_and_devices_alone(tmp_path, capsys):
@@ -77,8 +72,10 @@ def test_init_leaves_links_pipes_and_devices_alone(tmp_path, capsys):
     link.symlink_to(tmp_path / "nowhere")
     os.mkfifo(pipe)
     for file in (link, pipe, Path(os.devnull)):
-        assert main(["init", "moon", "-o", str(file)]) == 2
-        assert f"{file}: is there already" in capsys.readouterr().err
+        assert (
+            f"{file}: is there already"
+            in output_of(capsys, ["init", "moon", "-o", str(file)], 2).err
+        )
     assert link.is_symlink()
     assert not (tmp_path / "nowhere").exists()
     assert pipe.is_fifo()
@@ -103,8 +100,7 @@ def test_nothing_takes_the_place_of_a_pipe_or_a_folder(tmp_path):
 
 
 def schema_of(capsys, *words: str) -> Draft202012Validator:
-    assert main(["schema", *words]) == 0
-    schema = json.loads(capsys.readouterr().out)
+    schema = json.loads(output_of(capsys, ["schema", *words]).out)
     Draft202012Validator.check_schema(schema)
     # Self-contained: a reference leads nowhere else.
     text = json.dumps(schema)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import subprocess
-import sys
 
 import pytest
 
@@ -34,13 +32,13 @@ class Clock:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     made = Clock()
     monkeypatch.setattr(output.time, "perf_counter", made.perf_counter)
     return made
 
 
-def test_lines_say_speed_and_time_left(clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_say_speed_and_time_left(clock, capsys):
     progress = Progress("frame")
     for done in (1, 2, 3):
         clock.now += 0.5
@@ -49,25 +47,21 @@ def test_lines_say_speed_and_time_left(clock: Clock, capsys: pytest.CaptureFixtu
     assert lines[-1] == "frame 3/11, 2 frames/s, 4 s left: number 3"
 
 
-def test_slow_steps_are_told_in_seconds_each(
-    clock: Clock, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_slow_steps_are_told_in_seconds_each(clock, capsys):
     progress = Progress("compiled", unit="batch", units="batches")
     clock.now += 200.0
     progress(1, 3, "batch_0000")
     assert "200 s a batch, 6:40 min left" in capsys.readouterr().err
 
 
-def test_what_was_there_before_the_first_report_is_not_speed(
-    clock: Clock, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_there_before_the_first_report_is_not_speed(clock, capsys):
     progress = Progress("exported", unit="step")
     clock.now += 1.0
     progress(901, 1000, "x")
     assert "1 steps/s, 99 s left" in capsys.readouterr().err
 
 
-def test_speed_follows_a_change_of_speed(clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
+def test_speed_follows_a_change_of_speed(clock, capsys):
     progress = Progress("frame")
     for done in range(1, 101):
         clock.now += 0.001
@@ -78,9 +72,7 @@ def test_speed_follows_a_change_of_speed(clock: Clock, capsys: pytest.CaptureFix
     assert "10 s a frame, 2:23 h left" in capsys.readouterr().err
 
 
-def test_a_terminal_gets_one_line_that_fills_up(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_gets_one_line_that_fills_up(clock, monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     progress = Progress("frame")
@@ -93,9 +85,7 @@ def test_a_terminal_gets_one_line_that_fills_up(
     assert terminal.getvalue().endswith("\n")
 
 
-def test_a_line_amid_a_bar_takes_the_bars_place(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_amid_a_bar_takes_the_bars_place(clock, monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
     progress = Progress("frame")
@@ -109,8 +99,8 @@ def test_a_line_amid_a_bar_takes_the_bars_place(
 
 
 def test_steps_between_are_shown_on_a_terminal_and_once_a_second_elsewhere(
-    clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    clock, monkeypatch, capsys
+):
     progress = Progress("compiled")
     progress.now(0, 2, "relief")
     assert capsys.readouterr().err == ""
@@ -125,9 +115,7 @@ def test_steps_between_are_shown_on_a_terminal_and_once_a_second_elsewhere(
     say("done")
 
 
-def test_many_quick_steps_are_told_now_and_then(
-    clock: Clock, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_many_quick_steps_are_told_now_and_then(clock, capsys):
     progress = Progress("exported", unit="step", every_s=2.0)
     for done in range(1, 101):
         clock.now += 0.1
@@ -138,9 +126,7 @@ def test_many_quick_steps_are_told_now_and_then(
     assert len(told) <= 7
 
 
-def test_a_status_is_on_a_terminal_alone_and_goes_before_the_next_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_status_is_on_a_terminal_alone_and_goes_before_the_next_line(monkeypatch, capsys):
     output.status("reading a.json")
     assert capsys.readouterr().err == ""
     terminal = Terminal()
@@ -149,11 +135,3 @@ def test_a_status_is_on_a_terminal_alone_and_goes_before_the_next_line(
     assert terminal.getvalue() == "\rreading a.json"
     assert main(["compile", "none.json", "--seed", "1", "-o", "OUT"]) == 2
     assert "\r\x1b[Knone.json:1:1: /: No such file or directory\n" in terminal.getvalue()
-
-
-@pytest.mark.parametrize("command", ["compile", "run"])
-def test_a_command_says_what_it_reads_before_it_imports_what_takes_long(command: str) -> None:
-    heavy = "{'numba', 'pxr', 'scipy'}"
-    code = f"import sys, scenec.cli.{command}_command; print(sorted({heavy} & sys.modules.keys()))"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "[]\n"

@@ -51,9 +51,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "action"), CASES)
-def test_no_option_takes_its_last_value_without_a_word(
-    name: str, action: argparse.Action, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_option_takes_its_last_value_without_a_word(name, action, capsys):
     command = commands()[name]
     needed = [word for a in command._actions if not a.option_strings and a.nargs is None
               for word in [str(next(iter(a.choices or ["x"])))]]  # fmt: skip
@@ -75,7 +73,7 @@ def test_no_option_takes_its_last_value_without_a_word(
         assert "twice: expected one value" in said
 
 
-def test_lists_add_up_in_their_own_order() -> None:
+def test_lists_add_up_in_their_own_order():
     read = parser().parse_args
     assert read(["render", "o", "--passes", "rgb", "--passes", "depth,rgb"]).passes == (
         "rgb", "depth",
@@ -100,7 +98,7 @@ def test_lists_add_up_in_their_own_order() -> None:
         ["render", "o", "--samples", "0:1", "--samples", "2:3"],
     ],
 )
-def test_a_second_value_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_value_is_refused(words, capsys):
     with pytest.raises(SystemExit) as left:
         parser().parse_args(words)
     assert left.value.code == 2

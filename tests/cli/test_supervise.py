@@ -15,7 +15,7 @@ import pytest
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
-from scenec.testing.processes import until, until_gone
+from scenec.testing.processes import scenec, until, until_gone
 from scenec.testing.small import small_cfg, write_cfg
 
 pytestmark = [
@@ -78,7 +78,7 @@ def with_site(folder: Path, code: str) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("crash")
     cfg = small_cfg(samples=1, outputs=["depth", "instance"])
     cfg["terrain"]["spacing_m"] = 1.0
@@ -93,13 +93,7 @@ def output(tmp_path_factory) -> Path:
 )
 def test_a_crash_over_a_stage_is_one_line_and_exit_status_2(command, output, tmp_path):
     out = shutil.copytree(output, tmp_path / "out")
-    done = subprocess.run(
-        [*WORDS, command[0], str(out), *command[1:]],
-        env=with_site(tmp_path, CRASH),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = scenec(command[0], out, *command[1:], env=with_site(tmp_path, CRASH))
     assert done.returncode == 2
     told = f"scenec: {out}/batch_0000/stage.usda: the library that reads it crashed, the "
     told += "process died (signal SIGSEGV): a file of it is damaged, or memory ran out"
@@ -115,13 +109,8 @@ def test_a_crash_over_a_model_is_one_line_too(tmp_path):
     }  # fmt: skip
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     path = write_cfg(tmp_path, cfg)
-    done = subprocess.run(
-        [*WORDS, "compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")],
-        env=with_site(tmp_path, CRASH),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = with_site(tmp_path, CRASH)
+    done = scenec("compile", path, "--seed", "1", "-o", tmp_path / "out", env=environment)
     assert done.returncode == 2
     assert f"scenec: {tmp_path}/a.usda: the library that reads it crashed" in done.stderr
 

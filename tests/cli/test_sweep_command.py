@@ -13,6 +13,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.sweep import points, split
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import tree
+from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 
@@ -75,8 +76,7 @@ def test_every_point_is_what_compiling_it_alone_makes_and_is_made_once(tmp_path,
     file, out = tiny(tmp_path), tmp_path / "out"
     words = ["sweep", str(file), "--set", "terrain.spacing_m=0.5,0.8", "--seeds", "3:5"]
     words += ["-o", str(out), "--compile-only", "--no-cache", "--workers", "0", "--json"]
-    assert main(words) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = json.loads(output_of(capsys, words).out)
     assert said == json.loads((out / "sweep.json").read_text())
     assert {point["state"] for point in said["points"]} == {"compiled"}
     assert [point["terrain.spacing_m"] for point in said["points"]] == [0.5, 0.5, 0.8, 0.8]
@@ -98,8 +98,7 @@ def test_every_point_is_what_compiling_it_alone_makes_and_is_made_once(tmp_path,
 
     # A point that lost a file is made again, and no other.
     (ours / "stage.usda").unlink()
-    assert main(words) == 0
-    assert "3 of 4 points are compiled already" in capsys.readouterr().err
+    assert "3 of 4 points are compiled already" in output_of(capsys, words).err
     assert (ours / "stage.usda").read_bytes() == (theirs / "stage.usda").read_bytes()
 
 
@@ -132,11 +131,14 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     cfg = json.loads(file.read_text())
     cfg["terrain"]["spacing_m"] = 0.7
     file.write_text(json.dumps(cfg))
-    assert main(words) == 2
-    assert "seed=0: holds batches of another cfg; --replace" in capsys.readouterr().err
+    assert "seed=0: holds batches of another cfg; --replace" in output_of(capsys, words, 2).err
     assert main([*words, "--replace"]) == 0
-    assert main(["sweep", str(file), "-o", str(out / "seed=0"), "--compile-only"]) == 2
-    assert "no sweep" in capsys.readouterr().err
+    assert (
+        "no sweep"
+        in output_of(
+            capsys, ["sweep", str(file), "-o", str(out / "seed=0"), "--compile-only"], 2
+        ).err
+    )
 
 
 @pytest.mark.usefixtures("worker_here")

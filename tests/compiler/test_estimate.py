@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.draw import draw
-from scenec.compiler.estimate import BASE_BYTES, MARGIN, needs_of, require_memory, told_time
+from scenec.compiler.estimate import BASE_BYTES, MARGIN, needs_of, require_memory, time_warning
 from scenec.schemas.errors import SceneError
 from scenec.schemas.memory import GB, available, limit
 from scenec.testing.examples import examples
@@ -116,9 +116,9 @@ def test_what_is_just_below_the_margin_is_let_through_and_told(tmp_path):
 
 def test_long_compilations_are_announced_with_their_causes(tmp_path):
     found = list(needs(tmp_path, rocks(count=20_000_000)).values())
-    assert "objects/rocks/count: 20,000,000 instances" in (told_time(found, 1) or "")
-    assert told_time(list(needs(tmp_path, rocks(count=10)).values()), 1) is None
-    assert "for 90,000 batches" in (told_time(found, 90_000) or "")
+    assert "objects/rocks/count: 20,000,000 instances" in (time_warning(found, 1) or "")
+    assert time_warning(list(needs(tmp_path, rocks(count=10)).values()), 1) is None
+    assert "for 90,000 batches" in (time_warning(found, 90_000) or "")
 
 
 def test_long_erosion_is_announced(tmp_path):
@@ -127,7 +127,7 @@ def test_long_erosion_is_announced(tmp_path):
         cfg["terrain"]["relief"].append(operator | {"steps": 100_000})
 
     found = list(needs(tmp_path, change).values())
-    assert "terrain/relief/3/steps: 818,100,000 steps" in (told_time(found, 1) or "")
+    assert "terrain/relief/3/steps: 818,100,000 steps" in (time_warning(found, 1) or "")
 
 
 def test_nothing_is_written_where_a_batch_is_refused(tmp_path):

@@ -25,7 +25,7 @@ from scenec.compiler.draw import draw
 from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.emit.maps import copy_maps
 from scenec.compiler.output import Output, locked
-from scenec.compiler.scene.material import MaterialMaps, Picture
+from scenec.compiler.scene.material import ImageFile, MaterialMaps
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, inside, sweep, temporary_folder
@@ -405,7 +405,7 @@ def test_no_name_leads_out_of_its_folder(tmp_path, name):
 def test_no_name_in_a_scene_leads_out_of_its_batch(tmp_path):
     scene = build(draw(load(write_cfg(tmp_path)), 1, 0), BuildLog(), Keep.SEEN)
     mud = scene.materials["mud"]
-    maps = MaterialMaps(1.0, {"base_color": Picture("/../../../x", b"")}, "opengl")
+    maps = MaterialMaps(1.0, {"base_color": ImageFile("/../../../x", b"")}, "opengl")
     folder = tmp_path / "batch"
     before = contents(tmp_path)
     for change in (

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.datasets.export import Choice, export
-from scenec.datasets.filters import make_filters
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.instances import BATCH_TABLE, read_table, write_table
 from scenec.testing.made_frames import (
@@ -221,15 +220,6 @@ def test_only_chosen_objects_are_written(made, tmp_path):
     assert [[e["inst_id"] for e in entries] for entries in scene.gt.values()] == [[2]] * 3
     assert json.loads((tmp_path / "d/objects.json").read_text()).keys() == {"1"}
     assert len(list((tmp_path / "d/all/000000/mask_visib").iterdir())) == 3
-
-
-def test_filtered_instances_are_not_written(made, tmp_path):
-    filters = make_filters(["area>=45"])
-    export(made.out, "bop", tmp_path / "d", Choice(filters=filters))
-    scene = Scene(tmp_path / "d/all/000000")
-    counts = [i["px_count_visib"] for infos in scene.info.values() for i in infos]
-    assert counts
-    assert min(counts) >= 45
 
 
 def test_depth_in_tenths_of_a_millimeter_ends_where_16_bits_do(made, tmp_path):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import tarfile
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import webdataset
@@ -16,15 +16,10 @@ from sensor_frames import add_sensor
 from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.datasets.torch_dataset import FrameDataset, collate
-from scenec.testing.made_output import Passes, make_output, some_passes
+from scenec.testing.made_frames import LEFT, RIGHT, SIDE, make_out, rewrite
+from scenec.testing.made_output import edit, exported, make_output, small_ids
 
 ROLLS, STILL = "rover_left", "rover_right"
-
-
-def small_ids(number: int) -> Passes:
-    """Ids that every format can hold."""
-    passes = some_passes(number)
-    return passes | {"instance": passes["instance"] % np.uint32(1000)}
 
 
 def shutter_of(told: dict[str, Any]) -> dict[str, Any]:
@@ -38,19 +33,15 @@ def shutter_of(told: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     """One camera with a rolling shutter and a sensor, one with neither."""
     out = make_output(tmp_path_factory.mktemp("blocks") / "out", small_ids, batches=1)
     add_sensor(out, [ROLLS])
     for path in sorted(out.glob(f"batch_*/frames/*/{ROLLS}/*.json")):
         told = json.loads(path.read_bytes())
         told["imaging"]["parameters"] |= {"black_level": 64, "bits": 12}
-        path.write_text(json.dumps(told | {"shutter": shutter_of(told)}), encoding="utf-8")
+        edit(path, imaging=told["imaging"], shutter=shutter_of(told))
     return out
-
-
-def exported(out: Path, folder: Path, form: str, **options: str) -> Path:
-    return export(out, form, folder, Choice(options=options)).folder
 
 
 def sidecars(out: Path) -> list[dict[str, Any]]:
@@ -58,7 +49,7 @@ def sidecars(out: Path) -> list[dict[str, Any]]:
 
 
 def test_hdf5_has_them_beside_each_frame_and_says_what_they_are(out, tmp_path):
-    folder = exported(out, tmp_path / "d", "hdf5")
+    folder = exported(out, "hdf5", tmp_path / "d")
     frames = 0
     for path in sorted(folder.glob("*.h5")):
         with h5py.File(path) as file:
@@ -85,16 +76,15 @@ def frame_name(sidecar: dict[str, Any]) -> str:
 def test_a_column_that_begins_late_is_empty_before(tmp_path):
     out = make_output(tmp_path / "out", small_ids, batches=1)
     paths = sorted(out.glob(f"batch_*/frames/*/{STILL}/*.json"))
-    told = json.loads(paths[1].read_bytes())
-    paths[1].write_text(json.dumps(told | {"shutter": shutter_of(told)}), encoding="utf-8")
-    with h5py.File(exported(out, tmp_path / "d", "hdf5") / "all_12x8.h5") as file:
+    edit(paths[1], shutter=shutter_of(json.loads(paths[1].read_bytes())))
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         texts = list(file["shutter"].asstr())
         assert texts[:3] == ["", "", ""]
         assert json.loads(texts[3])["readout_s"] == 0.03
 
 
 def test_webdataset_has_them_in_the_json(out, tmp_path):
-    folder = exported(out, tmp_path / "d", "webdataset")
+    folder = exported(out, "webdataset", tmp_path / "d")
     shards = sorted(map(str, folder.glob("*.tar")))
     found = [s["json"] for s in webdataset.WebDataset(shards, shardshuffle=False).decode()]
     for sample, wanted in zip(found, sidecars(out), strict=True):
@@ -116,14 +106,14 @@ def test_parquet_has_the_sensor_and_counts_the_poses_of_rows(out, tmp_path):
 
 @pytest.mark.parametrize("form", ["coco", "panoptic"])
 def test_images_of_coco_have_the_shutter(out, tmp_path, form):
-    folder = exported(out, tmp_path / "d", form)
+    folder = exported(out, form, tmp_path / "d")
     (path,) = folder.glob("annotations/*.json")
     images = json.loads(path.read_bytes())["images"]
     assert [i.get("shutter") for i in images] == [s.get("shutter") for s in sidecars(out)]
 
 
 def test_cameras_of_cityscapes_and_training_samples_have_the_shutter(out, tmp_path):
-    folder = exported(out, tmp_path / "d", "cityscapes")
+    folder = exported(out, "cityscapes", tmp_path / "d")
     found = [json.loads(p.read_bytes())["scenec"] for p in sorted(folder.rglob("*_camera.json"))]
     assert [f.get("shutter") for f in found] == [s.get("shutter") for s in sidecars(out)]
     frames = FrameDataset(out, ("depth",), as_numpy=True)
@@ -153,12 +143,35 @@ def test_a_camera_that_stands_still_or_reads_out_at_once_has_one_pose(tmp_path):
             shutter["readout_s"] = 0.0
         else:
             shutter["camera_to_world"] = [told["camera_to_world"]] * 2
-        path.write_text(json.dumps(told | {"shutter": shutter}), encoding="utf-8")
+        edit(path, shutter=shutter)
     assert export(out, "tum", tmp_path / "d").left_out == {}
 
 
 def test_statistics_say_how_a_shutter_reads_out(out, tmp_path):
-    folder = exported(out, tmp_path / "d", "tum")
+    folder = exported(out, "tum", tmp_path / "d")
     cameras = json.loads((folder / "statistics.json").read_bytes())["made"]["cameras"]
     found = {camera["camera"]: camera.get("shutter") for camera in cameras}
     assert found == {ROLLS: {"readout_s": 0.03, "direction": "down"}, STILL: None}
+
+
+def test_hdf5_and_webdataset_name_the_camera_that_disparity_goes_to(tmp_path):
+    made = make_out(tmp_path / "out", (LEFT, RIGHT, SIDE), 1)
+    partners = {LEFT.name: RIGHT.name, RIGHT.name: LEFT.name}
+    for (camera, sample), passes in made.passes.items():
+        if camera in partners:
+            stem = made.out / f"batch_0000/frames/mitsuba/{camera}/{sample:06d}"
+            rewrite(stem, passes, partner=partners[camera])
+    export(made.out, "hdf5", tmp_path / "h")
+    with h5py.File(tmp_path / "h/all_64x48.h5") as file:
+        told = [json.loads(text) for text in file["stereo"].asstr()]
+        assert told == [{"partner": RIGHT.name}, {"partner": LEFT.name}]
+    with h5py.File(tmp_path / "h/all_40x30.h5") as file:
+        assert "stereo" not in file
+    export(made.out, "webdataset", tmp_path / "w")
+    with tarfile.open(tmp_path / "w/all-000000.tar") as tar:
+        found = {}
+        for name in tar.getnames():
+            if name.endswith(".json"):
+                values = json.load(tar.extractfile(name))
+                found[values["camera"]] = values.get("partner")
+    assert found == partners | {SIDE.name: None}

@@ -7,15 +7,13 @@ import hashlib
 import json
 import re
 import shlex
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tiny_format import contents, install
+from tiny_format import contents
 
 from scenec.cli.main import parser
 from scenec.datasets import card_tables
@@ -23,7 +21,7 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.splits import parse_splits
-from scenec.testing.made_output import make_output
+from scenec.testing.made_output import edit, make_output
 
 CFG = '{\n "name": "ä ``` | box",\n "version": 1\n}\n'
 FLINT = {
@@ -38,45 +36,26 @@ _FENCED = re.compile(r"^(`{3,})\w*\n.*?\n\1$", re.DOTALL | re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
-def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with pytest.MonkeyPatch.context() as patch:
-        yield install(patch, tmp_path_factory.mktemp("plugin"))
-
-
-@pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     """An output whose manifest knows of a cfg, its inputs and their terms."""
     out = make_output(tmp_path_factory.mktemp("made") / "out", name="ä ``` | box")
     (out / "cfg.json").write_text(CFG, encoding="utf-8")
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
     manifest["files"]["cfg.json"] = {"sha256": hashlib.sha256(CFG.encode()).hexdigest()}
-    manifest |= {
-        "seed": 7,
-        "scenec": "9.9",
-        "libraries": {"numpy": "2.0"},
-        "cfg": {
-            "sha256": "c" * 64,
-            "inputs": {"objects/rocks/models/0/file": "a" * 64, "terrain/relief/0/file": "b" * 64},
-            "licenses": {"objects/rocks/models/0/file": FLINT},
-        },
-    }
-    (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    inputs = {"objects/rocks/models/0/file": "a" * 64, "terrain/relief/0/file": "b" * 64}
+    licenses = {"objects/rocks/models/0/file": FLINT}
+    cfg = {"sha256": "c" * 64, "inputs": inputs, "licenses": licenses}
+    edit(out / "manifest.json", files=manifest["files"], seed=7, scenec="9.9",
+         libraries={"numpy": "2.0"}, cfg=cfg)  # fmt: skip
     for path in out.glob("batch_*/frames/annotation/*/*.json"):
-        sidecar = json.loads(path.read_text(encoding="utf-8"))
-        sidecar |= {
-            "backend_version": "annotation 1",
-            "spp": 16,
-            "noise_seed": 3,
-            "sun": {"elevation_deg": 30.0, "azimuth_deg": 100.0, "irradiance": [1, 1, 1]},
-            "height_above_surface_m": 1.5,
-            "estimated_error": {"relative_rms": 0.125},
-        }
-        path.write_text(json.dumps(sidecar), encoding="utf-8")
+        sun = {"elevation_deg": 30.0, "azimuth_deg": 100.0, "irradiance": [1, 1, 1]}
+        edit(path, backend_version="annotation 1", spp=16, noise_seed=3, sun=sun,
+             height_above_surface_m=1.5, estimated_error={"relative_rms": 0.125})  # fmt: skip
     return out
 
 
 @pytest.fixture(scope="module")
-def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(output, plugin, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole") / "ds"
     choice = Choice(
         samples=range(2),
@@ -92,7 +71,7 @@ def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture(scope="module")
-def card(dataset: Path) -> str:
+def card(dataset):
     return (dataset / "README.md").read_text(encoding="utf-8")
 
 
@@ -106,7 +85,7 @@ def section(card: str, title: str) -> str:
     return card.split(f"\n## {title}\n")[1].split("\n## ")[0]
 
 
-def test_the_head_is_yaml_and_has_what_the_format_asks_for(card: str) -> None:
+def test_the_head_is_yaml_and_has_what_the_format_asks_for(card):
     yaml = pytest.importorskip("yaml")
     head = yaml.safe_load(card.split("---\n")[1])
     assert head["pretty_name"] == "ä ``` | box"
@@ -117,7 +96,7 @@ def test_the_head_is_yaml_and_has_what_the_format_asks_for(card: str) -> None:
     assert "configs" not in section(card, "How to load it")
 
 
-def test_numbers_are_those_of_the_statistics(card: str, dataset: Path) -> None:
+def test_numbers_are_those_of_the_statistics(card, dataset):
     statistics = json.loads((dataset / "statistics.json").read_text(encoding="utf-8"))
     labels = section(card, "Labels")
     for level in statistics["levels"].values():
@@ -137,7 +116,7 @@ EVIL = [
 ]  # fmt: skip
 
 
-def test_names_of_others_are_text_in_the_card(tmp_path: Path) -> None:
+def test_names_of_others_are_text_in_the_card(tmp_path):
     labels = {"class": dict(enumerate(EVIL, start=1))}
     passes = {
         "label.class": np.arange(1, len(EVIL) + 1, dtype=np.uint32).repeat(4)[None].repeat(8, 0),
@@ -159,7 +138,7 @@ def test_names_of_others_are_text_in_the_card(tmp_path: Path) -> None:
 
 
 @given(st.text(min_size=1))
-def test_code_holds_any_text(text: str) -> None:
+def test_code_holds_any_text(text):
     """As CommonMark reads a span: one space off both ends where there are two, and not only."""
     span = card_tables.code(text)
     fence = re.match(r"`+", span)[0]
@@ -170,7 +149,7 @@ def test_code_holds_any_text(text: str) -> None:
     assert inner.split() == text.split() or not text.strip()
 
 
-def test_every_table_has_one_number_of_columns(card: str) -> None:
+def test_every_table_has_one_number_of_columns(card):
     tables = re.findall(r"(?:^\|.*\|\n)+", _FENCED.sub("", card), re.M)
     assert len(tables) > 10
     for table in tables:
@@ -178,13 +157,13 @@ def test_every_table_has_one_number_of_columns(card: str) -> None:
         assert len(widths) == 1, table
 
 
-def test_the_cfg_stands_there_in_full_whatever_is_in_it(card: str) -> None:
+def test_the_cfg_stands_there_in_full_whatever_is_in_it(card):
     texts = [text for language, text in blocks(card) if language == "json"]
     assert CFG.rstrip("\n") in texts
     assert {"class": {"rock": "stone"}} in [json.loads(t) for t in texts if "rock" in t]
 
 
-def test_commands_are_ones_that_the_command_line_takes(card: str) -> None:
+def test_commands_are_ones_that_the_command_line_takes(card):
     (script,) = [text for language, text in blocks(card) if language == "sh"]
     options: list[argparse.Namespace] = []
     for line in script.splitlines():
@@ -202,7 +181,7 @@ def test_commands_are_ones_that_the_command_line_takes(card: str) -> None:
     assert (check.out, check.against) == ("AGAIN", "DATASET")
 
 
-def test_terms_of_what_went_in_are_listed_and_unknown_ones_said_to_be(card: str) -> None:
+def test_terms_of_what_went_in_are_listed_and_unknown_ones_said_to_be(card):
     text = section(card, "Licenses")
     assert (
         "| `/objects/rocks/models/0/file` | `rocks/flint.glb` | CC-BY-4.0 | "
@@ -211,16 +190,14 @@ def test_terms_of_what_went_in_are_listed_and_unknown_ones_said_to_be(card: str)
     assert "| `/terrain/relief/0/file` |  | unknown | unknown | nothing says so |" in text
 
 
-def test_the_digest_is_that_of_the_index(card: str, dataset: Path) -> None:
+def test_the_digest_is_that_of_the_index(card, dataset):
     lines = (dataset / "frames.csv").read_text(encoding="utf-8").splitlines()[1:]
     fields = [line.split(",") for line in lines]
     text = "".join(f"{field[0]} {field[7]}\n" for field in fields)
     assert hashlib.sha256(text.encode()).hexdigest() in section(card, "Is it whole, is it the same")
 
 
-def test_a_cfg_that_is_not_the_manifest_s_is_not_shown(
-    output: Path, plugin: Path, tmp_path: Path
-) -> None:
+def test_a_cfg_that_is_not_the_manifest_s_is_not_shown(output, plugin, tmp_path):
     (output / "cfg.json").write_text(CFG + " ", encoding="utf-8")
     try:
         export(output, "tiny", tmp_path / "ds")
@@ -231,7 +208,7 @@ def test_a_cfg_that_is_not_the_manifest_s_is_not_shown(
     assert CFG.strip() not in text
 
 
-def test_frames_of_a_mere_stage_have_a_card_too(tmp_path: Path, plugin: Path) -> None:
+def test_frames_of_a_mere_stage_have_a_card_too(tmp_path, plugin):
     made = make_output(tmp_path / "made", batches=1, cameras=("a",))
     folder = made / "batch_0000"
     export(folder / "stage.usda", "tiny", tmp_path / "ds")
@@ -241,7 +218,7 @@ def test_frames_of_a_mere_stage_have_a_card_too(tmp_path: Path, plugin: Path) ->
     assert set(contents(tmp_path / "ds")) >= {"README.md", "SHA256SUMS", "frames.csv"}
 
 
-def test_bars_are_as_long_as_their_counts_and_what_is_there_shows() -> None:
+def test_bars_are_as_long_as_their_counts_and_what_is_there_shows():
     found: dict[str, Any] = {"edges": [0.0, 1.0, 2.0, 4.0], "counts": [1000, 500, 1], "below": 0}
     lines = card_tables.histogram(found, "m", "pixels").splitlines()[2:]
     bars = [line.split("|")[3].strip() for line in lines]

@@ -19,26 +19,17 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.cityscapes import instance_values
 from scenec.schemas.errors import OutputError
-from scenec.testing.made_output import LABELS, make_output, pose_of, some_passes
+from scenec.testing.made_output import LABELS, exported, make_output, pose_of, some_passes
 
 CORE = "all/batch0000/batch0000_000001_000001"
-
-
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_output(tmp_path_factory.mktemp("cityscapes") / "out")
-
-
-def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "cityscapes", folder, Choice(options=options)).folder
 
 
 def read(path: Path) -> np.ndarray:
     return np.array(Image.open(path))
 
 
-def test_cityscapes_reader_counts_the_same_instances_and_pixels(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d")
+def test_cityscapes_reader_counts_the_same_instances_and_pixels(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d")
     number = 3  # batch 0, second camera, second sample
     made = some_passes(number)
     path = folder / f"gtFine/{CORE}_gtFine_instanceIds.png"
@@ -57,8 +48,8 @@ def test_cityscapes_reader_counts_the_same_instances_and_pixels(out: Path, tmp_p
     assert {s["instID"] for s in found[id2label[3].name]} == {int(v) for v in named}
 
 
-def test_cityscapes_helpers_understand_the_names(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d", depth="depth")
+def test_cityscapes_helpers_understand_the_names(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d", depth="depth")
     pictures = [p for p in folder.rglob("*") if p.suffix in (".png", ".json") and "_" in p.name]
     assert len(pictures) == 8 * 7
     for path in pictures:
@@ -70,10 +61,8 @@ def test_cityscapes_helpers_understand_the_names(out: Path, tmp_path: Path):
     assert cameras == {"rover_left": 0, "rover_right": 1}
 
 
-def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(
-    out: Path, tmp_path: Path
-):
-    folder = exported(out, tmp_path / "d", levels="all", ids="frame")
+def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d", levels="all", ids="frame")
     made = some_passes(3)
     small = read(folder / f"gtFine/{CORE}_gtFine_labelIds.png")
     large = read(folder / f"levels/surface/gtFine/{CORE}_gtFine_labelIds.png")
@@ -85,8 +74,8 @@ def test_labels_take_eight_bits_where_the_level_fits_and_sixteen_where_not(
     assert (four @ np.array([1, 256, 65536, 16777216]) == made["instance"]).all()
 
 
-def test_colors_are_those_of_the_table(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d")
+def test_colors_are_those_of_the_table(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d")
     table = json.loads((folder / "labels.json").read_text(encoding="utf-8"))
     assert [(e["id"], e["name"]) for e in table["labels"]["class"]] == list(LABELS["class"].items())
     colors = {e["id"]: e["color"] for e in table["labels"]["class"]}
@@ -101,7 +90,7 @@ def test_colors_are_those_of_the_table(out: Path, tmp_path: Path):
         np.uint32, (5, 6), elements=st.sampled_from([0, 1, 2, 65_536, 2**31, 2**32 - 1])
     ),
 )
-def test_values_say_label_and_instance_of_every_pixel(labels: np.ndarray, ids: np.ndarray):
+def test_values_say_label_and_instance_of_every_pixel(labels, ids):
     values, named, over = instance_values(labels, ids)
     assert not over
     assert (np.where(values < 1000, values, values // 1000) == labels).all()
@@ -127,11 +116,11 @@ def crowd(number: int) -> dict:
     }
 
 
-def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_path: Path):
+def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_path):
     out = make_output(tmp_path / "out", crowd, batches=1, cameras=("c",), samples=1)
     with pytest.raises(OutputError, match=r"1100 instances of label 3.*overflow=group.*ids=frame"):
-        exported(out, tmp_path / "a")
-    folder = exported(out, tmp_path / "b", overflow="group")
+        exported(out, "cityscapes", tmp_path / "a")
+    folder = exported(out, "cityscapes", tmp_path / "b", overflow="group")
     stem = folder / "gtFine/all/batch0000/batch0000_000000_000000_gtFine"
     values = read(Path(f"{stem}_instanceIds.png"))
     assert values.dtype == np.uint16
@@ -140,23 +129,23 @@ def test_more_instances_than_cityscapes_has_room_for_are_refused_or_grouped(tmp_
     assert len(json.loads(Path(f"{stem}_instances.json").read_text())) == 1000
 
 
-def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(out: Path, tmp_path: Path):
+def test_a_label_whose_instances_do_not_fit_sixteen_bits_is_refused(output, tmp_path):
     choice = Choice(level="surface")
     with pytest.raises(OutputError, match="no room for instances of a label above 65"):
-        export(out, "cityscapes", tmp_path / "d", choice)
+        export(output, "cityscapes", tmp_path / "d", choice)
 
 
-def test_instances_that_a_filter_ignores_get_the_plain_label(out: Path, tmp_path: Path):
+def test_instances_that_a_filter_ignores_get_the_plain_label(output, tmp_path):
     choice = Choice(filters=make_filters(["id=5"], "ignore"))
-    folder = export(out, "cityscapes", tmp_path / "d", choice).folder
+    folder = export(output, "cityscapes", tmp_path / "d", choice).folder
     made = some_passes(3)
     values = read(folder / f"gtFine/{CORE}_gtFine_instanceIds.png")
     assert (values[made["instance"] > 5] == 3).all()
     assert (values[made["instance"] == 5] == 3000).all()
 
 
-def test_cameras_say_where_they_are(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d")
+def test_cameras_say_where_they_are(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d")
     camera = json.loads((folder / f"camera/{CORE}_camera.json").read_text(encoding="utf-8"))
     pose = pose_of("rover_right", 1)
     assert camera["scenec"]["camera_to_world"] == pose.tolist()
@@ -178,37 +167,35 @@ def turn(axis: int, angle: float) -> np.ndarray:
     return m
 
 
-def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_yaw_pitch_and_roll_turn_the_bodys_axes_to_the_worlds(tmp_path, monkeypatch):
     body = turn(2, 2.0) @ turn(1, -0.4) @ turn(0, 0.7)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1)
     monkeypatch.setattr("scenec.testing.made_output.pose_of", lambda camera, sample: pose)
     out = make_output(tmp_path / "out", batches=1, cameras=("c",), samples=1)
-    folder = exported(out, tmp_path / "d")
+    folder = exported(out, "cityscapes", tmp_path / "d")
     path = folder / "camera/all/batch0000/batch0000_000000_000000_camera.json"
     outer = json.loads(path.read_text(encoding="utf-8"))["extrinsic"]
     assert [outer[k] for k in ("yaw", "pitch", "roll")] == pytest.approx([2.0, -0.4, 0.7])
 
 
-def test_depth_and_disparity_are_within_half_a_step(out: Path, tmp_path: Path):
+def test_depth_and_disparity_are_within_half_a_step(output, tmp_path):
     depth = some_passes(3)["depth"]
     hit = np.isfinite(depth)
-    folder = exported(out, tmp_path / "a", depth="depth")
+    folder = exported(output, "cityscapes", tmp_path / "a", depth="depth")
     values = read(folder / f"depth/{CORE}_depth.png")
     assert values.dtype == np.uint16
     assert (values[~hit] == 0).all()
     assert np.abs(values[hit] / 256.0 - depth[hit]).max() <= 0.5 / 256.0
-    folder = exported(out, tmp_path / "b", depth="disparity", baseline_m="0.5")
+    folder = exported(output, "cityscapes", tmp_path / "b", depth="disparity", baseline_m="0.5")
     values = read(folder / f"disparity/{CORE}_disparity.png").astype(np.float64)
     assert (values[~hit] == 0).all()
     exact = 10.0 * 0.5 / depth[hit].astype(np.float64)
     assert np.abs((values[hit] - 1.0) / 256.0 - exact).max() <= 0.5 / 256.0
 
 
-def test_depth_beyond_sixteen_bits_is_none_and_counted(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d", depth="depth", depth_scale="2000")
+def test_depth_beyond_sixteen_bits_is_none_and_counted(output, tmp_path):
+    folder = exported(output, "cityscapes", tmp_path / "d", depth="depth", depth_scale="2000")
     depth = some_passes(3)["depth"]
     far = np.isfinite(depth) & (np.rint(depth * 2000.0) > 65535)
     values = read(folder / f"depth/{CORE}_depth.png")
@@ -218,11 +205,11 @@ def test_depth_beyond_sixteen_bits_is_none_and_counted(out: Path, tmp_path: Path
     assert camera["depth"]["beyond"] == int(far.sum())
 
 
-def test_frames_without_instances_or_pictures_have_labels(tmp_path: Path):
+def test_frames_without_instances_or_pictures_have_labels(tmp_path):
     def bare(number: int) -> dict:
         return {"label.class": np.full((1, 1), 2, np.uint32)}
 
     out = make_output(tmp_path / "out", bare, batches=1, cameras=("c",), samples=1)
-    folder = exported(out, tmp_path / "d")
+    folder = exported(out, "cityscapes", tmp_path / "d")
     names = {p.name.removeprefix("batch0000_000000_000000_") for p in folder.rglob("batch0*_*")}
     assert names == {"gtFine_labelIds.png", "gtFine_color.png", "camera.json"}

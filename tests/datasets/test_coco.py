@@ -6,9 +6,6 @@ import copy
 import json
 import os
 import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +25,10 @@ from scenec.datasets.outlines import outlines
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.source import Source
 from scenec.datasets.splits import parse_splits
-from scenec.schemas.amodal import Amodal, write_amodal
-from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import sha256, tree
-from scenec.schemas.rle import encode_ids
+from scenec.schemas.errors import FrameError
 from scenec.testing.examples import examples
-from scenec.testing.made_output import LABELS, make_output, same_tree, some_passes
-from scenec.testing.processes import until
+from scenec.testing.made_frames import LEFT, THINGS, camera_pose, make_out, outline
+from scenec.testing.made_output import LABELS, edit, make_output, some_passes
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
@@ -70,12 +64,11 @@ def masks(coco: COCO) -> dict[tuple[int, int], np.ndarray]:
 
 
 @pytest.mark.parametrize("segmentation", ["rle", "polygon"])
-def test_every_mask_comes_back_pixel_for_pixel(tmp_path, segmentation):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set", options={"segmentation": segmentation})
+def test_every_mask_comes_back_pixel_for_pixel(output, tmp_path, segmentation):
+    coco = coco_of(output, tmp_path / "set", options={"segmentation": segmentation})
     read = masks(coco)
     expected = {}
-    for ref in (source := Source(out)).frames:
+    for ref in (source := Source(output)).frames:
         instance = source.load(ref).passes["instance"]
         for number in np.unique(instance[instance > 0]).tolist():
             expected[ref.index + 1, number] = instance == number
@@ -87,10 +80,9 @@ def test_every_mask_comes_back_pixel_for_pixel(tmp_path, segmentation):
         assert each["bbox"] == coco_mask.toBbox(whole["segmentation"]).tolist()
 
 
-def test_images_say_what_they_are_of_and_how_they_were_seen(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set")
-    source = Source(out)
+def test_images_say_what_they_are_of_and_how_they_were_seen(output, tmp_path):
+    coco = coco_of(output, tmp_path / "set")
+    source = Source(output)
     assert len(coco.dataset["images"]) == len(source) == 8
     for image, ref in zip(coco.dataset["images"], source.frames, strict=True):
         frame = source.load(ref)
@@ -106,15 +98,16 @@ def test_images_say_what_they_are_of_and_how_they_were_seen(tmp_path):
         assert image["camera_to_world"] == frame.camera_to_world.tolist()
 
 
-def test_categories_are_the_labels_that_instances_have_under_the_next_coarser_level(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "fine", level="surface")
+def test_categories_are_the_labels_that_instances_have_under_the_next_coarser_level(
+    output, tmp_path
+):
+    coco = coco_of(output, tmp_path / "fine", level="surface")
     # The levels have equally many labels here, so neither is the coarser one.
     assert coco.dataset["categories"] == [{"id": 300, "name": "stone", "supercategory": "surface"}]
     remap = parse_remap({"class": {"sky": None}})
-    coco = coco_of(out, tmp_path / "coarse", level="surface", remap=remap)
+    coco = coco_of(output, tmp_path / "coarse", level="surface", remap=remap)
     assert coco.dataset["categories"] == [{"id": 300, "name": "stone", "supercategory": "rock"}]
-    coco = coco_of(out, tmp_path / "all", level="surface", options={"categories": "all"})
+    coco = coco_of(output, tmp_path / "all", level="surface", options={"categories": "all"})
     assert [c["name"] for c in coco.dataset["categories"]] == list(LABELS["surface"].values())
 
 
@@ -198,14 +191,6 @@ def test_what_filters_mark_as_ignored_is_a_crowd_and_is_not_missed(tmp_path, cap
     assert judged.stats[0] == 1.0
 
 
-def test_what_filters_drop_is_not_there(tmp_path):
-    passes = blank(8, 8)
-    passes["instance"][1, 1], passes["instance"][4:7, 4:7] = 5, 6
-    passes["label.class"][passes["instance"] > 0] = 3
-    coco = one_frame(tmp_path, passes, filters=make_filters(["area>=2"]))
-    assert list(masks(coco)) == [(1, 6)]
-
-
 def test_an_instance_of_several_labels_has_an_annotation_of_each(tmp_path):
     passes = blank(6, 6)
     passes["instance"][1:5, 1:5] = 9
@@ -234,9 +219,8 @@ def test_instances_without_a_label_are_left_out_and_counted(tmp_path):
     assert json.loads((tmp_path / "set" / "export.json").read_text())["left_out"] == report.left_out
 
 
-def test_labels_that_are_left_out_take_their_instances_along(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set", remap=parse_remap({"class": {"rock": None}}))
+def test_labels_that_are_left_out_take_their_instances_along(output, tmp_path):
+    coco = coco_of(output, tmp_path / "set", remap=parse_remap({"class": {"rock": None}}))
     assert coco.dataset["annotations"] == []
     assert len(coco.dataset["images"]) == 8
 
@@ -321,82 +305,45 @@ def test_frames_without_pictures_and_depth_are_exported_too(tmp_path):
     assert not (tmp_path / "set" / "images").exists()
 
 
-def test_pictures_are_linked_copied_or_left_out(tmp_path):
-    out = make_output(tmp_path / "out")
+def test_pictures_are_linked_copied_or_left_out(output, tmp_path):
     for how in ("link", "copy", "none"):
-        export(out, "coco", tmp_path / how, Choice(options={"images": how}))
+        export(output, "coco", tmp_path / how, Choice(options={"images": how}))
     name = "images/all/batch_0000_rover_left_000000.png"
-    source = next((out / "batch_0000").rglob("rover_left/000000.png"))
+    source = next((output / "batch_0000").rglob("rover_left/000000.png"))
     assert os.path.samefile(tmp_path / "link" / name, source)
     assert not os.path.samefile(tmp_path / "copy" / name, source)
     assert (tmp_path / "copy" / name).read_bytes() == source.read_bytes()
     assert not (tmp_path / "none" / "images").exists()
 
 
-def test_what_tables_say_of_hidden_parts_goes_along(tmp_path):
-    out = make_output(tmp_path / "out")
-    coco = coco_of(out, tmp_path / "set")
+def test_what_tables_say_of_hidden_parts_goes_along(output, tmp_path):
+    coco = coco_of(output, tmp_path / "set")
     # testing/made_output.py: one pixel hidden, one more beyond the border.
     for each in coco.dataset["annotations"]:
         area = each["area"]
         assert each["amodal_area"] == area + 1
         assert each["occlusion"] == pytest.approx(1 / (area + 1), abs=1e-6)
         assert each["truncation"] == pytest.approx(1 / (area + 2), abs=1e-6)
-        ref = Source(out).frames[each["image_id"] - 1]
-        frame = Source(out).load(ref)
+        ref = Source(output).frames[each["image_id"] - 1]
+        frame = Source(output).load(ref)
         seen = frame.passes["depth"][frame.passes["instance"] == each["instance_id"]]
         assert each["depth"] == pytest.approx(seen.mean(), rel=1e-6)
 
 
 def test_amodal_masks_go_along_where_a_frame_has_them(tmp_path):
-    passes = blank(8, 9)
-    passes["instance"][2:4, 2:5], passes["label.class"][2:4, 2:5] = 6, 3
-    out = make_output(tmp_path / "out", lambda _: passes, batches=1, cameras=("cam",), samples=1)
-    whole = np.zeros((8, 9), np.uint32)
-    whole[1:6, 2:7] = 6
-    (sidecar,) = out.rglob("cam/000000.json")
-    counts, starts = encode_ids(whole, np.array([6], np.uint32))
-    write_amodal(
-        sidecar.with_name("000000.amodal.npz"),
-        Amodal((8, 9), np.array([6], np.uint32), counts, starts),
-    )
-    values = json.loads(sidecar.read_text(encoding="utf-8"))
-    masks_file = sidecar.with_name("000000.amodal.npz")
-    values["amodal"] = {"bytes": masks_file.stat().st_size, "sha256": sha256(masks_file)}
-    sidecar.write_text(json.dumps(values), encoding="utf-8")
-    coco = coco_of(out, tmp_path / "set")
-    (each,) = coco.dataset["annotations"]
-    assert (coco_mask.decode(each["amodal_segmentation"]) == whole // 6).all()
-    assert coco.annToMask(each).sum() == 6
+    """Those of ellipsoids, in closed form."""
+    made = make_out(tmp_path / "out", (LEFT,), 1)
+    coco = coco_of(made.out, tmp_path / "set")
+    things = {thing.number: thing for thing in THINGS}
+    assert {each["instance_id"] for each in coco.dataset["annotations"]} == things.keys()
+    for each in coco.dataset["annotations"]:
+        whole = outline(things[each["instance_id"]], LEFT, camera_pose(LEFT, 0))
+        assert (coco_mask.decode(each["amodal_segmentation"]) == whole).all()
+        assert coco.annToMask(each).sum() <= each["amodal_area"] == whole.sum()
+    (masks_file,) = made.out.rglob("000000.amodal.npz")
     masks_file.write_bytes(masks_file.read_bytes()[:-9])
     with pytest.raises(FrameError, match=r"amodal\.npz.*changed since"):
-        export(out, "coco", tmp_path / "again")
-
-
-def test_an_export_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
-    out = make_output(tmp_path / "out", lambda n: some_passes(n, 64, 48), batches=2, samples=20)
-    export(out, "coco", tmp_path / "whole")
-    script = (
-        "import sys; from scenec.datasets.export import export; "
-        "export(sys.argv[1], 'coco', sys.argv[2])"
-    )
-    process = subprocess.Popen([sys.executable, "-c", script, str(out), str(tmp_path / "cut")])
-    tasks = tmp_path / ".cut.partial" / "tasks"
-    until(lambda: len(list(tasks.glob("0*.json"))) >= 5, process)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not (tmp_path / "cut").exists()
-    report = export(out, "coco", tmp_path / "cut")
-    assert 5 <= report.resumed < 80
-    assert same_tree(tmp_path / "whole", tmp_path / "cut")
-    assert not any(".partial" in path.as_posix() for path in tree(tmp_path))
-
-
-def test_frames_without_instances_in_their_passes_are_refused_in_one_line(tmp_path):
-    passes = blank(5, 7)
-    del passes["instance"]
-    with pytest.raises(OutputError, match=r"needs the pass instance.*--passes"):
-        one_frame(tmp_path, passes)
+        export(made.out, "coco", tmp_path / "again")
 
 
 def test_a_table_that_was_changed_since_is_damage(tmp_path):
@@ -404,9 +351,7 @@ def test_a_table_that_was_changed_since_is_damage(tmp_path):
     passes["instance"][1, 1] = 4
     out = make_output(tmp_path / "out", lambda _: passes, batches=1, cameras=("cam",), samples=1)
     (sidecar,) = out.rglob("cam/000000.json")
-    values = json.loads(sidecar.read_text(encoding="utf-8"))
-    values["instance_table"] = {"bytes": 1, "sha256": "0" * 64}
-    sidecar.write_text(json.dumps(values), encoding="utf-8")
+    edit(sidecar, instance_table={"bytes": 1, "sha256": "0" * 64})
     with pytest.raises(FrameError, match=r"instances\.csv.*changed since"):
         export(out, "coco", tmp_path / "set")
 

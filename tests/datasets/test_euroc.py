@@ -24,6 +24,7 @@ from scenec.testing.made_frames import (
     misprediction,
     off_surface,
 )
+from scenec.testing.made_output import edit
 
 SENSORS = (LEFT, RIGHT, SIDE)
 
@@ -135,33 +136,22 @@ def test_the_body_frame_is_stated_and_every_yaml_is_one(mav0):
     assert estimate["T_BS"]["data"] == np.eye(4).ravel().tolist()
 
 
-def test_a_camera_that_moves_on_its_rig_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("key", "place", "more", "message"),
+    [
+        ("camera_to_world", (0, 3), 1e-3, "right/000002: the camera has moved on its rig"),
+        ("intrinsics", (0, 0), 1.0, "right/000002: its resolution or intrinsics"),
+        ("intrinsics", (0, 1), 0.25, "has skew 0.25"),
+    ],
+)
+def test_what_the_format_has_no_numbers_for_is_refused(tmp_path, key, place, more, message):
     out = make_out(tmp_path / "out", (LEFT, RIGHT), 3).out
-    path = out / "batch_0000/frames/mitsuba/rover_right/000002.json"
-    sidecar = json.loads(path.read_text())
-    sidecar["camera_to_world"][0][3] += 1e-3
-    path.write_text(json.dumps(sidecar))
-    with pytest.raises(OutputError, match=r"rover_right/000002: the camera has moved on its rig"):
-        export(out, "euroc")
-
-
-def test_a_camera_whose_lens_changes_is_refused(tmp_path):
-    out = make_out(tmp_path / "out", (LEFT,), 2).out
-    path = out / "batch_0000/frames/mitsuba/rover_left/000001.json"
-    sidecar = json.loads(path.read_text())
-    sidecar["intrinsics"][0][0] += 1.0
-    path.write_text(json.dumps(sidecar))
-    with pytest.raises(OutputError, match=r"rover_left/000001: its resolution or intrinsics"):
-        export(out, "euroc")
-
-
-def test_skew_is_refused_where_a_format_has_four_numbers(tmp_path):
-    out = make_out(tmp_path / "out", (LEFT,), 1).out
-    path = out / "batch_0000/frames/mitsuba/rover_left/000000.json"
-    sidecar = json.loads(path.read_text())
-    sidecar["intrinsics"][0][1] = 0.25
-    path.write_text(json.dumps(sidecar))
-    with pytest.raises(OutputError, match=r"has skew 0.25"):
+    for sample in range(3) if "skew" in message else (2,):
+        path = out / f"batch_0000/frames/mitsuba/rover_right/{sample:06d}.json"
+        value = np.array(json.loads(path.read_bytes())[key])
+        value[place] += more
+        edit(path, **{key: value.tolist()})
+    with pytest.raises(OutputError, match=message):
         export(out, "euroc")
 
 

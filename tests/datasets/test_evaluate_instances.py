@@ -22,20 +22,20 @@ from scenec.datasets.export import Choice, export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256
-from scenec.testing.made_frames import make_out
 from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.processes import output_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("instances")
     return make_output(folder / "out", lambda n: some_passes(n, 96, 64))
 
 
 @pytest.fixture(scope="module")
-def dataset(output: Path) -> Path:
+def dataset(output):
     export(output, "coco", output.parent / "set", Choice())
     return output.parent / "set"
 
@@ -292,8 +292,7 @@ def test_other_bins_are_taken_and_bins_that_make_no_sense_refused(capsys):
 def test_the_command_prints_tables_and_writes_json_csv_and_plots(dataset, tmp_path, capsys):
     path = saved(tmp_path / "d.json", noisy(dataset))
     words = ["evaluate", str(path), "--against", str(dataset), "-o", str(tmp_path / "report")]
-    assert main(words) == 0
-    text = capsys.readouterr().out
+    text = output_of(capsys, words).out
     assert "segm_ap " in text
     assert "masks by distance" in text
     written = json.loads((tmp_path / "report/evaluation.json").read_text())
@@ -302,8 +301,7 @@ def test_the_command_prints_tables_and_writes_json_csv_and_plots(dataset, tmp_pa
     lines = (tmp_path / "report/evaluation.csv").read_text().splitlines()
     assert lines[0] == "table,row,measure,value"
     assert any(line.startswith("distance,") for line in lines)
-    assert main([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["task"] == "instances"
+    assert json.loads(output_of(capsys, [*words, "--json"]).out)["task"] == "instances"
 
 
 @pytest.mark.parametrize(
@@ -321,8 +319,9 @@ def test_bad_input_ends_in_one_line(dataset, tmp_path, monkeypatch, capsys, word
     monkeypatch.chdir(tmp_path)
     (tmp_path / "d.json").write_text("[]")
     (tmp_path / "d.txt").write_text("1 2 3\n")
-    assert main(["evaluate", *(str(dataset) if w == "SET" else w for w in words)]) == 2
-    said = capsys.readouterr().err
+    said = output_of(
+        capsys, ["evaluate", *(str(dataset) if w == "SET" else w for w in words)], 2
+    ).err
     assert message in said
     assert said.count("\n") == 1
 
@@ -350,15 +349,6 @@ def test_check_opens_a_coco_dataset_through_pycocotools(dataset, tmp_path, capsy
     sums = tmp_path / "set/SHA256SUMS"
     sums.write_text(sums.read_text().replace(before, sha256(path)))
     capsys.readouterr()
-    assert main(["check", str(tmp_path / "set")]) == 1
-    said = capsys.readouterr().out
+    said = output_of(capsys, ["check", str(tmp_path / "set")], 1).out
     assert "instances_all.json: pycocotools: annotation 1: its mask has area" in said
     assert "1 errors in the dataset" in said
-
-
-def test_masks_of_a_frame_with_known_shapes_are_found_at_their_true_distance(tmp_path):
-    out = make_out(tmp_path / "out", samples=2).out
-    truth = truth_of(Source(out))
-    assert {a["category_id"] for a in truth["annotations"]} == {3, 4}
-    one = truth["annotations"][0]
-    assert {"depth", "size", "occlusion", "truncation", "area"} <= one.keys()

@@ -19,11 +19,12 @@ from scenec.datasets.evaluate.labels import evaluate_labels, iou
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.testing.made_frames import LEFT, make_out
-from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.made_output import edit, make_output, some_passes
+from scenec.testing.processes import output_of
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("maps") / "out", batches=1, samples=2)
 
 
@@ -98,8 +99,9 @@ def test_the_command_prints_a_dash_for_a_class_that_a_part_lacks(tmp_path, capsy
 
     out = make_output(tmp_path / "out", passes, batches=1, cameras=("cam",), samples=1)
     folder = predict(tmp_path / "p", out, lambda p: p["label.class"].astype(np.uint8))
-    assert main(["evaluate", str(folder), "--against", str(out), "-o", str(tmp_path / "r")]) == 0
-    text = capsys.readouterr().out
+    text = output_of(
+        capsys, ["evaluate", str(folder), "--against", str(out), "-o", str(tmp_path / "r")]
+    ).out
     assert re.search(r"2 to 5 m +1 +1 +4 +1 +-$", text, re.M)
     assert re.search(r"20 to 50 m +1 +1 +4 +- +1$", text, re.M)
 
@@ -229,9 +231,7 @@ def test_light_is_that_of_the_frame(tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), 2).out
     for sample, angle in ((0, 4.0), (1, 33.0)):
         path = out / f"batch_0000/frames/mitsuba/rover_left/{sample:06d}.json"
-        sidecar = json.loads(path.read_text())
-        sidecar["sun"] = {"elevation_deg": angle, "azimuth_deg": 0.0, "irradiance": [1.0] * 3}
-        path.write_text(json.dumps(sidecar))
+        edit(path, sun={"elevation_deg": angle, "azimuth_deg": 0.0, "irradiance": [1.0] * 3})
     folder = tmp_path / "p"
     folder.mkdir()
     for ref in (source := Source(out)).frames:
@@ -255,8 +255,7 @@ def test_files_that_are_no_maps_end_in_one_line(output, tmp_path, capsys, name, 
     (tmp_path / name).write_bytes(content)
     words = ["--against", str(output), "--missing", "skip"]
     task = ["--task", "labels"] if name == "x.png" else []
-    assert main(["evaluate", str(tmp_path), *words, *task]) == 2
-    said = capsys.readouterr().err
+    said = output_of(capsys, ["evaluate", str(tmp_path), *words, *task], 2).err
     assert message in said
     assert str(tmp_path) in said
     assert said.count("\n") == 1
@@ -274,15 +273,16 @@ def test_maps_of_another_size_or_of_colors_are_refused(output, tmp_path):
 def test_sixteen_bits_may_be_labels_or_depth(output, tmp_path, capsys):
     folder = predict(tmp_path / "p", output, lambda p: p["label.surface"].astype(np.uint16))
     words = ["evaluate", str(folder), "--against", str(output)]
-    assert main(words) == 2
-    assert "may be labels or depth; say --task labels" in capsys.readouterr().err
+    assert "may be labels or depth; say --task labels" in output_of(capsys, words, 2).err
     words += ["--task", "labels", "--level", "surface"]
-    assert main([*words, "-o", str(tmp_path / "r")]) == 0
-    text = capsys.readouterr().out
+    text = output_of(capsys, [*words, "-o", str(tmp_path / "r")]).out
     assert "pixels by true class" in text
     assert (tmp_path / "r/evaluation.png").is_file()
-    assert main([*words[:4], "--depth-scale", "100", "-o", str(tmp_path / "s"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(
+        output_of(
+            capsys, [*words[:4], "--depth-scale", "100", "-o", str(tmp_path / "s"), "--json"]
+        ).out
+    )
     assert found["task"] == "depth"
     assert found["units"]["rmse"] == "m"
     assert (tmp_path / "s/parts.png").is_file()
@@ -300,8 +300,7 @@ def test_classes_are_read_by_position_and_may_repeat_or_be_empty(output, tmp_pat
     folder = predict(tmp_path / "p", output, guess)
     for text in ("(none),sky,sky,ground,,rock", ",sky, sky,ground,(none),rock"):
         command = ["evaluate", str(folder), "--against", str(output), "--task", "labels", "--json"]
-        assert main([*command, "--classes", text]) == 0
-        found = json.loads(capsys.readouterr().out)
+        found = json.loads(output_of(capsys, [*command, "--classes", text]).out)
         of = {row["class"]: row["iou"] for row in found["tables"]["class"]}
         assert of["sky"] == of["ground"] == 1.0
         assert 0.2 < of["rock"] < 0.8
@@ -317,8 +316,9 @@ def test_a_depth_that_no_measure_can_be_made_of_is_refused_by_its_place(
         return depth
 
     folder = predict(tmp_path / "p", output, guess, ".npy")
-    assert main(["evaluate", str(folder), "--against", str(output), "--task", "depth"]) == 2
-    error = capsys.readouterr().err
+    error = output_of(
+        capsys, ["evaluate", str(folder), "--against", str(output), "--task", "depth"], 2
+    ).err
     assert f"000000.npy: has the depth {value:g} m at column 7, row 5; expected 1e-30" in error
     assert "Traceback" not in error
 
@@ -336,6 +336,9 @@ def test_frames_of_the_truth_that_were_not_rendered_are_counted(output, tmp_path
     assert main(["evaluate", str(folder), "--against", str(out), "--task", task]) == 0
     told = f"note: 1 of 4 frames of {out} were not rendered and do not count: {gone.name}"
     assert told in capsys.readouterr().err
-    assert main(["evaluate", str(folder), "--against", str(out), "--task", task, "--json"]) == 0
-    settings = json.loads(capsys.readouterr().out)["settings"]
+    settings = json.loads(
+        output_of(
+            capsys, ["evaluate", str(folder), "--against", str(out), "--task", task, "--json"]
+        ).out
+    )["settings"]
     assert (settings["frames"], settings["frames_not_rendered"]) == (3, 1)

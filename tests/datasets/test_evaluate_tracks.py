@@ -19,17 +19,19 @@ from scenec.datasets.export import export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.testing.made_frames import LEFT, RIGHT, make_out
+from scenec.testing.made_output import edit
+from scenec.testing.processes import output_of
 
 SAMPLES = 9
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_out(tmp_path_factory.mktemp("tracks") / "out", (LEFT,), SAMPLES).out
 
 
 @pytest.fixture(scope="module")
-def truth(out: Path) -> Path:
+def truth(out):
     export(out, "tum", out / "tum")
     return out / "tum/all/batch_0000_rover_left/groundtruth.txt"
 
@@ -127,9 +129,8 @@ def test_errors_stand_by_light_and_by_pose(truth, tmp_path):
     out = make_out(tmp_path / "out", (LEFT,), SAMPLES).out
     for sample in range(SAMPLES):
         path = out / f"batch_0000/frames/mitsuba/rover_left/{sample:06d}.json"
-        sidecar = json.loads(path.read_text())
         sun = {"elevation_deg": 8.0 + 2.0 * sample, "azimuth_deg": 0.0, "irradiance": [1.0] * 3}
-        path.write_text(json.dumps(sidecar | {"sun": sun}))
+        edit(path, sun=sun)
     estimate = read_tum(changed(tmp_path / "e.txt", truth, shaken))
     found = evaluate_track(estimate, track_of(Source(out)), ATTRIBUTES)
     sun = next(table for table in found.tables if table.name == "sun")
@@ -189,8 +190,7 @@ def test_of_several_cameras_one_has_to_be_chosen(tmp_path, capsys):
     out = make_out(tmp_path / "out", (LEFT, RIGHT), 3).out
     (tmp_path / "e.txt").write_text("".join(f"{k / 10} {k} {k * k} 0 0 0 0 1\n" for k in range(3)))
     words = ["evaluate", str(tmp_path / "e.txt"), "--against", str(out)]
-    assert main(words) == 2
-    assert "choose one by --cameras" in capsys.readouterr().err
+    assert "choose one by --cameras" in output_of(capsys, words, 2).err
     assert main([*words, "--cameras", "rover_left"]) == 0
 
 
@@ -200,8 +200,7 @@ def test_positions_whose_squares_no_number_holds_are_refused(out, truth, tmp_pat
     words = lines[-1].split()
     words[2] = value
     (tmp_path / "t.txt").write_text("\n".join([*lines[:-1], " ".join(words)]), encoding="utf-8")
-    assert main(["evaluate", str(tmp_path / "t.txt"), "--against", str(out)]) == 2
-    error = capsys.readouterr().err
+    error = output_of(capsys, ["evaluate", str(tmp_path / "t.txt"), "--against", str(out)], 2).err
     assert f"t.txt:{len(lines)}: expected positions within 1e+15 m" in error
 
 
@@ -209,5 +208,7 @@ def test_samples_of_the_truth_that_were_not_rendered_are_counted(truth, tmp_path
     out = make_out(tmp_path / "out", (LEFT,), SAMPLES).out
     for path in (out / "batch_0000/frames/mitsuba/rover_left").glob("000004.*"):
         path.unlink()
-    assert main(["evaluate", str(truth), "--against", str(out)]) == 0
-    assert "note: 1 of 9 frames of" in capsys.readouterr().err
+    assert (
+        "note: 1 of 9 frames of"
+        in output_of(capsys, ["evaluate", str(truth), "--against", str(out)]).err
+    )

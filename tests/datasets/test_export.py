@@ -8,13 +8,12 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from killed import contents as contents_of
 from killed import killed_at_each_call
-from tiny_format import KILL, contents, counts_of, install
+from tiny_format import KILL, contents, counts_of
 
 from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
@@ -25,7 +24,8 @@ from scenec.datasets.splits import parse_splits
 from scenec.datasets.verify import verify
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.lock import LOCK, Lock
-from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.made_output import edit, make_output, some_passes
+from scenec.testing.processes import python, ran
 
 FRAME = "batch_0001/rover_left/000001"
 _EXPORT = """
@@ -42,26 +42,8 @@ except ScenecError as error:
 """
 
 
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with pytest.MonkeyPatch.context() as patch:
-        yield install(patch, tmp_path_factory.mktemp("plugin"))
-
-
-@pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_output(tmp_path_factory.mktemp("made") / "out")
-
-
-@pytest.fixture(scope="module")
-def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("whole") / "ds"
-    export(output, "tiny", folder)
-    return folder
-
-
 @pytest.fixture
-def copy(output: Path, tmp_path: Path) -> Path:
+def copy(output, tmp_path):
     shutil.copytree(output, tmp_path / "out")
     return tmp_path / "out"
 
@@ -75,7 +57,7 @@ def damage(out: Path, name: str = FRAME) -> Path:
     return path
 
 
-def test_a_format_of_another_package_is_found_beside_ours(plugin: Path) -> None:
+def test_a_format_of_another_package_is_found_beside_ours(plugin):
     assert {"coco", "tiny"} <= set(format_names())
     assert find_format("tiny").summary == "for tests"
     with pytest.raises(OutputError, match="did you mean"):
@@ -87,40 +69,32 @@ def lines_of(dataset: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_dataset_lists_every_frame_and_every_file(output: Path, dataset: Path) -> None:
+def test_a_dataset_lists_every_frame_and_every_file(output, dataset):
     lines = lines_of(dataset)
     stems = sorted(output.glob("batch_*/frames/annotation/*/*.json"))
     expected = [f"{p.parts[-5]}/{p.parts[-2]}/{p.stem}" for p in stems]
     assert [line["frame"] for line in lines] == expected
     assert counts_of(dataset) == {line["frame"]: int(line["instances"]) for line in lines}
-    done = subprocess.run(
-        ["sha256sum", "-c", "--strict", "--quiet", "SHA256SUMS"], cwd=dataset, check=False
-    )
-    assert done.returncode == 0
+    done = ran("sha256sum", "-c", "--strict", "--quiet", "SHA256SUMS", cwd=dataset)
+    assert done.returncode == 0, done.stderr
     listed = {line[66:] for line in (dataset / "SHA256SUMS").read_text().splitlines()}
     assert listed == set(contents(dataset)) - {"SHA256SUMS"}
 
 
-def test_the_same_frames_give_the_same_bytes_with_any_number_of_workers(
-    output: Path, dataset: Path, tmp_path: Path
-) -> None:
+def test_the_same_frames_give_the_same_bytes_with_any_number_of_workers(output, dataset, tmp_path):
     with Processes(2) as executor:
         export(output, "tiny", tmp_path / "elsewhere" / "ä b", executor=executor)
     assert contents(tmp_path / "elsewhere" / "ä b") == contents(dataset)
 
 
-def test_what_making_a_frame_cost_is_no_part_of_the_dataset(
-    copy: Path, dataset: Path, tmp_path: Path
-) -> None:
+def test_what_making_a_frame_cost_is_no_part_of_the_dataset(copy, dataset, tmp_path):
     for path in copy.glob("batch_*/frames/annotation/*/*.json"):
-        sidecar = json.loads(path.read_text(encoding="utf-8"))
-        sidecar |= {"seconds": {"load": 1.5}, "peak_memory_gb": 0.5, "device": "cpu"}
-        path.write_text(json.dumps(sidecar), encoding="utf-8")
+        edit(path, seconds={"load": 1.5}, peak_memory_gb=0.5, device="cpu")
     export(copy, "tiny", tmp_path / "ds")
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
-def test_the_same_dataset_again_does_nothing(output: Path, dataset: Path) -> None:
+def test_the_same_dataset_again_does_nothing(output, dataset):
     before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
     report = export(output, "tiny", dataset)
     assert report.there
@@ -129,8 +103,8 @@ def test_the_same_dataset_again_does_nothing(output: Path, dataset: Path) -> Non
 
 
 def test_another_dataset_in_the_folder_is_replaced_only_when_asked(
-    output: Path, dataset: Path, tmp_path: Path, plugin: Path
-) -> None:
+    output, dataset, tmp_path, plugin
+):
     folder = tmp_path / "ds"
     shutil.copytree(dataset, folder)
     other = Choice(options={"ending": "txt"})
@@ -143,9 +117,7 @@ def test_another_dataset_in_the_folder_is_replaced_only_when_asked(
 
 
 @pytest.mark.parametrize("replace", [False, True])
-def test_a_folder_that_is_not_ours_is_never_touched(
-    replace: bool, output: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_a_folder_that_is_not_ours_is_never_touched(replace, output, tmp_path, plugin):
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.txt").write_text("all I have")
     with pytest.raises(OutputError, match=r"holds no dataset of scenec"):
@@ -153,25 +125,20 @@ def test_a_folder_that_is_not_ours_is_never_touched(
     assert contents(tmp_path) == {"thesis/chapter.txt": b"all I have"}
 
 
-def test_an_empty_folder_may_become_a_dataset(output: Path, dataset: Path, tmp_path: Path) -> None:
+def test_an_empty_folder_may_become_a_dataset(output, dataset, tmp_path):
     (tmp_path / "ds").mkdir()
     export(output, "tiny", tmp_path / "ds")
     assert contents(tmp_path / "ds") == contents(dataset)
 
 
 def run(output: Path, folder: Path, plugin: Path, workers: int, **extra: str):
-    return subprocess.run(
-        [sys.executable, "-c", _EXPORT, str(output), str(folder), str(workers)],
-        env={**os.environ, "PYTHONPATH": str(plugin), **extra},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(plugin), **extra}
+    return python("-c", _EXPORT, output, folder, workers, env=environment)
 
 
 def test_a_killed_export_goes_on_where_it_was_and_ends_with_the_same_bytes(
-    output: Path, dataset: Path, plugin: Path, tmp_path: Path
-) -> None:
+    output, dataset, plugin, tmp_path
+):
     killed = run(output, tmp_path / "ds", plugin, 0, **{KILL: FRAME.replace("/", "_")})
     assert killed.returncode == -9
     assert not (tmp_path / "ds").exists()
@@ -182,8 +149,8 @@ def test_a_killed_export_goes_on_where_it_was_and_ends_with_the_same_bytes(
 
 
 def test_a_killed_worker_is_said_in_one_line_and_costs_what_it_did(
-    output: Path, dataset: Path, plugin: Path, tmp_path: Path
-) -> None:
+    output, dataset, plugin, tmp_path
+):
     killed = run(output, tmp_path / "ds", plugin, 2, **{KILL: FRAME.replace("/", "_")})
     assert killed.returncode == 1
     assert killed.stderr.startswith(f"said: {FRAME}: given up after 3 tries"), killed.stderr
@@ -195,8 +162,8 @@ def test_a_killed_worker_is_said_in_one_line_and_costs_what_it_did(
 
 
 def test_what_was_done_for_another_dataset_is_not_left_in_this_one(
-    output: Path, dataset: Path, plugin: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    output, dataset, plugin, tmp_path, monkeypatch
+):
     run(output, tmp_path / "ds", plugin, 0, **{KILL: FRAME.replace("/", "_")})
     partial = tmp_path / ".ds.partial" / "data"
     (partial / ".half.0123abcd.json").write_text("cut short")
@@ -206,20 +173,15 @@ def test_what_was_done_for_another_dataset_is_not_left_in_this_one(
 
 
 @pytest.mark.slow
-def test_a_script_needs_no_main_guard(output: Path, plugin: Path, tmp_path: Path) -> None:
+def test_a_script_needs_no_main_guard(output, plugin, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(_EXPORT)
-    done = subprocess.run(
-        [sys.executable, str(script), str(output), str(tmp_path / "ds"), "2"],
-        env={**os.environ, "PYTHONPATH": str(plugin)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(plugin)}
+    done = python(script, output, tmp_path / "ds", 2, env=environment)
     assert (done.returncode, done.stdout) == (0, "resumed 0\n"), done.stderr
 
 
-def test_two_exports_of_one_folder_do_not_mix(output: Path, tmp_path: Path, plugin: Path) -> None:
+def test_two_exports_of_one_folder_do_not_mix(output, tmp_path, plugin):
     (tmp_path / ".ds.partial").mkdir()
     with (
         Lock(tmp_path / ".ds.partial" / LOCK),
@@ -228,9 +190,7 @@ def test_two_exports_of_one_folder_do_not_mix(output: Path, tmp_path: Path, plug
         export(output, "tiny", tmp_path / "ds")
 
 
-def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
-    copy: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(copy, tmp_path, plugin):
     path = damage(copy)
     with pytest.raises(FrameError, match=r"000001\.exr: truncated, damaged or changed") as caught:
         export(copy, "tiny", tmp_path / "ds")
@@ -239,8 +199,8 @@ def test_a_damaged_frame_stops_an_export_and_leaves_no_dataset(
 
 
 def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
-    copy: Path, output: Path, tmp_path: Path, plugin: Path
-) -> None:
+    copy, output, tmp_path, plugin
+):
     sound = damage(copy).read_bytes()
     (copy / "batch_0000/frames/annotation/rover_right/000000.json").unlink()
     skip = Choice(faults="skip")
@@ -261,7 +221,7 @@ def test_skipped_frames_are_named_and_come_back_once_they_are_mended(
     assert (mended.there, mended.frames) == (False, 7)
 
 
-def test_an_export_of_frames_that_are_all_damaged_says_so(tmp_path: Path, plugin: Path) -> None:
+def test_an_export_of_frames_that_are_all_damaged_says_so(tmp_path, plugin):
     out = make_output(tmp_path / "out", batches=1, cameras=("a",), samples=2)
     for sample in range(2):
         damage(out, f"batch_0000/a/{sample:06d}")
@@ -270,9 +230,7 @@ def test_an_export_of_frames_that_are_all_damaged_says_so(tmp_path: Path, plugin
     assert not (tmp_path / "ds").exists()
 
 
-def test_filters_remap_and_splits_reach_the_format(
-    output: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_filters_remap_and_splits_reach_the_format(output, tmp_path, plugin):
     choice = Choice(
         filters=make_filters(["id<100"]),
         remap=parse_remap({"class": {"rock": "stone", "sky": None}}),
@@ -297,9 +255,7 @@ def digests(dataset: Path) -> list[tuple[str, str]]:
     return [(line["frame"], line["annotation_sha256"]) for line in lines_of(dataset)]
 
 
-def test_bad_choices_end_in_one_message_before_anything_is_written(
-    output: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_bad_choices_end_in_one_message_before_anything_is_written(output, tmp_path, plugin):
     for choice, words in (
         (Choice(options={"endig": "txt"}), 'did you mean "ending"'),
         (Choice(options={"ending": "yaml"}), "none of json, txt"),
@@ -315,9 +271,7 @@ def test_bad_choices_end_in_one_message_before_anything_is_written(
     assert os.listdir(tmp_path) == []
 
 
-def test_frames_without_a_pass_that_a_format_needs_are_refused(
-    tmp_path: Path, plugin: Path
-) -> None:
+def test_frames_without_a_pass_that_a_format_needs_are_refused(tmp_path, plugin):
     def without(number: int):
         return {k: v for k, v in some_passes(number).items() if k != "instance"}
 
@@ -327,9 +281,7 @@ def test_frames_without_a_pass_that_a_format_needs_are_refused(
 
 
 @pytest.mark.slow
-def test_a_dataset_is_replaced_whole_or_not_at_all_whenever_its_process_is_killed(
-    tmp_path: Path, plugin: Path
-) -> None:
+def test_a_dataset_is_replaced_whole_or_not_at_all_whenever_its_process_is_killed(tmp_path, plugin):
     old = make_output(tmp_path / "old", batches=1, cameras=("left",), samples=2)
     new = make_output(tmp_path / "new", batches=2, cameras=("left",), samples=1, name="new")
     ds = tmp_path / "ds"
@@ -356,3 +308,25 @@ def test_a_dataset_is_replaced_whole_or_not_at_all_whenever_its_process_is_kille
         shutil.rmtree(ds)
         shutil.copytree(tmp_path / "kept", ds)
     assert seen == {True, False}
+
+
+def test_where_semaphores_cannot_be_made_workers_need_none():
+    hide = 'mount -t tmpfs -o ro tmpfs /dev/shm && exec "$@"'
+    private = ["unshare", "--map-root-user", "--mount", "sh", "-c", hide, "sh"]
+    try:
+        ran(*private, "true", check=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no file systems of one's own here")
+    code = (
+        "import multiprocessing\n"
+        "from scenec.backends.run.executors import Processes\n"
+        "from scenec.backends.run.units import OfBackend\n"
+        "from scenec.schemas.units import run_all\n"
+        "try: multiprocessing.Lock()\n"
+        "except OSError: print('no lock')\n"
+        "with Processes(2) as workers:\n"
+        "    units = [OfBackend(text, len) for text in ('a', 'bc', 'def')]\n"
+        "    print([o.result() for _, o in run_all(workers, units, in_order=True, ahead=2)])\n"
+    )
+    done = ran(*private, sys.executable, "-c", code)
+    assert (done.stdout, done.stderr) == ("no lock\n[1, 2, 3]\n", "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,27 +67,19 @@ def test_the_bytes_of_what_is_not_wanted_are_gone(tmp_path):
 
 @examples(150)
 @given(st.data())
-def test_a_file_cut_short_or_changed_anywhere_ends_in_one_error_or_is_read(tmp_path_factory, data):
-    folder = tmp_path_factory.mktemp("exr")
-    path = folder / "a.exr"
+def test_a_file_cut_short_anywhere_ends_in_one_error(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("exr") / "cut.exr"
     write_exr(path, passes_of(("rgb", "instance"), 20, 6))
     whole = path.read_bytes()
     # The header and the tables, where most can go wrong.
-    at = data.draw(st.integers(0, min(len(whole), 1500) - 1))
-    if data.draw(st.booleans()):
-        broken = whole[:at]
-    else:
-        broken = bytearray(whole)
-        broken[at] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(whole[: data.draw(st.integers(0, min(len(whole), 1500) - 1))])
     with contextlib.suppress(ValueError):
-        without_parts(bytes(broken), ("rgb",))
-    cut = folder / "cut.exr"
-    cut.write_bytes(whole[:at])
+        without_parts(path.read_bytes(), ("rgb",))
     with pytest.raises(FrameError, match=r"cut\.exr"):
-        read_exr(cut, ("rgb",))
+        read_exr(path, ("rgb",))
 
 
-def test_any_byte_of_header_and_tables_may_be_changed(tmp_path: Path):
+def test_any_byte_of_header_and_tables_may_be_changed(tmp_path):
     path = tmp_path / "a.exr"
     write_exr(path, passes_of(("rgb", "instance"), 20, 6))
     whole = path.read_bytes()
@@ -106,7 +97,7 @@ def test_any_byte_of_header_and_tables_may_be_changed(tmp_path: Path):
 
 
 @pytest.mark.parametrize("data", [b"", b"v/1", b"no picture at all", b"v/1\x01\x02\x02\0\0"])
-def test_what_is_no_such_file_is_refused(tmp_path: Path, data: bytes):
+def test_what_is_no_such_file_is_refused(tmp_path, data):
     with pytest.raises(ValueError, match="OpenEXR"):
         without_parts(data, ("rgb",))
     path = tmp_path / "a.exr"

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import weakref
 from collections.abc import Iterator
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from PIL import Image
 
-from scenec.backends.run.executors import Processes
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.contract import Info
 from scenec.datasets.formats.registry import find_format
 from scenec.datasets.source import LoadedFrame, Source
-from scenec.schemas.errors import FrameError, OutputError
-from scenec.schemas.files import sha256
+from scenec.schemas.errors import FrameError
 from scenec.schemas.picture import develop
 from scenec.testing.made_output import (
     EXPOSURE_EV,
     LABELS,
+    exported,
     frame_table,
     make_output,
     pose_of,
@@ -30,18 +27,9 @@ from scenec.testing.made_output import (
 )
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_output(tmp_path_factory.mktemp("hdf5") / "out")
-
-
-def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "hdf5", folder, Choice(options=options)).folder
-
-
 @pytest.mark.parametrize("compression", ["none", "lzf", "gzip"])
-def test_every_pass_comes_back_bit_for_bit(out: Path, tmp_path: Path, compression: str):
-    folder = exported(out, tmp_path / "d", compression=compression)
+def test_every_pass_comes_back_bit_for_bit(output, tmp_path, compression):
+    folder = exported(output, "hdf5", tmp_path / "d", compression=compression)
     with h5py.File(folder / "all_12x8.h5") as file:
         for number in range(8):
             for name, array in some_passes(number).items():
@@ -54,8 +42,8 @@ def test_every_pass_comes_back_bit_for_bit(out: Path, tmp_path: Path, compressio
         assert file["rgb"].compression == (None if compression == "none" else compression)
 
 
-def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out: Path, tmp_path: Path):
-    with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
+def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         assert file["label.class"].dtype == np.uint8
         assert file["label.surface"].dtype == np.uint16
         for level, names in LABELS.items():
@@ -66,8 +54,8 @@ def test_labels_are_stored_in_the_smallest_type_that_holds_their_ids(out: Path, 
             assert list(attributes["label_ids"]) == list(names)
 
 
-def test_the_tables_of_instances_are_concatenated_with_offsets(out: Path, tmp_path: Path):
-    with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
+def test_the_tables_of_instances_are_concatenated_with_offsets(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         group = file["instances"]
         assert len(group["offsets"]) == 9
         assert group["offsets"][0] == 0
@@ -89,8 +77,8 @@ def test_the_tables_of_instances_are_concatenated_with_offsets(out: Path, tmp_pa
             assert (np.sort(group["id"][start:end]) == shown[shown > 0]).all()
 
 
-def test_cameras_come_back_exactly(out: Path, tmp_path: Path):
-    with h5py.File(exported(out, tmp_path / "d") / "all_12x8.h5") as file:
+def test_cameras_come_back_exactly(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         cameras = file["camera"].asstr()[:]
         for number in range(8):
             sample = int(file["sample"][number])
@@ -101,8 +89,8 @@ def test_cameras_come_back_exactly(out: Path, tmp_path: Path):
             assert file["frame"].asstr()[number] == name
 
 
-def test_everything_says_what_it_is(out: Path, tmp_path: Path):
-    with h5py.File(exported(out, tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
+def test_everything_says_what_it_is(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d", rgb="both") / "all_12x8.h5") as file:
         silent: list[str] = []
 
         def look(name: str, node: h5py.Dataset | h5py.Group) -> None:
@@ -116,32 +104,20 @@ def test_everything_says_what_it_is(out: Path, tmp_path: Path):
         assert "OpenCV" in file["camera_to_world"].attrs["convention"]
 
 
-def test_the_picture_is_the_one_beside_the_frame(out: Path, tmp_path: Path):
-    with h5py.File(exported(out, tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
+def test_the_picture_is_the_one_beside_the_frame(output, tmp_path):
+    with h5py.File(exported(output, "hdf5", tmp_path / "d", rgb="srgb8") / "all_12x8.h5") as file:
         assert "rgb" not in file
-        picture = Image.open(out / "batch_0000/frames/annotation/rover_left/000001.png")
+        picture = Image.open(output / "batch_0000/frames/annotation/rover_left/000001.png")
         assert (file["rgb8"][1] == np.array(picture)).all()
         assert (file["rgb8"][1] == develop(some_passes(1)["rgb"], EXPOSURE_EV)).all()
 
 
-@pytest.mark.slow
-def test_files_are_the_same_bytes_whatever_the_workers(out: Path, tmp_path: Path):
-    a = export(out, "hdf5", tmp_path / "a", Choice(options={"shard": "3"})).folder
-    with Processes(2) as executor:
-        choice = Choice(options={"shard": "3"})
-        b = export(out, "hdf5", tmp_path / "b", choice, executor=executor).folder
-    names = sorted(path.name for path in a.glob("*.h5"))
-    assert names == [f"all_12x8_{i:05d}.h5" for i in range(3)]
-    for name in names:
-        assert sha256(a / name) == sha256(b / name)
-
-
-def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path: Path):
+def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path):
     wide = {0: 12, 1: 12, 2: 20, 3: 20}
     out = make_output(tmp_path / "out", lambda n: some_passes(n, wide[n % 4], rgb=False), batches=2)
-    folder = exported(out, tmp_path / "a")
+    folder = exported(out, "hdf5", tmp_path / "a")
     assert sorted(p.name for p in folder.glob("*.h5")) == ["all_12x8.h5", "all_20x8.h5"]
-    folder = exported(out, tmp_path / "b", by="camera")
+    folder = exported(out, "hdf5", tmp_path / "b", by="camera")
     names = ["all_rover_left_12x8.h5", "all_rover_right_20x8.h5"]
     assert sorted(p.name for p in folder.glob("*.h5")) == names
     with h5py.File(folder / names[1]) as file:
@@ -149,7 +125,7 @@ def test_a_file_holds_one_resolution_and_on_request_one_camera(tmp_path: Path):
         assert file["depth"].shape == (4, 8, 20)
 
 
-def test_frames_that_are_left_out_leave_no_gap(tmp_path: Path):
+def test_frames_that_are_left_out_leave_no_gap(tmp_path):
     out = make_output(tmp_path / "out", batches=1)
     (out / "batch_0000/frames/annotation/rover_left/000001.exr").write_bytes(b"torn")
     report = export(out, "hdf5", tmp_path / "d", Choice(faults="skip"))
@@ -160,29 +136,29 @@ def test_frames_that_are_left_out_leave_no_gap(tmp_path: Path):
             assert (file["depth"][at] == some_passes(number)["depth"]).all()
 
 
-def test_one_pixel_without_instances_or_rgb_is_a_file(tmp_path: Path):
+def test_one_pixel_without_instances_or_rgb_is_a_file(tmp_path):
     def passes(number: int) -> dict:
         ids = np.zeros((1, 1), np.uint32)
         return {"label.class": ids + 2, "instance": ids, "depth": np.full((1, 1), np.inf)}
 
     out = make_output(tmp_path / "out", passes, batches=1, samples=1)
-    with h5py.File(exported(out, tmp_path / "d", shuffle="no") / "all_1x1.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d", shuffle="no") / "all_1x1.h5") as file:
         assert file["depth"].shape == (2, 1, 1)
         assert file["instances/offsets"][:].tolist() == [0, 0, 0]
         assert len(file["instances/id"]) == 0
 
 
-def test_an_id_without_a_name_is_never_cut_to_fit(tmp_path: Path):
+def test_an_id_without_a_name_is_never_cut_to_fit(tmp_path):
     def passes(number: int) -> dict:
         return some_passes(number) | {"label.class": np.full((8, 12), 999, np.uint32)}
 
     out = make_output(tmp_path / "out", passes, batches=1)
     with pytest.raises(FrameError, match=r"000000\.exr: label.class holds ids \[999\] that"):
-        exported(out, tmp_path / "d")
+        exported(out, "hdf5", tmp_path / "d")
     assert not (tmp_path / "d").exists()
 
 
-def test_frames_of_other_passes_are_refused_by_name(tmp_path: Path):
+def test_frames_of_other_passes_are_refused_by_name(tmp_path):
     def passes(number: int) -> dict:
         found = some_passes(number)
         return found if number < 3 else {k: v for k, v in found.items() if k != "depth"}
@@ -191,37 +167,25 @@ def test_frames_of_other_passes_are_refused_by_name(tmp_path: Path):
     with pytest.raises(
         FrameError, match=r"rover_right.000001\.exr: holds rgb, .*the frames before"
     ):
-        exported(out, tmp_path / "d")
+        exported(out, "hdf5", tmp_path / "d")
 
 
-@pytest.mark.parametrize("value", ["-1", "many", "1.5"])
-def test_a_shard_of_no_number_is_refused(out: Path, tmp_path: Path, value: str):
-    with pytest.raises(OutputError, match=f"option shard: expected a whole number.*{value}"):
-        exported(out, tmp_path / "d", shard=value)
-
-
-def test_columns_longer_than_their_blocks_come_back_whole(tmp_path: Path):
+def test_columns_longer_than_their_blocks_come_back_whole(tmp_path):
     # 6 frames of 3000 instances are more lines than are held back at a time.
     def passes(number: int) -> dict:
         ids = np.arange(1, 3001, dtype=np.uint32).reshape(30, 100) + np.uint32(number)
         return {"label.class": np.full((30, 100), 3, np.uint32), "instance": ids}
 
     out = make_output(tmp_path / "out", passes, batches=1, cameras=("c",), samples=6)
-    with h5py.File(exported(out, tmp_path / "d") / "all_100x30.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_100x30.h5") as file:
         expected = np.concatenate([np.arange(1, 3001) + n for n in range(6)])
         assert (file["instances/id"][:] == expected).all()
         assert (np.diff(file["instances/offsets"][:].astype(int)) == 3000).all()
 
 
-def test_the_card_says_how_to_read_it(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d")
-    assert json.loads((folder / "export.json").read_text())["frames"] == 8
-    assert "h5py.File" in (folder / "README.md").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize("name", ["hdf5", "webdataset"])
-def test_no_more_than_two_frames_are_in_memory_at_a_time(out: Path, tmp_path: Path, name: str):
-    source = Source(out)
+def test_no_more_than_two_frames_are_in_memory_at_a_time(output, tmp_path, name):
+    source = Source(output)
     alive: list[weakref.ref[LoadedFrame]] = []
     most = 0
 

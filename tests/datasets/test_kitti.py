@@ -17,7 +17,6 @@ from PIL import Image
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.trajectory import rigs
 from scenec.datasets.source import Source
-from scenec.schemas.errors import OutputError
 from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
@@ -142,12 +141,6 @@ def test_the_first_pose_puts_a_sequence_back_into_the_world(dataset):
         assert off_surface(points[near]).max() < 1.5 * 0.5 / 256.0
 
 
-def test_without_the_option_there_is_no_depth_and_no_gray(made, tmp_path):
-    export(made.out, "kitti", tmp_path / "d")
-    folders = {path.name for path in (tmp_path / "d/sequences/00").iterdir() if path.is_dir()}
-    assert folders == {"image_2", "image_3"}
-
-
 def test_a_damaged_frame_of_a_pair_leaves_out_both_and_lines_follow_the_names(made, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(made.out, out, ignore=shutil.ignore_patterns("datasets"))
@@ -193,12 +186,6 @@ def test_rigs_are_told_by_their_prims_even_with_underscores_in_names(tmp_path):
     out = make_out(tmp_path / "out", sensors, 1).out
     found = [(rig, sorted(cameras)) for _, rig, cameras in rigs(Source(out).frames)]
     assert found == [("a_b", ["a_b_c"]), ("a", ["a_b_d"]), ("lone", ["lone"])]
-
-
-def test_depth_without_the_pass_is_refused(tmp_path):
-    out = make_out(tmp_path / "out", (LEFT,), 1, without=["depth"]).out
-    with pytest.raises(OutputError, match=r"depth=yes: the frames have no pass depth.*,depth"):
-        export(out, "kitti", choice=BOTH)
 
 
 def test_an_empty_picture_has_no_depth_and_still_a_pose(tmp_path):

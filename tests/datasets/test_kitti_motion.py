@@ -29,6 +29,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.frames import FrameKey
 from scenec.testing.examples import examples
 from scenec.testing.made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
+from scenec.testing.made_output import edit
 
 BASELINE = RIGHT.offset[0]
 ASTRAY = "pictures of flow that does not lead to the next picture here: written without any"
@@ -50,7 +51,7 @@ def motion(camera: str, depth: NDArray[np.float32]) -> dict[str, NDArray]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Made:
+def made(tmp_path_factory):
     made = make_out(tmp_path_factory.mktemp("out") / "made", (LEFT, RIGHT, SIDE), samples=2)
     return moving(made)
 
@@ -76,8 +77,7 @@ def partners(out: Path, **names: str) -> None:
     """Has sidecars of cameras say to which other one their disparity goes."""
     for camera, partner in names.items():
         for path in sorted(out.glob(f"batch_*/frames/*/{camera}/*.json")):
-            told = json.loads(path.read_bytes()) | {"partner": partner}
-            path.write_text(json.dumps(told), encoding="utf-8")
+            edit(path, partner=partner)
 
 
 def small(name: str, x: float = 0.0) -> Sensor:
@@ -99,7 +99,7 @@ def with_flow(dataset: Path, folder: str = "flow_2") -> dict[str, bool]:
     return {file.stem: bool(devkit_flow(file)[1].any()) for file in files}
 
 
-def test_a_sidecar_names_the_camera_that_disparity_goes_to(tmp_path: Path):
+def test_a_sidecar_names_the_camera_that_disparity_goes_to(tmp_path):
     k = np.array([[2.0, 0, 2], [0, 2, 1], [0, 0, 1]])
     left, right = (Camera(f"rig_{n}", f"/World/Rigs/rig/{n}", 4, 2, k, np.eye(4)) for n in "ab")
     left = replace(left, partner=right.path)
@@ -119,7 +119,7 @@ def test_a_sidecar_names_the_camera_that_disparity_goes_to(tmp_path: Path):
     assert told == ["rig_b", "absent", None]
 
 
-def test_the_pair_is_that_of_the_partner_and_not_of_the_nearest(tmp_path: Path):
+def test_the_pair_is_that_of_the_partner_and_not_of_the_nearest(tmp_path):
     made = moving(make_out(tmp_path / "out", (small("a"), small("b", 0.1), small("c", 0.25)), 1))
     partners(made.out, rover_a="rover_c", rover_c="rover_a", rover_b="rover_a")
     folder = exported(made.out, tmp_path / "d", disparity="all").folder
@@ -130,7 +130,7 @@ def test_the_pair_is_that_of_the_partner_and_not_of_the_nearest(tmp_path: Path):
     assert np.abs(found - wanted)[there].max() <= 1 / 256
 
 
-def test_disparity_to_another_camera_than_the_pairs_is_refused(tmp_path: Path):
+def test_disparity_to_another_camera_than_the_pairs_is_refused(tmp_path):
     made = moving(make_out(tmp_path / "out", (small("a"), small("b", 0.1), small("c", 0.25)), 1))
     partners(made.out, rover_a="rover_c")
     choice = Choice(cameras=["rover_a", "rover_b"], options={"disparity": "all"})
@@ -138,7 +138,7 @@ def test_disparity_to_another_camera_than_the_pairs_is_refused(tmp_path: Path):
         export(made.out, "kitti", tmp_path / "d", choice)
 
 
-def test_a_pair_by_geometry_of_frames_that_name_no_partner_is_said_once(tmp_path: Path):
+def test_a_pair_by_geometry_of_frames_that_name_no_partner_is_said_once(tmp_path):
     cameras = (small("a"), small("b", 0.1), small("x", 9.0), small("y", 9.3))
     made = moving(make_out(tmp_path / "out", cameras, 2))
 
@@ -158,7 +158,7 @@ def test_a_pair_by_geometry_of_frames_that_name_no_partner_is_said_once(tmp_path
 
 
 @pytest.mark.parametrize("has", ["left", "right"])
-def test_of_a_pair_one_camera_alone_may_have_disparity(tmp_path: Path, has: str):
+def test_of_a_pair_one_camera_alone_may_have_disparity(tmp_path, has):
     made = make_out(tmp_path / "out", (small("left"), small("right", 0.25)), 1)
     lacks = {"left": "rover_right", "right": "rover_left"}[has]
     moving(made, {lacks: ("disparity", "disparity_occlusion")})
@@ -170,7 +170,7 @@ def test_of_a_pair_one_camera_alone_may_have_disparity(tmp_path: Path, has: str)
     assert report.left_out == told
 
 
-def test_flow_to_a_sample_that_is_not_the_next_picture_is_no_flow(tmp_path: Path):
+def test_flow_to_a_sample_that_is_not_the_next_picture_is_no_flow(tmp_path):
     made = moving(make_out(tmp_path / "out", (small("a"), small("b", 0.25)), 4))
     folder = made.out / "batch_0000/frames/mitsuba"
     (folder / "rover_b/000001.json").unlink()
@@ -184,7 +184,7 @@ def test_flow_to_a_sample_that_is_not_the_next_picture_is_no_flow(tmp_path: Path
     assert np.abs(flow - made.passes["rover_a", 2]["flow"])[there].max() <= 0.5 / 64
 
 
-def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture(tmp_path: Path):
+def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture(tmp_path):
     made = moving(make_out(tmp_path / "out", (small("a"),), 5), trigger=[2, 0])
     for sample in (1, 3):
         (made.out / f"batch_0000/frames/mitsuba/rover_a/{sample:06d}.json").unlink()
@@ -192,7 +192,7 @@ def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture
     assert found == {"000000": True, "000001": True, "000002": False}
 
 
-def test_flow_to_a_damaged_picture_is_no_flow(tmp_path: Path):
+def test_flow_to_a_damaged_picture_is_no_flow(tmp_path):
     made = moving(make_out(tmp_path / "out", (small("a"), small("b", 0.25)), 4))
     (made.out / "batch_0000/frames/mitsuba/rover_b/000002.exr").write_bytes(b"damaged")
     report = exported(made.out, tmp_path / "d", "skip", flow="all")
@@ -218,7 +218,7 @@ def devkit_disparity(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]
 
 
 @pytest.mark.parametrize("how", ["all", "visible"])
-def test_flow_and_disparity_come_back_within_half_a_step(made: Made, tmp_path: Path, how: str):
+def test_flow_and_disparity_come_back_within_half_a_step(made, tmp_path, how):
     choice = Choice(options={"flow": how, "disparity": how})
     report = export(made.out, "kitti", tmp_path / "d", choice)
     beyond = 0
@@ -251,18 +251,10 @@ def test_flow_and_disparity_come_back_within_half_a_step(made: Made, tmp_path: P
     assert report.left_out == {"pixels of flow that KITTI's 16 bits do not hold": beyond, ASTRAY: 3}
 
 
-def test_nothing_of_motion_is_written_unless_it_is_asked_for(made: Made, tmp_path: Path):
+def test_depth_gray_and_motion_are_written_if_they_are_asked_for_alone(made, tmp_path):
     folder = export(made.out, "kitti", tmp_path / "d").folder
-    assert not [p for p in folder.rglob("*") if p.name.startswith(("flow", "disp"))]
-
-
-@pytest.mark.parametrize(
-    ("option", "lacking"), [({"flow": "all"}, "flow"), ({"disparity": "visible"}, "disparity")]
-)
-def test_a_pass_that_is_not_there_is_named(tmp_path: Path, option, lacking):
-    out = make_out(tmp_path / "made", (LEFT,), samples=1).out
-    with pytest.raises(OutputError, match=f"the frames have no pass {lacking}; render with"):
-        export(out, "kitti", tmp_path / "d", Choice(options=option))
+    folders = {path.name for path in (folder / "sequences/00").iterdir() if path.is_dir()}
+    assert folders == {"image_2", "image_3"}
 
 
 def test_what_is_infinitely_far_away_has_the_least_disparity_and_negative_ones_none():

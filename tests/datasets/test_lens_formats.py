@@ -6,15 +6,18 @@ import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import yaml
+from rosbags.highlevel import AnyReader
 
 from scenec.datasets.export import export
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
 from scenec.schemas.lens import Lens
 from scenec.testing.made_frames import LEFT, make_out
+from scenec.testing.made_output import edit
 
 BROWN = {"model": "brown_conrady", "coefficients": [-0.2, 0.05, 1e-3, -2e-3, 0, 0, 0, 0]}
 THIRD = {"model": "brown_conrady", "coefficients": [-0.2, 0.05, 1e-3, -2e-3, 0.01, 0, 0, 0]}
@@ -27,15 +30,12 @@ def made_with(folder: Path, lens: dict[str, Any], skew: float = 0.0) -> Path:
     """An output whose one camera has a lens."""
     out = make_out(folder / "out", (LEFT,), 2).out
     for path in sorted((out / "batch_0000/frames/mitsuba/rover_left").glob("00000?.json")):
-        sidecar = json.loads(path.read_text())
-        sidecar["lens"] = lens
-        sidecar["intrinsics"][0][1] = skew
-        path.write_text(json.dumps(sidecar))
+        k = json.loads(path.read_bytes())["intrinsics"]
+        edit(path, lens=lens, intrinsics=[[k[0][0], skew, k[0][2]], *k[1:]])
     return out
 
 
-def test_a_loaded_frame_has_its_lens(tmp_path: Path) -> None:
-    """As ``schemas.lens`` has it."""
+def test_a_loaded_frame_has_its_lens(tmp_path):
     source = Source(made_with(tmp_path, FISHEYE))
     frame = source.load(source.frames[0])
     assert frame.lens == Lens("kannala_brandt", (-0.01, 2e-3, 3e-4, 0.0), np.pi / 2)
@@ -45,9 +45,7 @@ def test_a_loaded_frame_has_its_lens(tmp_path: Path) -> None:
     ("lens", "model", "count"),
     [(BROWN, "radial-tangential", 4), (FISHEYE, "equidistant", 4)],
 )
-def test_euroc_has_the_distortion(
-    tmp_path: Path, lens: dict[str, Any], model: str, count: int
-) -> None:
+def test_euroc_has_the_distortion(tmp_path, lens, model, count):
     """In sensor.yaml, k1, k2, p1, p2 or Kannala and Brandt's four."""
     folder = Path(export(made_with(tmp_path, lens), "euroc").folder)
     (path,) = folder.rglob("cam0/sensor.yaml")
@@ -65,12 +63,7 @@ def test_euroc_has_the_distortion(
         (FISHEYE, "equidistant", 4),
     ],
 )
-def test_a_bags_camera_info_has_the_distortion(
-    tmp_path: Path, lens: dict[str, Any], model: str, count: int
-) -> None:
-    """Read by rosbags: model and coefficients as image_geometry takes them."""
-    from rosbags.highlevel import AnyReader
-
+def test_a_bags_camera_info_has_the_distortion(tmp_path, lens, model, count):
     folder = Path(export(made_with(tmp_path, lens), "rosbag2").folder)
     bags = [path.parent for path in folder.rglob("metadata.yaml")]
     with AnyReader(bags) as reader:
@@ -93,10 +86,7 @@ def test_a_bags_camera_info_has_the_distortion(
         ("rosbag2", PANORAMA, "has the lens equirectangular of 0 coefficients"),
     ],
 )
-def test_what_a_format_cannot_hold_is_one_line(
-    tmp_path: Path, form: str, lens: dict[str, Any], said: str
-) -> None:
-    """With the frame, the camera, and how to leave it out."""
+def test_what_a_format_cannot_hold_is_one_line(tmp_path, form, lens, said):
     with pytest.raises(OutputError) as error:
         export(made_with(tmp_path, lens), form)
     assert said in str(error.value)
@@ -104,16 +94,12 @@ def test_what_a_format_cannot_hold_is_one_line(
     assert "--cameras" in str(error.value)
 
 
-def test_a_lens_and_a_skew_are_too_much_for_a_bag(tmp_path: Path) -> None:
-    """Its readers drop the skew."""
+def test_a_lens_and_a_skew_are_too_much_for_a_bag(tmp_path):
     with pytest.raises(OutputError, match="has a lens and a skew"):
         export(made_with(tmp_path, BROWN, 0.5), "rosbag2")
 
 
-def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path: Path) -> None:
-    """Beside the intrinsics; in an attribute of the file."""
-    import h5py
-
+def test_coco_and_hdf5_say_it_as_sidecars_do(tmp_path):
     out = made_with(tmp_path, FISHEYE)
     folder = Path(export(out, "coco", folder=tmp_path / "coco").folder)
     (path,) = [p for p in folder.rglob("*.json") if b'"images"' in p.read_bytes()]

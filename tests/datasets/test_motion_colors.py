@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from PIL import Image
 from sensor_frames import add_sensor, on_disk
 
 from scenec.datasets import motion_colors
-from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
 from scenec.datasets.sheet import write_sheet
 from scenec.datasets.view import fields
 from scenec.testing import made_output
@@ -129,7 +127,7 @@ def test_raw_numbers_come_back_exactly():
     assert layer.facts["top"] == numbers.max()
 
 
-def test_the_sheet_has_a_column_for_each_and_takes_the_sensors_picture(tmp_path: Path):
+def test_the_sheet_has_a_column_for_each_and_takes_the_sensors_picture(tmp_path):
     shape = (20, 30)
     flow = np.zeros((*shape, 2), np.float32)
     flow[..., 0] = 5.0
@@ -163,8 +161,3 @@ def test_the_sheet_has_a_column_for_each_and_takes_the_sensors_picture(tmp_path:
         assert (middle[5, 10 + 490 * column + 200] == color).all()
     assert (np.asarray(wider)[68 + 40, 10 + 490 * 7 + 5] != 0).any()
     assert (np.asarray(wider)[68 + 2, 10 + 490 * 7 + 240] == 0).all()
-
-
-def test_frames_without_motion_have_no_room_for_it():
-    plain = SheetFrame("a", np.zeros((4, 4, 3), np.uint8), {}, None, None)
-    assert contact_sheet([plain], {}, "h", tile_width=100).width == 10 + 110

@@ -6,7 +6,7 @@ import copy
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 from scenec.backends.check.files import check_files
 from scenec.backends.check.frames import check_frames, check_scans
-from scenec.cli.main import main
 from scenec.datasets.export import Choice, export
 from scenec.datasets.export_records import read_record, record_path, write_record
 from scenec.datasets.formats.contract import Task
@@ -33,6 +32,7 @@ from scenec.schemas.scans import read_scan, write_scan
 from scenec.schemas.shape import Each, natural, require_shape
 from scenec.testing.examples import examples
 from scenec.testing.made_output import make_output
+from scenec.testing.processes import output_of
 
 #: What stands in the place of something: of each kind, and what trips readers up.
 VALUES = st.one_of(
@@ -102,8 +102,19 @@ RELAXED = examples(
 
 
 @pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def output(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("mutated") / "out", batches=1, cameras=("left",))
+
+
+@contextmanager
+def mutated_file(path: Path, data: st.DataObject, more: dict[str, Any] | None = None) -> Iterator:
+    """A JSON file whose content, with more, is mutated while it lasts."""
+    sound = path.read_text()
+    path.write_text(json.dumps(data.draw(mutated(json.loads(sound) | (more or {})))))
+    try:
+        yield
+    finally:
+        path.write_text(sound)
 
 
 def only_our_errors(act: Callable[[], object]) -> None:
@@ -114,10 +125,6 @@ def only_our_errors(act: Callable[[], object]) -> None:
 @RELAXED
 @given(data=st.data())
 def test_a_manifest_is_taken_or_refused_in_one_line(output, data):
-    path = output / "manifest.json"
-    sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
-
     def act() -> None:
         manifest = read_manifest(output)
         gaps(manifest)
@@ -126,27 +133,20 @@ def test_a_manifest_is_taken_or_refused_in_one_line(output, data):
         source = Source(output)
         source.load(source.frames[0])
 
-    try:
+    with mutated_file(output / "manifest.json", data):
         only_our_errors(act)
-    finally:
-        path.write_text(sound)
 
 
 @RELAXED
 @given(data=st.data())
 def test_a_frame_s_sidecar_is_taken_or_refused_in_one_line(output, data, tmp_path_factory):
     batch = output / "batch_0000"
-    path = batch / "frames" / "annotation" / "left" / "000000.json"
-    sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound) | BLACK))))
     folder = tmp_path_factory.mktemp("exported")
-    try:
+    with mutated_file(batch / "frames" / "annotation" / "left" / "000000.json", data, BLACK):
         only_our_errors(lambda: list(check_frames(batch, None)))
         for name in ("tum", "coco"):
             choice = Choice(faults="skip")
             only_our_errors(lambda name=name, c=choice: export(output, name, folder / name, c))
-    finally:
-        path.write_text(sound)
 
 
 #: Into a cell of a table: what is no number, or none that an instance has.
@@ -227,21 +227,16 @@ def test_a_record_of_what_was_left_out_is_taken_or_refused_in_one_line(tmp_path,
 
 
 @pytest.fixture(scope="module")
-def dataset(output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(output, tmp_path_factory):
     return export(output, "tum", tmp_path_factory.mktemp("dataset") / "ds").folder
 
 
 @RELAXED
 @given(data=st.data())
 def test_an_export_s_summary_is_taken_or_refused_in_one_line(output, dataset, data):
-    path = dataset / "export.json"
-    sound = path.read_text()
-    path.write_text(json.dumps(data.draw(mutated(json.loads(sound)))))
-    try:
+    with mutated_file(dataset / "export.json", data):
         only_our_errors(lambda: verify(dataset))
         only_our_errors(lambda: export(output, "tum", dataset))
-    finally:
-        path.write_text(sound)
 
 
 @RELAXED
@@ -328,8 +323,7 @@ def test_what_cannot_be_written_is_said_before_the_work(output, tmp_path, capsys
         manifest = json.loads((out / "manifest.json").read_text())
         (out / "batch_0000").write_text("")
         (out / "manifest.json").write_text(json.dumps(manifest))
-    assert main(words) == 2
-    told = capsys.readouterr().err
+    told = output_of(capsys, words, 2).err
     assert "cannot be written: " in told
     assert "is not a folder" in told
     assert "frame 1/" not in told

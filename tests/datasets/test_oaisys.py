@@ -39,15 +39,13 @@ def passes(number: int) -> dict:
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("oaisys") / "out", passes)
 
 
 @pytest.mark.parametrize("base", [15, 51])
 @given(data=st.data())
-def test_every_id_below_the_base_cubed_has_a_color_of_its_own_that_says_it(
-    base: int, data: st.DataObject
-):
+def test_every_id_below_the_base_cubed_has_a_color_of_its_own_that_says_it(base, data):
     ids = data.draw(hnp.arrays(np.uint32, (3, 4), elements=st.integers(0, base**3 - 1)))
     colors = color_code(ids, base)
     step = 255 // base
@@ -61,7 +59,7 @@ def test_every_id_below_the_base_cubed_has_a_color_of_its_own_that_says_it(
 
 
 @given(ids=st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=20))
-def test_an_id_beyond_the_code_is_never_cut(ids: list[int]):
+def test_an_id_beyond_the_code_is_never_cut(ids):
     array = np.array([ids], np.uint32)
     if max(ids) < ROOM:
         assert color_code(array, 51).shape == (1, len(ids), 3)
@@ -71,9 +69,7 @@ def test_an_id_beyond_the_code_is_never_cut(ids: list[int]):
 
 
 @pytest.mark.parametrize(("generation", "base"), [("current", 51), ("2021", 15)])
-def test_labels_and_instances_come_back_from_the_tree(
-    out: Path, tmp_path: Path, generation: str, base: int
-):
+def test_labels_and_instances_come_back_from_the_tree(out, tmp_path, generation, base):
     choice = Choice(options={"generation": generation})
     folder = export(out, "oaisys", tmp_path / "d", choice).folder
     number = 0
@@ -95,7 +91,7 @@ def test_labels_and_instances_come_back_from_the_tree(
     assert table["semantic_base"] == base
 
 
-def test_depth_is_meters_and_the_sky_is_ten_billion(out: Path, tmp_path: Path):
+def test_depth_is_meters_and_the_sky_is_ten_billion(out, tmp_path):
     folder = export(out, "oaisys", tmp_path / "d").folder
     path = folder / "batch_0001/rover_left/0003rover_left_pinhole_depth_00.exr"
     with OpenEXR.File(str(path), separate_channels=True) as file:
@@ -108,7 +104,7 @@ def test_depth_is_meters_and_the_sky_is_ten_billion(out: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize("generation", ["current", "2021"])
-def test_poses_have_the_camera_axes_of_their_generation(out: Path, tmp_path: Path, generation: str):
+def test_poses_have_the_camera_axes_of_their_generation(out, tmp_path, generation):
     choice = Choice(options={"generation": generation})
     folder = export(out, "oaisys", tmp_path / "d", choice).folder
     path = folder / "batch_0002/rover_right/camera_poses.csv"
@@ -131,7 +127,7 @@ def turned(quaternion: tuple[float, ...], vector: NDArray[np.float64]) -> NDArra
     return vector + 2.0 * w * cross + 2.0 * np.cross(u, cross)
 
 
-def test_ids_beyond_the_code_are_refused_or_numbered_anew(tmp_path: Path):
+def test_ids_beyond_the_code_are_refused_or_numbered_anew(tmp_path):
     out = make_output(tmp_path / "out", batches=1)
     with pytest.raises(OutputError, match=r"instance id 300000000\d is not below 132651.*renumber"):
         export(out, "oaisys", tmp_path / "a")
@@ -145,7 +141,7 @@ def test_ids_beyond_the_code_are_refused_or_numbered_anew(tmp_path: Path):
     assert back.max() == 3
 
 
-def test_a_label_beyond_the_code_is_refused_before_anything_is_written(tmp_path: Path):
+def test_a_label_beyond_the_code_is_refused_before_anything_is_written(tmp_path):
     labels = {"class": {15**3: "rock"}, "surface": {1: "sand"}}
     out = make_output(tmp_path / "out", passes, batches=1, labels=labels)
     choice = Choice(options={"generation": "2021"})
@@ -154,7 +150,7 @@ def test_a_label_beyond_the_code_is_refused_before_anything_is_written(tmp_path:
     assert not (tmp_path / ".d.partial").exists()
 
 
-def test_splits_are_folders_around_the_tree(out: Path, tmp_path: Path):
+def test_splits_are_folders_around_the_tree(out, tmp_path):
     choice = Choice(splits={"train": range(0, 1), "val": range(1, 2)})
     folder = export(out, "oaisys", tmp_path / "d", choice).folder
     assert (folder / "train/batch_0001/rover_left/camera_poses.csv").is_file()
@@ -162,7 +158,7 @@ def test_splits_are_folders_around_the_tree(out: Path, tmp_path: Path):
     assert not (folder / "batch_0001").exists()
 
 
-def test_frames_without_pictures_or_instances_are_written_as_far_as_they_go(tmp_path: Path):
+def test_frames_without_pictures_or_instances_are_written_as_far_as_they_go(tmp_path):
     def bare(number: int) -> dict:
         return {"label.class": np.full((1, 1), 3, np.uint32)}
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +14,17 @@ from PIL import Image
 
 from scenec.datasets.export import Choice, export
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import sha256
 from scenec.schemas.picture import develop
 from scenec.testing.made_output import (
     EXPOSURE_EV,
     LABELS,
+    exported,
     frame_table,
     make_output,
     pose_of,
     some_passes,
 )
-
-
-@pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_output(tmp_path_factory.mktemp("parquet") / "out")
-
-
-def exported(out: Path, folder: Path, **options: str) -> Path:
-    return export(out, "parquet", folder, Choice(options=options)).folder
+from scenec.testing.processes import python
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -48,8 +38,8 @@ def pixels(cell: dict[str, Any]) -> np.ndarray:
     return np.array(Image.open(io.BytesIO(cell["bytes"])))
 
 
-def test_pyarrow_reads_every_frame_with_the_same_values(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d", shard="3")
+def test_pyarrow_reads_every_frame_with_the_same_values(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d", shard="3")
     names = [path.name for path in sorted((folder / "data").iterdir())]
     assert names == [f"train-{i:05d}-of-00003.parquet" for i in range(3)]
     found = rows(folder)
@@ -67,8 +57,8 @@ def test_pyarrow_reads_every_frame_with_the_same_values(out: Path, tmp_path: Pat
         assert row["frame"] == f"batch_{row['batch']:04d}/{row['camera']}/{row['sample']:06d}"
 
 
-def test_objects_are_those_of_the_frame(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d")
+def test_objects_are_those_of_the_frame(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d")
     names = list(LABELS["class"].values())
     for number, row in enumerate(rows(folder)):
         ids = some_passes(number)["instance"]
@@ -90,8 +80,8 @@ def test_objects_are_those_of_the_frame(out: Path, tmp_path: Path):
             assert inside[:, -1].any()
 
 
-def test_depth_in_sixteen_bits_is_within_half_a_step(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d", depth="png", depth_scale="500")
+def test_depth_in_sixteen_bits_is_within_half_a_step(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d", depth="png", depth_scale="500")
     for number, row in enumerate(rows(folder)):
         depth = some_passes(number)["depth"]
         hit = np.isfinite(depth)
@@ -100,8 +90,8 @@ def test_depth_in_sixteen_bits_is_within_half_a_step(out: Path, tmp_path: Path):
         assert np.abs(values[hit] / 500.0 - depth[hit]).max() <= 0.5 / 500.0
 
 
-def test_the_schema_names_the_features(out: Path, tmp_path: Path):
-    folder = exported(out, tmp_path / "d")
+def test_the_schema_names_the_features(output, tmp_path):
+    folder = exported(output, "parquet", tmp_path / "d")
     schema = pq.read_schema(next((folder / "data").iterdir()))
     features = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
     assert list(features) == schema.names
@@ -134,21 +124,12 @@ print(json.dumps(told))
 """
 
 
-def test_hugging_face_datasets_shows_pictures_and_names(out: Path, tmp_path: Path):
+def test_hugging_face_datasets_shows_pictures_and_names(output, tmp_path):
     # In a process elsewhere: here, `datasets` is this repository's folder.
-    def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-c", code, *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-
-    if run("from datasets import load_dataset").returncode:
+    if python("-c", "from datasets import load_dataset", cwd=tmp_path).returncode:
         pytest.skip("the package datasets is not installed")
-    folder = exported(out, tmp_path / "d", shard="3")
-    answer = run(_READ, str(folder), str(tmp_path / "cache"))
+    folder = exported(output, "parquet", tmp_path / "d", shard="3")
+    answer = python("-c", _READ, folder, tmp_path / "cache", cwd=tmp_path)
     assert answer.returncode == 0, answer.stderr
     told = json.loads(answer.stdout.splitlines()[-1])
     assert len(told) == 8
@@ -163,47 +144,39 @@ def test_hugging_face_datasets_shows_pictures_and_names(out: Path, tmp_path: Pat
         assert [row["names"][c] for c in row["objects"]["category"]] == ["rock"] * len(table["id"])
 
 
-def test_files_are_the_same_bytes_every_time(out: Path, tmp_path: Path):
-    choice = Choice(options={"shard": "3"})
-    a = export(out, "parquet", tmp_path / "a", choice).folder
-    b = export(out, "parquet", tmp_path / "b", choice).folder
-    for path in (a / "data").iterdir():
-        assert sha256(path) == sha256(b / "data" / path.name)
-
-
-def test_splits_are_files_of_their_own(out: Path, tmp_path: Path):
+def test_splits_are_files_of_their_own(output, tmp_path):
     choice = Choice(splits={"train": range(0, 1), "val": range(1, 2)})
-    folder = export(out, "parquet", tmp_path / "d", choice).folder
+    folder = export(output, "parquet", tmp_path / "d", choice).folder
     train = pq.read_table(folder / "data/train-00000-of-00001.parquet")
     val = pq.read_table(folder / "data/val-00000-of-00001.parquet")
     assert set(train["batch"].to_pylist()) == {0}
     assert set(val["batch"].to_pylist()) == {1}
 
 
-def test_frames_without_pictures_or_instances_are_rows(tmp_path: Path):
+def test_frames_without_pictures_or_instances_are_rows(tmp_path):
     def bare(number: int) -> dict:
         return {"label.class": np.full((1, 1), 2, np.uint32), "depth": np.full((1, 1), np.inf)}
 
     out = make_output(tmp_path / "out", bare, batches=1, cameras=("c",), samples=1)
-    (row,) = rows(exported(out, tmp_path / "d"))
+    (row,) = rows(exported(out, "parquet", tmp_path / "d"))
     assert np.isposinf(pixels(row["depth"])).all()
     assert pixels(row["label.class"]).tolist() == [[2]]
     assert "image" not in row
     assert "objects" not in row
 
 
-def test_frames_that_show_no_instance_have_empty_lists(tmp_path: Path):
+def test_frames_that_show_no_instance_have_empty_lists(tmp_path):
     def empty(number: int) -> dict:
         made = some_passes(number)
         return made | {"instance": np.zeros_like(made["instance"])}
 
     out = make_output(tmp_path / "out", empty, batches=1, cameras=("c",), samples=1)
-    (row,) = rows(exported(out, tmp_path / "d"))
+    (row,) = rows(exported(out, "parquet", tmp_path / "d"))
     assert set(map(len, row["objects"].values())) == {0}
 
 
-def test_label_ids_beyond_sixteen_bits_are_refused(tmp_path: Path):
+def test_label_ids_beyond_sixteen_bits_are_refused(tmp_path):
     labels = {"class": {1: "sky", 2: "ground", 3: "rock"}, "surface": {70_000: "stone"}}
     out = make_output(tmp_path / "out", batches=1, labels=labels)
     with pytest.raises(OutputError, match="label 'stone' of level 'surface' has id 70000"):
-        exported(out, tmp_path / "d")
+        exported(out, "parquet", tmp_path / "d")

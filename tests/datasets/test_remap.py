@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from scenec.datasets.remap import parse_remap, read_remap, replaced
-from scenec.datasets.source import LoadedFrame, Source
+from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
 from scenec.testing.examples import examples
 from scenec.testing.made_output import make_output
@@ -22,12 +21,12 @@ OLD = {"surface": {7: "sky", 20: "sand", 21: "gravel", 22: "mud", 300: "stone"}}
 
 
 @pytest.fixture
-def frame(tmp_path: Path) -> LoadedFrame:
+def frame(tmp_path):
     source = Source(make_output(tmp_path / "out", batches=1))
     return source.load(source.frames[0])
 
 
-def test_merged_labels_take_the_id_of_the_one_that_had_the_name_or_the_lowest() -> None:
+def test_merged_labels_take_the_id_of_the_one_that_had_the_name_or_the_lowest():
     remap = parse_remap({"surface": {"gravel": "soil", "mud": "soil", "stone": "sand"}})
     assert remap.labels(OLD) == {"surface": {7: "sky", 20: "sand", 21: "soil"}}
     assert [remap.number("surface", n, OLD) for n in (7, 20, 21, 22, 300, 99)] == [
@@ -35,7 +34,7 @@ def test_merged_labels_take_the_id_of_the_one_that_had_the_name_or_the_lowest() 
     ]  # fmt: skip
 
 
-def test_ids_can_be_given_and_labels_left_out() -> None:
+def test_ids_can_be_given_and_labels_left_out():
     remap = parse_remap({"surface": {"mud": {"name": "wet", "id": LARGEST}, "sky": None}})
     assert remap.labels(OLD)["surface"] == {
         20: "sand", 21: "gravel", 300: "stone", LARGEST: "wet"
@@ -43,7 +42,7 @@ def test_ids_can_be_given_and_labels_left_out() -> None:
     assert remap.number("surface", 7, OLD) == 0
 
 
-def test_two_names_of_one_id_are_refused() -> None:
+def test_two_names_of_one_id_are_refused():
     remap = parse_remap({"surface": {"mud": {"name": "wet", "id": 20}}})
     with pytest.raises(OutputError, match="would have id 20 for both 'sand' and 'wet'"):
         remap.check(OLD)
@@ -59,7 +58,7 @@ def test_two_names_of_one_id_are_refused() -> None:
     assert replaced(picture, numbers).tolist() == [[22, 20, 7]]
 
 
-def test_pixels_tables_and_names_of_a_frame_change_together(frame) -> None:
+def test_pixels_tables_and_names_of_a_frame_change_together(frame):
     before = {name: array.copy() for name, array in frame.passes.items()}
     parse_remap({"class": {"rock": {"name": "Stein", "id": LARGEST}, "sky": None}}).apply(frame)
     old, new = before["label.class"], frame.passes["label.class"]
@@ -72,7 +71,7 @@ def test_pixels_tables_and_names_of_a_frame_change_together(frame) -> None:
         np.testing.assert_array_equal(frame.passes[name], before[name])
 
 
-def test_nothing_to_change_changes_nothing(frame) -> None:
+def test_nothing_to_change_changes_nothing(frame):
     before, names = frame.passes["label.class"].copy(), dict(frame.labels)
     parse_remap({}).apply(frame)
     np.testing.assert_array_equal(frame.passes["label.class"], before)
@@ -84,7 +83,7 @@ ids = st.sampled_from([0, 1, 2, 255, 256, 65535, 65536, LARGEST - 1, LARGEST])
 
 @examples(150)
 @given(arrays(np.uint32, (5, 4), elements=ids), st.dictionaries(ids, ids, max_size=6))
-def test_replaced_is_a_lookup_pixel_by_pixel(picture, numbers) -> None:
+def test_replaced_is_a_lookup_pixel_by_pixel(picture, numbers):
     expected = [[numbers.get(value, value) for value in row] for row in picture.tolist()]
     found = replaced(picture, numbers)
     assert found.dtype == np.uint32
@@ -104,19 +103,19 @@ def test_replaced_is_a_lookup_pixel_by_pixel(picture, numbers) -> None:
         ({"class": {"rock": {"nome": "x"}}}, "expected a new name"),
     ],
 )
-def test_what_is_no_remapping_is_said_with_its_place(value, words: str) -> None:
+def test_what_is_no_remapping_is_said_with_its_place(value, words):
     with pytest.raises(OutputError, match=words):
         parse_remap(value)
 
 
-def test_unknown_levels_and_labels_are_said_with_the_nearest() -> None:
+def test_unknown_levels_and_labels_are_said_with_the_nearest():
     with pytest.raises(OutputError, match='did you mean "surface"'):
         parse_remap({"surfaces": {}}).check(OLD)
     with pytest.raises(OutputError, match='did you mean "gravel"'):
         parse_remap({"surface": {"gravl": "x"}}).check(OLD)
 
 
-def test_a_file_of_changes_is_read_and_written_alike(tmp_path: Path) -> None:
+def test_a_file_of_changes_is_read_and_written_alike(tmp_path):
     value = {"class": {"rock": "Felsen", "sky": None, "ground": {"name": "soil", "id": 9}}}
     path = tmp_path / "remap.json"
     path.write_text(json.dumps(value), encoding="utf-8")

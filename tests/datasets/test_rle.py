@@ -123,17 +123,6 @@ def test_no_ids_give_no_runs():
     assert rle.compressed(counts, starts) == []
 
 
-def test_a_mask_of_one_pixel_anywhere_is_found():
-    for y in range(3):
-        for x in range(4):
-            mask = np.zeros((3, 4), np.bool_)
-            mask[y, x] = True
-            assert (rle.decode(rle.encode_mask(mask), 3, 4) == mask).all()
-            assert rle.boxes(mask.astype(np.uint32), np.ones(1, np.uint32))[1].tolist() == [
-                [x, y, 1, 1]
-            ]
-
-
 def test_a_picture_that_does_not_lie_in_rows_is_read_as_it_is_seen():
     picture = np.asfortranarray(np.arange(12, dtype=np.uint32).reshape(3, 4) % 3)
     ids = ids_of(picture)

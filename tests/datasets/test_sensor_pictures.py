@@ -24,26 +24,16 @@ from scenec.datasets.torch_dataset import FrameDataset
 from scenec.datasets.view.page import write_view
 from scenec.schemas.errors import FrameError
 from scenec.schemas.frames import beside_path, read_frame
-from scenec.testing.made_output import Passes, make_output, some_passes
+from scenec.testing.made_output import exported, make_output, small_ids, some_passes
 
 CAMERAS = ("rover_left", "rover_right")
 
 
-def small_ids(number: int) -> Passes:
-    """Ids that every format can hold."""
-    passes = some_passes(number)
-    return passes | {"instance": passes["instance"] % np.uint32(1000)}
-
-
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     out = make_output(tmp_path_factory.mktemp("sensor") / "out", small_ids, batches=1)
     add_sensor(out)
     return out
-
-
-def exported(out: Path, folder: Path, form: str, **options: str) -> Path:
-    return export(out, form, folder, Choice(options=options)).folder
 
 
 def places(out: Path) -> list[dict[str, Any]]:
@@ -51,7 +41,7 @@ def places(out: Path) -> list[dict[str, Any]]:
 
 
 def test_hdf5_has_the_picture_beside_radiance_and_what_lies_beside_it(out, tmp_path):
-    with h5py.File(exported(out, tmp_path / "d", "hdf5") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         for number, wanted in enumerate(places(out)):
             assert np.array_equal(file["rgb"][number], some_passes(number)["rgb"])
             for kind, pixels in wanted.items():
@@ -60,7 +50,7 @@ def test_hdf5_has_the_picture_beside_radiance_and_what_lies_beside_it(out, tmp_p
         assert file["raw"].dtype == np.uint16
         assert "sensor took" in file["picture"].attrs["convention"]
         assert "mosaic" in file["raw"].attrs["convention"]
-    with h5py.File(exported(out, tmp_path / "e", "hdf5", rgb="srgb8") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "e", rgb="srgb8") / "all_12x8.h5") as file:
         assert "picture" not in file
         assert np.array_equal(file["rgb8"][1], places(out)[1]["picture"])
 
@@ -68,7 +58,7 @@ def test_hdf5_has_the_picture_beside_radiance_and_what_lies_beside_it(out, tmp_p
 def test_cameras_that_hold_different_things_have_hdf5_files_of_their_own(tmp_path):
     out = make_output(tmp_path / "out", batches=1)
     add_sensor(out, ["rover_right"], ["clean"])
-    folder = exported(out, tmp_path / "d", "hdf5")
+    folder = exported(out, "hdf5", tmp_path / "d")
     names = sorted(path.name for path in folder.glob("*.h5"))
     assert names == ["all_rover_left_12x8.h5", "all_rover_right_12x8.h5"]
     with h5py.File(folder / names[0]) as file:
@@ -88,14 +78,14 @@ def test_every_pass_has_a_convention_in_hdf5(tmp_path):
     # The sky has none.
     extra["face"][:2] = 0xFFFFFFFF
     out = make_output(tmp_path / "out", lambda n: some_passes(n) | extra, batches=1)
-    with h5py.File(exported(out, tmp_path / "d", "hdf5") / "all_12x8.h5") as file:
+    with h5py.File(exported(out, "hdf5", tmp_path / "d") / "all_12x8.h5") as file:
         for name, array in extra.items():
             assert np.array_equal(file[name][0], array, equal_nan=array.dtype.kind == "f")
             assert file[name].attrs["convention"]
 
 
 def test_webdataset_has_the_pictures(out, tmp_path):
-    folder = exported(out, tmp_path / "d", "webdataset")
+    folder = exported(out, "webdataset", tmp_path / "d")
     shards = sorted(map(str, folder.glob("*.tar")))
     found = list(webdataset.WebDataset(shards, shardshuffle=False).decode("rgb8"))
     for sample, wanted in zip(found, places(out), strict=True):
@@ -107,7 +97,7 @@ def test_webdataset_has_the_pictures(out, tmp_path):
 def test_parquet_has_the_pictures_and_null_where_a_camera_has_none(tmp_path):
     out = make_output(tmp_path / "out", batches=1)
     add_sensor(out, ["rover_left"])
-    folder = exported(out, tmp_path / "d", "parquet")
+    folder = exported(out, "parquet", tmp_path / "d")
     (file,) = folder.glob("data/*.parquet")
     for row, wanted in zip(pq.read_table(file).to_pylist(), places(out), strict=True):
         named = {"image": "picture", "image_clean": "clean", "image_raw": "raw"}
@@ -123,12 +113,12 @@ def test_parquet_has_the_pictures_and_null_where_a_camera_has_none(tmp_path):
 
 def _plain(folder: Path) -> Path:
     out = make_output(folder / "plain", batches=1)
-    (file,) = exported(out, folder / "plain_d", "parquet").glob("data/*.parquet")
+    (file,) = exported(out, "parquet", folder / "plain_d").glob("data/*.parquet")
     return file
 
 
 def test_a_ros_bag_has_the_pictures(out, tmp_path):
-    bag = exported(out, tmp_path / "d", "rosbag2", times="samples") / "all/batch_0000"
+    bag = exported(out, "rosbag2", tmp_path / "d", times="samples") / "all/batch_0000"
     store = get_typestore(Stores.ROS2_JAZZY)
     found: dict[str, list[Any]] = {}
     with Reader(bag) as reader:
@@ -184,7 +174,7 @@ def test_frames_of_rgb_alone_are_shown_and_exported(tmp_path):
     rgb = np.ones((6, 8, 3), np.float32)
     out = make_output(tmp_path / "out", lambda _: {"rgb": rgb}, batches=1, cameras=("a",))
     assert write_view(out, tmp_path / "view.html", faults="stop").frames == 2
-    folder = exported(out, tmp_path / "d", "kitti")
+    folder = exported(out, "kitti", tmp_path / "d")
     picture = np.asarray(Image.open(folder / "sequences/00/image_2/000001.png"))
     assert np.array_equal(picture, on_disk(out, "a", 1)["picture"])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 
 import cv2
@@ -22,7 +21,7 @@ from scenec.datasets.verify import verify
 from scenec.schemas.errors import OutputError
 from scenec.schemas.picture import develop
 from scenec.testing.examples import examples
-from scenec.testing.made_output import EXPOSURE_EV, Passes, make_output, some_passes
+from scenec.testing.made_output import EXPOSURE_EV, Passes, edit, make_output, some_passes
 
 
 def moving(number: int) -> Passes:
@@ -33,7 +32,7 @@ def moving(number: int) -> Passes:
     return some_passes(number) | {"flow": flow, "occlusion": codes}
 
 
-def test_every_file_comes_back_as_it_was(tmp_path: Path):
+def test_every_file_comes_back_as_it_was(tmp_path):
     out = make_output(tmp_path / "out", moving, samples=3, batches=1)
     add_sensor(out, ["rover_right"], ["clean"])
     report = export(out, "sintel", tmp_path / "d")
@@ -96,7 +95,7 @@ def same(read: NDArray, flow: NDArray) -> bool:
     return bool(np.array_equal(read[known], flow[known]))
 
 
-def test_after_a_gap_a_new_sequence_begins(tmp_path: Path):
+def test_after_a_gap_a_new_sequence_begins(tmp_path):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
     (out / "batch_0000/frames/annotation/a/000002.json").unlink()
     folder = export(out, "sintel", tmp_path / "d", Choice(faults="skip")).folder
@@ -114,7 +113,7 @@ def test_after_a_gap_a_new_sequence_begins(tmp_path: Path):
         ("exr", (0, 1, 3, 4, 5), []),
     ],
 )
-def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path: Path, kind, damaged, flows):
+def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path, kind, damaged, flows):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
     for sample in damaged:
         (out / f"batch_0000/frames/annotation/a/{sample:06d}.{kind}").write_bytes(b"damaged")
@@ -131,7 +130,7 @@ def test_a_frame_that_cannot_be_read_parts_its_sequence(tmp_path: Path, kind, da
     assert sum(int(line["frames"]) for line in table) == report.frames
 
 
-def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path: Path, monkeypatch):
+def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path, monkeypatch):
     out = make_output(tmp_path / "out", moving, samples=6, batches=1, cameras=("a",))
     (out / "batch_0000/frames/annotation/a/000002.exr").write_bytes(b"damaged")
     choice = Choice(faults="skip")
@@ -151,30 +150,17 @@ def test_an_export_that_is_cut_short_when_files_have_moved_goes_on(tmp_path: Pat
     assert sums[0] == sums[1]
 
 
-def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture(tmp_path: Path):
+def test_flow_of_a_camera_that_is_triggered_less_often_leads_to_its_next_picture(tmp_path):
     out = make_output(tmp_path / "out", moving, samples=5, batches=1, cameras=("a",))
     for path in sorted((out / "batch_0000/frames/annotation/a").glob("*.json")):
         if int(path.stem) % 2:
             path.unlink()
         else:
-            path.write_text(json.dumps(json.loads(path.read_bytes()) | {"trigger": [2, 0]}))
+            edit(path, trigger=[2, 0])
     folder = export(out, "sintel", tmp_path / "d").folder
     flows = sorted((folder / "training/flow").rglob("*.flo"))
     assert [path.stem for path in flows] == ["frame_0001", "frame_0002"]
     assert same(cv2.readOpticalFlow(str(flows[1])), moving(2)["flow"])
-
-
-def test_what_is_not_rendered_is_named(tmp_path: Path):
-    out = make_output(tmp_path / "out", batches=1)
-    with pytest.raises(OutputError, match="format sintel needs the pass flow"):
-        export(out, "sintel", tmp_path / "d")
-
-    def without(number: int) -> Passes:
-        return {name: array for name, array in moving(number).items() if name != "occlusion"}
-
-    out = make_output(tmp_path / "other", without, batches=1)
-    with pytest.raises(OutputError, match="needs the pass occlusion"):
-        export(out, "sintel", tmp_path / "d")
 
 
 @examples(30)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import shutil
 from pathlib import Path
@@ -13,11 +12,11 @@ import pytest
 
 from scenec.datasets.source import FrameRef, Source, kind_of, sequences
 from scenec.schemas.errors import ForeignFrameError, FrameError, OutputError, StageError
-from scenec.testing.made_output import LABELS, make_output, some_passes
+from scenec.testing.made_output import LABELS, edit, make_output, some_passes
 
 
 @pytest.fixture
-def output(tmp_path: Path) -> Path:
+def output(tmp_path):
     return make_output(tmp_path / "out", batches=2, samples=3)
 
 
@@ -25,17 +24,12 @@ def files(out: Path, batch: int, camera: str, sample: int) -> Path:
     return out / f"batch_{batch:04d}/frames/annotation/{camera}/{sample:06d}.json"
 
 
-def edit(path: Path, **change: Any) -> None:
-    sidecar = json.loads(path.read_text(encoding="utf-8"))
-    path.write_text(json.dumps(sidecar | change), encoding="utf-8")
-
-
 def ref_of(source: Source, name: str) -> FrameRef:
     (found,) = [ref for ref in source.frames if ref.name == name]
     return found
 
 
-def test_frames_come_in_order_of_batch_camera_and_sample(output: Path) -> None:
+def test_frames_come_in_order_of_batch_camera_and_sample(output):
     source = Source(output)
     assert [ref.name for ref in source.frames] == [
         f"batch_{b:04d}/{camera}/{s:06d}"
@@ -48,7 +42,7 @@ def test_frames_come_in_order_of_batch_camera_and_sample(output: Path) -> None:
     assert [len(run) for run in sequences(source.frames)] == [3, 3, 3, 3]
 
 
-def test_what_is_asked_for_is_what_is_listed(output: Path) -> None:
+def test_what_is_asked_for_is_what_is_listed(output):
     source = Source(output, batches=[1], cameras=["rover_right"], samples=range(1, 9))
     assert [ref.name for ref in source.frames] == [
         "batch_0001/rover_right/000001",
@@ -57,9 +51,7 @@ def test_what_is_asked_for_is_what_is_listed(output: Path) -> None:
     assert source.missing == ()
 
 
-def test_frames_where_their_camera_has_none_are_strays_and_no_part_of_the_source(
-    output: Path,
-) -> None:
+def test_frames_where_their_camera_has_none_are_strays_and_no_part_of_the_source(output):
     # What an earlier stage left; only the frame at sample 1 was rendered from this one.
     edit(files(output, 0, "rover_left", 1), trigger=[2, 1])
     for sample in (0, 2):
@@ -82,7 +74,7 @@ def test_frames_where_their_camera_has_none_are_strays_and_no_part_of_the_source
     assert Source(output, samples=[2]).strays[0].name == "batch_0000/rover_left/000002"
 
 
-def test_a_frame_that_should_be_there_is_missing(output: Path) -> None:
+def test_a_frame_that_should_be_there_is_missing(output):
     files(output, 0, "rover_left", 1).unlink()
     shutil.rmtree(output / "batch_0001/frames/annotation/rover_right")
     source = Source(output)
@@ -134,7 +126,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", list(FAULTS))
-def test_each_fault_of_a_frame_has_its_kind_and_names_the_file(name: str, output: Path) -> None:
+def test_each_fault_of_a_frame_has_its_kind_and_names_the_file(name, output):
     break_, kind, words = FAULTS[name]
     path = files(output, 0, "rover_left", 1)
     break_(path)
@@ -151,9 +143,7 @@ def test_each_fault_of_a_frame_has_its_kind_and_names_the_file(name: str, output
             source.load(ref)
 
 
-def test_labels_of_another_output_are_foreign_whatever_its_stage(
-    output: Path, tmp_path: Path
-) -> None:
+def test_labels_of_another_output_are_foreign_whatever_its_stage(output, tmp_path):
     other = make_output(tmp_path / "other", labels={"class": {1: "Fels"}, "surface": {}})
     path = files(output, 1, "rover_right", 0)
     theirs = files(other, 1, "rover_right", 0)
@@ -165,21 +155,21 @@ def test_labels_of_another_output_are_foreign_whatever_its_stage(
     assert source.labels() == LABELS
 
 
-def test_a_first_frame_that_cannot_be_read_does_not_hide_the_others(output: Path) -> None:
+def test_a_first_frame_that_cannot_be_read_does_not_hide_the_others(output):
     files(output, 0, "rover_left", 0).write_text("nonsense")
     source = Source(output)
     assert source.labels() == LABELS
     assert source.passes()[0] == "rgb"
 
 
-def test_no_frame_that_can_be_read_is_one_error(output: Path) -> None:
+def test_no_frame_that_can_be_read_is_one_error(output):
     for path in output.glob("batch_*/frames/*/*/*.json"):
         path.write_text("[]")
     with pytest.raises(FrameError, match="no frame has a sidecar that can be read"):
         Source(output).labels()
 
 
-def test_what_is_not_there_is_said_with_what_is(output: Path, tmp_path: Path) -> None:
+def test_what_is_not_there_is_said_with_what_is(output, tmp_path):
     with pytest.raises(FrameError, match='did you mean "annotation"'):
         Source(output, "anotation")
     assert Source(output, "reference").backend == "annotation"
@@ -197,13 +187,13 @@ def test_what_is_not_there_is_said_with_what_is(output: Path, tmp_path: Path) ->
         Source(output)
 
 
-def test_a_missing_pass_is_named_with_how_to_get_it(output: Path) -> None:
+def test_a_missing_pass_is_named_with_how_to_get_it(output):
     source = Source(output)
     with pytest.raises(FrameError, match=r"has no normal .*--passes"):
         source.load(source.frames[0], ["normal"])
 
 
-def test_a_source_that_was_sent_to_a_worker_loads_the_same(output: Path) -> None:
+def test_a_source_that_was_sent_to_a_worker_loads_the_same(output):
     source = Source(output)
     there = pickle.loads(pickle.dumps(source))
     for ref in source.frames:
@@ -215,7 +205,7 @@ def test_a_source_that_was_sent_to_a_worker_loads_the_same(output: Path) -> None
         there.load(ref_of(source, "batch_0000/rover_left/000001"))
 
 
-def test_the_digest_of_annotation_heeds_every_pass_but_the_picture(tmp_path: Path) -> None:
+def test_the_digest_of_annotation_heeds_every_pass_but_the_picture(tmp_path):
     passes = some_passes(1)
     out = make_output(tmp_path / "out", lambda _: passes, batches=1, cameras=("a",), samples=1)
     source = Source(out)

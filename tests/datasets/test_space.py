@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -96,7 +95,7 @@ def test_the_library_goes_along_with_its_license_and_alone():
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory) -> Path:
+def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("space")
     cfg = write_cfg(folder, small_cfg(samples=1, outputs=["depth"]) | {"batches": 2})
     assert main(["compile", str(cfg), "-o", str(folder / "out"), "--no-cache"]) == 0

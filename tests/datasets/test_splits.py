@@ -27,7 +27,7 @@ def shares(draw: st.DrawFn) -> dict[str, float | range]:
 @given(batch_sets, shares(), st.integers(0, 2**64 - 1), st.randoms(use_true_random=False))
 def test_every_batch_is_in_one_split_and_sizes_are_within_one_of_the_shares(
     batches, splits, seed, random
-) -> None:
+):
     if len(batches) < len(splits):
         with pytest.raises(OutputError, match="a terrain is never in two splits"):
             assign(sorted(batches), splits, seed)
@@ -48,18 +48,10 @@ def test_every_batch_is_in_one_split_and_sizes_are_within_one_of_the_shares(
     assert assign(shuffled, splits, seed) == found
 
 
-def test_shares_without_tiny_ones_are_met_within_one() -> None:
-    splits = parse_splits("train=0.8,val=0.1,test=0.1")
-    for count in range(10, 120):
-        sizes = list(assign(range(count), splits).values())
-        for name, share in splits.items():
-            assert abs(sizes.count(name) - float(share) * count) < 1.0
-
-
 KNOWN = {"val": 8, "test": 3}
 
 
-def test_the_assignment_is_the_same_on_every_machine() -> None:
+def test_the_assignment_is_the_same_on_every_machine():
     found = assign(range(10), parse_splits("train=0.8,val=0.1,test=0.1"), seed=0)
     # The last of ten by `printf 0/$batch | sha256sum`.
     assert {name: batch for batch, name in found.items() if name != "train"} == KNOWN
@@ -68,11 +60,11 @@ def test_the_assignment_is_the_same_on_every_machine() -> None:
 
 
 @given(batch_sets)
-def test_without_splits_all_are_in_one(batches) -> None:
+def test_without_splits_all_are_in_one(batches):
     assert assign(sorted(batches), {}) == dict.fromkeys(sorted(batches), ALL)
 
 
-def test_ranges_take_the_batches_they_name_and_leave_the_others_out() -> None:
+def test_ranges_take_the_batches_they_name_and_leave_the_others_out():
     splits = parse_splits("train=0:3, test=5:9")
     assert assign([0, 1, 2, 3, 4, 5, 6], splits) == {
         **dict.fromkeys([0, 1, 2], "train"),
@@ -104,13 +96,13 @@ def test_ranges_take_the_batches_they_name_and_leave_the_others_out() -> None:
         ("train=a:b", "expected a share"),
     ],
 )
-def test_what_is_no_split_is_said(text: str, words: str) -> None:
+def test_what_is_no_split_is_said(text, words):
     with pytest.raises(OutputError, match=words):
         parse_splits(text)
 
 
 @given(shares())
-def test_splits_are_read_as_they_are_written(splits) -> None:
+def test_splits_are_read_as_they_are_written(splits):
     text = ",".join(f"{name}={share!r}" for name, share in splits.items())
     read = parse_splits(text)
     assert list(read) == list(splits)

@@ -13,19 +13,20 @@ import numpy as np
 import pytest
 import trimesh
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+from scipy.spatial.transform import Rotation
 
 from scenec.backends.stage.read import read_stage
-from scenec.backends.stage.scene import RenderScene
 from scenec.cli.main import main
 from scenec.datasets.models.gltf import decomposed
 from scenec.schemas.quaternions import quaternions
+from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 TEXELS = "texels=16384"
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory) -> Path:
+def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
     asked = small_cfg(samples=2)
     asked["materials"]["stone"]["diffuse_transmission"] = 0.3
@@ -35,18 +36,18 @@ def out(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def scene(out: Path) -> RenderScene:
+def scene(out):
     return read_stage(out / "batch_0000" / "stage.usda")
 
 
 @pytest.fixture(scope="module")
-def glb(out: Path) -> Path:
+def glb(out):
     assert main(["export", str(out), "--format", "gltf", "--set", TEXELS]) == 0
     return out / "datasets" / "gltf" / "batch_0000.glb"
 
 
 @pytest.fixture(scope="module")
-def usdz(out: Path) -> Path:
+def usdz(out):
     assert main(["export", str(out), "--format", "usdz", "--set", TEXELS]) == 0
     return out / "datasets" / "usdz" / "batch_0000.usdz"
 
@@ -94,17 +95,8 @@ class Glb:
 
 
 def matrices(turn: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Linear parts out of quaternions (x, y, z, w) and scales, by the product with i, j and k."""
-    x, y, z, w = turn.astype(float).T
-    rotation = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
-            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
-            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        axis=-2,
-    )
-    return rotation * scale[:, None, :]
+    """Linear parts out of quaternions (x, y, z, w) and scales."""
+    return Rotation.from_quat(turn.astype(float)).as_matrix() * scale[:, None, :]
 
 
 def test_each_instance_stands_in_the_gltf_where_the_stage_has_it(glb, scene):
@@ -321,26 +313,27 @@ def test_the_same_stage_gives_the_same_bytes(out, glb, usdz):
     ],
 )
 def test_options_that_make_no_sense_are_refused(out, capsys, words, message):
-    assert main(["export", str(out), "--format", "gltf", "-o", str(out / "x"), *words]) == 2
-    assert message in capsys.readouterr().err
+    assert (
+        message
+        in output_of(
+            capsys, ["export", str(out), "--format", "gltf", "-o", str(out / "x"), *words], 2
+        ).err
+    )
     assert not (out / "x").exists()
 
 
-def test_check_knows_folders_of_models(glb: Path, tmp_path: Path, capsys) -> None:
+def test_check_knows_folders_of_models(glb, tmp_path, capsys):
     folder = tmp_path / "gltf"
     shutil.copytree(glb.parent, folder)
-    assert main(["check", str(folder)]) == 0
-    assert "0 errors" in capsys.readouterr().out
+    assert "0 errors" in output_of(capsys, ["check", str(folder)]).out
     file, data = folder / glb.name, glb.read_bytes()
     for changed, message in (
         (data[:-1] + bytes([data[-1] ^ 1]), "was changed"),
         (data[:-1], "has"),
     ):
         file.write_bytes(changed)
-        assert main(["check", str(folder)]) == 1
-        assert message in capsys.readouterr().out
+        assert message in output_of(capsys, ["check", str(folder)], 1).out
     file.rename(folder / "batch_0007.glb")
-    assert main(["check", str(folder)]) == 1
-    said = capsys.readouterr().out
+    said = output_of(capsys, ["check", str(folder)], 1).out
     assert "batch_0000.glb: is missing" in said
     assert "batch_0007.glb: is no part" in said

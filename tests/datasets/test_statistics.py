@@ -26,13 +26,13 @@ LARGEST = 2**32 - 1
 
 
 @pytest.fixture(scope="module")
-def frames(tmp_path_factory: pytest.TempPathFactory) -> list[LoadedFrame]:
+def frames(tmp_path_factory):
     source = Source(make_output(tmp_path_factory.mktemp("made") / "out"))
     return [source.load(ref) for ref in source.frames]
 
 
 @pytest.fixture(scope="module")
-def measured(frames: list[LoadedFrame]) -> list[dict]:
+def measured(frames):
     return [measure(frame) for frame in frames]
 
 
@@ -50,7 +50,7 @@ def summed(parts: list[dict]) -> Statistics:
     return total
 
 
-def test_pixels_shares_and_frames_of_labels_are_what_numpy_counts(frames, measured) -> None:
+def test_pixels_shares_and_frames_of_labels_are_what_numpy_counts(frames, measured):
     found = summed(measured).as_json()["levels"]
     for level, names in LABELS.items():
         pictures = np.stack([frame.passes[f"label.{level}"] for frame in frames])
@@ -70,7 +70,7 @@ def test_pixels_shares_and_frames_of_labels_are_what_numpy_counts(frames, measur
     cuts=st.lists(st.integers(0, 8), max_size=3),
     data=st.data(),
 )
-def test_any_order_and_grouping_of_frames_gives_the_same_bits(measured, order, cuts, data) -> None:
+def test_any_order_and_grouping_of_frames_gives_the_same_bits(measured, order, cuts, data):
     edges = [0, *sorted(cuts), 8]
     groups = [[measured[i] for i in order[a:b]] for a, b in pairwise(edges)]
     states = [json.loads(json.dumps(summed(group).state())) for group in groups]
@@ -80,9 +80,7 @@ def test_any_order_and_grouping_of_frames_gives_the_same_bits(measured, order, c
     assert json.dumps(total.as_json()) == json.dumps(expected.as_json())
 
 
-def test_instances_are_counted_once_a_frame_and_distinct_ones_once_a_batch(
-    frames, measured
-) -> None:
+def test_instances_are_counted_once_a_frame_and_distinct_ones_once_a_batch(frames, measured):
     found = summed(measured).as_json()["instances"]
     per_batch: dict[str, set[int]] = {}
     for frame in frames:
@@ -98,7 +96,7 @@ def test_instances_are_counted_once_a_frame_and_distinct_ones_once_a_batch(
     assert sum(found["per_frame"]["counts"]) == len(frames)
 
 
-def test_a_closed_batch_counts_the_same_and_takes_no_more_room(measured) -> None:
+def test_a_closed_batch_counts_the_same_and_takes_no_more_room(measured):
     total = summed(measured)
     before = json.dumps(total.as_json())
     total.close("batch_0000")
@@ -110,7 +108,7 @@ def test_a_closed_batch_counts_the_same_and_takes_no_more_room(measured) -> None
     assert json.dumps(again.as_json()) == before
 
 
-def test_occlusion_and_truncation_are_of_whole_pixels(tmp_path: Path) -> None:
+def test_occlusion_and_truncation_are_of_whole_pixels(tmp_path):
     pixels = np.array([10, 9, 5, 1, 1, 3])
     amodal = np.array([10, 10, 10, 10, 1000, 10])
     # 0, 0.1, 0.5, 0.9, 0.999 and 0.7 hidden: 1 - 9 / 10 in floats would fall below 0.1.
@@ -127,7 +125,7 @@ def test_occlusion_and_truncation_are_of_whole_pixels(tmp_path: Path) -> None:
     assert "truncation" not in older
 
 
-def test_ignored_instances_are_counted_apart(tmp_path: Path) -> None:
+def test_ignored_instances_are_counted_apart(tmp_path):
     frame = one_frame(tmp_path, some_passes(0))
     make_filters(["id<100"], "ignore").apply(frame)
     found = summed([measure(frame)]).as_json()["instances"]
@@ -143,7 +141,7 @@ def test_ignored_instances_are_counted_apart(tmp_path: Path) -> None:
         elements=st.floats(width=32) | st.sampled_from([float(edge) for edge in bins._EDGES]),
     )
 )
-def test_lengths_of_a_picture_fall_in_the_bins_that_comparing_puts_them_in(picture) -> None:
+def test_lengths_of_a_picture_fall_in_the_bins_that_comparing_puts_them_in(picture):
     finite = picture[np.isfinite(picture)].astype(np.float64)
     found = bins.length_counts(picture)
     assert found.counts == bins.LENGTH.counts(finite)
@@ -154,12 +152,12 @@ def test_lengths_of_a_picture_fall_in_the_bins_that_comparing_puts_them_in(pictu
         assert found.low > found.high
 
 
-def test_minus_infinity_is_in_no_bin() -> None:
+def test_minus_infinity_is_in_no_bin():
     found = bins.length_counts(np.array([[0.0, -np.inf, 0.0]], np.float32))
     assert (found.counts, found.infinite, found.low) == ({"0": 2}, 0, 0.0)
 
 
-def test_a_value_on_an_edge_is_in_the_bin_above_it_in_float32_too() -> None:
+def test_a_value_on_an_edge_is_in_the_bin_above_it_in_float32_too():
     for number, edge in enumerate(bins.LENGTH.edges, 1):
         at = np.float32(edge)
         at = at if float(at) >= edge else np.nextafter(at, np.float32(np.inf))
@@ -173,7 +171,7 @@ def test_a_value_on_an_edge_is_in_the_bin_above_it_in_float32_too() -> None:
     arrays(np.uint32, (7, 5), elements=st.sampled_from([0, 1, 2, 65536, LARGEST - 1, LARGEST])),
     st.sets(st.sampled_from([1, 2, 65536, LARGEST])),
 )
-def test_pixels_of_ids_are_what_numpy_counts(picture, keys) -> None:
+def test_pixels_of_ids_are_what_numpy_counts(picture, keys):
     wanted = np.array(sorted(keys), np.uint32)
     counts, none, other = bins.id_counts(picture, wanted)
     assert counts.tolist() == [int((picture == key).sum()) for key in wanted]
@@ -183,7 +181,7 @@ def test_pixels_of_ids_are_what_numpy_counts(picture, keys) -> None:
 
 @examples(60)
 @given(st.lists(st.sets(st.integers(0, LARGEST) | st.integers(0, 70_000)), max_size=4))
-def test_a_set_of_ids_is_a_set(parts) -> None:
+def test_a_set_of_ids_is_a_set(parts):
     found, texts = IdSet(), IdSet()
     for part in parts:
         found.add(np.array(list(part), np.uint32))
@@ -195,12 +193,12 @@ def test_a_set_of_ids_is_a_set(parts) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "x", "AAAA", "é"])
-def test_what_is_no_set_of_ids_is_refused(text: str) -> None:
+def test_what_is_no_set_of_ids_is_refused(text):
     with pytest.raises(ValueError, match="no set of ids"):
         IdSet().add_text(text)
 
 
-def test_a_set_of_dense_ids_takes_a_bit_an_id_in_a_state() -> None:
+def test_a_set_of_dense_ids_takes_a_bit_an_id_in_a_state():
     found = IdSet()
     found.add(np.arange(1, 1_000_001))
     assert len(found) == 1_000_000
@@ -238,7 +236,7 @@ def test_heading_pitch_and_roll_are_those_the_camera_was_turned_by(frames, headi
     assert view["roll"] == {str((roll + 180) // 10 + 1): 1}
 
 
-def test_a_camera_that_looks_straight_down_has_no_heading(frames) -> None:
+def test_a_camera_that_looks_straight_down_has_no_heading(frames):
     frame = posed(frames[0], pose((1, 0, 0), (0, -1, 0), (0, 0, -1)))
     view = measure(frame)["counts"]["view"]
     assert view == {"pitch": {"1": 1}}
@@ -246,7 +244,7 @@ def test_a_camera_that_looks_straight_down_has_no_heading(frames) -> None:
     assert measure(frame)["counts"]["view"] == {"pitch": {"18": 1}}
 
 
-def test_suns_are_counted_by_where_they_stand(frames) -> None:
+def test_suns_are_counted_by_where_they_stand(frames):
     total = Statistics()
     suns = [(90.0, 0.0), (12.0, 359.9999999), (12.0, 45.0), (-3.0, 200.0), None]
     for sun in suns:
@@ -265,7 +263,7 @@ def test_suns_are_counted_by_where_they_stand(frames) -> None:
     }
 
 
-def test_frames_without_passes_tables_or_names_are_measured_all_the_same(tmp_path: Path) -> None:
+def test_frames_without_passes_tables_or_names_are_measured_all_the_same(tmp_path):
     nothing = {
         "label.class": np.zeros((1, 1), np.uint32),
         "instance": np.zeros((1, 1), np.uint32),
@@ -285,6 +283,6 @@ def test_frames_without_passes_tables_or_names_are_measured_all_the_same(tmp_pat
     assert "depth" not in found
 
 
-def test_statistics_of_nothing_are_written_too() -> None:
+def test_statistics_of_nothing_are_written_too():
     assert Statistics().as_json()["frames"] == 0
     json.dumps(Statistics().state())

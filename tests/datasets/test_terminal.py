@@ -14,7 +14,7 @@ from scenec.datasets.terminal import protocol_of, shown
 
 
 @pytest.fixture
-def picture() -> Image.Image:
+def picture():
     rng = np.random.default_rng(3)
     return Image.fromarray(rng.integers(0, 256, (60, 80, 3), dtype=np.uint8))
 

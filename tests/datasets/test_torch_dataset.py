@@ -18,7 +18,7 @@ from scenec.testing.made_output import EXPOSURE_EV, frame_table, make_output, po
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(tmp_path_factory):
     return make_output(tmp_path_factory.mktemp("torch") / "out", batches=4)
 
 
@@ -26,7 +26,7 @@ def arrays(out: Path, *args: Any, **kwargs: Any) -> FrameDataset:
     return FrameDataset(out, *args, as_numpy=True, **kwargs)
 
 
-def test_every_pass_has_its_type_and_shape_and_the_values_on_disk(out: Path):
+def test_every_pass_has_its_type_and_shape_and_the_values_on_disk(out):
     dataset = arrays(out)
     assert len(dataset) == 16
     for number in (0, 7, 15):
@@ -49,7 +49,7 @@ def test_every_pass_has_its_type_and_shape_and_the_values_on_disk(out: Path):
         dataset[16]
 
 
-def test_targets_have_the_form_of_torchvisions_detection_models(out: Path):
+def test_targets_have_the_form_of_torchvisions_detection_models(out):
     target = arrays(out, ("label.class",), target=("boxes", "labels", "masks"))[3]["target"]
     ids = some_passes(3)["instance"]
     table = frame_table(some_passes(3))
@@ -67,7 +67,7 @@ def test_targets_have_the_form_of_torchvisions_detection_models(out: Path):
         assert (x0, y0, x1, y1) == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
 
 
-def test_splits_are_those_of_exports(out: Path):
+def test_splits_are_those_of_exports(out):
     splits = {"train": 0.75, "val": 0.25}
     expected = assign(range(4), splits, 5)
     found = {}
@@ -78,7 +78,7 @@ def test_splits_are_those_of_exports(out: Path):
     assert found == expected
 
 
-def test_filters_and_remapping_act_as_in_exports(out: Path):
+def test_filters_and_remapping_act_as_in_exports(out):
     dataset = arrays(
         out,
         keep=["id!=5"],
@@ -96,23 +96,23 @@ def test_filters_and_remapping_act_as_in_exports(out: Path):
     assert kept["iscrowd"][kept["ids"] == 5].tolist() == [1]
 
 
-def test_the_developed_picture_is_between_0_and_1(out: Path):
+def test_the_developed_picture_is_between_0_and_1(out):
     sample = arrays(out, ("rgb",), rgb="srgb")[2]
     picture = develop(some_passes(2)["rgb"], EXPOSURE_EV).astype(np.float32) / np.float32(255)
     assert (sample["rgb"] == np.moveaxis(picture, -1, 0)).all()
     assert set(sample) & {"depth", "instance"} == set()
 
 
-def test_a_transform_has_the_last_word(out: Path):
+def test_a_transform_has_the_last_word(out):
     dataset = arrays(out, ("depth",), transform=lambda sample: (sample["frame"], 1))
     assert dataset[0] == ("batch_0000/rover_left/000000", 1)
 
 
-def test_label_stands_for_all_levels(out: Path):
+def test_label_stands_for_all_levels(out):
     assert arrays(out, ("label", "depth")).passes == ("label.class", "label.surface", "depth")
 
 
-def test_a_batch_stacks_what_has_one_shape_and_lists_the_rest(tmp_path: Path):
+def test_a_batch_stacks_what_has_one_shape_and_lists_the_rest(tmp_path):
     out = make_output(tmp_path / "out", lambda n: some_passes(n, 12 if n < 4 else 20), batches=2)
     dataset = arrays(out, target=("boxes",))
     batch = collate([dataset[0], dataset[1]])
@@ -125,7 +125,7 @@ def test_a_batch_stacks_what_has_one_shape_and_lists_the_rest(tmp_path: Path):
     assert mixed["camera_to_world"].shape == (2, 4, 4)
 
 
-def test_a_dataset_can_be_pickled(out: Path):
+def test_a_dataset_can_be_pickled(out):
     dataset = arrays(out, target=("masks",), keep=["area>=2"], split="a", splits="a=0.5,b=0.5")
     copy = pickle.loads(pickle.dumps(dataset))
     assert len(copy) == len(dataset) == 8
@@ -134,7 +134,7 @@ def test_a_dataset_can_be_pickled(out: Path):
     assert (one["target"]["masks"] == other["target"]["masks"]).all()
 
 
-def test_damaged_and_missing_frames_are_named(tmp_path: Path):
+def test_damaged_and_missing_frames_are_named(tmp_path):
     out = make_output(tmp_path / "out", batches=1)
     folder = out / "batch_0000/frames/annotation/rover_left"
     (folder / "000001.exr").write_bytes(b"torn")
@@ -148,7 +148,7 @@ def test_damaged_and_missing_frames_are_named(tmp_path: Path):
     assert len(arrays(out, allow_missing=True)) == 3
 
 
-def test_what_makes_no_sense_is_refused_with_what_there_is(out: Path, tmp_path: Path):
+def test_what_makes_no_sense_is_refused_with_what_there_is(out, tmp_path):
     with pytest.raises(OutputError, match=r"frames have no 'dept'.*\"depth\""):
         arrays(out, ("dept",))
     with pytest.raises(OutputError, match="no 'boxs'"):
@@ -169,18 +169,18 @@ def test_what_makes_no_sense_is_refused_with_what_there_is(out: Path, tmp_path: 
         arrays(bare, target=("boxes",))
 
 
-def test_without_pytorch_the_extra_is_named(out: Path, monkeypatch: pytest.MonkeyPatch):
+def test_without_pytorch_the_extra_is_named(out, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(OutputError, match=r"scenec\[torch\].*as_numpy=True"):
         FrameDataset(out)
 
 
-def test_an_option_that_there_is_none_of_is_met_with_the_nearest(out: Path):
+def test_an_option_that_there_is_none_of_is_met_with_the_nearest(out):
     with pytest.raises(TypeError, match=r"'spilt'; did you mean .split."):
         arrays(out, spilt="train")
 
 
-def test_tensors_hold_the_same_values(out: Path):
+def test_tensors_hold_the_same_values(out):
     torch = pytest.importorskip("torch")
     tensors, numbers = (
         FrameDataset(out, target=("boxes", "masks")),
@@ -197,7 +197,7 @@ def test_tensors_hold_the_same_values(out: Path):
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_two_workers_of_a_loader_give_every_frame_once(out: Path, method: str):
+def test_two_workers_of_a_loader_give_every_frame_once(out, method):
     torch = pytest.importorskip("torch")
     dataset = FrameDataset(out, ("rgb", "label.class"), target=("boxes", "labels"))
     # Read in this process first: what its threads hold must not stop a forked worker.
@@ -213,7 +213,7 @@ def test_two_workers_of_a_loader_give_every_frame_once(out: Path, method: str):
     assert len(batches[0]["target"]) == 3
 
 
-def test_torchvisions_detector_takes_the_targets(out: Path):
+def test_torchvisions_detector_takes_the_targets(out):
     pytest.importorskip("torch")
     detection = pytest.importorskip("torchvision.models.detection")
     dataset = FrameDataset(out, ("rgb",), rgb="srgb", target=("boxes", "labels", "masks"))

@@ -121,15 +121,6 @@ def test_equal_time_stamps_are_refused_and_numbers_of_samples_take_their_place(t
     assert found.timestamps.tolist() == [0.0, 1.0, 2.0]
 
 
-def test_a_negative_time_is_refused_and_a_later_start_mends_it(tmp_path):
-    out = make_out(tmp_path / "out", (LEFT,), 2, times=[-0.5, 0.5]).out
-    with pytest.raises(OutputError, match="knows no negative ones"):
-        export(out, "tum")
-    export(out, "tum", choice=Choice(options={"start_s": "1305031102.25"}))
-    text = (out / "datasets/tum/all/batch_0000_rover_left/rgb.txt").read_text()
-    assert "\n1305031101.750000 rgb/1305031101.750000.png\n" in text
-
-
 def test_one_pixel_of_sky_and_a_camera_with_a_name_in_another_script(tmp_path):
     sensor = Sensor("ровер_левая", "/World/Rigs/ровер/левая", size=(1, 1))
     out = make_out(tmp_path / "out", (sensor,), 1, empty=True).out
@@ -144,7 +135,6 @@ def test_one_pixel_of_sky_and_a_camera_with_a_name_in_another_script(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"depth_scale": "0"}, "depth_scale: expected a number above 0, not '0'"),
         ({"start_s": "soon"}, "start_s: expected seconds, not 'soon'"),
         ({"depth_sale": "5"}, "depth_scale"),
         ({"times": "now"}, "none of stage, samples"),
@@ -153,12 +143,6 @@ def test_one_pixel_of_sky_and_a_camera_with_a_name_in_another_script(tmp_path):
 def test_options_that_make_no_sense_are_refused(made, tmp_path, options, message):
     with pytest.raises(OutputError, match=message):
         export(made.out, "tum", tmp_path / "d", Choice(options=options))
-
-
-def test_frames_without_depth_are_refused_with_the_passes_to_render(tmp_path):
-    out = make_out(tmp_path / "out", (LEFT,), 1, without=["depth"]).out
-    with pytest.raises(OutputError, match=r"needs the pass depth.*--passes"):
-        export(out, "tum")
 
 
 def test_a_picture_that_is_gone_is_a_damaged_frame(tmp_path):

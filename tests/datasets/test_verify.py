@@ -6,13 +6,13 @@ import hashlib
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from tiny_format import contents, install
+from tiny_format import contents
 
 from scenec.backends.run.render import render
 from scenec.cli.main import main
@@ -22,36 +22,19 @@ from scenec.datasets.filters import make_filters
 from scenec.datasets.verify import compare, is_dataset, verify
 from scenec.schemas.errors import OutputError
 from scenec.testing.made_output import make_output, some_passes
+from scenec.testing.processes import output_of
 from scenec.testing.small import small_cfg, write_cfg
 
 FRAME = "batch_0001/rover_left/000001"
 
 
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with pytest.MonkeyPatch.context() as patch:
-        yield install(patch, tmp_path_factory.mktemp("plugin"))
-
-
-@pytest.fixture(scope="module")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_output(tmp_path_factory.mktemp("made") / "out")
-
-
-@pytest.fixture(scope="module")
-def dataset(output: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("whole") / "ds"
-    export(output, "tiny", folder)
-    return folder
-
-
 @pytest.fixture
-def copy(dataset: Path, tmp_path: Path) -> Path:
+def copy(dataset, tmp_path):
     shutil.copytree(dataset, tmp_path / "ds")
     return tmp_path / "ds"
 
 
-def test_a_dataset_as_it_was_written_has_no_flaw(dataset: Path, output: Path) -> None:
+def test_a_dataset_as_it_was_written_has_no_flaw(dataset, output):
     assert is_dataset(dataset)
     assert not is_dataset(output)
     assert verify(dataset) == []
@@ -96,13 +79,12 @@ FLAWS = {
 
 
 @pytest.mark.parametrize("name", list(FLAWS))
-def test_each_flaw_is_named(name: str, copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_flaw_is_named(name, copy, capsys):
     change, where, words = FLAWS[name]
     change(copy)
     found = [f for f in verify(copy) if f.where.startswith(where) and words in f.message]
     assert found, verify(copy)
-    assert main(["check", str(copy)]) == 1
-    assert str(found[0]) in capsys.readouterr().out
+    assert str(found[0]) in output_of(capsys, ["check", str(copy)], 1).out
 
 
 CONTRADICTIONS = {
@@ -117,9 +99,7 @@ CONTRADICTIONS = {
 
 
 @pytest.mark.parametrize("name", list(CONTRADICTIONS))
-def test_an_index_that_contradicts_the_counts_is_found_though_its_sum_fits(
-    name: str, copy: Path
-) -> None:
+def test_an_index_that_contradicts_the_counts_is_found_though_its_sum_fits(name, copy):
     change, words = CONTRADICTIONS[name]
     change(copy)
     resum(copy, "frames.csv")
@@ -128,26 +108,21 @@ def test_an_index_that_contradicts_the_counts_is_found_though_its_sum_fits(
     assert any("digest of all annotation" in message for message in messages) or "split" in name
 
 
-def test_what_is_no_dataset_or_of_another_version_is_refused(
-    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_dataset_or_of_another_version_is_refused(copy, tmp_path, capsys):
     with pytest.raises(OutputError, match=r"no export\.json"):
         verify(tmp_path)
     for text in ("", "[]", "{}", '{"export": 1, "splits": {}, "frames": "x"}'):
         (copy / "export.json").write_text(text)
         with pytest.raises(OutputError, match=r"is no export\.json of scenec"):
             verify(copy)
-    assert main(["check", str(copy)]) == 2
-    assert "is no export.json" in capsys.readouterr().err
+    assert "is no export.json" in output_of(capsys, ["check", str(copy)], 2).err
     summary = {"export": 99, "splits": {}, "frames": 0, "digest": {"annotation": ""}}
     (copy / "export.json").write_text(json.dumps(summary))
     with pytest.raises(OutputError, match="of version 99"):
         verify(copy)
 
 
-def test_a_dataset_holds_what_the_frames_that_it_was_made_of_do(
-    output: Path, dataset: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_a_dataset_holds_what_the_frames_that_it_was_made_of_do(output, dataset, tmp_path, plugin):
     export(output, "tiny", tmp_path / "other", Choice(filters=make_filters(["id>0"])))
     for other in (tmp_path / "other", output):
         found = compare(dataset, other)
@@ -156,8 +131,8 @@ def test_a_dataset_holds_what_the_frames_that_it_was_made_of_do(
 
 
 def test_datasets_of_the_same_frames_with_other_instances_are_not_the_same(
-    output: Path, dataset: Path, tmp_path: Path, plugin: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    output, dataset, tmp_path, plugin, capsys
+):
     export(output, "tiny", tmp_path / "few", Choice(filters=make_filters(["id<100"])))
     for other in (dataset, output):
         found = compare(other, tmp_path / "few")
@@ -165,16 +140,13 @@ def test_datasets_of_the_same_frames_with_other_instances_are_not_the_same(
         assert not found.differing
         assert found.held[0] == "batch_0000/rover_left/000000: 3 against 1 instances"
         assert sum("instances" in line for line in found.held) == found.frames == 8
-    assert main(["check", str(dataset), "--against", str(tmp_path / "few")]) == 1
-    out = capsys.readouterr().out
+    out = output_of(capsys, ["check", str(dataset), "--against", str(tmp_path / "few")], 1).out
     assert "error: batch_0000/rover_left/000000: 3 against 1 instances [holds other things]" in out
     assert 'error: keep: [] against ["id<100"] [holds other things]' in out
     assert out.endswith("not the same dataset\n")
 
 
-def test_an_option_that_changes_files_makes_a_dataset_another(
-    output: Path, dataset: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_an_option_that_changes_files_makes_a_dataset_another(output, dataset, tmp_path, plugin):
     export(output, "tiny", tmp_path / "other", Choice(options={"ending": "txt"}))
     assert compare(dataset, tmp_path / "other").held == ["option ending: its default against txt"]
     for how in ("link", "copy"):
@@ -194,9 +166,7 @@ def test_an_option_that_changes_files_makes_a_dataset_another(
         ),
     ],
 )
-def test_one_other_annotation_of_a_coco_file_is_named(
-    output: Path, tmp_path: Path, change: Callable[[list], None], told: str
-) -> None:
+def test_one_other_annotation_of_a_coco_file_is_named(output, tmp_path, change, told):
     export(output, "coco", tmp_path / "a")
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     path = tmp_path / "b/annotations/instances_all.json"
@@ -209,9 +179,7 @@ def test_one_other_annotation_of_a_coco_file_is_named(
     assert re.search(told, found.held[0])
 
 
-def test_images_keep_their_ids_whatever_is_missing_or_asked_for(
-    output: Path, tmp_path: Path
-) -> None:
+def test_images_keep_their_ids_whatever_is_missing_or_asked_for(output, tmp_path):
     def ids(folder: Path, out: Path, **choice: object) -> dict[str, int]:
         export(out, "coco", folder, Choice(**choice))  # type: ignore[arg-type]
         document = json.loads((folder / "annotations/instances_all.json").read_bytes())
@@ -235,9 +203,7 @@ def test_images_keep_their_ids_whatever_is_missing_or_asked_for(
         assert part.items() <= whole.items()
 
 
-def test_a_frame_with_one_other_pixel_is_named(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_frame_with_one_other_pixel_is_named(dataset, tmp_path, capsys):
     def tampered(number: int) -> dict:
         passes = some_passes(number)
         if number == 5:
@@ -247,16 +213,13 @@ def test_a_frame_with_one_other_pixel_is_named(
     other = make_output(tmp_path / "out", tampered)
     found = compare(dataset, other)
     assert (found.differing, found.same) == ([FRAME], False)
-    assert main(["check", str(dataset), "--against", str(other)]) == 1
-    out = capsys.readouterr().out
+    out = output_of(capsys, ["check", str(dataset), "--against", str(other)], 1).out
     assert f"error: {FRAME} [annotation differs]" in out
     assert "the same in 7 of 8 common frames" in out
     assert "not the same dataset" in out
 
 
-def test_missing_and_unreadable_frames_are_named(
-    dataset: Path, output: Path, tmp_path: Path
-) -> None:
+def test_missing_and_unreadable_frames_are_named(dataset, output, tmp_path):
     shutil.copytree(output, tmp_path / "out")
     frames = tmp_path / "out/batch_0000/frames/annotation"
     (frames / "rover_right/000000.json").unlink()
@@ -269,9 +232,7 @@ def test_missing_and_unreadable_frames_are_named(
     assert turned.only_second == found.only_first
 
 
-def test_pictures_with_other_noise_do_not_make_a_dataset_another(
-    dataset: Path, output: Path, tmp_path: Path, plugin: Path
-) -> None:
+def test_pictures_with_other_noise_do_not_make_a_dataset_another(dataset, output, tmp_path, plugin):
     """The tiny format holds no pictures: only two outputs have them at hand."""
     shutil.copytree(output, tmp_path / "out")
     path = tmp_path / "out/batch_0000/frames/annotation/rover_left/000000.png"
@@ -289,27 +250,24 @@ def test_pictures_with_other_noise_do_not_make_a_dataset_another(
     assert (unknown.pictures_differing, unknown.mean_difference) == (1, [])
 
 
-def test_nothing_in_common_is_not_the_same(tmp_path: Path, dataset: Path) -> None:
+def test_nothing_in_common_is_not_the_same(tmp_path, dataset):
     other = make_output(tmp_path / "out", batches=1, cameras=("mast",))
     found = compare(dataset, other)
     assert found.frames == 0
     assert not found.same
 
 
-def test_questions_that_make_no_sense_end_in_one_line(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_questions_that_make_no_sense_end_in_one_line(dataset, tmp_path, capsys):
     assert main(["check", str(dataset), "--exact"]) == 2
-    assert main(["check", str(dataset), "--against", str(tmp_path)]) == 2
-    error = capsys.readouterr().err.splitlines()
+    error = output_of(
+        capsys, ["check", str(dataset), "--against", str(tmp_path)], 2
+    ).err.splitlines()
     assert len(error) == 2
     assert "neither a dataset of scenec" in error[1]
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_a_dataset_made_again_from_its_card_is_the_same_to_the_byte(
-    tmp_path: Path, plugin: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dataset_made_again_from_its_card_is_the_same_to_the_byte(tmp_path, plugin, capsys):
     cfg = small_cfg(samples=1)
     cfg["objects"]["rocks"] |= {"count": 30, "subdivisions": 1}
     cfg["terrain"] |= {"spacing_m": 0.5}

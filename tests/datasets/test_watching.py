@@ -23,7 +23,7 @@ def passes(number: int) -> made_output.Passes:
 
 
 @pytest.fixture
-def out(tmp_path) -> Path:
+def out(tmp_path):
     return made_output.make_output(tmp_path / "out", passes, samples=2)
 
 

@@ -13,11 +13,12 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+from scenec.testing.processes import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 _FENCE = re.compile(
@@ -85,12 +86,5 @@ def run_all(found: Iterable[Block], folder: Path) -> None:
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text, encoding="utf-8")
             continue
-        done = subprocess.run(
-            [*commands[language], text],
-            cwd=folder,
-            env={**os.environ, "PATH": tools},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = ran(*commands[language], text, cwd=folder, env={**os.environ, "PATH": tools})
         assert done.returncode == 0, f"{members[0].place}\n{text}\n{done.stdout}{done.stderr}"

@@ -20,6 +20,11 @@ from scenec.importers.usd.read import import_usd
 from scenec.importers.usd.scene import KEEP
 
 
+def notes(made: Imported, fate: str) -> dict[str, str]:
+    """What is said of values of a fate, by where they stood."""
+    return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
+
+
 @dataclass(frozen=True)
 class Pixels:
     """What a camera sees: depth (inf: nothing), instance ids, the label's name on each level."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,22 @@ def mesh(stage: Usd.Stage, path: str, low: tuple[float, ...], high: tuple[float,
     made.CreateFaceVertexIndicesAttr([i for face in faces for i in face])
     made.CreateSubdivisionSchemeAttr("none")
     return made.GetPrim()
+
+
+@contextmanager
+def changed(file: Path) -> Iterator[Usd.Stage]:
+    """Opens a stage, and saves it in the end."""
+    stage = Usd.Stage.Open(str(file))
+    yield stage
+    stage.GetRootLayer().Save()
+
+
+def z_up(file: Path) -> Usd.Stage:
+    """A new stage in meters."""
+    stage = Usd.Stage.CreateNew(str(file))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    return stage
 
 
 def make_stage(folder: Path, *, instancer: bool = True) -> Path:

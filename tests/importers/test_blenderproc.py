@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from both_ways import notes
 from made_bop import CAMERAS, at, make_bop
 
 from scenec.backends.contract import Rays
@@ -21,6 +22,7 @@ from scenec.importers.blenderproc.read import import_blenderproc
 from scenec.importers.output import Imported, write
 from scenec.importers.poses import FLIP, rotation_of
 from scenec.schemas.errors import CfgError, ScenecError
+from scenec.testing.processes import output_of
 
 STILL = [at(0.1, 0.0, 0.2, 30.0), at(-0.1, 0.05, 0.2)]
 
@@ -39,7 +41,7 @@ def poses_of(tmp_path: Path, name: str = "camera.csv") -> list[np.ndarray]:
     return found
 
 
-def test_cameras_and_objects_of_a_bop_scene_stand_where_they_stood(tmp_path: Path) -> None:
+def test_cameras_and_objects_of_a_bop_scene_stand_where_they_stood(tmp_path):
     made = imported(make_bop(tmp_path, [STILL, STILL]), tmp_path)
     assert write(made) == []
     assert np.array(poses_of(tmp_path)) == pytest.approx(np.array(CAMERAS), abs=1e-9)
@@ -56,7 +58,7 @@ def test_cameras_and_objects_of_a_bop_scene_stand_where_they_stood(tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_bop_scene_compiles_to_boxes_at_their_poses(tmp_path: Path) -> None:
+def test_a_bop_scene_compiles_to_boxes_at_their_poses(tmp_path):
     write(imported(make_bop(tmp_path, [STILL, STILL]), tmp_path))
     compile_cfg(load(tmp_path / "ours.json"), seed=0, out=tmp_path / "out")
     scene = read_stage(tmp_path / "out" / "batch_0000" / "stage.usda")
@@ -68,7 +70,7 @@ def test_a_bop_scene_compiles_to_boxes_at_their_poses(tmp_path: Path) -> None:
     assert heights == pytest.approx([0.3, 0.3, 0.2], abs=1e-6)
 
 
-def test_objects_that_move_have_a_pose_for_each_picture(tmp_path: Path) -> None:
+def test_objects_that_move_have_a_pose_for_each_picture(tmp_path):
     moved = [at(0.2, 0.0, 0.2), STILL[1]]
     write(imported(make_bop(tmp_path, [STILL, moved]), tmp_path))
     rows = (tmp_path / "ours_files" / "obj_000003.csv").read_text().splitlines()
@@ -81,7 +83,7 @@ def test_objects_that_move_have_a_pose_for_each_picture(tmp_path: Path) -> None:
     ]
 
 
-def test_cameras_that_do_not_say_where_they_are_are_placed_by_objects(tmp_path: Path) -> None:
+def test_cameras_that_do_not_say_where_they_are_are_placed_by_objects(tmp_path):
     write(imported(make_bop(tmp_path, [STILL, STILL], world=False), tmp_path))
     first, second = poses_of(tmp_path)
     expected = np.linalg.inv(CAMERAS[0]) @ CAMERAS[1]
@@ -90,7 +92,7 @@ def test_cameras_that_do_not_say_where_they_are_are_placed_by_objects(tmp_path: 
     assert first[:3, 2] == pytest.approx([0, 1, 0])
 
 
-def test_missing_models_are_named_at_once_and_boxes_stand_in(tmp_path: Path) -> None:
+def test_missing_models_are_named_at_once_and_boxes_stand_in(tmp_path):
     scene = make_bop(tmp_path, [STILL, STILL])
     (tmp_path / "models" / "obj_000003.ply").unlink()
     with pytest.raises(CfgError, match=r'no model "obj_000003\.ply"'):
@@ -101,7 +103,7 @@ def test_missing_models_are_named_at_once_and_boxes_stand_in(tmp_path: Path) -> 
     write(made)
 
 
-def test_faults_of_a_bop_scene_have_file_and_line(tmp_path: Path) -> None:
+def test_faults_of_a_bop_scene_have_file_and_line(tmp_path):
     scene = make_bop(tmp_path, [STILL, STILL])
     file = scene / "scene_camera.json"
     cameras = json.loads(file.read_text())
@@ -138,7 +140,7 @@ def make_hdf5(folder: Path, *, cameras: bool = True, matrix: object = None) -> P
     return folder
 
 
-def test_hdf5_files_with_states_are_read(tmp_path: Path) -> None:
+def test_hdf5_files_with_states_are_read(tmp_path):
     made = imported(make_hdf5(tmp_path / "frames"), tmp_path, stand_ins=True)
     assert write(made) == []
     assert np.array(poses_of(tmp_path)) == pytest.approx(np.array(CAMERAS), abs=1e-9)
@@ -146,7 +148,7 @@ def test_hdf5_files_with_states_are_read(tmp_path: Path) -> None:
     assert set(made.cfg["objects"]) == {"cube_001"}
 
 
-def test_hdf5_files_without_a_sound_camera_say_what_is_wrong(tmp_path: Path) -> None:
+def test_hdf5_files_without_a_sound_camera_say_what_is_wrong(tmp_path):
     with pytest.raises(ScenecError, match="no data set 'campose'"):
         imported(make_hdf5(tmp_path / "none", cameras=False), tmp_path)
     with pytest.raises(
@@ -169,12 +171,7 @@ LOOKS = {"cam2world_matrix": [[1, 0, 0, 0], [0, 0, -1, -6], [0, 1, 0, 1], [0, 0,
 K = [[60, 0, 31.5], [0, 60, 23.5], [0, 0, 1]]
 
 
-def notes(made: Imported, fate: str) -> dict[str, str]:
-    """What is said of values of a fate, by where they stood."""
-    return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
-
-
-def test_an_object_that_is_called_camera_has_a_file_of_its_own(tmp_path: Path) -> None:
+def test_an_object_that_is_called_camera_has_a_file_of_its_own(tmp_path):
     names = ("camera", "Camera")
     objects = [{"name": name, "matrix_world": at(float(n), 0.0, 0.0).tolist()}
                for n, name in enumerate(names)]  # fmt: skip
@@ -191,7 +188,7 @@ def test_an_object_that_is_called_camera_has_a_file_of_its_own(tmp_path: Path) -
         assert float(row.split(",")[0]) == number
 
 
-def test_an_uneven_scale_and_a_mirror_are_said_to_be_approximated(tmp_path: Path) -> None:
+def test_an_uneven_scale_and_a_mirror_are_said_to_be_approximated(tmp_path):
     turned = rotation_of([0.8, 0.0, 0.6, 0.0])
     scales = {"long": (1, 1, 3), "mirrored": (-1, 1, 1), "even": (2, 2, 2), "both": (1, -2, 1)}
     objects = []
@@ -215,9 +212,7 @@ def test_an_uneven_scale_and_a_mirror_are_said_to_be_approximated(tmp_path: Path
         assert float(row[7]) == pytest.approx(scale)
 
 
-def test_pictures_that_differ_in_size_and_camera_follow_the_first_and_say_so(
-    tmp_path: Path,
-) -> None:
+def test_pictures_that_differ_in_size_and_camera_follow_the_first_and_say_so(tmp_path):
     other = [[120, 0, 319.5], [0, 120, 239.5], [0, 0, 1]]
     thing = {"name": "thing", "matrix_world": np.eye(4).tolist()}
     write_hdf5(tmp_path / "frames" / "0.hdf5", {**LOOKS, "cam_K": K}, [thing])
@@ -232,9 +227,7 @@ def test_pictures_that_differ_in_size_and_camera_follow_the_first_and_say_so(
     assert "1.hdf5/campose/k1" in notes(made, "dropped")
 
 
-def test_categories_are_a_level_of_labels_and_objects_of_some_pictures_are_named(
-    tmp_path: Path,
-) -> None:
+def test_categories_are_a_level_of_labels_and_objects_of_some_pictures_are_named(tmp_path):
     place = np.eye(4).tolist()
     first = {"name": "a", "matrix_world": place, "customprop_category_id": 7}
     second = {"name": "b", "matrix_world": place, "category_id": 9, "customprop_part": "x"}
@@ -298,9 +291,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", list(DAMAGED))
-def test_a_damaged_hdf5_file_is_one_line(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_hdf5_file_is_one_line(name, tmp_path, capsys):
     sets, words = DAMAGED[name]
     file, out = tmp_path / "0.hdf5", tmp_path / "ours.json"
     with h5py.File(file, "w") as made:
@@ -324,9 +315,7 @@ def test_a_damaged_hdf5_file_is_one_line(
     assert [path.name for path in tmp_path.iterdir()] == ["0.hdf5"]
 
 
-def test_a_file_that_is_cut_short_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_cut_short_is_one_line(tmp_path, capsys):
     whole, cut = tmp_path / "frames" / "0.hdf5", tmp_path / "cut.hdf5"
     write_hdf5(whole, {**LOOKS, "cam_K": K}, [])
     cut.write_bytes(whole.read_bytes()[:900])
@@ -335,11 +324,11 @@ def test_a_file_that_is_cut_short_is_one_line(
     assert line.startswith(f"scenec: {cut}: cannot be read")
 
 
-def test_a_folder_of_neither_is_a_fault_that_names_scenes_below(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_neither_is_a_fault_that_names_scenes_below(tmp_path, capsys):
     make_bop(tmp_path, [STILL, STILL])
     out = tmp_path / "ours.json"
-    assert main(["import", "blenderproc", str(tmp_path), "-o", str(out)]) == 2
-    assert "scenes below it: 000000" in capsys.readouterr().err
+    assert (
+        "scenes below it: 000000"
+        in output_of(capsys, ["import", "blenderproc", str(tmp_path), "-o", str(out)], 2).err
+    )
     assert not out.exists()

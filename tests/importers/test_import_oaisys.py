@@ -65,7 +65,7 @@ def leaves(value: Any, at: str = "") -> list[str]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_report_has_a_word_for_every_value(form: str, tmp_path: Path) -> None:
+def test_the_report_has_a_word_for_every_value(form, tmp_path):
     cfg = example(form)
     told = [entry.pointer for entry in imported(cfg, tmp_path).report.entries if entry.file]
     assert len(told) == len(set(told))
@@ -74,9 +74,7 @@ def test_the_report_has_a_word_for_every_value(form: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_what_is_translated_is_valid_and_says_so_to_the_user(
-    form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_translated_is_valid_and_says_so_to_the_user(form, tmp_path, capsys):
     out, report = tmp_path / "ours.json", tmp_path / "report.json"
     words = ["import", "oaisys", str(DATA / f"{form}.json"), "-o", str(out), "--stand-ins"]
     assert main([*words, "--report", str(report)]) == 0
@@ -88,7 +86,7 @@ def test_what_is_translated_is_valid_and_says_so_to_the_user(
     assert all(v["note"] for v in told["values"] if v["fate"] in ("approximated", "dropped"))
 
 
-def test_numbers_arrive_where_they_belong(tmp_path: Path) -> None:
+def test_numbers_arrive_where_they_belong(tmp_path):
     cfg = imported(example("oaisys_current"), tmp_path).cfg
     assert (cfg["batches"], cfg["samples"]) == (3, 4)
     assert cfg["labels"]["level_0"] == {"red_sand": 10, "id_20": 20, "rock": 40, "sky": 500}
@@ -113,7 +111,7 @@ def test_numbers_arrive_where_they_belong(tmp_path: Path) -> None:
     assert cfg["objects"]["rock2"]["count"]["values"] == [0, 20]
 
 
-def test_each_texture_is_as_likely_as_any_other_to_lie_at_the_bottom(tmp_path: Path) -> None:
+def test_each_texture_is_as_likely_as_any_other_to_lie_at_the_bottom(tmp_path):
     ground = imported(example("oaisys_current"), tmp_path).cfg["terrain"]["ground"]
     # Three textures, one to three of them merged: the last that covers all counts.
     chances = [layer["coverage"]["weights"][1] for layer in ground[1:3]]
@@ -124,9 +122,7 @@ def test_each_texture_is_as_likely_as_any_other_to_lie_at_the_bottom(tmp_path: P
 
 
 @pytest.mark.parametrize(("current", "center"), [(True, 32.0), (False, 31.5)])
-def test_the_generations_count_pixels_from_different_corners(
-    current: bool, center: float, tmp_path: Path
-) -> None:
+def test_the_generations_count_pixels_from_different_corners(current, center, tmp_path):
     cfg = example("oaisys_current")
     if not current:
         del cfg["SIMULATION_SETUP"]["saveMetaData"]
@@ -135,7 +131,7 @@ def test_the_generations_count_pixels_from_different_corners(
     assert sensor["intrinsics"]["cx"] == center
 
 
-def test_missing_files_are_named_all_at_once(tmp_path: Path) -> None:
+def test_missing_files_are_named_all_at_once(tmp_path):
     with pytest.raises(CfgError) as caught:
         imported(example("oaisys_current"), tmp_path, stand_ins=False)
     text = str(caught.value)
@@ -146,7 +142,7 @@ def test_missing_files_are_named_all_at_once(tmp_path: Path) -> None:
     assert all(fault.line > 1 and fault.pointer for fault in caught.value.faults)
 
 
-def test_a_near_name_of_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_near_name_of_a_missing_file_is_told(tmp_path):
     (tmp_path / "textures" / "red_sands").mkdir(parents=True)
     with pytest.raises(CfgError, match='did you mean "red_sands"'):
         imported(example("oaisys_current"), tmp_path, stand_ins=False)
@@ -195,16 +191,14 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("change", "expected"), FAULTS)
-def test_a_fault_says_where_what_and_what_was_meant(
-    change: Callable[[Any], None], expected: str, tmp_path: Path
-) -> None:
+def test_a_fault_says_where_what_and_what_was_meant(change, expected, tmp_path):
     cfg = example("oaisys_current")
     change(cfg)
     found = faults(cfg, tmp_path)
     assert any(expected in fault or expected in f"/{fault}" for fault in found), found
 
 
-def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+def test_all_faults_are_told_at_once(tmp_path):
     cfg = example("oaisys_current")
     for change, _ in (FAULTS[1], FAULTS[5], FAULTS[9]):
         change(cfg)
@@ -213,7 +207,7 @@ def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("value", [None, -1e300, "x", [[]], {"a": [1]}])
-def test_any_value_in_any_place_is_a_fault_or_translated(value: Any, tmp_path: Path) -> None:
+def test_any_value_in_any_place_is_a_fault_or_translated(value, tmp_path):
     cfg = example("oaisys_current")
     count = 0
     for owner, key in places(cfg):
@@ -238,7 +232,7 @@ def places(value: Any) -> list[tuple[Any, Any]]:
     return found
 
 
-def test_unknown_keys_are_dropped_by_name_with_what_was_meant(tmp_path: Path) -> None:
+def test_unknown_keys_are_dropped_by_name_with_what_was_meant(tmp_path):
     cfg = example("oaisys_current")
     put([0.5], *_SKY, "DustDensty")(cfg)
     entry = next(e for e in imported(cfg, tmp_path).report.entries if "DustDensty" in e.pointer)
@@ -246,16 +240,14 @@ def test_unknown_keys_are_dropped_by_name_with_what_was_meant(tmp_path: Path) ->
     assert 'did you mean "DustDensity"?' in entry.note
 
 
-def test_dead_keys_are_named(tmp_path: Path) -> None:
+def test_dead_keys_are_named(tmp_path):
     told = {e.pointer: e.note for e in imported(example("oaisys_current"), tmp_path).report.entries}
     for end in ("defaultCfg", "baseMovement", "triggerInterval", "SunStrength", "imageTileX"):
         assert any(p.endswith(end) and "reads it nowhere" in note for p, note in told.items()), end
 
 
 @pytest.mark.parametrize("noise", NOISES)
-def test_every_preset_and_noise_of_the_landscape_generator_is_valid(
-    noise: str, tmp_path: Path
-) -> None:
+def test_every_preset_and_noise_of_the_landscape_generator_is_valid(noise, tmp_path):
     cfg = example("oaisys_current")
     number = list(NOISES).index(noise)
     given = {"noise_type": [noise], "strata_type": ["1"], "height_invert": [True]}
@@ -305,16 +297,14 @@ OTHERS = [
 
 
 @pytest.mark.parametrize("changes", OTHERS)
-def test_other_kinds_of_parts_are_valid_with_stand_ins(
-    changes: list[Callable[[Any], None]], tmp_path: Path
-) -> None:
+def test_other_kinds_of_parts_are_valid_with_stand_ins(changes, tmp_path):
     cfg = example("oaisys_current")
     for change in changes:
         change(cfg)
     assert write(imported(cfg, tmp_path)) == []
 
 
-def test_panoramas_of_different_labels_and_strengths_keep_their_labels(tmp_path: Path) -> None:
+def test_panoramas_of_different_labels_and_strengths_keep_their_labels(tmp_path):
     for name, level in (("dim.exr", 1.0), ("bright.exr", 5.0), ("third.exr", 2.0)):
         write_latlong(tmp_path / name, np.full((4, 8, 3), level))
     cfg = example("oaisys_current")
@@ -345,12 +335,12 @@ def test_panoramas_of_different_labels_and_strengths_keep_their_labels(tmp_path:
     assert "one range for all panoramas" in said[0].note
 
 
-def test_no_parameter_of_the_landscape_generator_is_both_translated_and_dropped() -> None:
+def test_no_parameter_of_the_landscape_generator_is_both_translated_and_dropped():
     both = set(USUAL) & set(WITHOUT_COUNTERPART)
     assert both == {"edge_falloff", "maximum", "minimum"}
 
 
-def test_boxes_of_targets_keep_their_distribution() -> None:
+def test_boxes_of_targets_keep_their_distribution():
     points = boxes.offsets((-3.0, -4.0, -2.0), (3.0, 4.0, -1.0))
     rng = np.random.default_rng(0)
     drawn = rng.uniform((-3.0, -4.0), (3.0, 4.0), (200_000, 2))
@@ -362,7 +352,7 @@ def test_boxes_of_targets_keep_their_distribution() -> None:
     )
 
 
-def test_labels_are_named_for_what_has_them() -> None:
+def test_labels_are_named_for_what_has_them():
     labels = Labels(2)
     first = labels.choice([7, 1], "rock_01")
     second = labels.choice([7, 0], "rock_02")
@@ -372,7 +362,7 @@ def test_labels_are_named_for_what_has_them() -> None:
     assert second == {"level_0": "rock"}
 
 
-def test_rotations_go_to_angles_and_back() -> None:
+def test_rotations_go_to_angles_and_back():
     rng = np.random.default_rng(1)
     for q in [*rng.normal(size=(200, 4)), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)]:
         r = rotation_of(q)
@@ -385,7 +375,7 @@ def _of_turns(degrees: tuple[float, ...]) -> np.ndarray:
     return from_euler((0.0, 0.0, 0.0), degrees)[:3, :3]
 
 
-def test_nothing_is_written_where_something_is_wrong_or_there_already(tmp_path: Path) -> None:
+def test_nothing_is_written_where_something_is_wrong_or_there_already(tmp_path):
     out = tmp_path / "made" / "ours.json"
     out.parent.mkdir()
     words = ["import", "oaisys", str(DATA / "oaisys_current.json"), "-o", str(out)]
@@ -401,7 +391,7 @@ def test_nothing_is_written_where_something_is_wrong_or_there_already(tmp_path: 
         check_free(out)
 
 
-def test_a_cfg_that_would_not_be_valid_leaves_nothing(tmp_path: Path) -> None:
+def test_a_cfg_that_would_not_be_valid_leaves_nothing(tmp_path):
     made = imported(example("oaisys_current"), tmp_path)
     made.make("note.txt", Path.touch)
     made.cfg["samples"] = -1
@@ -411,7 +401,7 @@ def test_a_cfg_that_would_not_be_valid_leaves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_files_of_2021_are_read_and_the_scene_compiles(tmp_path: Path) -> None:
+def test_files_of_2021_are_read_and_the_scene_compiles(tmp_path):
     assets = tmp_path / "workspace"
     make_assets(assets)
     made = import_oaisys(DATA / "oaisys_2021.json", tmp_path / "ours.json", folders=[assets])
@@ -439,7 +429,7 @@ def test_files_of_2021_are_read_and_the_scene_compiles(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_frame_of_a_translated_cfg_shows_what_it_labels(tmp_path: Path) -> None:
+def test_a_frame_of_a_translated_cfg_shows_what_it_labels(tmp_path):
     cfg, out = tmp_path / "ours.json", tmp_path / "out"
     words = ["import", "oaisys", str(DATA / "oaisys_current.json"), "-o", str(cfg)]
     assert main([*words, "--stand-ins", "--report", str(tmp_path / "report.txt")]) == 0

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from both_ways import Pixels, both, paired, seen
+from both_ways import Pixels, both, notes, paired, seen
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, Vt
 
 from scenec.backends.registry import open_backend
@@ -143,6 +142,20 @@ def mirrored(stage: Usd.Stage) -> None:
         label(prim, name)
 
 
+def looking(
+    stage: Usd.Stage, prim: Usd.Prim, name: str, color: tuple[float, ...]
+) -> tuple[UsdShade.Shader, UsdShade.Input]:
+    """Binds a material of its own to a prim: its shader, and the input for its color."""
+    material = UsdShade.Material.Define(stage, f"/World/looks/{name}")
+    shader = UsdShade.Shader.Define(stage, f"/World/looks/{name}/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    made = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    made.Set(Gf.Vec3f(*color))
+    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+    return shader, made
+
+
 def parts(stage: Usd.Stage) -> None:
     """One mesh of two labels and two materials, below a group with a label of another level."""
     group = label(UsdGeom.Xform.Define(stage, "/World/machine").GetPrim(), "machine", "thing")
@@ -154,13 +167,7 @@ def parts(stage: Usd.Stage) -> None:
             UsdGeom.Imageable(body), name, "face", Vt.IntArray(faces), "materialBind", "partition"
         )
         label(subset.GetPrim(), name)
-        material = UsdShade.Material.Define(stage, f"/World/looks/{name}")
-        shader = UsdShade.Shader.Define(stage, f"/World/looks/{name}/surface")
-        shader.CreateIdAttr("UsdPreviewSurface")
-        color = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-        color.Set(Gf.Vec3f(0.1, 0.2, 0.3 if name == "slope" else 0.7))
-        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+        looking(stage, subset.GetPrim(), name, (0.1, 0.2, 0.3 if name == "slope" else 0.7))
     label(ramp(stage, "/World/machine/handle", 0.2), "handle")
     move(stage.GetPrimAtPath("/World/machine/handle"), 0.5, -0.4, 0.5)
 
@@ -214,9 +221,7 @@ def differing(theirs: Pixels, ours: Pixels) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("y_up", [False, True], ids=["meters, z up", "centimeters, y up"])
 @pytest.mark.parametrize("build", [gprims, copies, mirrored, parts, motion])
-def test_the_import_of_a_stage_shows_what_the_stage_shows(
-    tmp_path: Path, build: Callable[[Usd.Stage], None], y_up: bool
-) -> None:
+def test_the_import_of_a_stage_shows_what_the_stage_shows(tmp_path, build, y_up):
     samples = 3 if build is motion else 1
     stage = opened(tmp_path / "stage.usda", y_up=y_up, samples=samples)
     label(floor(stage), "floor")
@@ -236,7 +241,7 @@ def test_the_import_of_a_stage_shows_what_the_stage_shows(
             same = ~apart & np.isclose(a.depth, b.depth, rtol=1e-5)
             assert paired(a.instance[same], b.instance[same])
             assert (a.instance[same] > 0).any()
-    whys = {e.pointer: e.note for e in made.report.entries if e.fate == APPROXIMATED}
+    whys = notes(made, APPROXIMATED)
     expected = {"/World/floor": "the ground is no instance: its id"}
     if build is motion:
         expected["/World/crane"] = "its parts move by themselves"
@@ -317,11 +322,7 @@ def glow(stage: Usd.Stage) -> None:
     for number, name in enumerate(("glowing", "metal", "painted")):
         prim = ramp(stage, f"/World/{name}", 1.2)
         move(prim, -4 + 3 * number, 0, 0.3)
-        material = UsdShade.Material.Define(stage, f"/World/looks/{name}")
-        shader = UsdShade.Shader.Define(stage, f"/World/looks/{name}/surface")
-        shader.CreateIdAttr("UsdPreviewSurface")
-        color = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-        color.Set(Gf.Vec3f(0.8, 0.5, 0.3))
+        shader, color = looking(stage, prim, name, (0.8, 0.5, 0.3))
         rough = shader.CreateInput("roughness", Sdf.ValueTypeNames.Float)
         rough.Set(0.6)
         if name == "glowing":
@@ -340,8 +341,6 @@ def glow(stage: Usd.Stage) -> None:
             texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(0.5, 1, 0.8, 1))
             color.ConnectToSource(texture.ConnectableAPI(), "rgb")
             rough.ConnectToSource(texture.ConnectableAPI(), "g")
-        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-        UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
 
 def radiance(scene: RenderScene, camera: Camera) -> np.ndarray:
@@ -354,9 +353,7 @@ def radiance(scene: RenderScene, camera: Camera) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("build", [suns, plain_dome, tinted_domes, lamps, glow])
-def test_the_import_of_a_stage_is_lit_as_the_stage_is(
-    tmp_path: Path, build: Callable[[Usd.Stage], None]
-) -> None:
+def test_the_import_of_a_stage_is_lit_as_the_stage_is(tmp_path, build):
     stage = opened(tmp_path / "stage.usda", y_up=build in (lamps, tinted_domes))
     floor(stage)
     camera(stage, "/World/eye", (1, -7, 4), (0, 1, 0.5))
@@ -373,8 +370,9 @@ def test_the_import_of_a_stage_is_lit_as_the_stage_is(
     np.testing.assert_allclose(b.mean(axis=(0, 1)), a.mean(axis=(0, 1)), rtol=0.01)
     # Shadows, and where the picture of a dome is bright: noise of few samples, and silhouettes.
     assert np.quantile(np.abs(b - a) / a.mean(), 0.95) < 0.06
-    lost = [e.pointer for e in made.report.entries if e.fate == DROPPED]
-    assert lost == [f"/World/{name}" for name in HIDDEN_LIGHTS.get(build.__name__, ())]
+    assert list(notes(made, DROPPED)) == [
+        f"/World/{name}" for name in HIDDEN_LIGHTS.get(build.__name__, ())
+    ]
 
 
 #: Lights that give none.

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_stage import make_stage, mesh
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdSemantics, UsdShade
+from both_ways import notes
+from made_stage import changed, make_stage, mesh, z_up
+from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdSemantics, UsdShade
 
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
@@ -24,14 +25,11 @@ from scenec.importers.scene import varied_pose
 from scenec.importers.usd.read import import_usd
 from scenec.importers.usd.scene import KEEP
 from scenec.schemas.errors import ScenecError
+from scenec.testing.processes import output_of
 
 
 def imported(file: Path, **options: object) -> Imported:
     return import_usd(file, file.parent / "ours.json", **options)  # type: ignore[arg-type]
-
-
-def notes(made: Imported, fate: str) -> dict[str, str]:
-    return {entry.pointer: entry.note for entry in made.report.entries if entry.fate == fate}
 
 
 def heights(scene: RenderScene, places: list[tuple[float, float]]) -> list[float]:
@@ -41,12 +39,12 @@ def heights(scene: RenderScene, places: list[tuple[float, float]]) -> list[float
     return [float(50.0 - t) for t in ExactCaster(scene).cast(rays)[2]]
 
 
-def test_the_command_line_knows_what_can_be_kept() -> None:
+def test_the_command_line_knows_what_can_be_kept():
     assert import_arguments.KEEP == KEEP
 
 
 @pytest.mark.slow
-def test_what_the_stage_has_is_where_it_was(tmp_path: Path) -> None:
+def test_what_the_stage_has_is_where_it_was(tmp_path):
     made = imported(make_stage(tmp_path), keep=KEEP)
     assert write(made) == []
     out = tmp_path / "out"
@@ -74,7 +72,7 @@ def test_what_the_stage_has_is_where_it_was(tmp_path: Path) -> None:
     assert np.array(places) == pytest.approx(np.array([(-1, -6, 1.5), (0, -6, 1.5), (1, -6, 1.5)]))
 
 
-def test_light_is_taken_over_or_varied(tmp_path: Path) -> None:
+def test_light_is_taken_over_or_varied(tmp_path):
     file = make_stage(tmp_path)
     sun = imported(file, keep=["light"]).cfg["light"]["sun"]
     # Turned by -30 degrees about x, it comes from above and from +z, which is south.
@@ -87,13 +85,13 @@ def test_light_is_taken_over_or_varied(tmp_path: Path) -> None:
     )
 
 
-def test_what_has_no_counterpart_is_said(tmp_path: Path) -> None:
+def test_what_has_no_counterpart_is_said(tmp_path):
     made = imported(make_stage(tmp_path))
     assert "render draws others" in notes(made, DROPPED)["/World/spare"]
     assert not any("hidden" in entry.pointer for entry in made.report.entries)
 
 
-def test_varied_cameras_look_about_where_they_looked(tmp_path: Path) -> None:
+def test_varied_cameras_look_about_where_they_looked(tmp_path):
     pose = imported(make_stage(tmp_path)).cfg["rigs"]["still"]["pose"]
     assert pose["type"] == "random"
     low, high = np.array(pose["region_m"])
@@ -106,7 +104,7 @@ def test_varied_cameras_look_about_where_they_looked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("roll", [-40.0, 0.0, 25.0])
-def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll: float) -> None:
+def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll):
     # Level, looking north: right is east, down is down; rolled clockwise, right goes down.
     c, s = np.cos(np.radians(roll)), np.sin(np.radians(roll))
     pose = np.eye(4)
@@ -114,11 +112,9 @@ def test_the_roll_of_a_camera_is_clockwise_as_it_sees_it(roll: float) -> None:
     assert varied_pose(pose, 10.0).get("roll_deg", 0.0) == pytest.approx(roll)
 
 
-def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path: Path) -> None:
+def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path):
     file = tmp_path / "one.usda"
-    stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage = z_up(file)
     mesh(stage, "/floor", (-5, -5, 0), (5, 5, 0.1))
     stage.GetRootLayer().Save()
     made = imported(file)
@@ -130,11 +126,9 @@ def test_a_stage_with_a_floor_alone_gets_a_view_and_daylight(tmp_path: Path) -> 
     write(made)
 
 
-def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path: Path) -> None:
+def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path):
     file = tmp_path / "post.usda"
-    stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage = z_up(file)
     post = mesh(stage, "/post", (2, 1, 3), (2.5, 9, 3.5))
     UsdGeom.Xformable(post).AddRotateXOp().Set(90.0)
     dome = UsdLux.DomeLight.Define(stage, "/dome")
@@ -147,7 +141,7 @@ def test_a_stage_without_ground_gets_a_plane_below_all(tmp_path: Path) -> None:
     write(made)
 
 
-def test_ground_is_chosen_by_name(tmp_path: Path) -> None:
+def test_ground_is_chosen_by_name(tmp_path):
     file = make_stage(tmp_path)
     assert imported(file, ground="body").cfg["terrain"]["relief"][0]["part"] == "/body_model"
     assert "floor" in imported(file, ground="body").cfg["objects"]
@@ -155,29 +149,28 @@ def test_ground_is_chosen_by_name(tmp_path: Path) -> None:
         imported(file, ground="flor")
 
 
-def test_a_damaged_stage_is_a_fault_in_words(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_stage_is_a_fault_in_words(tmp_path, capsys):
     file, out = tmp_path / "bad.usda", tmp_path / "ours.json"
     file.write_text("#usda 1.0\ndef Xform {")
-    assert main(["import", "usd", str(file), "-o", str(out)]) == 2
-    assert "bad.usda:2:1: not a USD stage" in capsys.readouterr().err
-    assert main(["import", "usd", str(tmp_path / "none.usd"), "-o", str(out)]) == 2
-    assert "none.usd: no such file" in capsys.readouterr().err
+    assert (
+        "bad.usda:2:1: not a USD stage"
+        in output_of(capsys, ["import", "usd", str(file), "-o", str(out)], 2).err
+    )
+    assert (
+        "none.usd: no such file"
+        in output_of(capsys, ["import", "usd", str(tmp_path / "none.usd"), "-o", str(out)], 2).err
+    )
     assert not out.exists()
 
 
-def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(
-    tmp_path: Path,
-) -> None:
+def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    posts = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/posts"))
-    posts.GetProtoIndicesAttr().Set([0] * 120)
-    posts.GetPositionsAttr().Set([(10.0 * i, 0, 0) for i in range(120)])
-    posts.GetScalesAttr().Set([(1, 1 + i, 1) for i in range(120)])
-    posts.CreateOrientationsAttr([Gf.Quath(0, 0, 1, 0)] * 120)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        posts = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/posts"))
+        posts.GetProtoIndicesAttr().Set([0] * 120)
+        posts.GetPositionsAttr().Set([(10.0 * i, 0, 0) for i in range(120)])
+        posts.GetScalesAttr().Set([(1, 1 + i, 1) for i in range(120)])
+        posts.CreateOrientationsAttr([Gf.Quath(0, 0, 1, 0)] * 120)
     made = imported(file)
     assert "evened out" in notes(made, APPROXIMATED)["/World/posts"]
     assert len(made.cfg["objects"]["posts"]["models"]) == 1
@@ -186,43 +179,38 @@ def test_more_uneven_scales_of_copies_than_a_class_has_models_are_evened_out(
     assert float(lines[8].split(",")[7]) == pytest.approx(2.0)
 
 
-def test_the_report_of_a_stage_can_be_read_by_scripts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_of_a_stage_can_be_read_by_scripts(tmp_path, capsys):
     words = ["import", "usd", str(make_stage(tmp_path)), "-o", str(tmp_path / "a" / "ours.json")]
-    assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(output_of(capsys, [*words, "--json"]).out)
     assert {"fate", "pointer", "to", "note"} <= set(told["values"][0])
 
 
-def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path: Path) -> None:
+def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    UsdGeom.BasisCurves.Define(stage, "/World/hair")
-    UsdLux.RectLight.Define(stage, "/World/panel")
-    UsdLux.SphereLight(stage.GetPrimAtPath("/World/bulb")).GetPrim().CreateAttribute(
-        "inputs:diffuse", Sdf.ValueTypeNames.Float
-    ).Set(0.5)
-    floor = UsdGeom.Mesh(stage.GetPrimAtPath("/World/floor"))
-    floor.GetSubdivisionSchemeAttr().Set("catmullClark")
-    floor.CreateDisplayOpacityAttr([0.5])
-    camera = stage.GetPrimAtPath("/World/still")
-    UsdGeom.Camera(camera).CreateShutterOpenAttr(-0.25)
-    stage.DefinePrim("/World/gone").GetReferences().AddReference("gone.usda")
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        UsdGeom.BasisCurves.Define(stage, "/World/hair")
+        UsdLux.RectLight.Define(stage, "/World/panel")
+        UsdLux.SphereLight(stage.GetPrimAtPath("/World/bulb")).GetPrim().CreateAttribute(
+            "inputs:diffuse", Sdf.ValueTypeNames.Float
+        ).Set(0.5)
+        floor = UsdGeom.Mesh(stage.GetPrimAtPath("/World/floor"))
+        floor.GetSubdivisionSchemeAttr().Set("catmullClark")
+        floor.CreateDisplayOpacityAttr([0.5])
+        camera = stage.GetPrimAtPath("/World/still")
+        UsdGeom.Camera(camera).CreateShutterOpenAttr(-0.25)
+        stage.DefinePrim("/World/gone").GetReferences().AddReference("gone.usda")
     losses = read_stage(file, allow_missing=True).losses
     assert len(losses) >= 6
     told = {e.note for e in imported(file).report.entries if e.fate == DROPPED}
     assert set(losses) <= told
 
 
-def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path: Path) -> None:
+def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    UsdGeom.Imageable(stage.GetPrimAtPath("/World/sun")).MakeInvisible()
-    stage.GetPrimAtPath("/World/bulb").GetAttribute("inputs:intensity").Set(0.0)
-    UsdLux.DomeLight.Define(stage, "/World/dome").CreateIntensityAttr(0.0)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        UsdGeom.Imageable(stage.GetPrimAtPath("/World/sun")).MakeInvisible()
+        stage.GetPrimAtPath("/World/bulb").GetAttribute("inputs:intensity").Set(0.0)
+        UsdLux.DomeLight.Define(stage, "/World/dome").CreateIntensityAttr(0.0)
     made = imported(file)
     labels = {"labels": {"class": "sky"}}
     assert made.cfg["light"] == {"sun": None, "sky": {"type": "none", **labels}}
@@ -232,11 +220,9 @@ def test_lights_that_are_hidden_or_of_no_intensity_give_none(tmp_path: Path) -> 
     )
 
 
-def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_path: Path) -> None:
+def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_path):
     file = tmp_path / "labeled.usda"
-    stage = Usd.Stage.CreateNew(str(file))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage = z_up(file)
     texts = ("traffic light", "traffic_light", "unseen", "2x4")
     for number, text in enumerate(texts):
         box = mesh(stage, f"/box{number}", (2 * number, 0, 0), (2 * number + 1, 1, 1))
@@ -268,21 +254,13 @@ def test_labels_of_a_stage_keep_their_ids_under_names_that_a_cfg_can_have(tmp_pa
         ("", "metersPerUnit", 1e307, ""),
     ],
 )
-def test_a_value_that_cannot_be_is_a_fault_of_one_line(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    path: str,
-    name: str,
-    value: object,
-    told: str,
-) -> None:
+def test_a_value_that_cannot_be_is_a_fault_of_one_line(tmp_path, capsys, path, name, value, told):
     file, out = make_stage(tmp_path), tmp_path / "ours.json"
-    stage = Usd.Stage.Open(str(file))
-    if path:
-        assert stage.GetPrimAtPath(path).GetAttribute(name).Set(value)
-    else:
-        UsdGeom.SetStageMetersPerUnit(stage, value)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        if path:
+            assert stage.GetPrimAtPath(path).GetAttribute(name).Set(value)
+        else:
+            UsdGeom.SetStageMetersPerUnit(stage, value)
     before = sorted(tmp_path.iterdir())
     assert main(["import", "usd", str(file), "-o", str(out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -291,14 +269,13 @@ def test_a_value_that_cannot_be_is_a_fault_of_one_line(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_what_is_scaled_to_nothing_is_said(tmp_path: Path) -> None:
+def test_what_is_scaled_to_nothing_is_said(tmp_path):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    UsdGeom.Xformable(stage.GetPrimAtPath("/World/crate")).AddScaleOp().Set((0, 0, 0))
-    posts = UsdGeom.Xformable(stage.GetPrimAtPath("/World/posts/post"))
-    # A sheet: its matrix has no inverse.
-    posts.AddScaleOp().Set((0, 1, 1))
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        UsdGeom.Xformable(stage.GetPrimAtPath("/World/crate")).AddScaleOp().Set((0, 0, 0))
+        posts = UsdGeom.Xformable(stage.GetPrimAtPath("/World/posts/post"))
+        # A sheet: its matrix has no inverse.
+        posts.AddScaleOp().Set((0, 1, 1))
     made = imported(file)
     assert "scaled to nothing" in notes(made, DROPPED)["/World/crate"]
     assert "crate" not in made.cfg["objects"]
@@ -307,18 +284,15 @@ def test_what_is_scaled_to_nothing_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("ior", "specular"), [(1.5, 0.04), (-1.0, 1.0), (0.0, 1.0)])
-def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(
-    tmp_path: Path, ior: float, specular: float
-) -> None:
+def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(tmp_path, ior, specular):
     file = make_stage(tmp_path)
-    stage = Usd.Stage.Open(str(file))
-    material = UsdShade.Material.Define(stage, "/World/glass")
-    shader = UsdShade.Shader.Define(stage, "/World/glass/surface")
-    shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(ior)
-    material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
-    UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/World/crate")).Bind(material)
-    stage.GetRootLayer().Save()
+    with changed(file) as stage:
+        material = UsdShade.Material.Define(stage, "/World/glass")
+        shader = UsdShade.Shader.Define(stage, "/World/glass/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(ior)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath("/World/crate")).Bind(material)
     made = imported(file)
     assert made.cfg["objects"]["crate"]["material"] == "glass"
     assert made.cfg["materials"]["glass"]["specular"] == pytest.approx(specular)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from scenec.compiler.cameras.paths.motion import Around, Built
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses
 from scenec.compiler.cameras.ranging import ScanPattern
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds.declare import key, noise_key
@@ -27,7 +27,7 @@ from scenec.compiler.kinds.forms import (
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.light.sky import CloudLayer, Sky, SkyAndSun
 from scenec.compiler.materials.surface import Surface
-from scenec.compiler.materials.tile import Look
+from scenec.compiler.materials.tile import Paint
 from scenec.compiler.objects.density import Everywhere
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.scene.light import SkyLight
@@ -127,10 +127,10 @@ class Plain(Surface):
     grain_m: float = key(LENGTH_PER_BATCH, above=0, default=0.01)
     """Of nothing."""
 
-    def paint(self, tile: Any) -> Look:
+    def paint(self, tile: Any) -> Paint:
         """Noise, in one color."""
         noise = tile.noise(20.0 * self.grain_m, 0.6)
-        return Look(noise, [np.ones_like(noise)] * 3, 0.0 * noise)
+        return Paint(noise, [np.ones_like(noise)] * 3, 0.0 * noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,12 +142,12 @@ class Hover:
     sampling: Sampling = key(SAMPLING)
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """Looks down from over the middle."""
-        times = self.sampling.times(10.0, around.samples, around.what)
+        times = self.sampling.times(10.0, context.samples, context.what)
         pose = np.diag([1.0, -1.0, -1.0, 1.0])
-        pose[2, 3] = float(around.ground(np.zeros((1, 2)))[0]) + self.height_m
-        return Built(np.repeat(pose[None], len(times), axis=0), times)
+        pose[2, 3] = float(context.ground(np.zeros((1, 2)))[0]) + self.height_m
+        return RigPoses(np.repeat(pose[None], len(times), axis=0), times)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
+
+from scenec.testing.processes import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = """
@@ -41,14 +42,8 @@ def test_what_warns_fails_under_make_audit(workers, tmp_path):
     # Nor what the run of tests or the make that this one is part of was told.
     told = ("PYTEST_", "MAKE", "MFLAGS")
     environment = {key: os.environ[key] for key in os.environ if not key.startswith(told)}
-    done = subprocess.run(
-        ["make", "-o", "setup", "audit", f"WORKERS={workers}", f"PYTEST_ARGS={paths}"],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ["make", "-o", "setup", "audit", f"WORKERS={workers}", f"PYTEST_ARGS={paths}"]
+    done = ran(*words, cwd=ROOT, env=environment)
     failed = set(re.findall(r"^FAILED \S*::(\w+)", done.stdout, re.M))
     assert failed == {
         "test_leaves_open",

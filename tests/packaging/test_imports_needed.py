@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from scenec.testing.processes import python, scenec
 from scenec.testing.small import small_cfg, write_cfg
 
 #: Packages that only one kind of work needs.
@@ -45,13 +44,7 @@ def imported(tmp_path: Path, *words: str) -> list[set[str]]:
     (hook / "usercustomize.py").write_text(HOOK)
     (hook / "sitecustomize.py").write_text(HOOK)
     environment = os.environ | {"PYTHONPATH": str(hook), "SEEN_MODULES": str(seen)}
-    done = subprocess.run(
-        [sys.executable, "-m", "scenec.cli.main", *words],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = scenec(*words, env=environment)
     assert done.returncode == 0, done.stderr
     found = [set(path.read_text().split()) for path in sorted(seen.iterdir())]
     assert any("scenec" in names for names in found)
@@ -59,7 +52,7 @@ def imported(tmp_path: Path, *words: str) -> list[set[str]]:
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[set[str]]]:
+def compiled(tmp_path_factory):
     """An output, and what each process that compiled it had imported."""
     folder = tmp_path_factory.mktemp("compiled")
     cfg = small_cfg(samples=1, outputs=["rgb", "depth", "instance"])
@@ -67,6 +60,22 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[set[s
     cfg["terrain"]["spacing_m"] = 0.5
     words = ["compile", str(write_cfg(folder, cfg)), "--seed", "1", "-o", str(folder / "out")]
     return folder / "out", imported(folder, *words)
+
+
+#: What a command needs that has anything to compute.
+HEAVY = {"numpy", "numba", "scipy", "pxr", "PIL", "OpenEXR", "jsonschema", "referencing"}
+
+
+def test_help_imports_no_heavy_package(tmp_path):
+    for names in imported(tmp_path, "--help"):
+        assert not names & (RENDERERS | OTHERS | HEAVY)
+
+
+@pytest.mark.parametrize("command", ["compile", "run"])
+def test_a_command_says_what_it_reads_before_it_imports_what_takes_long(command):
+    heavy = "{'numba', 'pxr', 'scipy'}"
+    code = f"import sys, scenec.cli.{command}_command; print({heavy} & sys.modules.keys())"
+    assert python("-c", code).stdout == "set()\n"
 
 
 def test_compiling_imports_no_renderer_and_no_backend(compiled, tmp_path):

@@ -112,7 +112,7 @@ class Package:
         shutil.rmtree(self.file.parent / "__pycache__", ignore_errors=True)
         self._patch.setattr(plugins, "_codes", {})
         plugins.load_kind.cache_clear()
-        schema.own_schema.cache_clear()
+        schema.kind_schema.cache_clear()
 
     def edit(self, old: str, new: str) -> None:
         """Its code with another part."""
@@ -126,7 +126,7 @@ class Package:
 
 
 @pytest.fixture
-def odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
+def odd(tmp_path, monkeypatch):
     return Package(tmp_path / "site", monkeypatch)
 
 
@@ -139,12 +139,12 @@ def cfg(folder: Path, **changes: Any) -> Path:
 
 
 @pytest.fixture
-def out(odd: Package, tmp_path: Path) -> Path:
+def out(odd, tmp_path):
     compile_cfg(cfg(tmp_path), seed=1, out=tmp_path / "out")
     return tmp_path / "out"
 
 
-def test_an_origin_states_package_version_and_code(odd: Package) -> None:
+def test_an_origin_states_package_version_and_code(odd):
     first = plugins.origin("scenec.passes", "up")
     assert first.startswith("odd 1.0 (code ")
     assert "odd" not in sys.modules
@@ -156,9 +156,7 @@ def test_an_origin_states_package_version_and_code(odd: Package) -> None:
     assert plugins.origin("scenec.passes", "up") == first
 
 
-def test_code_is_the_whole_package_behind_a_module_and_none_of_its_byte_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_code_is_the_whole_package_behind_a_module_and_none_of_its_byte_code(tmp_path, monkeypatch):
     made = Package(tmp_path / "site", monkeypatch)
     folder = made.file.with_suffix("")
     folder.mkdir()
@@ -177,7 +175,7 @@ def test_code_is_the_whole_package_behind_a_module_and_none_of_its_byte_code(
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_frames_of_edited_passes_and_backends_are_made_again(odd: Package, out: Path) -> None:
+def test_frames_of_edited_passes_and_backends_are_made_again(odd, out):
     def made(backend: str, *passes: str) -> tuple[int, int]:
         report = render(out, backend, passes=passes, spp=1)
         return report.rendered, report.skipped
@@ -192,9 +190,7 @@ def test_frames_of_edited_passes_and_backends_are_made_again(odd: Package, out: 
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_a_dataset_of_an_edited_format_is_made_again(
-    odd: Package, out: Path, tmp_path: Path
-) -> None:
+def test_a_dataset_of_an_edited_format_is_made_again(odd, out, tmp_path):
     render(out, "annotation", passes=["depth"])
     data = tmp_path / "data"
     export(out, "lines", data)
@@ -207,9 +203,7 @@ def test_a_dataset_of_an_edited_format_is_made_again(
     assert json.loads((data / "export.json").read_text())["format_package"].startswith("odd 1.0 (")
 
 
-def test_batches_of_an_edited_kind_are_of_another_cfg(
-    odd: Package, out: Path, tmp_path: Path
-) -> None:
+def test_batches_of_an_edited_kind_are_of_another_cfg(odd, out, tmp_path):
     odd.edit("0.5", "0.7")
     there, other = held(out, load(cfg(tmp_path)), 1, Keep.SEEN)
     assert there == {0}
@@ -238,9 +232,7 @@ MUTE = "raise type('Mute', (ValueError,), {'__str__': lambda self: 1 / 0})"
         ),
     ],
 )
-def test_an_exception_of_an_operator_names_its_file_and_line(
-    fault: str, said: str, odd: Package, tmp_path: Path
-) -> None:
+def test_an_exception_of_an_operator_names_its_file_and_line(fault, said, odd, tmp_path):
     odd.edit("return height + 0.5, {}", fault)
     told = rf"^plug-in odd: {said} \(odd.py, line {odd.line(fault)}\)$"
     with pytest.raises(SceneError, match=told):
@@ -251,8 +243,8 @@ def test_an_exception_of_an_operator_names_its_file_and_line(
 
 
 def test_an_exception_of_a_format_is_told_once_in_a_worker_and_out_of_it(
-    odd: Package, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    odd, out, tmp_path, capsys
+):
     render(out, "annotation", passes=["depth"], executor=make_executor(0))
     odd.edit("(folder / name).write_text", "int('soil'); (folder / name).write_text")
     line = f"(odd.py, line {odd.line('soil')})"
@@ -274,7 +266,7 @@ def test_an_exception_of_a_format_is_told_once_in_a_worker_and_out_of_it(
         export(out, "lines", tmp_path / "data")
 
 
-def test_a_frame_that_a_backend_fails_at_is_given_up_after_one_try(odd: Package, out: Path) -> None:
+def test_a_frame_that_a_backend_fails_at_is_given_up_after_one_try(odd, out):
     odd.edit("shape = (camera", "1 / 0; shape = (camera")
     with make_executor(1) as executor:
         report = render(out, "glow", passes=["rgb"], executor=executor)
@@ -293,17 +285,13 @@ def test_a_frame_that_a_backend_fails_at_is_given_up_after_one_try(odd: Package,
         ("(height, {'a': object()})", "for report.json what JSON cannot hold"),
     ],
 )
-def test_what_an_operator_returns_is_held_against_its_contract(
-    made: str, told: str, odd: Package, tmp_path: Path
-) -> None:
+def test_what_an_operator_returns_is_held_against_its_contract(made, told, odd, tmp_path):
     odd.edit("height + 0.5, {}", made)
     with pytest.raises(SceneError, match=rf"\(odd:Lift of odd\): returned {told}"):
         compile_cfg(cfg(tmp_path), seed=1, out=tmp_path / "out")
 
 
-def test_an_operator_reports_what_it_likes(
-    odd: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_operator_reports_what_it_likes(odd, tmp_path, capsys):
     made = {"scale": [1, 2], "error_rms_m": 2.0, "error_aim_m": 1.0}
     odd.edit("height + 0.5, {}", f"height + 0.5, {made}")
     words = ["-o", str(tmp_path / "out"), "--workers", "0", "--no-cache"]
@@ -313,9 +301,7 @@ def test_an_operator_reports_what_it_likes(
     assert report["relief"][1] == {"type": "lift", **made}
 
 
-def test_a_sound_package_works_beside_broken_ones(
-    odd: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sound_package_works_beside_broken_ones(odd, tmp_path, monkeypatch):
     broken = Package(tmp_path / "other", monkeypatch, "broken")
     points = [line.replace("odd:", "broken:") for line in POINTS.values()]
     names = [line.replace(line.split()[0], f"x{line.split()[0]}") for line in points]

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import with_forms
+from scenec.compiler.light.build import build_light
 from scenec.compiler.terrain.grid import Grid
 from scenec.schemas import plugins
 from scenec.schemas.errors import BackendError, CfgError, ScenecError
@@ -47,15 +47,10 @@ def cfg() -> dict[str, Any]:
     """A small scene with all that the package adds."""
     bare = {"type": "aspect", "bearing_deg": 90, "max_deg": 60}
     return {
-        "version": 1,
-        "name": "farm",
-        "samples": 2,
-        "outputs": ["rgb", "label", "steepness"],
+        "version": 1, "name": "farm", "samples": 2, "outputs": ["rgb", "label", "steepness"],
         "labels": {"class": {"soil": 1, "clod": 2}},
         "terrain": {
-            "size_m": [16, 16],
-            "spacing_m": 0.1,
-            "relief": copy.deepcopy(RELIEF),
+            "size_m": [16, 16], "spacing_m": 0.1, "relief": copy.deepcopy(RELIEF),
             "ground": [
                 {"material": "soil", "labels": {"class": "soil"}},
                 {"material": "stubble", "labels": {"class": "soil"}, "where": [bare]},
@@ -70,16 +65,10 @@ def cfg() -> dict[str, Any]:
         },
         "objects": {
             "clods": {
-                "type": "rocks",
-                "family": "clod",
-                "crumble": 0.5,
-                "subdivisions": 2,
-                "count": 50,
-                "size_m": 0.3,
-                "material": "soil",
-                "labels": {"class": "clod"},
+                "type": "rocks", "family": "clod", "crumble": 0.5, "subdivisions": 2, "count": 50,
+                "size_m": 0.3, "material": "soil", "labels": {"class": "clod"},
                 "density": {"type": "rows", "spacing_m": 2, "width_m": 0.2},
-            }
+            },
         },
         "light": {
             "sun": {"elevation_deg": 30, "azimuth_deg": 90},
@@ -90,18 +79,17 @@ def cfg() -> dict[str, Any]:
                 "pose": {"type": "spiral", "radius_m": 6},
                 "sensors": {
                     "eye": {
-                        "resolution": [32, 24],
-                        "fov_deg": 60,
+                        "resolution": [32, 24], "fov_deg": 60,
                         "effects": [{"type": "banding", "strength": 20}],
-                    }
+                    },
                 },
-            }
+            },
         },
-    }
+    }  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """The package, installed by pip."""
     folder = tmp_path_factory.mktemp("site")
     source = shutil.copytree(EXAMPLE, folder / "source")
@@ -112,7 +100,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def there(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def there(site, monkeypatch):
     """The package, importable here."""
     monkeypatch.syspath_prepend(str(site))
     return site
@@ -125,19 +113,31 @@ def scenec(site: Path | None, *arguments: str | Path) -> subprocess.CompletedPro
     return subprocess.run(command, env=env, capture_output=True, text=True)
 
 
-def faults(path: Path, document: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is wrong with a cfg: pointer and message."""
-    path.write_text(json.dumps(document))
+def written(folder: Path, document: dict[str, Any]) -> Path:
+    """A cfg's file."""
+    path = folder / "farm.json"
+    path.write_text(json.dumps(document, indent=1))
+    return path
+
+
+def faults(folder: Path, document: dict[str, Any]) -> dict[str, str]:
+    """What is wrong with a cfg: message by pointer."""
     with pytest.raises(CfgError) as info:
-        load(path)
-    return [(fault.pointer, fault.message) for fault in info.value.faults]
+        load(written(folder, document))
+    return {fault.pointer: fault.message for fault in info.value.faults}
 
 
-def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path: Path) -> None:
-    path = tmp_path / "farm.json"
+def odd_cfg() -> dict[str, Any]:
+    """A cfg that names a relief operator which is called odd."""
+    document = cfg()
+    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
+    return document
+
+
+def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site, tmp_path):
     document = cfg()
     document["rigs"]["drone"]["lidars"] = {"scanner": {"pattern": {"type": "rosette"}}}
-    path.write_text(json.dumps(document))
+    path = written(tmp_path, document)
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
         done = scenec(site, "compile", path, "--seed", "3", "-o", out)
@@ -160,7 +160,7 @@ def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site: Path, tmp_path:
     assert sidecar["effects"][0]["from"] == package
 
 
-def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) -> None:
+def test_effects_repeat_and_are_of_the_version_that_was_compiled(there):
     package = plugins.origin("scenec.effects", "banding")
     effect = {"type": "banding", "from": package, "key": 5, "strength": 20.0}
     picture = np.full((8, 4, 3), 100, np.uint8)
@@ -178,12 +178,8 @@ def test_effects_repeat_and_are_of_the_version_that_was_compiled(there: Path) ->
         apply(picture, [older], 0)
 
 
-def test_masks_and_distributions_reach_another_packages_operator(
-    there: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(cfg()))
-    masked = draw(load(path), 3, 0).terrain.relief[1]
+def test_masks_and_distributions_reach_another_packages_operator(there, tmp_path):
+    masked = draw(load(written(tmp_path, cfg())), 3, 0).terrain.relief[1]
     grid = Grid.with_spacing((16.0, 16.0), 0.1)
     height, _ = masked.apply(grid, np.zeros(grid.shape))
     x, y = grid.points()
@@ -194,10 +190,7 @@ def test_masks_and_distributions_reach_another_packages_operator(
     assert np.abs(height).max() == pytest.approx(0.5 * depth, rel=1e-3)
 
 
-def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path: Path) -> None:
-    from scenec.compiler.draw import draw
-    from scenec.compiler.light.build import build_light
-
+def test_a_sky_of_another_package_is_built_at_every_sample(there, tmp_path):
     document = cfg()
     document["labels"]["class"]["glow"] = 3
     document["light"]["sky"] = {
@@ -205,9 +198,7 @@ def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path
         "irradiance": {"type": "uniform", "min": 2, "max": 6},
         "labels": {"class": "glow"},
     }
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(document))
-    plan = draw(load(path), 3, 0)
+    plan = draw(load(written(tmp_path, document)), 3, 0)
     assert plan.sky_labels == {"class": 3}
     light = build_light(plan.light, 2, True, True)
     assert light.sky is not None
@@ -219,20 +210,15 @@ def test_a_sky_of_another_package_is_built_at_every_sample(there: Path, tmp_path
     assert of_sky[0] != of_sky[1]
     assert ((of_sky > 2.0) & (of_sky < 6.0)).all()
     document["light"]["clouds"] = {}
-    assert "clouds need a sky" in dict(faults(path, document))["/light/clouds"]
+    assert "clouds need a sky" in faults(tmp_path, document)["/light/clouds"]
 
 
-def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path: Path) -> None:
-    from scenec.compiler.draw import draw
-    from scenec.compiler.light.build import build_light
-
+def test_clouds_of_another_package_dim_the_sun_before_ours(there, tmp_path):
     document = cfg()
     document["light"]["sky"] = {"type": "clear", "resolution": 8}
     veil = {"type": "veil", "optical_depth": {"type": "choice", "values": [0.2, 0.4]}}
     document["light"]["clouds"] = {"more": [veil, {"type": "veil"}], "resolution": 8}
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(document))
-    spec = load(path)
+    spec = load(written(tmp_path, document))
     assert set(spec.plugins) >= {"scenec.clouds veil"}
     plan = draw(spec, 5, 0).light
     light = build_light(plan, 2, True, False)
@@ -243,22 +229,22 @@ def test_clouds_of_another_package_dim_the_sun_before_ours(there: Path, tmp_path
     assert light.sun.irradiance == pytest.approx(1000.0 * np.exp(-2.0 * (depth + 0.3)))
     assert light.facts["clouds"]["more"][1]["left"] == pytest.approx([np.exp(-0.6)] * 2)
     document["light"]["clouds"]["more"] = [{"type": "vail"}]
-    assert 'did you mean "veil"' in dict(faults(path, document))["/light/clouds/more/0/type"]
+    assert 'did you mean "veil"' in faults(tmp_path, document)["/light/clouds/more/0/type"]
 
 
-def test_keys_of_another_package_are_checked_like_our_own(there: Path, tmp_path: Path) -> None:
+def test_keys_of_another_package_are_checked_like_our_own(there, tmp_path):
     document = cfg()
     document["terrain"]["relief"][1] = {"type": "furrows", "deph_m": 0.1, "spacing_m": -1}
     document["rigs"]["drone"]["pose"]["type"] = "spirale"
-    found = dict(faults(tmp_path / "farm.json", document))
+    found = faults(tmp_path, document)
     assert 'the key "depth_m" is missing (From crest to bottom)' in found["/terrain/relief/1"]
     assert 'did you mean "depth_m"' in found["/terrain/relief/1/deph_m"]
     assert "expected more than 0 m" in found["/terrain/relief/1/spacing_m"]
     assert 'did you mean "spiral"?' in found["/rigs/drone/pose/type"]
 
 
-def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
-    found = dict(faults(tmp_path / "farm.json", cfg()))
+def test_without_the_package_its_names_are_told(tmp_path):
+    found = faults(tmp_path, cfg())
     assert "expected one of plane, dem" in found["/terrain/relief/1/type"]
     effect = "/rigs/drone/sensors/eye/effects/0/type"
     assert found[effect].endswith("expected a name that an installed package offers, and none does")
@@ -301,9 +287,7 @@ def test_without_the_package_its_names_are_told(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_broken_package_is_named_at_its_place_in_the_cfg(
-    source: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_package_is_named_at_its_place_in_the_cfg(source, told, tmp_path, monkeypatch):
     if source.startswith("SCHEMA"):
         source = (
             "from dataclasses import dataclass\nfrom typing import ClassVar\n@dataclass\n"
@@ -316,9 +300,7 @@ def test_a_broken_package_is_named_at_its_place_in_the_cfg(
             f"from scenec.compiler.kinds.declare import key\n{source}\n"
         )
     offer(source, tmp_path, monkeypatch)
-    document = cfg()
-    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
-    found = dict(faults(tmp_path / "farm.json", document))
+    found = faults(tmp_path, odd_cfg())
     assert told in found["/terrain/relief/1"]
     assert found["/terrain/relief/1"].startswith("relief operator")
 
@@ -333,7 +315,7 @@ def offer(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *points:
     (tmp_path / "site" / "odd.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     monkeypatch.delitem(sys.modules, "odd", raising=False)
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
 
 
@@ -360,26 +342,17 @@ class Odd:
         ("return [node.fault(f'{node.span(\"a\")}')]", "(1.0, 1.0)"),
     ],
 )
-def test_a_check_that_fails_is_a_fault_at_its_place(
-    body: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_that_fails_is_a_fault_at_its_place(body, told, tmp_path, monkeypatch):
     check = f"    @staticmethod\n    def check(node):\n        {body}\n"
     offer(OPERATOR + check, tmp_path, monkeypatch)
-    document = cfg()
-    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
-    found = dict(faults(tmp_path / "farm.json", document))
+    found = faults(tmp_path, odd_cfg())
     assert found["/terrain/relief/1"].endswith(told)
 
 
-def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(tmp_path, monkeypatch):
     check = "    @staticmethod\n    def check(node):\n        yield node.fault('odd', 'a')\n"
     offer(OPERATOR + check, tmp_path, monkeypatch)
-    document = cfg()
-    document["terrain"]["relief"] = [{"type": "plane"}, {"type": "odd"}]
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(document, indent=1))
+    path = written(tmp_path, odd_cfg())
     with pytest.raises(CfgError) as info:
         load(path)
     (fault,) = [fault for fault in info.value.faults if fault.message == "odd"]
@@ -388,14 +361,10 @@ def test_a_finding_on_a_key_that_is_left_out_stands_where_its_object_does(
 
 
 @pytest.mark.parametrize("made", ["None", "3"])
-def test_what_an_operator_draws_is_held_against_its_group(
-    made: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_an_operator_draws_is_held_against_its_group(made, tmp_path, monkeypatch):
     drawn = f"    def draw(self, context):\n        return {made}\n"
     offer(OPERATOR + drawn, tmp_path, monkeypatch)
-    path = tmp_path / "small.json"
-    path.write_text(json.dumps(small_cfg()))
-    spec = load(path, ['terrain.relief.1={"type": "odd"}'])
+    spec = load(written(tmp_path, small_cfg()), ['terrain.relief.1={"type": "odd"}'])
     told = (
         rf'^relief operator "odd" \(odd:Odd of odd\): draw returned {made}: expected a method apply'
     )
@@ -403,9 +372,7 @@ def test_what_an_operator_draws_is_held_against_its_group(
         draw(spec, 3, 0)
 
 
-def test_what_does_not_derive_from_its_groups_class_is_told_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_derive_from_its_groups_class_is_told_so(tmp_path, monkeypatch):
     groups = ("conditions", "densities", "surfaces", "skies", "rocks")
     points = [line for of in groups for line in (f"[scenec.{of}]", "odd = odd:Odd")]
     offer(OPERATOR, tmp_path, monkeypatch, *points)
@@ -413,14 +380,14 @@ def test_what_does_not_derive_from_its_groups_class_is_told_so(
         with pytest.raises(
             ScenecError, match=rf"odd:Odd of odd\): expected a subclass .*\.{base}$"
         ):
-            schema.own_schema(f"scenec.{group}", "odd")
+            schema.kind_schema(f"scenec.{group}", "odd")
 
 
 @pytest.mark.parametrize(
     ("group", "kind", "told"),
     [
-        ("poses", "Odd:\n    def built(self, around): ...", "an attribute needs_objects"),
-        ("poses", "Odd:\n    needs_objects = False", "a method built(around)"),
+        ("poses", "Odd:\n    def built(self, context): ...", "an attribute needs_objects"),
+        ("poses", "Odd:\n    needs_objects = False", "a method built(context)"),
         ("effects", "Odd:\n    def apply(self, picture): ...", "a method apply(picture, random)"),
         ("surfaces", "Odd(Surface):\n    def paint(self, tile): ...", "an attribute SIZE_M"),
         ("skies", "Odd(Sky):\n    def build(self, sun): ...", "a method build(sun, samples)"),
@@ -428,9 +395,7 @@ def test_what_does_not_derive_from_its_groups_class_is_told_so(
         ("scans", "Odd(ScanPattern):\n    def rays(self, n): ...", "a method rays()"),
     ],
 )
-def test_what_a_kind_lacks_of_its_group_is_told(
-    group: str, kind: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_kind_lacks_of_its_group_is_told(group, kind, told, tmp_path, monkeypatch):
     source = (
         "from dataclasses import dataclass\n"
         "from scenec.compiler.cameras.ranging import ScanPattern\n"
@@ -441,31 +406,23 @@ def test_what_a_kind_lacks_of_its_group_is_told(
     )
     offer(source, tmp_path, monkeypatch, f"[scenec.{group}]", "odd = odd:Odd")
     with pytest.raises(ScenecError, match=rf"odd:Odd of odd\): expected {re.escape(told)}$"):
-        schema.own_schema(f"scenec.{group}", "odd")
+        schema.kind_schema(f"scenec.{group}", "odd")
 
 
-def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_of_scenecs_own_that_a_package_offers_too_is_an_error(tmp_path, monkeypatch):
     offer(OPERATOR, tmp_path, monkeypatch, "[scenec.relief]", "smooth = odd:Odd")
-    path = tmp_path / "small.json"
-    path.write_text(json.dumps(small_cfg()))
-    with pytest.raises(CfgError) as info:
-        load(path)
-    (fault,) = info.value.faults
-    assert fault.message == (
+    assert list(faults(tmp_path, small_cfg()).values()) == [
         'several packages offer the relief operator "smooth": scenec, odd:Odd of odd; remove one'
-    )
+    ]
     del (document := small_cfg())["terrain"]["relief"][2]
-    path.write_text(json.dumps(document))
-    assert load(path).plugins == {}
+    assert load(written(tmp_path, document)).plugins == {}
 
 
 # Kinds that declare their keys -------------------------------------------------------------------
 
 
 @pytest.fixture
-def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
+def declared(tmp_path, monkeypatch):
     """A package whose kinds declare their keys, installed, and a cfg that names all of them."""
     info = tmp_path / "site" / "declared-1.0.dist-info"
     info.mkdir(parents=True)
@@ -495,19 +452,15 @@ def declared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[s
     eye["effects"] = [{"type": "dim"}]
     document["rigs"]["drone"]["lidars"] = {"top": {"pattern": {"type": "fan", "tilt_deg": uniform}}}
     # Other tests' packages may have kinds of these names.
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
     yield document
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
 
 
-def test_kinds_of_all_groups_can_declare_their_keys(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(declared))
-    spec = load(path)
+def test_kinds_of_all_groups_can_declare_their_keys(declared, tmp_path):
+    spec = load(written(tmp_path, declared))
     assert len(spec.plugins) == 9
     plan = draw(spec, 3, 0)
     masked = plan.terrain.relief[1]
@@ -537,16 +490,12 @@ def test_kinds_of_all_groups_can_declare_their_keys(
     assert (apply(picture, rig.sensors[0].effects, 0) == 50).all()
 
 
-def test_skies_and_clouds_can_declare_their_keys(declared: dict[str, Any], tmp_path: Path) -> None:
-    from scenec.compiler.light.build import build_light
-
+def test_skies_and_clouds_can_declare_their_keys(declared, tmp_path):
     light = declared["light"]
     declared["labels"]["class"]["glow"] = 3
     light["sky"]["labels"] = {"class": "glow"}
     light["clouds"] = {"more": [{"type": "mist", "hides": {"type": "choice", "values": [0.5]}}]}
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(declared))
-    plan = draw(load(path), 3, 0)
+    plan = draw(load(written(tmp_path, declared)), 3, 0)
     assert plan.sky_labels == {"class": 3}
     built = build_light(plan.light, 2, True, True)
     assert built.sky is not None
@@ -557,44 +506,32 @@ def test_skies_and_clouds_can_declare_their_keys(declared: dict[str, Any], tmp_p
     assert built.sun.irradiance.tolist() == [500.0, 500.0]
 
 
-def test_what_is_no_sky_is_told_where_the_cfg_names_it(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_what_is_no_sky_is_told_where_the_cfg_names_it(declared, tmp_path):
     declared["light"] |= {"sky": {"type": "bare"}, "clouds": {"cumulus": {}}}
-    found = dict(faults(tmp_path / "farm.json", declared))
+    found = faults(tmp_path, declared)
     assert list(found) == ["/light/sky"]
     assert found["/light/sky"].endswith("expected a subclass of scenec.compiler.light.sky.Sky")
 
 
-def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_what_a_class_with_a_schema_calls_as_ours_do_is_its_own_affair(declared, tmp_path):
     declared["objects"]["clods"]["density"] = {"type": "west"}
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(declared))
-    (clods,) = build(draw(load(path), 3, 0), BuildLog()).objects
+    (clods,) = build(draw(load(written(tmp_path, declared)), 3, 0), BuildLog()).objects
     assert (clods.positions[:, 0] < 0.0).all()
 
 
-def test_a_check_that_returns_nothing_finds_nothing(
-    declared: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_that_returns_nothing_finds_nothing(declared, tmp_path, monkeypatch):
     kind = plugins.load_kind("scenec.relief", "lift")
     monkeypatch.setattr(kind, "check", staticmethod(lambda node: None))
-    path = tmp_path / "farm.json"
-    path.write_text(json.dumps(declared))
-    assert load(path).cfg["terrain"]["relief"][1]["type"] == "lift"
+    assert load(written(tmp_path, declared)).cfg["terrain"]["relief"][1]["type"] == "lift"
 
 
-def test_faults_of_declared_keys_read_as_those_of_our_own(
-    declared: dict[str, Any], tmp_path: Path
-) -> None:
+def test_faults_of_declared_keys_read_as_those_of_our_own(declared, tmp_path):
     relief = declared["terrain"]["relief"]
     relief[1] = {"type": "lift", "lowm": 1, "mode": "ruogh"}
     relief.append({"type": "lift", "low_m": 2, "high_m": {"type": "uniform", "min": 1, "max": 3}})
     declared["objects"]["clods"]["dents"] = 1
     declared["rigs"]["drone"]["pose"]["sampling"] = {"times_s": [2, 1]}
-    found = dict(faults(tmp_path / "farm.json", declared))
+    found = faults(tmp_path, declared)
     assert found["/terrain/relief/1"] == 'the key "low_m" is missing (At least)'
     assert 'did you mean "low_m"' in found["/terrain/relief/1/lowm"]
     assert 'did you mean "rough"' in found["/terrain/relief/1/mode"]
@@ -603,12 +540,12 @@ def test_faults_of_declared_keys_read_as_those_of_our_own(
     assert "expected times that rise" in found["/rigs/drone/pose/sampling/times_s/1"]
 
 
-def test_the_schema_for_editors_and_the_two_forms_say_the_same(there: Path) -> None:
+def test_the_schema_for_editors_and_the_two_forms_say_the_same(there):
     from scenec_farmland import Furrows, Spiral
 
     length = {"$ref": "forms.schema.json#/$defs/length_per_batch", "exclusiveMinimum": 0}
     for group, kind, first in (("relief", Furrows, "spacing_m"), ("poses", Spiral, "radius_m")):
-        made = schema.own_schema(f"scenec.{group}", kind.__name__.lower())
+        made = schema.kind_schema(f"scenec.{group}", kind.__name__.lower())
         keys = made["properties"]
         said = {"description": keys[first]["description"], "default": keys[first]["default"]}
         assert keys[first] == with_forms({**length, **said})

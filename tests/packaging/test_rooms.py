@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import chain
@@ -84,6 +85,7 @@ FLOORS = {
     "quality": (("converge", "ladder"),),
     "lab": (
         ("runner", "models"),
+        ("pictures",),
         ("benchmarks",),
         ("experiments", "pages"),
         ("robustness",),
@@ -154,13 +156,13 @@ def above(folder: str) -> set[str]:
     return set(chain(*HOUSE[own:])) - {folder} | CLOSED.get(folder, set())
 
 
-def test_every_folder_with_modules_of_the_package_has_its_floor() -> None:
+def test_every_folder_with_modules_of_the_package_has_its_floor():
     folders = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     assert folders - {"tests"} == set(chain(*HOUSE)) == FLOORS.keys() | FLAT
 
 
 @pytest.mark.parametrize("layer", FLOORS)
-def test_every_room_has_its_floor(layer: str) -> None:
+def test_every_room_has_its_floor(layer):
     folder = ROOT / layer
     rooms = {path.parent.name for path in folder.glob("*/*.py")}
     loose = {path.stem for path in folder.glob("*.py")} - {"__init__"}
@@ -168,7 +170,7 @@ def test_every_room_has_its_floor(layer: str) -> None:
 
 
 @pytest.mark.parametrize("layer", FLOORS)
-def test_imports_go_down(layer: str) -> None:
+def test_imports_go_down(layer):
     up = [
         f"{name} imports {other}"
         for name, others in imports(layer).items()
@@ -179,7 +181,7 @@ def test_imports_go_down(layer: str) -> None:
     assert up == []
 
 
-def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_them() -> None:
+def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_them():
     names = set(modules("backends"))
     found = {
         room(other)
@@ -189,7 +191,7 @@ def test_importers_read_stages_by_the_backends_reader_and_know_nothing_else_of_t
     assert found == {"stage"}
 
 
-def test_tests_and_the_lab_import_nothing_of_each_other() -> None:
+def test_tests_and_the_lab_import_nothing_of_each_other():
     tests = {file.stem for file in (ROOT / "tests").rglob("*.py")}
     names = set(modules("lab"))
     wrong = []
@@ -207,7 +209,7 @@ def test_tests_and_the_lab_import_nothing_of_each_other() -> None:
 
 
 @pytest.mark.parametrize("layer", sorted([*FLOORS, *FLAT]))
-def test_no_files_import_in_a_ring(layer: str) -> None:
+def test_no_files_import_in_a_ring(layer):
     try:
         TopologicalSorter(imports(layer)).prepare()
     except CycleError as error:
@@ -228,7 +230,35 @@ def test_no_files_import_in_a_ring(layer: str) -> None:
         ("compiler", "scene", "if TYPE_CHECKING:\n    from scenec.compiler.plan import Plan", True),
     ],
 )
-def test_a_wrong_import_is_seen(layer: str, of: str, line: str, wrong: bool) -> None:
+def test_a_wrong_import_is_seen(layer, of, line, wrong):
     others = imported(line, layer, set(modules(layer)))
     assert len(others) == 1
     assert any(refused(layer, of, room(other)) for other in others) == wrong
+
+
+#: Arguments of a function and of a kernel; what travels together is a named tuple.
+MOST, MOST_OF_KERNELS = 10, 8
+
+
+def too_many(source: str) -> Iterator[tuple[str, int]]:
+    """Names of functions with more arguments than they should have, and how many."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        own = node.args
+        names = [a.arg for a in (*own.posonlyargs, *own.args, *own.kwonlyargs)]
+        count = len(names) - (names[:1] in (["self"], ["cls"]))
+        count += (own.vararg is not None) + (own.kwarg is not None)
+        marks = {d.id for d in node.decorator_list if isinstance(d, ast.Name)}
+        if count > (MOST_OF_KERNELS if marks & {"kernel", "inlined"} else MOST):
+            yield node.name, count
+
+
+def test_functions_take_ten_arguments_at_most_and_kernels_eight():
+    found = {
+        f"{path.relative_to(ROOT)}:{name}": count
+        for room in chain(*HOUSE)
+        for path in sorted((ROOT / room).rglob("*.py"))
+        for name, count in too_many(path.read_text(encoding="utf-8"))
+    }
+    assert not found

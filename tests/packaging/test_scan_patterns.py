@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ def cfg(**lidar: Any) -> dict[str, Any]:
 
 
 @pytest.fixture(autouse=True)
-def _package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _package(tmp_path, monkeypatch):
     """Offers the example's rosette."""
     info = tmp_path / "site" / "scenec_farmland-1.0.dist-info"
     info.mkdir(parents=True)
@@ -47,10 +46,10 @@ def _package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     (info / "entry_points.txt").write_text("[scenec.scans]\nrosette = scenec_farmland:Rosette\n")
     monkeypatch.syspath_prepend(str(EXAMPLE))
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
     yield
-    for found in (plugins.load_kind, schema.own_schema):
+    for found in (plugins.load_kind, schema.kind_schema):
         found.cache_clear()
 
 
@@ -61,7 +60,7 @@ def written(folder: Path, document: dict[str, Any]) -> Path:
 
 
 @pytest.mark.usefixtures("workers_here")
-def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path: Path) -> None:
+def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path):
     law = {"type": "uniform", "min": 15, "max": 20}
     pattern = {"type": "rosette", "radius_deg": law, "petals": 3, "count": 500}
     compile_cfg(written(tmp_path, cfg(pattern=pattern)), seed=3, out=tmp_path / "out")
@@ -101,8 +100,8 @@ def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path: Path) -
     ],
 )
 def test_a_pattern_stands_in_place_of_beams_and_its_keys_are_checked(
-    lidar: dict[str, Any], place: str, message: str, tmp_path: Path
-) -> None:
+    lidar, place, message, tmp_path
+):
     with pytest.raises(CfgError) as info:
         load(written(tmp_path, cfg(**lidar)))
     (fault,) = info.value.faults
@@ -121,9 +120,7 @@ def test_a_pattern_stands_in_place_of_beams_and_its_keys_are_checked(
         (np.zeros((1, 3)), np.full((1, 3), np.nan)),
     ],
 )
-def test_what_is_no_rays_is_told(
-    made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_rays_is_told(made, tmp_path, monkeypatch):
     spec = load(written(tmp_path, cfg(pattern={"type": "rosette"})))
     monkeypatch.setattr(plugins.load_kind("scenec.scans", "rosette"), "rays", lambda self: made)
     with pytest.raises(SceneError, match="scan pattern scenec_farmland:Rosette: returned"):

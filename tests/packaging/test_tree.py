@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+
+from scenec.testing.processes import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Folders of one machine; a letter or a dot before the slash makes it a relative path.
@@ -21,13 +22,7 @@ LOCKS_WITH_ADDRESSES = re.compile(r"(?:^|/)(?:uv|pylock|poetry|pdm)[^/]*\.(?:loc
 
 def repository_files() -> list[Path]:
     """Files that are tracked, or would be if added; in the order of git."""
-    done = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", cwd=ROOT)
     if done.returncode != 0:
         pytest.fail(f"not a git checkout: {done.stderr.strip()}")
     names = [ROOT / name for name in done.stdout.split("\0") if name]
@@ -44,7 +39,7 @@ def texts() -> list[tuple[str, str]]:
     return found
 
 
-def test_the_patterns_know_a_machine_path_and_a_host() -> None:
+def test_the_patterns_know_a_machine_path_and_a_host():
     slash, dot = "/", "."
     assert MACHINE_PATH.search(f'open("{slash}home/ada/scenes")')
     assert MACHINE_PATH.search(f"{slash}work{slash}main")
@@ -56,12 +51,12 @@ def test_the_patterns_know_a_machine_path_and_a_host() -> None:
     assert LOCKS_WITH_ADDRESSES.search("docs/uv.lock")
 
 
-def test_no_file_holds_a_path_of_one_machine() -> None:
+def test_no_file_holds_a_path_of_one_machine():
     found = [name for name, text in texts() if MACHINE_PATH.search(text)]
     assert not found
 
 
-def test_no_file_names_a_registry_host() -> None:
+def test_no_file_names_a_registry_host():
     found = [name for name, text in texts() if REGISTRY_HOST.search(text)]
     assert not found
 
@@ -70,7 +65,7 @@ def test_no_file_names_a_registry_host() -> None:
 LOCK, NODEPS = "requirements.lock", "requirements-nodeps.lock"
 
 
-def test_no_lock_file_with_addresses_is_in_the_repository() -> None:
+def test_no_lock_file_with_addresses_is_in_the_repository():
     names = [name for name, _ in texts()]
     assert {LOCK, NODEPS} <= set(names)
     assert not [name for name in names if LOCKS_WITH_ADDRESSES.search(name)]
@@ -91,7 +86,7 @@ def locked(*files: str) -> dict[str, str]:
     return {re.split(r"[=\s]", entry)[0]: entry for entry in entries}
 
 
-def test_every_locked_package_has_one_version_and_a_hash() -> None:
+def test_every_locked_package_has_one_version_and_a_hash():
     entries = locked()
     assert len(entries) > 20
     for entry in entries.values():
@@ -99,7 +94,7 @@ def test_every_locked_package_has_one_version_and_a_hash() -> None:
         assert re.search(r"--hash=sha256:[0-9a-f]{64}\b", entry), entry
 
 
-def test_the_lock_holds_every_declared_dependency_at_an_allowed_version() -> None:
+def test_the_lock_holds_every_declared_dependency_at_an_allowed_version():
     from packaging.requirements import Requirement
     from packaging.utils import canonicalize_name
 
@@ -153,12 +148,12 @@ def versions(*files: str) -> dict[str, str]:
     return {name: entry.split("==")[1].split()[0] for name, entry in locked(*files).items()}
 
 
-def test_pip_finds_all_that_locked_packages_need_in_the_lock() -> None:
+def test_pip_finds_all_that_locked_packages_need_in_the_lock():
     held = versions(LOCK)
     assert not list(unmet(dict.fromkeys(held, ()), held))
 
 
-def test_only_overridden_needs_of_the_packages_without_dependencies_are_not_locked() -> None:
+def test_only_overridden_needs_of_the_packages_without_dependencies_are_not_locked():
     table = tomllib.loads((ROOT / "pyproject.toml").read_text())
     overridden = {text.split(";")[0] for text in table["tool"]["uv"]["override-dependencies"]}
     held = versions()
@@ -167,20 +162,20 @@ def test_only_overridden_needs_of_the_packages_without_dependencies_are_not_lock
     assert {name.replace("_", "-") for name in missing} == overridden
 
 
-def test_a_package_taken_out_of_the_lock_is_missed() -> None:
+def test_a_package_taken_out_of_the_lock_is_missed():
     held = versions(LOCK)
     del held["llvmlite"]
     assert [text.split()[0] for text in unmet({"numba": ()}, held)] == ["numba"]
 
 
-def test_the_extra_all_is_all_extras_that_users_want_but_what_is_too_large() -> None:
+def test_the_extra_all_is_all_extras_that_users_want_but_what_is_too_large():
     table = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras = table["project"]["optional-dependencies"]
     inside = [name for name in extras if name not in ("all", *TOO_LARGE, *FOR_DEVELOPERS)]
     assert extras["all"] == [f"scenec[{','.join(inside)}]"]
 
 
-def test_the_source_links_are_relative_and_complete() -> None:
+def test_the_source_links_are_relative_and_complete():
     inside = [p for p in (ROOT / "src" / "scenec").iterdir() if p.name != "__pycache__"]
     assert [path.name for path in inside if not path.is_symlink()] == ["__init__.py"]
     links = {path.name: path.readlink() for path in inside if path.is_symlink()}

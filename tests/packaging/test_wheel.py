@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import sys
 import sysconfig
 import tarfile
@@ -12,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from scenec.testing.processes import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("schemas", "compiler", "backends", "datasets", "quality", "settle", "importers", "api",
@@ -53,20 +54,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.invariant]
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(*command, cwd=cwd, env={**os.environ, **environment})
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory):
     """A wheel and an sdist, built from a copy so that no build/ stays in the checkout."""
     copy = tmp_path_factory.mktemp("checkout")
     for name in SOURCES:
@@ -98,7 +92,7 @@ def modules() -> set[str]:
     return names | {f"scenec/{path.relative_to(ROOT)}" for path in data}
 
 
-def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -> None:
+def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built):
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
@@ -110,14 +104,14 @@ def test_the_wheel_holds_every_module_and_schema_and_nothing_else(built: Path) -
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= metadata
 
 
-def test_the_source_distribution_holds_every_module_and_schema(built: Path) -> None:
+def test_the_source_distribution_holds_every_module_and_schema(built):
     (sdist,) = built.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {member.name.split("/", 1)[-1] for member in archive.getmembers()}
     assert {f"src/{name}" for name in modules()} <= names
 
 
-def test_the_installed_wheel_works_outside_the_checkout(built: Path, tmp_path: Path) -> None:
+def test_the_installed_wheel_works_outside_the_checkout(built, tmp_path):
     (wheel,) = built.glob("*.whl")
     venv = tmp_path / "venv"
     run(sys.executable, "-m", "venv", "--without-pip", venv, cwd=tmp_path)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from PIL import Image
 
 #: Where tools/browser.sh puts one.
 FETCHED = Path(__file__).parents[2] / ".venv" / "browser"
@@ -55,3 +60,29 @@ def open_browser() -> Iterator:
             yield browser
         finally:
             browser.close()
+
+
+@contextmanager
+def opened_page(browser, file: Path, width: int = 1200, height: int = 800, **context) -> Iterator:
+    """A page of ours that fails the test if it logs an error or asks for anything but itself."""
+    made = browser.new_context(viewport={"width": width, "height": height}, offline=True, **context)
+    page, errors = made.new_page(), []
+    # Ten minutes: a page that gets nowhere, and no machine that is slow.
+    page.set_default_timeout(600_000)
+    page.on("console", lambda m: m.type in ("error", "warning") and errors.append(m.text))
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("request", lambda r: r.url.startswith("http") and errors.append(r.url))
+    try:
+        page.goto(file.as_uri())
+        page.wait_for_selector("body[data-ready]")
+        yield page
+    finally:
+        made.close()
+    assert errors == []
+
+
+def canvas_pixels(page, selector: str) -> NDArray[np.uint8]:
+    """What a canvas shows, uint8 [h, w, 3]."""
+    address = page.eval_on_selector(selector, "c => c.toDataURL()")
+    picture = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
+    return np.asarray(picture.convert("RGB"))

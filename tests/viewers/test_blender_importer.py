@@ -14,6 +14,7 @@ from pxr import Usd, UsdGeom
 from scenec.backends.stage.implicit import ERROR
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
+from scenec.testing.foreign_stages import new_stage
 
 pytestmark = [
     pytest.mark.slow,
@@ -146,10 +147,7 @@ _SHAPES: list[tuple[str, dict[str, float | str]]] = [
 
 def test_points_of_its_implicit_shapes_lie_on_ours(tmp_path):
     path = tmp_path / "shapes.usda"
-    stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+    stage = new_stage(path, "/Root")
     for index, (kind, attributes) in enumerate(_SHAPES):
         prim = stage.DefinePrim(f"/Root/shape_{index}", kind)
         for name, value in attributes.items():

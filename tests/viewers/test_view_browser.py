@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import re
 import shutil
@@ -12,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import open_browser
-from PIL import Image
+from browser import canvas_pixels, open_browser, opened_page
 
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, viridis
 from scenec.datasets.view.ground import Ground
@@ -72,46 +69,12 @@ def chromium() -> Iterator:
 
 @pytest.fixture
 def page(chromium, page_file) -> Iterator:
-    with Opened(chromium, page_file) as found:
+    with opened_page(chromium, page_file) as found:
         yield found
-
-
-class Opened:
-    """A page that fails the test if it logs an error or asks for anything but itself."""
-
-    def __init__(self, chromium, path: Path, width: int = 1200, height: int = 800, **context):
-        self._context = chromium.new_context(
-            viewport={"width": width, "height": height}, offline=True, **context
-        )
-        self._path = path
-        self.errors: list[str] = []
-
-    def __enter__(self):
-        page = self._context.new_page()
-        # Ten minutes: a page that gets nowhere, and no machine that is slow.
-        page.set_default_timeout(600_000)
-        page.on("console", lambda m: m.type in ("error", "warning") and self.errors.append(m.text))
-        page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("request", lambda r: r.url.startswith("http") and self.errors.append(r.url))
-        page.goto(self._path.as_uri())
-        page.wait_for_selector("body[data-ready]")
-        return page
-
-    def __exit__(self, kind, *_: object) -> None:
-        self._context.close()
-        if kind is None:
-            assert self.errors == []
 
 
 def painted(page, pass_name: str) -> None:
     page.wait_for_selector(f'#sheet canvas[data-pass="{pass_name}"][data-done]')
-
-
-def pixels(page, selector: str) -> np.ndarray:
-    """What a canvas shows, uint8 [h, w, 3]."""
-    address = page.eval_on_selector(selector, "c => c.toDataURL()")
-    picture = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
-    return np.asarray(picture.convert("RGB"))
 
 
 def frame_at(out: Path, page) -> dict[str, np.ndarray]:
@@ -143,22 +106,22 @@ def test_each_layer_has_the_colors_of_the_contact_sheet(page, out):
     for level, names in made_output.LABELS.items():
         open_layer(page, f"label.{level}")
         colors = label_colors(list(names))
-        shown = pixels(page, "#large")
+        shown = canvas_pixels(page, "#large")
         wanted = np.array([colors[i] for i in passes[f"label.{level}"].ravel().tolist()])
         assert (shown.reshape(-1, 3) == wanted).all()
     open_layer(page, "instance")
-    difference = pixels(page, "#large").astype(int) - paint_instances(passes["instance"])
+    difference = canvas_pixels(page, "#large").astype(int) - paint_instances(passes["instance"])
     assert np.abs(difference).max() <= 1
     open_layer(page, "depth")
     near, far = page.eval_on_selector_all(
         "#facts .ticks span", "all => [all[0], all.at(-1)].map(e => parseFloat(e.textContent))"
     )
-    difference = pixels(page, "#large").astype(int) - paint_depth(passes["depth"], near, far)
+    difference = canvas_pixels(page, "#large").astype(int) - paint_depth(passes["depth"], near, far)
     # The page looks colors up in a table of 256.
     assert np.abs(difference).max() <= 4
     assert np.ptp(viridis(np.linspace(0, 1, 9)).astype(int)) > 100
     open_layer(page, "normal")
-    shown = pixels(page, "#large").astype(int)
+    shown = canvas_pixels(page, "#large").astype(int)
     assert np.abs(shown[-1, -1] - 127.5 * (1 + np.array([0.6, 0.0, 0.8]))).max() <= 2
     assert (shown[0, 0] == 255).all()
 
@@ -172,8 +135,8 @@ def test_toggles_change_what_tiles_show(page):
     assert names == ["rgb", "label.class"]
     assert page.locator('#sheet canvas[data-pass="rgb"]').count() <= before
     rgb, label = (
-        pixels(page, '#t0 [data-pass="rgb"]'),
-        pixels(page, '#t0 [data-pass="label.class"]'),
+        canvas_pixels(page, '#t0 [data-pass="rgb"]'),
+        canvas_pixels(page, '#t0 [data-pass="label.class"]'),
     )
     assert len(np.unique(rgb.reshape(-1, 3), axis=0)) > 100
     assert len(np.unique(label.reshape(-1, 3), axis=0)) <= 3
@@ -300,10 +263,10 @@ def test_a_class_is_highlighted_and_frames_are_sorted_by_it(page, out):
     page.focus("#grid")
     page.keyboard.press("Enter")
     open_layer(page, "label.class")
-    before = pixels(page, "#large").astype(int)
+    before = canvas_pixels(page, "#large").astype(int)
     page.click('#facts [data-level="class"][data-id="3"]')
     page.wait_for_selector('#large[data-done$="/label.class"]')
-    after = pixels(page, "#large").astype(int)
+    after = canvas_pixels(page, "#large").astype(int)
     rock = frame_at(out, page)["label.class"] == 3
     assert (before[rock] == after[rock]).all()
     assert (np.abs(before[~rock] - after[~rock]).sum(axis=1) > 60).all()
@@ -320,7 +283,7 @@ def test_the_map_selects_the_frame_under_the_pointer(page):
     page.keyboard.press("m")
     page.wait_for_selector("#map-bar select")
     box = page.locator("#map-canvas").bounding_box()
-    colors = np.unique(pixels(page, "#map-canvas").reshape(-1, 3), axis=0)
+    colors = np.unique(canvas_pixels(page, "#map-canvas").reshape(-1, 3), axis=0)
     assert len(colors) > 500
     # Poses of sample s stand at (1 + s, -2); the ground reaches from -3.1 to 9.1, -4.1 to 4.1.
     scale = min((box["width"] - 40) / 12.2, (box["height"] - 40) / 8.2)
@@ -376,7 +339,7 @@ def test_reloading_comes_back_to_the_same_frame(page):
 @pytest.mark.parametrize("width", [400, 2500])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nothing_sticks_out_at_any_width(chromium, page_file, width, scheme):
-    with Opened(chromium, page_file, width, 700, color_scheme=scheme) as page:
+    with opened_page(chromium, page_file, width, 700, color_scheme=scheme) as page:
         dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
         assert (sum(map(int, re.findall(r"\d+", dark))) < 200) == (scheme == "dark")
         for key in ("f", "m", "s"):
@@ -423,7 +386,7 @@ def test_ten_thousand_frames_scroll_with_a_few_tiles(chromium, tmp_path):
     told = json.dumps(index, ensure_ascii=False).replace("<", "\\u003c")
     parts = [text[:start], *more, f'{element}index">', told, text[end:]]
     (tmp_path / "many.html").write_text("".join(parts), encoding="utf-8")
-    with Opened(chromium, tmp_path / "many.html") as page:
+    with opened_page(chromium, tmp_path / "many.html") as page:
         assert page.text_content("#counts") == "10,000 frames"
         for part in (0.3, 0.9, 0.5):
             page.evaluate(f"document.querySelector('#grid').scrollTop = "

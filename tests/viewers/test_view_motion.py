@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import open_browser
+from browser import canvas_pixels, open_browser, opened_page
 from numpy.typing import NDArray
-from PIL import Image
 from sensor_frames import add_sensor, on_disk
 
 from scenec.datasets import motion_colors
@@ -54,26 +51,17 @@ def out(tmp_path_factory) -> Path:
 def page(out: Path) -> Iterator:
     path = out / "view.html"
     write_view(out, path)
-    errors: list[str] = []
-    with open_browser() as browser:
-        page = browser.new_page(viewport={"width": 1300, "height": 900}, offline=True)
-        page.on("console", lambda m: m.type in ("error", "warning") and errors.append(m.text))
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(path.as_uri())
-        page.wait_for_selector("body[data-ready]")
+    with open_browser() as browser, opened_page(browser, path, 1300, 900) as page:
         page.focus("#grid")
         page.keyboard.press("Enter")
         page.wait_for_selector("#readout .hint")
         yield page
-        assert errors == []
 
 
 def shown(page, layer: str) -> NDArray[np.int64]:
     page.click(f'#viewer-bar [data-pass="{layer}"]')
     page.wait_for_selector(f'#large[data-done$="/{layer}"]')
-    address = page.eval_on_selector("#large", "c => c.toDataURL()")
-    picture = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
-    return np.asarray(picture.convert("RGB")).astype(np.int64)
+    return canvas_pixels(page, "#large").astype(np.int64)
 
 
 def scale(page, name: str) -> float:
@@ -146,11 +134,3 @@ def test_the_picture_is_the_sensors_with_the_clean_one_and_raw_numbers_beside_it
     for column, row in ((0, 0), (59, 39), (17, 23)):
         told = hover(page, column, row)["raw"].replace(",", "")
         assert int(told) == wanted["raw"][row, column]
-
-
-def test_legends_say_scale_unit_and_what_black_is(page):
-    text = page.inner_text("#facts")
-    for part in ("px at the rim", "black: not a number", "red x right", "Occlusion",
-                 "something stands before it"):  # fmt: skip
-        assert part in text
-    assert page.locator("#facts .wheel canvas").count() == 2

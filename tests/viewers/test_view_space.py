@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from browser import open_browser
-from PIL import Image
+from browser import canvas_pixels, open_browser, opened_page
 
 from scenec.datasets.colors import label_colors, paint_instances
 from scenec.datasets.view.ground import Ground
@@ -70,22 +67,14 @@ def page(tmp_path_factory) -> Iterator:
         folder / "out", lambda number: made_output.some_passes(number, 48, 32), samples=1
     )
     write_view(out, folder / "view.html", ground=ground)
-    with open_browser() as browser:
-        context = browser.new_context(viewport={"width": 900, "height": 640}, offline=True)
-        page = context.new_page()
-        page.set_default_timeout(600_000)
-        errors: list[str] = []
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("request", lambda r: r.url.startswith("http") and errors.append(r.url))
-        page.goto((folder / "view.html").as_uri())
-        page.wait_for_selector("body[data-ready]")
+    page_file = folder / "view.html"
+    with open_browser() as browser, opened_page(browser, page_file, 900, 640) as page:
         page.click("#tab-space")
         page.wait_for_selector("#space-canvas[data-drawn]")
         for what in ("cameras", "suns"):
             page.uncheck(f'[data-show="{what}"]')
         page.click('[data-camera="rover_front"]')
         yield page
-        assert errors == []
 
 
 def shown(page, mode: str) -> np.ndarray:
@@ -93,9 +82,7 @@ def shown(page, mode: str) -> np.ndarray:
     page.eval_on_selector("#space-canvas", "c => delete c.dataset.drawn")
     page.select_option("#space-mode", mode)
     page.wait_for_selector(f'#space-canvas[data-drawn*=" {mode} "]')
-    address = page.eval_on_selector("#space-canvas", "c => c.toDataURL()")
-    picture = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
-    return np.asarray(picture.convert("RGB")).astype(float)
+    return canvas_pixels(page, "#space-canvas").astype(float)
 
 
 def places(page, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from browser import open_browser
+from browser import open_browser, opened_page
 
 from scenec.datasets.view.page import write_view
 from scenec.datasets.view.watching import sign_of, write_sign
@@ -23,11 +23,7 @@ def test_an_open_page_shows_what_is_written_anew(tmp_path: Path):
     second = made_output.make_output(tmp_path / "second", passes, samples=2)
     write_view(first, page_file, watched="one")
     write_sign(page_file, "one")
-    with open_browser() as browser:
-        page = browser.new_context(offline=True).new_page()
-        page.set_default_timeout(600_000)
-        page.goto(page_file.as_uri())
-        page.wait_for_selector("body[data-ready]")
+    with open_browser() as browser, opened_page(browser, page_file) as page:
         before = page.text_content("#counts")
         write_view(second, page_file, watched="two")
         write_sign(page_file, "two")

@@ -8,7 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenec.compiler.cameras.paths.motion import Around, Built, frames, level_bearing, poses
+from scenec.compiler.cameras.paths.motion import (
+    MotionContext,
+    RigPoses,
+    frames,
+    level_bearing,
+    poses,
+)
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds import Finding, Node, forms, key
 
@@ -67,28 +73,30 @@ class Descent:
                 "entry_height_m",
             )
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         down = self.entry_height_m - self.touchdown_height_m
         v0, v1 = self.entry_speed_m_s, self.touchdown_speed_m_s
         duration = 2.0 * down / (v0 + v1)
         brake = (v0 - v1) / duration if duration > 0.0 else 0.0
-        times = self.sampling.times(duration, around.samples, around.what)
+        times = self.sampling.times(duration, context.samples, context.what)
         left = duration - times
         point = np.array([[self.x_m, self.y_m]])
-        around.require_on_terrain(point, "the touchdown point")
+        context.require_on_terrain(point, "the touchdown point")
         # Back from touchdown, so that it ends there to the last bit.
         drift = 0.5 * self.drift_m_s / duration * left * left if duration > 0.0 else 0.0 * left
         xy = point - drift[:, None] * level_bearing(self.drift_deg)
         above = self.touchdown_height_m + left * (v1 + 0.5 * brake * left)
-        ground = float(around.ground(point)[0])
+        ground = float(context.ground(point)[0])
         z = ground + above
-        clearance = z - around.ground(xy)
+        clearance = z - context.ground(xy)
         if not (clearance > 0.0).all():
             k = int(np.flatnonzero(~(clearance > 0.0))[0])
             expected = "less drift, or another point"
-            raise around.below_ground(k, times[k], xy[k], -clearance[k], expected)
+            raise context.below_ground(k, times[k], xy[k], -clearance[k], expected)
         bearing = np.tile(level_bearing(self.heading_deg), (len(times), 1))
         facts = {"duration_s": duration, "deceleration_m_s2": brake,
                  "lowest_m": float(clearance.min())}  # fmt: skip
-        return Built(poses(np.column_stack([xy, z]), frames(bearing, self.pitch_deg)), times, facts)
+        return RigPoses(
+            poses(np.column_stack([xy, z]), frames(bearing, self.pitch_deg)), times, facts
+        )

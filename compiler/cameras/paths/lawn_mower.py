@@ -9,7 +9,7 @@ import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.legs import Legs, Pen
-from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, frames, poses
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.lenses import strip_width
 from scenec.compiler.kinds import forms, key
@@ -66,38 +66,38 @@ class LawnMower:
     sampling: Sampling = key(forms.SAMPLING)
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
-        lines, spacing = self._lines(around)
+        lines, spacing = self._lines(context)
         legs = self._way(lines, spacing)
         duration = legs.duration_s
-        times = self.sampling.times(duration, around.samples, around.what)
+        times = self.sampling.times(duration, context.samples, context.what)
         xy, heading = legs.at(times)
-        around.require_on_terrain(xy, "the survey")
-        ground = around.ground(xy)
+        context.require_on_terrain(xy, "the survey")
+        ground = context.ground(xy)
         if self.above == "ground":
             z = ground + self.height_m
         elif self.above == "mean":
             # Of the whole way, whatever samples are taken of it.
             fine = np.arange(1025, dtype=np.float64) * (duration / 1024.0)
-            z = np.full(len(times), float(around.ground(legs.at(fine)[0]).mean()) + self.height_m)
+            z = np.full(len(times), float(context.ground(legs.at(fine)[0]).mean()) + self.height_m)
         else:
             z = np.full(len(times), self.height_m)
         lowest = float((z - ground).min())
         if lowest <= 0.0:
             k = int((z - ground).argmin())
             expected = f"a larger height_m than {self.height_m:g}"
-            raise around.below_ground(k, times[k], xy[k], -lowest, expected)
+            raise context.below_ground(k, times[k], xy[k], -lowest, expected)
         facts = {"lines": lines, "spacing_m": spacing, "length_m": float(legs.length.sum()),
                  "duration_s": duration, "lowest_m": lowest}  # fmt: skip
         position = np.column_stack([xy, z])
-        return Built(poses(position, frames(heading, self.pitch_deg)), times, facts)
+        return RigPoses(poses(position, frames(heading, self.pitch_deg)), times, facts)
 
-    def _lines(self, around: Around) -> tuple[int, float]:
-        """How many lines, and their spacing: evened out, so that the outer ones lie on the edge."""
+    def _lines(self, context: MotionContext) -> tuple[int, float]:
+        """Returns the number and spacing of lines, of which the outer ones are on the edge."""
         spacing = self.spacing_m
         if spacing is None:
-            sensor = around.sensors[0]
+            sensor = context.sensors[0]
             spacing = (1.0 - self.overlap) * self.height_m
             if sensor.lens is None:
                 spacing *= sensor.resolution[0]
@@ -106,14 +106,14 @@ class LawnMower:
                 width = strip_width(sensor.lens, sensor.intrinsics, sensor.resolution[0])
                 if width is None:
                     raise SceneError(
-                        f"{around.what}: sensor {sensor.name} sees too wide a strip for an "
+                        f"{context.what}: sensor {sensor.name} sees too wide a strip for an "
                         "overlap: expected spacing_m in its place"
                     )
                 spacing *= width
         gaps = float(np.ceil(self.across_m / spacing * (1.0 - 1e-12)))
         if gaps >= _MOST_LINES:
             raise SceneError(
-                f"{around.what}: a spacing of {spacing:.4g} m makes {gaps:.3g} lines: expected "
+                f"{context.what}: a spacing of {spacing:.4g} m makes {gaps:.3g} lines: expected "
                 f"fewer than {_MOST_LINES}"
             )
         count = int(gaps) + 1

@@ -33,7 +33,7 @@ class Legs:
 
     @property
     def duration_s(self) -> float:
-        """Of all."""
+        """Returns the duration of all legs together."""
         return float(np.cumsum(np.append(0.0, self.seconds))[-1])
 
     def at(self, time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -84,7 +84,7 @@ class Pen:
         self.heading += turn
 
     def done(self) -> Legs:
-        """What was laid; a way without length has one leg that takes no time."""
+        """Returns the legs; a path without length has one leg that takes no time."""
         rows = self._rows or [(float(self.at[0]), float(self.at[1]), self.heading, 0.0, 0.0, 0.0)]
         return self._legs(rows)
 

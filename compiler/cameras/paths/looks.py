@@ -50,7 +50,7 @@ class LookPoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class PoseLimits:
     """What a random pose must keep; what is left out is not asked."""
 
     EXAMPLE: ClassVar = {"clearance_m": 0.3, "max_sky": 0.4}

@@ -9,7 +9,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Around, Built, bearing_of, frames, poses
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, bearing_of, frames, poses
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.rotations import products, upright_to
@@ -69,53 +69,53 @@ class Mav:
         u = context.uniforms("goals", self.goals, 2)
         return replace(self, drawn=(u - 0.5) * (1.0 - 2.0 * self.margin))
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         if self.waypoints_m is not None:
             points = np.array(self.waypoints_m, np.float64)
         else:
-            points = self.drawn * np.array(around.surface.field.grid.size_m)
-        around.require_on_terrain(points, "a waypoint")
+            points = self.drawn * np.array(context.surface.field.grid.size_m)
+        context.require_on_terrain(points, "a waypoint")
         points = points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
         if len(points) == 1:
-            return self._hovering(points, around)
+            return self._hovering(points, context)
         way = points[1:] - points[:-1]
         chords = np.sqrt((way * way).sum(axis=1))
         # Centripetal (Lee 1989): the curve swings out least where long and short legs meet.
         plan = Spline.through(np.cumsum(np.append(0.0, np.sqrt(chords))), points)
-        height, lowest = self._height(plan, float(chords.sum()), around)
+        height, lowest = self._height(plan, float(chords.sum()), context)
         plan, height = within(
             (plan, height), self.speed_m_s, self.acceleration_m_s2, self.jerk_m_s3
         )
         duration = float(plan.time_s[-1])
-        times = self.sampling.times(duration, around.samples, around.what)
+        times = self.sampling.times(duration, context.samples, context.what)
         position = np.column_stack([plan.at(times), height.at(times)])
-        around.require_on_terrain(position[:, :2], "the flight between its waypoints")
+        context.require_on_terrain(position[:, :2], "the flight between its waypoints")
         speed, acceleration, jerk = largest((plan, height))
         facts = {"duration_s": duration, "speed_m_s": speed, "acceleration_m_s2": acceleration,
                  "jerk_m_s3": jerk, "lowest_m": lowest}  # fmt: skip
         axes = frames(self._bearing(plan, times), self.pitch_deg)
         if self.tilt:
             axes = self._tilted(axes, np.column_stack([plan.at(times, 2), height.at(times, 2)]))
-        return Built(poses(position, axes), times, facts)
+        return RigPoses(poses(position, axes), times, facts)
 
-    def _hovering(self, points: NDArray[np.float64], around: Around) -> Built:
+    def _hovering(self, points: NDArray[np.float64], context: MotionContext) -> RigPoses:
         """A flight without a way: it stays, looking north."""
-        z = float(around.ground(points)[0]) + self.height_m
-        position = np.tile([points[0, 0], points[0, 1], z], (around.samples, 1))
-        north = np.tile([0.0, 1.0], (around.samples, 1))
-        return Built(
+        z = float(context.ground(points)[0]) + self.height_m
+        position = np.tile([points[0, 0], points[0, 1], z], (context.samples, 1))
+        north = np.tile([0.0, 1.0], (context.samples, 1))
+        return RigPoses(
             poses(position, frames(north, self.pitch_deg)),
             None,
             {"duration_s": 0.0, "lowest_m": self.height_m},
         )
 
-    def _height(self, plan: Spline, length: float, around: Around) -> tuple[Spline, float]:
+    def _height(self, plan: Spline, length: float, context: MotionContext) -> tuple[Spline, float]:
         """The spline of heights over the plan's own parameter, and how near it comes to ground."""
         keys = min(max(int(np.ceil(length / self.follow_m)), 1), _LOOKS // 8)
         per_key = 8
         looks = plan.time_s[-1] * np.arange(keys * per_key + 1) / (keys * per_key)
-        ground = around.ground(plan.at(looks))
+        ground = context.ground(plan.at(looks))
         # Each key stands above the highest ground of the steps on both of its sides.
         padded = np.concatenate([np.full(per_key, ground[0]), ground, np.full(per_key, ground[-1])])
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * per_key + 1)
@@ -140,7 +140,7 @@ class Mav:
         k = int(above.argmin())
         x, y = plan.at(looks[k : k + 1])[0]
         raise SceneError(
-            f"{around.what}: at ({x:.6g}, {y:.6g}) m the flight is {above[k]:.4g} m above the "
+            f"{context.what}: at ({x:.6g}, {y:.6g}) m the flight is {above[k]:.4g} m above the "
             f"ground, and cannot be lifted to clearance_m ({self.clearance_m:g} m): expected a "
             f"larger height_m than {self.height_m:g}, or a smaller follow_m than {self.follow_m:g}"
         )

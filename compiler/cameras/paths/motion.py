@@ -15,7 +15,7 @@ from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
     # A cfg is checked by modules that import this one: it is to be light.
-    from scenec.compiler.mesh.surface import Surface
+    from scenec.compiler.mesh.surface import GroundSurface
     from scenec.compiler.scene.objects import Placed, Prototype, Scatter
     from scenec.compiler.scene.rig import Lidar, Sensor
 
@@ -23,7 +23,7 @@ _DEGREE = elementary.PI / 180.0
 
 
 @dataclass(frozen=True)
-class Bodies:
+class MotionBodies:
     """One class's objects, by rising id.
 
     Attributes:
@@ -42,7 +42,7 @@ class Bodies:
     prototype: NDArray[np.int32]
     prototypes: tuple[Prototype, ...]
 
-    def only(self, which: NDArray[np.bool_]) -> Bodies:
+    def only(self, which: NDArray[np.bool_]) -> MotionBodies:
         """Some of them, bool [n]."""
         return replace(
             self,
@@ -54,24 +54,26 @@ class Bodies:
         )
 
 
-def bodies_of(objects: Scatter | Placed) -> Bodies:
+def bodies_of(objects: Scatter | Placed) -> MotionBodies:
     """The objects of one class; of one that moves, where it is at the first sample."""
     from scenec.compiler.scene.objects import Scatter
 
     middle, radius = objects.balls()
     if isinstance(objects, Scatter):
         turn = turned(objects.orientations, objects.scales)
-        return Bodies(objects.ids, middle, radius, turn, objects.prototype, objects.prototypes)
+        return MotionBodies(
+            objects.ids, middle, radius, turn, objects.prototype, objects.prototypes
+        )
     step = len(middle) // objects.count if objects.count else 1
     turn = objects.to_world[:, 0, :, :3].astype(np.float32)
-    return Bodies(
+    return MotionBodies(
         objects.ids, middle[::step], radius[::step], turn, objects.prototype, objects.prototypes
     )
 
 
 @dataclass(frozen=True)
-class Around:
-    """What a motion is made in.
+class MotionContext:
+    """Holds what a motion is computed from.
 
     Attributes:
         what: Who asks, for messages: "rigs/rover/pose".
@@ -81,9 +83,9 @@ class Around:
 
     what: str
     samples: int
-    surface: Surface
+    surface: GroundSurface
     sensors: tuple[Sensor, ...] = ()
-    bodies: Mapping[str, Bodies] = field(default_factory=dict)
+    bodies: Mapping[str, MotionBodies] = field(default_factory=dict)
     exposing: bool = False
     lidars: tuple[Lidar, ...] = ()
 
@@ -94,7 +96,7 @@ class Around:
     def below_ground(
         self, k: int, time_s: float, xy: NDArray[np.float64], depth_m: float, expected: str
     ) -> SceneError:
-        """What is wrong with a pose at a point [2] that lies so far below the ground."""
+        """Returns the error for a pose at a point [2] that is ``depth_m`` below the ground."""
         place = f"{self.named(k, time_s)}, at ({xy[0]:.6g}, {xy[1]:.6g}) m,"
         return SceneError(
             f"{self.what}: {place} is {depth_m:.4g} m below the ground: expected {expected}"
@@ -122,7 +124,7 @@ class Around:
 
 
 class Way(NamedTuple):
-    """How a rig moves.
+    """Describes a rig's motion at any time.
 
     Attributes:
         at: Rig-to-world matrices [n, 4, 4] at seconds [n] after the motion's beginning.
@@ -134,7 +136,7 @@ class Way(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Built:
+class RigPoses:
     """A motion's poses.
 
     Attributes:
@@ -149,14 +151,14 @@ class Built:
     way: Way | None = None
 
 
-class Motion(Protocol):
-    """How a rig moves."""
+class RigMotion(Protocol):
+    """Computes the poses of a rig."""
 
     @property
     def needs_objects(self) -> bool:
         """Whether it depends on where objects are."""
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses.
 
         Raises:

@@ -1,6 +1,6 @@
 """Finds what stands in a vehicle's way: geometry between the ground and its top.
 
-An object is the cubes that hold its prototype (``scatter.voxels``), each as the ball around it in
+An object is the cubes that hold its prototype (``geometry.voxels``), each as the ball around it in
 the world. A ball is in the way of a vehicle at a cell where some of it is between the lowest ground
 that the wheels can be on there and the highest that the vehicle then reaches. Balls hold cubes and
 cubes hold triangles, so what is free is free; what is refused is at most ``slack_m`` too near.
@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Bodies
+from scenec.compiler.cameras.paths.motion import MotionBodies
 from scenec.compiler.geometry.voxels import voxels_of
 from scenec.schemas.kernels import inlined, kernel
 
@@ -30,7 +30,7 @@ _ROUNDING: Final = 1e-6
 
 
 class Band(NamedTuple):
-    """Where a vehicle is when its middle is in a cell.
+    """Bounds the room that a vehicle takes when its middle is in a cell.
 
     Attributes:
         frame: Corner of the first cell and the cells' size: x, y, width, height, float64 [4].
@@ -55,7 +55,7 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Those objects of one class that are not driven over.
+    """Holds the objects of one class that a vehicle drives around.
 
     Attributes:
         points: Middles of the cubes of all prototypes, float64 [m, 3].
@@ -64,7 +64,7 @@ class Obstacles:
     """
 
     name: str
-    bodies: Bodies
+    bodies: MotionBodies
     points: NDArray[np.float64]
     first: NDArray[np.int64]
     half: NDArray[np.float64]
@@ -81,15 +81,15 @@ class Obstacles:
         _block(free, tuple(band), float(band.reach.max()), self._shapes())
 
     def slack_m(self) -> float:
-        """How much nearer an object may seem than it is: the diagonal of the largest cube."""
+        """Bounds how much nearer an object may seem than it is: the largest cube's diagonal."""
         largest = _sizes(self.bodies.turn) * self.half[self.bodies.prototype]
         return 2.0 * float(largest.max(initial=0.0))
 
 
 def obstacles_of(
-    bodies: Mapping[str, Bodies], largest_m: float, cell_m: float
+    bodies: Mapping[str, MotionBodies], largest_m: float, cell_m: float
 ) -> tuple[Obstacles, ...]:
-    """What is to be driven around.
+    """Selects the objects to drive around.
 
     Args:
         largest_m: Those whose ball has a larger radius are driven around.
@@ -182,7 +182,7 @@ def _block(free, band, widest, shapes):  # type: ignore[no-untyped-def]
 
 @kernel
 def _distances(xy, low, high, shapes):  # type: ignore[no-untyped-def]
-    """Of a point from each object's balls that are between two heights, in plan; inf without."""
+    """Returns distances in plan from a point to each object's balls between two heights, or inf."""
     middle, turn, hair, prototype, points, first, half = shapes
     out = np.full(len(middle), np.inf)
     for n in range(len(middle)):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Around, Built, poses, toward
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, poses, toward
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.kinds import Context, Finding, Node, an, forms, given, key, unknown
 from scenec.schemas.errors import SceneError
@@ -29,11 +29,11 @@ class PointAim:
     height_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Height above the ground there."""
 
-    def at(self, around: Around) -> NDArray[np.float64]:
-        """Where it is, float64 [3]."""
+    def at(self, context: MotionContext) -> NDArray[np.float64]:
+        """Returns the point's position, float64 [3]."""
         xy = np.array([[self.x_m, self.y_m]])
-        around.require_on_terrain(xy, "center")
-        return np.array([self.x_m, self.y_m, float(around.ground(xy)[0]) + self.height_m])
+        context.require_on_terrain(xy, "center")
+        return np.array([self.x_m, self.y_m, float(context.ground(xy)[0]) + self.height_m])
 
 
 def _pick(context: Context) -> float:
@@ -46,7 +46,7 @@ class ObjectAim:
     """The middle of an object."""
 
     EXAMPLE: ClassVar = {"type": "object", "object": "lander"}
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "pose_look_object": {
             "DESCRIPTION": "The middle of an object; the ground may not stand before it."
         }
@@ -68,30 +68,30 @@ class ObjectAim:
         if known and name is not None and name not in objects:
             yield node.fault(unknown("class of objects", name, objects.entries), "object")
 
-    def picked(self, around: Around, pick_u: float) -> int:
+    def picked(self, context: MotionContext, pick_u: float) -> int:
         """Index of the object in its class, by its id or a number in [0, 1).
 
         Raises:
             SceneError: There is none.
         """
-        bodies = around.bodies[self.object]
+        bodies = context.bodies[self.object]
         if not len(bodies.id):
             raise SceneError(
-                f"{around.what}: there is no object of the class {self.object} to look at"
+                f"{context.what}: there is no object of the class {self.object} to look at"
             )
         if self.id is None:
             return min(int(pick_u * len(bodies.id)), len(bodies.id) - 1)
         found = np.flatnonzero(bodies.id == self.id)
         if not found.size:
             raise SceneError(
-                f"{around.what}: no object of the class {self.object} has the id {self.id}: "
+                f"{context.what}: no object of the class {self.object} has the id {self.id}: "
                 f"expected one of {int(bodies.id.min())} to {int(bodies.id.max())}"
             )
         return int(found[0])
 
-    def at(self, around: Around) -> NDArray[np.float64]:
-        """Where it is, float64 [3]."""
-        return around.bodies[self.object].middle[self.picked(around, self.pick_u)]
+    def at(self, context: MotionContext) -> NDArray[np.float64]:
+        """Returns the object's position, float64 [3]."""
+        return context.bodies[self.object].middle[self.picked(context, self.pick_u)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,32 +130,32 @@ class Orbit:
         """Whether it goes around one."""
         return isinstance(self.center, ObjectAim)
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
-        center = self.center.at(around)
+        center = self.center.at(context)
         duration = abs(self.sweep_deg) / 360.0 * self.period_s
-        times = self._times(duration, around)
+        times = self._times(duration, context)
         part = times / duration if duration > 0.0 else np.zeros(len(times))
         angle = (self.start_deg + self.sweep_deg * part) * elementary.PI / 180.0
         away = np.stack([elementary.sin_array(angle), elementary.cos_array(angle)], axis=1)
         xy = center[:2] + self.radius_m * away
-        lowest = around.ground(xy) + self.clearance_m
+        lowest = context.ground(xy) + self.clearance_m
         z = np.maximum(center[2] + self.height_m, lowest)
         position = np.column_stack([xy, z])
         way = center - position
         if not (way * way).sum(axis=1).all():
             raise SceneError(
-                f"{around.what}: radius_m and height_m are 0, so there is no direction to look in: "
-                "expected one of them to be more"
+                f"{context.what}: radius_m and height_m are 0, so there is no direction to look in"
+                ": expected one of them to be more"
             )
         facts = {"length_m": duration / self.period_s * 2.0 * elementary.PI * self.radius_m,
                  "duration_s": duration,
                  "lifted": int((z > center[2] + self.height_m).sum())}  # fmt: skip
-        return Built(poses(position, toward(way, -away)), times, facts)
+        return RigPoses(poses(position, toward(way, -away)), times, facts)
 
-    def _times(self, duration: float, around: Around) -> NDArray[np.float64]:
+    def _times(self, duration: float, context: MotionContext) -> NDArray[np.float64]:
         free = self.sampling == Sampling()
         if free and self.sweep_deg != 0.0 and self.sweep_deg % 360.0 == 0.0:
             # Whole turns end where they began: the last pose would be the first once more.
-            return duration * np.arange(around.samples) / around.samples
-        return self.sampling.times(duration, around.samples, around.what)
+            return duration * np.arange(context.samples) / context.samples
+        return self.sampling.times(duration, context.samples, context.what)

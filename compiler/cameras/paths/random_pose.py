@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.looks import Limits, LookDirection, LookPoint
+from scenec.compiler.cameras.paths.looks import LookDirection, LookPoint, PoseLimits
 from scenec.compiler.cameras.paths.motion import (
-    Around,
-    Bodies,
-    Built,
+    MotionBodies,
+    MotionContext,
+    RigPoses,
     frames,
     level_bearing,
     poses,
@@ -64,7 +64,7 @@ class RandomPose:
     """What it looks at."""
     roll_deg: Number = key(forms.TURN_PER_SAMPLE, default=0)
     """Turn about the line of sight, clockwise as the rig sees it."""
-    limits: Limits = key(an("pose_limits", drawn=True), default={})
+    limits: PoseLimits = key(an("pose_limits", drawn=True), default={})
     """What it must keep."""
     tries: int = key(forms.COUNT, default=200, at_least=1, at_most=100_000)
     """Poses that are drawn for a sample at most."""
@@ -83,28 +83,28 @@ class RandomPose:
         """The region's corners in order, or two opposite ones of a box, [n, 2]."""
         return np.array(self.region_m, np.float64)
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
-        around.require_on_terrain(self.polygon, "the region")
-        self._require_wide(around)
-        found = np.empty((around.samples, 4, 4))
-        rejected: list[dict[str, int]] = [{} for _ in range(around.samples)]
-        waiting = np.arange(around.samples)
+        context.require_on_terrain(self.polygon, "the region")
+        self._require_wide(context)
+        found = np.empty((context.samples, 4, 4))
+        rejected: list[dict[str, int]] = [{} for _ in range(context.samples)]
+        waiting = np.arange(context.samples)
         tried = 0
         # All samples at once: the ground is asked for many points in one call.
-        span = span_of(around.surface.field)
+        span = span_of(context.surface.field)
         cubes = {
             name: Cubes([p.mesh for p in bodies.prototypes])
-            for name, bodies in around.bodies.items()
+            for name, bodies in context.bodies.items()
         }
         for k in range(self.tries):
             if not len(waiting):
                 break
             tried += len(waiting)
-            drawn = self._drawn(around, waiting, k)
+            drawn = self._drawn(context, waiting, k)
             still = []
             for n, sample in enumerate(waiting.tolist()):
-                pose, why = self._judged(around, drawn, n, span, cubes)
+                pose, why = self._judged(context, drawn, n, span, cubes)
                 if pose is None:
                     rejected[sample][why] = rejected[sample].get(why, 0) + 1
                     still.append(sample)
@@ -116,7 +116,7 @@ class RandomPose:
             ranked = sorted(rejected[sample].items(), key=lambda item: (-item[1], item[0]))
             said = ", ".join(f"{count} {why}" for why, count in ranked)
             raise SceneError(
-                f"{around.what}: sample {sample}: none of {self.tries} drawn poses keeps the "
+                f"{context.what}: sample {sample}: none of {self.tries} drawn poses keeps the "
                 f"limits: {said}: expected wider limits, another region, or more tries"
             )
         in_all: dict[str, int] = {}
@@ -124,9 +124,9 @@ class RandomPose:
             for why, count in reasons.items():
                 in_all[why] = in_all.get(why, 0) + count
         facts = {"tries": tried, "rejected": dict(sorted(in_all.items()))}
-        return Built(found, None, facts)
+        return RigPoses(found, None, facts)
 
-    def _require_wide(self, around: Around) -> None:
+    def _require_wide(self, context: MotionContext) -> None:
         """Refuses polygons that are next to nothing of their box: no point of them is found.
 
         With a share of 1 %, 4096 points miss once in 10^18 times.
@@ -140,12 +140,12 @@ class RandomPose:
         )
         if area < 0.01 * width * height or area == 0.0:
             raise SceneError(
-                f"{around.what}: region_m has an area of {area:.3g} m² in a box of "
+                f"{context.what}: region_m has an area of {area:.3g} m² in a box of "
                 f"{width:g} m by {height:g} m: expected 1 % of the box or more, corners in order"
             )
 
-    def _drawn(self, around: Around, samples: NDArray[np.int64], k: int) -> _Drawn:
-        """What is drawn at try ``k`` of some samples."""
+    def _drawn(self, context: MotionContext, samples: NDArray[np.int64], k: int) -> _DrawnPoses:
+        """Draws try ``k`` of some samples."""
 
         def number(name: str, value: Number) -> NDArray[np.float64]:
             return at_uniforms(value, _uniforms(np.uint64(self.keys[name]), samples, k))
@@ -153,56 +153,61 @@ class RandomPose:
         xy = np.empty((len(samples), 2))
         keys = np.uint64(self.keys["place0"]), np.uint64(self.keys["place1"])
         _places(self.polygon, *keys, samples, k, xy)
-        ground = around.ground(xy)
+        ground = context.ground(xy)
         z = number("height_m", self.height_m) + (ground if self.above == "ground" else 0.0)
         roll, look = number("roll_deg", self.roll_deg), self.look
         eye = np.column_stack([xy, z])
-        own = np.zeros(len(samples))
+        extent = np.zeros(len(samples))
         north = np.tile([0.0, 1.0], (len(samples), 1))
         if isinstance(look, LookDirection):
             bearings = number("look/bearing_deg", look.bearing_deg)
             bearing = np.array([level_bearing(b) for b in bearings.tolist()])
             axes = frames(bearing.reshape(-1, 2), number("look/pitch_deg", look.pitch_deg), roll)
-            return _Drawn(eye, ground, axes, axes[:, :, 2], own)
+            return _DrawnPoses(eye, ground, axes, axes[:, :, 2], extent)
         if isinstance(look, ObjectAim):
-            bodies = around.bodies[look.object]
+            bodies = context.bodies[look.object]
             u = _uniforms(np.uint64(self.keys["object"]), samples, k)
-            one = [look.picked(around, pick) for pick in u.tolist()]
-            at, own = bodies.middle[one], bodies.radius[one]
+            one = [look.picked(context, pick) for pick in u.tolist()]
+            at, extent = bodies.middle[one], bodies.radius[one]
         else:
             plan = np.column_stack([number("look/x_m", look.x_m), number("look/y_m", look.y_m)])
             height = number("look/height_m", look.height_m)
-            at = np.column_stack([plan, around.ground(plan) + height])
+            at = np.column_stack([plan, context.ground(plan) + height])
         way = at - eye
         # A target that is the eye itself is turned away later; it must have some axes till then.
         still = ~way.any(axis=1)
         axes = rolled(toward(np.where(still[:, None], [0.0, 1.0, 0.0], way), north), roll)
-        return _Drawn(eye, ground, axes, way, own)
+        return _DrawnPoses(eye, ground, axes, way, extent)
 
     def _judged(
         self,
-        around: Around,
-        drawn: _Drawn,
+        context: MotionContext,
+        drawn: _DrawnPoses,
         n: int,
         span: NDArray[np.float64],
         cubes: Mapping[str, Cubes],
     ) -> tuple[NDArray[np.float64] | None, str]:
         """One pose, or which limit rejects it."""
         limits = self.limits
-        eye, axes, way, own = drawn.eye[n], drawn.axes[n], drawn.way[n], float(drawn.own[n])
+        eye, axes, way, extent = (
+            drawn.eye[n],
+            drawn.axes[n],
+            drawn.way[n],
+            float(drawn.extent[n]),
+        )
         above = float(eye[2] - drawn.ground[n])
         if above <= 0.0:
             return None, "below the ground"
         if self.above == "world" and above < limits.clearance_m:
             return None, f"nearer to the ground than {limits.clearance_m:g} m (clearance_m)"
-        for name, bodies in around.bodies.items():
+        for name, bodies in context.bodies.items():
             if _inside(bodies, cubes[name], eye, limits.clearance_m):
                 return None, f"inside of an object or nearer than {limits.clearance_m:g} m to it"
         distance = float(np.sqrt((way * way).sum()))
         if distance == 0.0:
             return None, "at its own target"
         forward = axes[:, 2]
-        reach = float(hits(around.surface.field, span, eye, forward[None])[0])
+        reach = float(hits(context.surface.field, span, eye, forward[None])[0])
         if isinstance(self.look, LookDirection):
             distance = reach
         distances, elevations, incidences = (
@@ -217,22 +222,24 @@ class RandomPose:
             if reach == np.inf:
                 return None, "looking past the ground (incidence)"
             at = eye + reach * forward
-            normal = normal_at(around.surface.field, float(at[0]), float(at[1]))
+            normal = normal_at(context.surface.field, float(at[0]), float(at[1]))
             cosine = min(max(-float((normal * forward).sum()), -1.0), 1.0)
             if not _between(elementary.acos(cosine) * _DEGREES, incidences):
                 said = _said(incidences, "degrees")
                 return None, f"with an incidence not {said} (incidence)"
-        if isinstance(self.look, ObjectAim) and reach < distance - own - 1e-9 * distance:
+        if isinstance(self.look, ObjectAim) and reach < distance - extent - 1e-9 * distance:
             return None, "with the ground between it and its target"
         pose = poses(eye[None], axes[None])[0]
-        if limits.max_sky < 1.0 and self._sky(around, pose, span) > limits.max_sky:
+        if limits.max_sky < 1.0 and self._sky(context, pose, span) > limits.max_sky:
             return None, f"with a share of sky above {limits.max_sky:g} (max_sky)"
         return pose, ""
 
-    def _sky(self, around: Around, pose: NDArray[np.float64], span: NDArray[np.float64]) -> float:
+    def _sky(
+        self, context: MotionContext, pose: NDArray[np.float64], span: NDArray[np.float64]
+    ) -> float:
         """Largest share of sky in any sensor's picture."""
         largest = 0.0
-        for sensor in around.sensors:
+        for sensor in context.sensors:
             world = compose(pose, sensor.to_rig)
             u = (np.arange(_RAYS[0]) + 0.5) / _RAYS[0] * sensor.resolution[0]
             v = (np.arange(_RAYS[1]) + 0.5) / _RAYS[1] * sensor.resolution[1]
@@ -245,13 +252,13 @@ class RandomPose:
             way = np.zeros(local.shape)
             for c in range(3):
                 way += local[:, c, None] * world[None, :3, c]
-            seen = np.isfinite(hits(around.surface.field, span, world[:3, 3].copy(), way))
+            seen = np.isfinite(hits(context.surface.field, span, world[:3, 3].copy(), way))
             largest = max(largest, 1.0 - int(seen.sum()) / len(seen))
         return largest
 
 
 @dataclass(frozen=True)
-class _Drawn:
+class _DrawnPoses:
     """Poses of one try, not yet judged.
 
     Attributes:
@@ -266,7 +273,7 @@ class _Drawn:
     ground: NDArray[np.float64]
     axes: NDArray[np.float64]
     way: NDArray[np.float64]
-    own: NDArray[np.float64]
+    extent: NDArray[np.float64]
 
 
 @kernel
@@ -302,7 +309,7 @@ def _places(polygon, key_x, key_y, samples, k, out):  # type: ignore[no-untyped-
         out[n, 1] = y
 
 
-def _inside(bodies: Bodies, cubes: Cubes, eye: NDArray[np.float64], clearance: float) -> bool:
+def _inside(bodies: MotionBodies, cubes: Cubes, eye: NDArray[np.float64], clearance: float) -> bool:
     """Whether a point is in an object or nearer; below 0, only as far as within its ball."""
     away = bodies.middle - eye
     reach = np.maximum(bodies.radius + clearance, 0.0)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import Around, Built
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.geometry.poses import bearing_vector, look_at
@@ -126,11 +126,11 @@ class RandomTargetPlan:
     roll_deg: NDArray[np.float64]
     needs_objects: ClassVar = False
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
-        position = np.column_stack([self.xy, around.ground(self.xy) + self.height_m])
+        position = np.column_stack([self.xy, context.ground(self.xy) + self.height_m])
         offset = np.array([bearing_vector(float(b)) for b in self.bearing_deg])
         target = position + self.distance_m[:, None] * offset
-        target[:, 2] = around.ground(target) + self.target_height_m
+        target[:, 2] = context.ground(target) + self.target_height_m
         looks = zip(position, target, self.roll_deg.tolist(), strict=True)
-        return Built(np.stack([look_at(eye, at, roll) for eye, at, roll in looks]))
+        return RigPoses(np.stack([look_at(eye, at, roll) for eye, at, roll in looks]))

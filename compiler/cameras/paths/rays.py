@@ -20,7 +20,7 @@ def hits(
     eye: NDArray[np.float64],
     way: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """How far rays go until they are below the terrain, meters; inf where they never are.
+    """Returns how far each ray goes until it is below the terrain, meters; inf where it never is.
 
     Steps are half a spacing long in plan, or shorter near the ground, and the crossing is bisected;
     a spike narrower than that can be missed, which only a limit on what is seen hears of.
@@ -50,7 +50,7 @@ def normal_at(field: HeightField, x: float, y: float) -> NDArray[np.float64]:
 
 @kernel
 def _hits(height, frame, half, span, eye, way, out):  # type: ignore[no-untyped-def]
-    """As ``hits``; ``frame`` is the field's, ``half`` half its extent along x and y."""
+    """Fills ``out`` for ``hits``; ``frame`` is the field's, ``half`` its half extent in x and y."""
     x0, y0, dx, dy = frame
     step_plan = 0.5 * min(dx, dy)
     for n in range(len(way)):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import Around, Bodies
+from scenec.compiler.cameras.paths.motion import MotionBodies, MotionContext
 from scenec.compiler.cameras.paths.obstacles import Band, Nearest, Obstacles, nearest, obstacles_of
 from scenec.schemas.kernels import kernel
 
@@ -46,11 +46,11 @@ class Passable:
         return float(self.slope_deg[self.cell(xy)])
 
     def nearest(self, xy: NDArray[np.float64]) -> Nearest | None:
-        """What is nearest to a point [2] at a vehicle's height there; None: nothing is."""
+        """Returns the obstacle nearest to a point [2] at a vehicle's height there, if any."""
         return nearest(self.obstacles, self.band, self.cell(xy), xy)
 
     def slack_m(self) -> float:
-        """How much more room than the vehicle's own a free way may need, to each side."""
+        """Bounds the room beyond the vehicle's own that a free path may need, to each side."""
         width, height = self.cell_m
         diagonal = float(np.sqrt(width * width + height * height))
         return diagonal + max((one.slack_m() for one in self.obstacles), default=0.0)
@@ -84,7 +84,7 @@ class Passable:
 
 
 def passable(
-    around: Around,
+    context: MotionContext,
     max_slope_deg: float,
     width_m: float,
     base_m: float,
@@ -101,7 +101,7 @@ def passable(
         width_m, base_m: Between its wheels, across and along. Slopes are taken over ``base_m``.
         top_m: Height of the vehicle above the plane through its wheels.
     """
-    size = around.surface.field.grid.size_m
+    size = context.surface.field.grid.size_m
     cell = max(base_m, max(size) / _CELLS)
     counts = [max(int(np.floor(side / cell)), 1) for side in size]
     cells = size[0] / counts[0], size[1] / counts[1]
@@ -112,7 +112,7 @@ def passable(
     half = 0.5 * base_m
     heights = np.stack(
         [
-            around.ground(np.column_stack([xx + dx, yy + dy])).reshape(counts[1], counts[0])
+            context.ground(np.column_stack([xx + dx, yy + dy])).reshape(counts[1], counts[0])
             for dx, dy in ((-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half))
         ]
     )
@@ -120,7 +120,7 @@ def passable(
     # A wheel is so far from the middle at most: a cell is as steep as the steepest it reaches.
     reach = 0.5 * float(np.sqrt(base_m * base_m + width_m * width_m))
     cells_off = int(np.ceil(reach / min(cells)))
-    grade = _largest_around(np.sqrt(east * east + north * north), cells_off)
+    grade = _max_filter(np.sqrt(east * east + north * north), cells_off)
     slope = elementary.atan_array(grade) * 180.0 / elementary.PI
     inside = (np.abs(xx) <= 0.5 * (size[0] - width_m)) & (np.abs(yy) <= 0.5 * (size[1] - width_m))
     free = (slope <= max_slope_deg) & inside.reshape(slope.shape)
@@ -128,17 +128,17 @@ def passable(
     between = 0.5 * float(np.sqrt(cells[0] * cells[0] + cells[1] * cells[1])) * grade
     band = Band(
         np.array([*corner, *cells]),
-        -_largest_around(-heights.min(axis=0), cells_off) - between,
-        _largest_around(heights.max(axis=0), cells_off) + between + top_m,
+        -_max_filter(-heights.min(axis=0), cells_off) - between,
+        _max_filter(heights.max(axis=0), cells_off) + between + top_m,
         reach + top_m * grade / np.sqrt(1.0 + grade * grade),
     )
-    obstacles = obstacles_of(around.bodies, largest_m, min(cells))
+    obstacles = obstacles_of(context.bodies, largest_m, min(cells))
     for one in obstacles:
         one.block(free, band)
     return Passable(corner, cells, slope, free, band, obstacles)
 
 
-def _largest_around(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+def _max_filter(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
     """Largest of the squares of cells around each, float64 of the same shape."""
     for axis in range(2):
         padded = np.pad(values, [(reach, reach) if k == axis else (0, 0) for k in range(2)], "edge")
@@ -148,7 +148,7 @@ def _largest_around(values: NDArray[np.float64], reach: int) -> NDArray[np.float
 
 
 def driven_over(
-    xy: NDArray[np.float64], width_m: float, bodies: Bodies, margin_m: float
+    xy: NDArray[np.float64], width_m: float, bodies: MotionBodies, margin_m: float
 ) -> list[int]:
     """Ids of the objects whose balls a way's strip touches in plan, rising.
 
@@ -246,7 +246,7 @@ def _sees(free, frame, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
 
 @kernel
 def _pulled(free, frame, points):  # type: ignore[no-untyped-def]
-    """Which points of a way are left when it is pulled straight: from each the farthest seen."""
+    """Shortens a path: marks the points left where each is joined to the farthest one in sight."""
     keep = np.zeros(len(points), np.bool_)
     keep[0] = True
     at = 0

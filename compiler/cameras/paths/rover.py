@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cameras.paths.legs import Legs, rounded
-from scenec.compiler.cameras.paths.motion import Around, Built, frames, poses
+from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, frames, poses
 from scenec.compiler.cameras.paths.route import Passable, driven_over, passable
 from scenec.compiler.cameras.tracks import Sampling
 from scenec.compiler.geometry.normals import cross_products
@@ -78,36 +78,36 @@ class Rover:
         u = context.uniforms("goals", self.goals * _GOAL_TRIES, 2)
         return replace(self, goals_u=u.reshape(self.goals, _GOAL_TRIES, 2))
 
-    def built(self, around: Around) -> Built:
+    def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
         cells = passable(
-            around,
+            context,
             self.max_slope_deg,
             self.track_width_m,
             self.wheel_base_m,
-            self._top(around),
+            self._top(context),
             self.max_object_m,
         )
         if self.waypoints_m is not None:
             points = np.array(self.waypoints_m, np.float64)
-            way = self._along(points, cells, around)
+            way = self._along(points, cells, context)
         else:
-            points, way = self._drawn(cells, around)
+            points, way = self._drawn(cells, context)
         legs = rounded(way, self.speed_m_s, self.turn_rate_deg_s / _DEGREES)
-        times = self.sampling.times(legs.duration_s, around.samples, around.what)
+        times = self.sampling.times(legs.duration_s, context.samples, context.what)
         xy, heading = legs.at(times)
-        position, axes, _ = self._on_wheels(xy, heading, around)
-        return Built(poses(position, axes), times, self._facts(legs, points, around))
+        position, axes, _ = self._on_wheels(xy, heading, context)
+        return RigPoses(poses(position, axes), times, self._facts(legs, points, context))
 
     def _along(
-        self, points: NDArray[np.float64], cells: Passable, around: Around
+        self, points: NDArray[np.float64], cells: Passable, context: MotionContext
     ) -> NDArray[np.float64]:
-        around.require_on_terrain(points, "a waypoint")
+        context.require_on_terrain(points, "a waypoint")
         for n, point in enumerate(points):
             if not cells.is_free(point):
-                why = self._why_blocked(cells, point, around)
+                why = self._why_blocked(cells, point, context)
                 raise SceneError(
-                    f"{around.what}/waypoints_m/{n}: at waypoint {n} ({point[0]:g}, {point[1]:g}) "
+                    f"{context.what}/waypoints_m/{n}: at waypoint {n} ({point[0]:g}, {point[1]:g}) "
                     f"m {why}"
                 )
         way = [points[:1]]
@@ -116,7 +116,7 @@ class Rover:
             found = cells.way(a, b)
             if found is None:
                 raise SceneError(
-                    f"{around.what}: no way from waypoint {k - 1} ({a[0]:g}, {a[1]:g}) m to {k} "
+                    f"{context.what}: no way from waypoint {k - 1} ({a[0]:g}, {a[1]:g}) m to {k} "
                     f"({b[0]:g}, {b[1]:g}) m over slopes of at most {self.max_slope_deg:g} degrees "
                     f"(max_slope_deg) and around objects of a radius above {self.max_object_m:g} m "
                     "(max_object_m)"
@@ -124,14 +124,16 @@ class Rover:
             way.append(found[1:])
         return np.concatenate(way)
 
-    def _top(self, around: Around) -> float:
+    def _top(self, context: MotionContext) -> float:
         """Height of the highest of the rig and what it carries, above level ground."""
         axes = frames(np.array([[0.0, 1.0]]), self.pitch_deg)[0]
-        mounts = [one.to_rig for one in around.sensors] + [one.to_rig for one in around.lidars]
+        mounts = [one.to_rig for one in context.sensors] + [one.to_rig for one in context.lidars]
         above = [float((axes[2] * mount[:3, 3]).sum()) for mount in mounts]
         return self.height_m + max([0.0, *above])
 
-    def _why_blocked(self, cells: Passable, point: NDArray[np.float64], around: Around) -> str:
+    def _why_blocked(
+        self, cells: Passable, point: NDArray[np.float64], context: MotionContext
+    ) -> str:
         slope = cells.slope_at(point)
         if slope > self.max_slope_deg:
             return (
@@ -145,15 +147,15 @@ class Rover:
             return f"the terrain's border is nearer than half of track_width_m ({width:g} m)"
         return (
             f"object {object_.id} of objects/{object_.name} is {object_.distance_m:.2g} m away "
-            f"below {self._top(around):.3g} m, the vehicle's height: expected a point {room:.2g} m "
-            f"from it, or a max_object_m of {1.01 * object_.radius_m:.3g} or more (now "
+            f"below {self._top(context):.3g} m, the vehicle's height: expected a point {room:.2g}"
+            f" m from it, or a max_object_m of {1.01 * object_.radius_m:.3g} or more (now "
             f"{self.max_object_m:g}), which drives over it"
         )
 
     def _drawn(
-        self, cells: Passable, around: Around
+        self, cells: Passable, context: MotionContext
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        size = np.array(around.surface.field.grid.size_m)
+        size = np.array(context.surface.field.grid.size_m)
         room = size - self.track_width_m
         goals: list[NDArray[np.float64]] = []
         way: list[NDArray[np.float64]] = []
@@ -173,7 +175,7 @@ class Rover:
                 break
             else:
                 raise SceneError(
-                    f"{around.what}: no place for goal {k} in {len(candidates)} tries: {blocked} "
+                    f"{context.what}: no place for goal {k} in {len(candidates)} tries: {blocked} "
                     f"on slopes above {self.max_slope_deg:g} degrees (max_slope_deg) or at "
                     "objects, "
                     f"{unreached} that no way leads to: expected a gentler terrain, or wider limits"
@@ -181,16 +183,16 @@ class Rover:
         return np.stack(goals), np.concatenate(way)
 
     def _on_wheels(
-        self, xy: NDArray[np.float64], heading: NDArray[np.float64], around: Around
+        self, xy: NDArray[np.float64], heading: NDArray[np.float64], context: MotionContext
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Where the rig is on the wheels: positions, axes, and the body's slope in degrees.
+        """Returns the rig's pose on its wheels: positions, axes, and the body's slope in degrees.
 
         The four wheels touch the ground at the corners of a rectangle in plan; the body is the
         plane that is nearest to them, which a rocker suspension averages to.
         """
         right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
         a, b = 0.5 * self.wheel_base_m * heading, 0.5 * self.track_width_m * right
-        z = [around.ground(xy + i * a + j * b) for i in (1.0, -1.0) for j in (1.0, -1.0)]
+        z = [context.ground(xy + i * a + j * b) for i in (1.0, -1.0) for j in (1.0, -1.0)]
         ahead = 0.5 * (z[0] + z[1] - z[2] - z[3]) / self.wheel_base_m
         aside = 0.5 * (z[0] + z[2] - z[1] - z[3]) / self.track_width_m
         middle = np.column_stack([xy, 0.25 * (z[0] + z[1] + z[2] + z[3])])
@@ -208,17 +210,19 @@ class Rover:
         slope = elementary.atan_array(np.sqrt(ahead * ahead + aside * aside)) * _DEGREES
         return middle + self.height_m * normal, products(body, view), slope
 
-    def _facts(self, legs: Legs, points: NDArray[np.float64], around: Around) -> dict[str, Any]:
+    def _facts(
+        self, legs: Legs, points: NDArray[np.float64], context: MotionContext
+    ) -> dict[str, Any]:
         duration, length = legs.duration_s, float(legs.length.sum())
         looks = min(max(int(length / (0.25 * self.wheel_base_m)), 1), _LOOKS)
         xy, heading = legs.at(duration * np.arange(looks + 1) / looks)
-        slope = self._on_wheels(xy, heading, around)[2]
+        slope = self._on_wheels(xy, heading, context)[2]
         margin = 0.5 * length / looks
         over = {
             name: driven_over(
                 xy, self.track_width_m, bodies.only(bodies.radius <= self.max_object_m), margin
             )
-            for name, bodies in around.bodies.items()
+            for name, bodies in context.bodies.items()
         }
         return {
             "length_m": length,

@@ -24,14 +24,14 @@ class Spline:
 
     time_s: NDArray[np.float64]
     value: NDArray[np.float64]
-    bend: NDArray[np.float64]
+    curvature: NDArray[np.float64]
 
     @classmethod
     def through(cls, time_s: NDArray[np.float64], value: NDArray[np.float64]) -> Spline:
         """The spline through values that begins and ends at rest (de Boor 1978, ch. IV)."""
-        bend = np.empty(value.shape)
-        _solve(time_s, np.ascontiguousarray(value), bend)
-        return cls(time_s, value, bend)
+        curvature = np.empty(value.shape)
+        _solve(time_s, np.ascontiguousarray(value), curvature)
+        return cls(time_s, value, curvature)
 
     def at(self, time_s: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]:
         """Values, or the derivative of an order up to 3, [m, d]; held before and after."""
@@ -41,7 +41,7 @@ class Spline:
         h = (knots[i + 1] - knots[i])[:, None]
         b = (t - knots[i])[:, None] / h
         a = 1.0 - b
-        v0, v1, m0, m1 = self.value[i], self.value[i + 1], self.bend[i], self.bend[i + 1]
+        v0, v1, m0, m1 = self.value[i], self.value[i + 1], self.curvature[i], self.curvature[i + 1]
         if order == 0:
             out = a * v0 + b * v1 - (a * b * h * h / 6.0) * ((1.0 + a) * m0 + (1.0 + b) * m1)
         elif order == 1:
@@ -54,7 +54,7 @@ class Spline:
 
     def slowed(self, factor: float) -> Spline:
         """The same way, taking ``factor`` times as long."""
-        return Spline(self.time_s * factor, self.value, self.bend / (factor * factor))
+        return Spline(self.time_s * factor, self.value, self.curvature / (factor * factor))
 
 
 def largest(splines: Sequence[Spline]) -> tuple[float, float, float]:
@@ -76,8 +76,8 @@ def largest(splines: Sequence[Spline]) -> tuple[float, float, float]:
         terms = (v0 * v0, v0 * v1, (2.0 * v1 * v1 + v0 * v2) / 3.0, v1 * v2, v2 * v2)
         for k, term in enumerate(terms):
             speed[:, k] += term.sum(axis=1)
-        bend, third = s.at(knots, 2), s.at(middle, 3)
-        acceleration += (bend * bend).sum(axis=1)
+        curvature, third = s.at(knots, 2), s.at(middle, 3)
+        acceleration += (curvature * curvature).sum(axis=1)
         jerk += (third * third).sum(axis=1)
     return (
         float(np.sqrt(speed.max(initial=0.0))),
@@ -101,7 +101,7 @@ def within(
 
 
 @kernel
-def _solve(time, value, bend):  # type: ignore[no-untyped-def]
+def _solve(time, value, curvature):  # type: ignore[no-untyped-def]
     """Second derivatives of the clamped spline, by elimination of its tridiagonal system."""
     n, columns = value.shape
     diagonal = np.empty(n)
@@ -112,15 +112,15 @@ def _solve(time, value, bend):  # type: ignore[no-untyped-def]
         for k in range(columns):
             rise = (value[i + 1, k] - value[i, k]) / after if i < n - 1 else 0.0
             fall = (value[i, k] - value[i - 1, k]) / before if i > 0 else 0.0
-            bend[i, k] = rise - fall
+            curvature[i, k] = rise - fall
     for i in range(1, n):
         off = (time[i] - time[i - 1]) / 6.0
         factor = off / diagonal[i - 1]
         diagonal[i] -= factor * off
         for k in range(columns):
-            bend[i, k] -= factor * bend[i - 1, k]
+            curvature[i, k] -= factor * curvature[i - 1, k]
     for i in range(n - 1, -1, -1):
         for k in range(columns):
             if i < n - 1:
-                bend[i, k] -= (time[i + 1] - time[i]) / 6.0 * bend[i + 1, k]
-            bend[i, k] /= diagonal[i]
+                curvature[i, k] -= (time[i + 1] - time[i]) / 6.0 * curvature[i + 1, k]
+            curvature[i, k] /= diagonal[i]

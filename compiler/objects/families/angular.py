@@ -31,7 +31,7 @@ _SCARS = 7
 _WIDEST = 0.5
 
 
-class _Drawn(NamedTuple):
+class _AngularNumbers(NamedTuple):
     """An angular rock.
 
     Attributes:
@@ -101,7 +101,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r * rough(fine.bumpiness, bumps), tone
 
 
-class Angular(Carved[_Drawn]):
+class AngularRock(Carved[_AngularNumbers]):
     """A block between three pairs of joints and a few random fractures.
 
     Chips then take its sharpest corners one after the other, each by a plane across a corner, as
@@ -113,7 +113,7 @@ class Angular(Carved[_Drawn]):
     USUAL = Usual(0.29, 0.5, 0.1)
 
     @cached_property
-    def _whole(self) -> _Drawn:
+    def _chipped(self) -> _AngularNumbers:
         """With its chips, and scars as balls."""
         directions, _ = icosphere(3)
         normals, distances = self.drawn.normals, self.drawn.distances
@@ -125,16 +125,16 @@ class Angular(Carved[_Drawn]):
         return self.drawn._replace(normals=normals, distances=distances, scars=scars)
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
-        return self._whole.normals, self._whole.distances
+        """Returns the planes that meet at creases."""
+        return self._chipped.normals, self._chipped.distances
 
-    def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``."""
-        return self._whole
+    def for_mesh(self, fine: Fine) -> _AngularNumbers:
+        """Returns the parameters for a mesh: with its chips, and scars as balls."""
+        return self._chipped
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _AngularNumbers:
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/joints", 24).reshape(6, 4)
         tilt = unit_vectors(u[:, :2])
         joints = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
@@ -148,7 +148,7 @@ class Angular(Carved[_Drawn]):
         tones = 2.0 * streams.uniforms(f"{path}/tones", 6 + _CUTS + _CHIPS) - 1.0
         # What broke last has not darkened yet.
         tones = np.concatenate([0.35 * tones[: 6 + _CUTS], 0.45 + 0.25 * tones[6 + _CUTS :]])
-        return _Drawn(
+        return _AngularNumbers(
             normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
             distances=np.concatenate([0.62 + 0.33 * u[:, 2], 0.68 + 0.3 * v[:, 2]]),
             chips=w,

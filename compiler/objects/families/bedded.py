@@ -18,7 +18,7 @@ _BEDS = 9
 _WIDEST = 0.45
 
 
-class _Drawn(NamedTuple):
+class _BeddedNumbers(NamedTuple):
     """A bedded block.
 
     Attributes:
@@ -84,7 +84,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r * (1.0 - side * back * crumbled) * rough(fine.bumpiness, bumps), tone
 
 
-class Bedded(Carved[_Drawn]):
+class BeddedRock(Carved[_BeddedNumbers]):
     """A block between joints whose sides stand back bed by bed, with laminae in each bed."""
 
     sample = sampling(_at)
@@ -93,12 +93,12 @@ class Bedded(Carved[_Drawn]):
     LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _BeddedNumbers:
+        """Draws the parameters of a rock."""
         count, first, dip, toward = streams.uniforms(f"{path}/joints", 4)
         sides = 4 + int(count * (_MOST_SIDES - 3))
         u = streams.uniforms(f"{path}/sides", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
@@ -121,7 +121,7 @@ class Bedded(Carved[_Drawn]):
         # Blocks end where hard beds do.
         soft = np.concatenate([[0.3 * w[0, 1]], w[1:-1, 1], [0.3 * w[-1, 1]]])
         cross = np.where(w[:, 3] < 0.4, 1.2, 0.0)
-        return _Drawn(
+        return _BeddedNumbers(
             normals=normals,
             distances=np.concatenate([[0.66, 0.66], 0.76 + 0.24 * u[:, 2]]),
             up=up,

@@ -28,7 +28,7 @@ _LARGEST = 0.36
 _SMALLEST = 0.05
 
 
-class _Drawn(NamedTuple):
+class _BrecciaNumbers(NamedTuple):
     """A block of breccia.
 
     Attributes:
@@ -91,15 +91,15 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r, tone
 
 
-class Breccia(Carved[_Drawn]):
+class BrecciaRock(Carved[_BrecciaNumbers]):
     """A worn block of matrix with angular clasts, flush with what the block once was."""
 
     sample = sampling(_at)
     noises = ((1.4, 3), (6.0, 4))
     USUAL = Usual(0.22, 0.4, 0.4)
 
-    def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, with the clasts that the mesh can show."""
+    def for_mesh(self, fine: Fine) -> _BrecciaNumbers:
+        """Returns the parameters for a mesh, with the clasts that it can show."""
         rock = self.drawn
         shown = rock.clasts[:, 3] >= 1.6 * fine.spacing
         return rock._replace(
@@ -107,8 +107,8 @@ class Breccia(Carved[_Drawn]):
         )
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _BrecciaNumbers:
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
         v = streams.uniforms(f"{path}/clasts", 6 * _CLASTS).reshape(_CLASTS, 6)
         w = streams.uniforms(f"{path}/faces", 3 * _FACES * _CLASTS).reshape(-1, 3)
@@ -117,7 +117,7 @@ class Breccia(Carved[_Drawn]):
         # Most are paler than the matrix, some darker.
         tone = np.where(v[:, 5] < 0.7, 0.15 + 0.9 * v[:, 5], -2.6 * (v[:, 5] - 0.68))
         deep = 0.1 + 0.5 * v[:, 3]
-        return _Drawn(
+        return _BrecciaNumbers(
             normals=unit_vectors(u[:, :2]),
             distances=0.66 + 0.34 * u[:, 2],
             clasts=np.concatenate(

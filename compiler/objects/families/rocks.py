@@ -28,8 +28,8 @@ def family_of(name: str) -> type[Any]:
     """
     if name not in ROCKS:
         return offered_kind("scenec.rocks", name)
-    found: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}")
-    return found
+    family: type[Any] = loaded(f"objects.families.{name}:{name.capitalize()}Rock")
+    return family
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,14 +168,14 @@ class Rocks(Scattered):
             own = {"drawn": family.draw(path, streams, wear)}
         else:
             own = self._of_package(family, context)
-        made: Shape = family(
+        shape: Shape = family(
             key=streams.key(path),
             bumpiness=self.bumpiness,
             axes=(1.0, middle, min(max(low, 0.05), middle)),
             subdivisions=int(self.subdivisions),
             **own,
         )
-        return made
+        return shape
 
     def _of_package(self, family: type[Any], context: Context) -> dict[str, Any]:
         """Returns keys of another package's family; rocks can have some of them themselves."""

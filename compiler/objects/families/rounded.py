@@ -24,7 +24,7 @@ from scenec.schemas.kernels import kernel
 _FLATS = 7
 
 
-class _Drawn(NamedTuple):
+class _RoundedNumbers(NamedTuple):
     """A cobble.
 
     Attributes:
@@ -65,7 +65,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r * rough(fine.bumpiness, bumps), tone
 
 
-class Rounded(Carved[_Drawn]):
+class RoundedRock(Carved[_RoundedNumbers]):
     """A superellipsoid with a few worn flats; bumpiness makes it lopsided, and pits it."""
 
     sample = sampling(_at)
@@ -73,12 +73,12 @@ class Rounded(Carved[_Drawn]):
     USUAL = Usual(0.22, 0.45, 0.7)
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _RoundedNumbers:
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/flats", 3 * _FLATS).reshape(_FLATS, 3)
         turn = elementary.PI * streams.uniforms(f"{path}/frame", 1)
         c, s = elementary.cos_array(turn)[0], elementary.sin_array(turn)[0]
-        return _Drawn(
+        return _RoundedNumbers(
             normals=unit_vectors(u[:, :2]),
             distances=0.72 + 0.25 * u[:, 2],
             # Flat to the ground, like what water has laid down.

@@ -24,7 +24,7 @@ Turn = Callable[[NDArray[np.int32], NDArray[np.float64]], NDArray[np.float64]]
 
 
 class Usual(NamedTuple):
-    """What rocks of a family have where the cfg says nothing.
+    """Holds a family's proportions and wear where the cfg says nothing.
 
     Fragments have axes of about 2 : sqrt(2) : 1, whatever broke them (Michikami et al. 2010 on
     Itokawa, Eros and in the laboratory; 2022 on Ryugu). What rolls loses its corners before its
@@ -80,7 +80,7 @@ class Shape(ABC):
 
 
 class Fine(NamedTuple):
-    """How rough a rock is, and what of that a mesh can show.
+    """Holds how rough a rock is, and how much of that a mesh can show.
 
     Attributes:
         spacing: Step of the mesh in radians.
@@ -121,14 +121,14 @@ class Carved[T: tuple[Any, ...]](Shape):
     def surface(
         self, directions: NDArray[np.float64], spacing: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As of ``Shape``."""
+        """Returns radii and variation in directions: see ``Shape``."""
         counts = [octaves(frequency, spacing, most) for frequency, most in self.noises]
         fine = Fine(self.bumpiness, spacing, *counts, *[0] * (3 - len(counts)))
-        radius, variation = self.sample(np.uint64(self.key), directions, self.seen(fine), fine)
+        radius, variation = self.sample(np.uint64(self.key), directions, self.for_mesh(fine), fine)
         return radius, variation
 
-    def seen(self, fine: Fine) -> T:
-        """What the kernel takes for a mesh."""
+    def for_mesh(self, fine: Fine) -> T:
+        """Returns the parameters that the kernel takes for a mesh."""
         return self.drawn
 
 
@@ -156,7 +156,7 @@ def sampling(at: Kernel) -> Kernel:
 
 
 def octaves(frequency: float, spacing: float, most: int) -> int:
-    """How many octaves of a noise have waves of at least two steps of a mesh; 0 to ``most``.
+    """Counts the octaves of a noise with waves of at least two steps of a mesh; 0 to ``most``.
 
     Args:
         frequency: Of the first, in waves a radius.
@@ -230,7 +230,7 @@ def rough(bumpiness, bumps):  # type: ignore[no-untyped-def]
 
 @inlined
 def ball_along(x, y, z, cx, cy, cz, radius):  # type: ignore[no-untyped-def]
-    """Where a ray from the center meets a ball: its middle along the ray, half the chord squared.
+    """Intersects a ray from the center with a ball: middle along the ray, half the chord squared.
 
     The square is below 0 where the ray misses.
     """

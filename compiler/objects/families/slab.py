@@ -20,7 +20,7 @@ _HALF_HEIGHT = 0.62
 _WIDEST = 0.35
 
 
-class _Drawn(NamedTuple):
+class _SlabNumbers(NamedTuple):
     """A slab.
 
     Attributes:
@@ -75,7 +75,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r * rough(fine.bumpiness, bumps), tone
 
 
-class Slab(Carved[_Drawn]):
+class SlabRock(Carved[_SlabNumbers]):
     """A prism between two bedding planes; each side stands back by another step in each layer."""
 
     sample = sampling(_at)
@@ -84,16 +84,16 @@ class Slab(Carved[_Drawn]):
     LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
-    def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, with room of its own."""
+    def for_mesh(self, fine: Fine) -> _SlabNumbers:
+        """Returns the parameters for a mesh, with a work array of their own."""
         return self.drawn._replace(in_layer=self.drawn.distances.copy())
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _SlabNumbers:
+        """Draws the parameters of a rock."""
         count, first = streams.uniforms(f"{path}/sides", 2)
         sides = 5 + int(count * (_MOST_SIDES - 4))
         u = streams.uniforms(f"{path}/outline", 3 * _MOST_SIDES).reshape(_MOST_SIDES, 3)[:sides]
@@ -110,7 +110,7 @@ class Slab(Carved[_Drawn]):
         thick = np.cumsum(0.35 + w)
         stands = streams.uniforms(f"{path}/steps", _LAYERS * (_MOST_SIDES + 2))
         stands = stands.reshape(_LAYERS, -1)[:, : sides + 2]
-        return _Drawn(
+        return _SlabNumbers(
             normals=normals,
             distances=np.concatenate([[_HALF_HEIGHT] * 2, 0.78 + 0.22 * u[:, 2]]),
             in_layer=np.zeros(0),

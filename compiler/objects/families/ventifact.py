@@ -33,7 +33,7 @@ _WIDEST = 0.5
 _ASTRAY = 1.0 / 12.0
 
 
-class _Drawn(NamedTuple):
+class _VentifactNumbers(NamedTuple):
     """A ventifact.
 
     Attributes:
@@ -88,7 +88,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r * rough(fine.bumpiness, bumps), tone
 
 
-class Ventifact(Carved[_Drawn]):
+class VentifactRock(Carved[_VentifactNumbers]):
     """A cobble with two to four facets cut into its upper half, which meet in keels.
 
     The facets rise at 25 to 65 degrees around the stone (Laity and Bridges 2009); along each run
@@ -101,7 +101,7 @@ class Ventifact(Carved[_Drawn]):
     LIES = True
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where facets meet each other and the body."""
+        """Returns the planes of facets and body, which meet at creases."""
         rock = self.drawn
         return (
             np.concatenate([rock.facets, rock.normals]),
@@ -109,15 +109,15 @@ class Ventifact(Carved[_Drawn]):
         )
 
     def bearings(self) -> NDArray[np.float64]:
-        """Where its facets look, in whole turns from +x toward +y, float64 [f]."""
+        """Returns the bearings of facets, in whole turns from +x toward +y, float64 [f]."""
         # Across planes that are stretched, as normals go.
         x, y = self.drawn.facets[:, 0] / self.axes[0], self.drawn.facets[:, 1] / self.axes[1]
         angles = [elementary.atan2(*each) for each in zip(y.tolist(), x.tolist(), strict=True)]
         return np.array(angles) / (2.0 * elementary.PI)
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _VentifactNumbers:
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/body", 3 * _PLANES).reshape(_PLANES, 3)
         count, first = streams.uniforms(f"{path}/wind", 2)
         # Most are dreikanter, with three edges.
@@ -131,7 +131,7 @@ class Ventifact(Carved[_Drawn]):
         normals = np.stack([low * c, low * s, high], axis=1)
         along = np.stack([-high * c, -high * s, low], axis=1)
         across = np.stack([-s, c, np.zeros(facets)], axis=1)
-        return _Drawn(
+        return _VentifactNumbers(
             facets=normals,
             reaches=0.42 + 0.2 * v[:, 2],
             normals=unit_vectors(u[:, :2]),

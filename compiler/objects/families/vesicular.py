@@ -28,7 +28,7 @@ _LARGEST = 0.17
 _SMALLEST = 0.035
 
 
-class _Drawn(NamedTuple):
+class _VesicularNumbers(NamedTuple):
     """A vesicular rock.
 
     Attributes:
@@ -47,7 +47,7 @@ class _Drawn(NamedTuple):
 
 @kernel
 def _radius(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
-    """Of the worn block, before balls are taken from it."""
+    """Returns the radius of the worn block, before balls are taken from it."""
     h, _plane, _gap = block(rock.normals, rock.distances, x, y, z, rock.width)
     r = 1.0 / min(max(h, 0.8), 4.0)
     bumps = 0.0
@@ -95,28 +95,28 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return max(left, 0.5 * r), tone
 
 
-class Vesicular(Carved[_Drawn]):
+class VesicularRock(Carved[_VesicularNumbers]):
     """A worn block from which balls are taken, their middles a little above the surface."""
 
     sample = sampling(_at)
     noises = ((1.5, 3), (6.0, 4))
     USUAL = Usual(0.2, 0.35, 0.4)
 
-    def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, its bubbles where coarse relief alone leaves them."""
+    def for_mesh(self, fine: Fine) -> _VesicularNumbers:
+        """Returns the parameters for a mesh, with bubbles where coarse relief alone leaves them."""
         fine = fine._replace(waves=min(fine.waves, 2), grains=0)
         return self.drawn._replace(bubbles=_balls(np.uint64(self.key), self.drawn, fine))
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _VesicularNumbers:
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/planes", 3 * _PLANES).reshape(_PLANES, 3)
         v = streams.uniforms(f"{path}/bubbles", 4 * _BUBBLES).reshape(_BUBBLES, 4)
         # Numbers fall with the size's square: as much of the surface to every size.
         steep = 1.0 / (_SMALLEST * _SMALLEST)
         flat = 1.0 / (_LARGEST * _LARGEST)
         size = 1.0 / np.sqrt(steep + v[:, 2] * (flat - steep))
-        return _Drawn(
+        return _VesicularNumbers(
             normals=unit_vectors(u[:, :2]),
             distances=0.66 + 0.34 * u[:, 2],
             bubbles=np.concatenate(

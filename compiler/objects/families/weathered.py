@@ -30,7 +30,7 @@ _FARTHEST = 0.82
 _SPALLS = 7
 
 
-class _Drawn(NamedTuple):
+class _WeatheredNumbers(NamedTuple):
     """A weathered rock.
 
     Attributes:
@@ -85,7 +85,7 @@ def _at(keys, rock, fine, x, y, z):  # type: ignore[no-untyped-def]
     return r * rough(fine.bumpiness, bumps), tone
 
 
-class Weathered(Carved[_Drawn]):
+class WeatheredRock(Carved[_WeatheredNumbers]):
     """A convex block, its edges rounded unevenly, with spalls and patches of pits.
 
     The finest relief has waves of a twentieth of a radius, whatever the mesh: what is finer is for
@@ -99,23 +99,23 @@ class Weathered(Carved[_Drawn]):
     READS = "angularity"
 
     def creases(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the planes meet."""
+        """Returns the planes that meet at creases."""
         return self.drawn.normals, self.drawn.distances
 
-    def seen(self, fine: Fine) -> _Drawn:
-        """As of ``Carved``, with scars as balls."""
+    def for_mesh(self, fine: Fine) -> _WeatheredNumbers:
+        """Returns the parameters for a mesh, with scars as balls."""
         rock = self.drawn
         return rock._replace(scars=bowls(rock.normals, rock.distances, rock.scars))
 
     @staticmethod
-    def draw(path: str, streams: Streams, wear: float) -> _Drawn:
-        """As of ``Carved``."""
+    def draw(path: str, streams: Streams, wear: float) -> _WeatheredNumbers:
+        """Draws the parameters of a rock."""
         u = streams.uniforms(f"{path}/joints", 18).reshape(6, 3)
         v = streams.uniforms(f"{path}/planes", 3 * _FRACTURES).reshape(_FRACTURES, 3)
         joints = np.concatenate([np.eye(3), -np.eye(3)]) + 0.45 * unit_vectors(u[:, :2])
         joints /= np.sqrt((joints * joints).sum(axis=1))[:, None]
         s = streams.uniforms(f"{path}/spalls", 4 * _SPALLS).reshape(_SPALLS, 4)
-        return _Drawn(
+        return _WeatheredNumbers(
             normals=np.concatenate([joints, unit_vectors(v[:, :2])]),
             distances=np.concatenate([0.62 + 0.3 * u[:, 2], 0.66 + 0.3 * v[:, 2]]),
             scars=np.concatenate(

@@ -103,7 +103,7 @@ class Barchans:
         repose = self.repose_deg * (elementary.PI / 180.0)
         shown = 2.0 * _HALF_WIDTH * self.height_m >= _FINEST * max(grid.spacing_m)
         sand = np.zeros(grid.shape)
-        _heap(
+        _add_dunes(
             sand,
             grid.x(),
             grid.y(),
@@ -122,7 +122,7 @@ class Barchans:
 
 
 @kernel
-def _heap(
+def _add_dunes(
     sand: NDArray,
     x: NDArray,
     y: NDArray,

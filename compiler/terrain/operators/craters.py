@@ -15,7 +15,7 @@ from scenec.compiler.distributions.laws import arrivals
 from scenec.compiler.distributions.numbers import Number, draw_number
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds import Context, Finding, Node, forms, key
-from scenec.compiler.noise.lattice import hash2, subkeys, whole
+from scenec.compiler.noise.lattice import hash2, subkeys, to_integer
 from scenec.compiler.noise.perlin import DIRECTION_MASK, perlin2_of_directions
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.crater_profile import (
@@ -178,7 +178,7 @@ class Craters:
         Raises:
             SceneError: They reach over too many samples to be done in minutes.
         """
-        shown = shown_on(self, grid)
+        shown = resolved_on(self, grid)
         _require_doable(self.diameter_m[shown], grid)
         out = height.copy()
         touched = 0
@@ -205,7 +205,7 @@ class Craters:
         }
 
     def bowls(self, which: NDArray[np.bool_]) -> Bowls:
-        """Where some of them lie."""
+        """Returns the bowls of some of them."""
         return Bowls(
             self.x_m[which],
             self.y_m[which],
@@ -217,7 +217,7 @@ class Craters:
 
 
 class Bowls(NamedTuple):
-    """Where craters lie, meters, and their wear and outlines: see ``Craters``."""
+    """Holds places of craters, meters, and their wear and outlines: see ``Craters``."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
@@ -239,8 +239,8 @@ def _require_doable(diameter_m: NDArray[np.float64], grid: Grid) -> None:
         )
 
 
-def shown_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
-    """Which craters are wide enough for a grid to show: bool [n]."""
+def resolved_on(craters: Craters, grid: Grid) -> NDArray[np.bool_]:
+    """Selects the craters that are wide enough for a grid to show: bool [n]."""
     return craters.diameter_m >= _FINEST * max(grid.spacing_m)
 
 
@@ -294,7 +294,7 @@ def uneven_distances(
         v = _OUTLINE * dy / there
         fu = np.floor(u)
         fv = np.floor(v)
-        at = whole((fv - first) * _WIDTH + (fu - first))
+        at = to_integer((fv - first) * _WIDTH + (fu - first))
         lobe = perlin2_of_directions(
             directions[at],
             directions[at + np.uint64(1)],
@@ -404,7 +404,7 @@ def _plane(
     return sz - slope_x * sx - slope_y * sy, slope_x, slope_y
 
 
-def craters_laid(context: Context) -> tuple[tuple[Craters, tuple[Any, ...]], ...]:
+def craters_of(context: Context) -> tuple[tuple[Craters, tuple[Any, ...]], ...]:
     """Returns the craters that the relief lays, each with the conditions of its mask."""
     found = []
     for one in context.relief:
@@ -443,7 +443,7 @@ class _Law:
 
 
 def _area(size_m: tuple[float, float], octave: int) -> float:
-    """Of the rectangle that craters below 2**(octave + 1) m reach the terrain from, m^2."""
+    """Returns the area that craters below 2**(octave + 1) m reach the terrain from, m^2."""
     margin = 2.0 * _margin(octave)
     return (size_m[0] + margin) * (size_m[1] + margin)
 

@@ -36,7 +36,7 @@ _SHIFT = np.uint64(21)
 
 
 class Plates(NamedTuple):
-    """Of a ``Crust``, in numbers.
+    """Holds the parameters of a ``Crust``.
 
     Attributes:
         height: In meters.
@@ -44,7 +44,7 @@ class Plates(NamedTuple):
     """
 
     height: float
-    gone: float
+    missing_below: float
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Crust:
     """Share of the plates that are gone, in gaps of several."""
     key: int = noise_key()
 
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "displacement_crust": {
             "DESCRIPTION": "A cemented crust on loose soil (duricrust), broken into plates. It "
             "ends where the layer does: a high sharpness of that makes a steep border.",
@@ -122,7 +122,7 @@ class Crust:
 
 
 def _below(share: float) -> float:
-    """What the sum of two numbers that are uniform in [0, 1] is below in a share of cases."""
+    """Returns the quantile of the sum of two numbers that are uniform in [0, 1]."""
     if share <= 0.5:
         return float(np.sqrt(2.0 * share))
     return 2.0 - float(np.sqrt(2.0 * (1.0 - share)))
@@ -137,7 +137,7 @@ def _heights_part(
         nearest, second, i, j = worley2_cell(keys[0], u[n], v[n], _JITTER)
         bits = hash2(keys[1], i, j)
         own, east, north = _unit(bits), _unit(bits >> _SHIFT), _unit(bits >> _SHIFT >> _SHIFT)
-        if own + _unit(hash2(keys[2], i // _BLOCK, j // _BLOCK)) < plates.gone:
+        if own + _unit(hash2(keys[2], i // _BLOCK, j // _BLOCK)) < plates.missing_below:
             out[n] = 0.0
             continue
         lean = _LOOSE if _unit(mix(bits)) < _LOOSE_SHARE else _LYING

@@ -13,7 +13,7 @@ from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds import Context, forms, key
 from scenec.compiler.noise.fractal import fbm2
-from scenec.compiler.terrain.bins import Bins, any_within, bin_at, binned
+from scenec.compiler.terrain.bins import BinIndex, any_within, bin_at, binned
 from scenec.compiler.terrain.detail import Finer, Spectrum, finer, finer_than
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.schemas.errors import SceneError
@@ -44,7 +44,7 @@ _FINEST = 3.0
 
 
 class Sole(NamedTuple):
-    """What presses, in meters.
+    """Describes the sole that presses, in meters.
 
     Attributes:
         half_length, half_width: Of the outline, u^4 + v^2 = 1, tapered.
@@ -183,7 +183,7 @@ class FootprintsDetail:
 
     prints: NDArray[np.float64]
     sole: Sole
-    bins: Bins
+    bins: BinIndex
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
@@ -247,13 +247,13 @@ def _walk(
 
 
 def _reach(length_m: float) -> float:
-    """How far from its middle a print of a sole ends, meters: the corner of its rim at most."""
+    """Returns how far a print ends from its middle, meters: the corner of its rim at most."""
     half = 0.5 * length_m
     wide = _HALF_WIDTH * length_m * (1.0 + _TAPER * (1.0 + _RIM))
     return (1.0 + _RIM) * math.sqrt(half * half + wide * wide)
 
 
-def _binned(of: Footprints) -> Bins:
+def _binned(of: Footprints) -> BinIndex:
     reach = _reach(of.length_m)
     sizes = [size + 2.0 * reach for size in of.size_m]
     x, y = np.ascontiguousarray(of.prints[:, :2].T)
@@ -264,9 +264,9 @@ def _binned(of: Footprints) -> Bins:
 
 @kernel
 def _amplitudes(
-    bins: Bins, x: NDArray, y: NDArray, radius: NDArray, length: NDArray, table: Finer
+    bins: BinIndex, x: NDArray, y: NDArray, radius: NDArray, length: NDArray, table: Finer
 ) -> NDArray:
-    """Of what is finer than lengths in disks that prints may reach into, float64 [n]."""
+    """Returns the relief finer than lengths in disks that prints may reach into, float64 [n]."""
     out = np.zeros(x.size)
     for n in range(x.size):
         if any_within(bins, x[n], y[n], radius[n]):
@@ -280,7 +280,7 @@ def _heights_part(
     last: int,
     prints: NDArray,
     sole: Sole,
-    bins: Bins,
+    bins: BinIndex,
     x: NDArray,
     y: NDArray,
     out: NDArray,

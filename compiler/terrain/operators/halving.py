@@ -9,9 +9,9 @@ from scenec.compiler.arithmetic.ranks import ranked
 
 
 def halving_error(
-    out: NDArray[np.float64], steps: int, other: NDArray[np.float64], others: int
+    out: NDArray[np.float64], steps: int, other: NDArray[np.float64], other_steps: int
 ) -> dict[str, float]:
-    """What heights err after some steps, from those after fewer (or more).
+    """Estimates the error of heights after some steps, from those after fewer (or more).
 
     Richardson's estimate for an error that falls with the square root of the steps: what stops
     converging smoothly (water that finds another way, slides that meet) falls no slower in the
@@ -20,14 +20,14 @@ def halving_error(
     Args:
         out: Heights after ``steps``.
         steps: How many.
-        other: The same after ``others``.
-        others: How many, about half or twice as many.
+        other: The same after ``other_steps``.
+        other_steps: How many, about half or twice as many.
 
     Returns:
         For the report: root mean square, and what 99 % of samples stay within, meters.
     """
     difference = np.abs(out - other)
-    factor = 1.0 / abs(float(np.sqrt(steps / others)) - 1.0)
+    factor = 1.0 / abs(float(np.sqrt(steps / other_steps)) - 1.0)
     (most,) = ranked(difference, (int(0.99 * (difference.size - 1)),))
     return {
         "error_rms_m": factor * rms(difference),

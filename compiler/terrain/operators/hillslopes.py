@@ -66,7 +66,7 @@ class _Axis:
         return odd[self._along(slice(None, None, 2))]
 
     def field(self, modes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What ``modes`` takes apart."""
+        """Inverts ``modes``."""
         if not any(self.fixed):
             return cosines.idct(modes, self.number)
         if all(self.fixed):
@@ -129,7 +129,7 @@ class Hillslopes:
         return out
 
     def risen(self, uplift_m: float, spread_m2: float) -> NDArray[np.float64]:
-        """What an uplift that goes on during a step adds to it: float64 [ny, nx], meters.
+        """Returns what uplift during a step adds to it: float64 [ny, nx], meters.
 
         Args:
             uplift_m: How far all but the fixed samples would rise without diffusion.
@@ -151,7 +151,7 @@ class Hillslopes:
         return out
 
     def _decay(self, spread_m2: float) -> NDArray[np.float64]:
-        """What a step leaves of each mode."""
+        """Returns the factor by which a step damps each mode."""
         rows, columns = (elementary.exp_array(-spread_m2 * axis.eigenvalues) for axis in self._axes)
         decay: NDArray[np.float64] = rows[:, None] * columns[None, :]
         return decay

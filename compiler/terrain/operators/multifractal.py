@@ -31,7 +31,7 @@ class OctaveRelief(ABC):
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus relief."""
-        octaves = self._shown(grid)
+        octaves = self._first_octave(grid)
         relief = np.zeros(grid.shape)
         if octaves:
             relief = self.amplitude_m * self.on(grid, octaves)
@@ -43,17 +43,17 @@ class OctaveRelief(ABC):
 
     def detail(self, grid: Grid) -> FinerOctaves | None:
         """The octaves that a grid is too coarse for."""
-        shown, held = self._shown(grid), self._held(max(grid.size_m))
-        if shown >= held.octaves or self.amplitude_m == 0.0:
+        first_octave, held = self._first_octave(grid), self._held(max(grid.size_m))
+        if first_octave >= held.octaves or self.amplitude_m == 0.0:
             return None
-        return FinerOctaves(held, shown, max(grid.spacing_m))
+        return FinerOctaves(held, first_octave, max(grid.spacing_m))
 
     def everywhere(self) -> FinerOctaves:
         """All of it as detail."""
         return FinerOctaves(self._held(LARGEST_M), 0, 0.0)
 
-    def _shown(self, grid: Grid) -> int:
-        return octaves_shown(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
+    def _first_octave(self, grid: Grid) -> int:
+        return octaves_resolved(self.octaves, self.scale_m, self.lacunarity, max(grid.spacing_m))
 
     def _held(self, extent_m: float) -> Self:
         held = octaves_held(self.octaves, self.scale_m, self.lacunarity, extent_m)
@@ -65,13 +65,13 @@ class OctaveRelief(ABC):
 
     @abstractmethod
     def beyond(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int, spacing_m: float
+        self, x: NDArray[np.float64], y: NDArray[np.float64], first_octave: int, spacing_m: float
     ) -> NDArray[np.float64]:
         """Octaves from ``shown`` on at points, in units of the amplitude: float64 [n]."""
 
     @abstractmethod
-    def spectrum(self, shown: int) -> Spectrum:
-        """Of the octaves from ``shown`` on."""
+    def spectrum(self, first_octave: int) -> Spectrum:
+        """Returns the spectrum of the octaves from ``shown`` on."""
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,19 @@ class FinerOctaves:
     """
 
     relief: OctaveRelief
-    shown: int
+    first_octave: int
     spacing_m: float
 
     def at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Meters to add at points, float64 [n]."""
         relief = self.relief
-        if self.shown >= relief.octaves:
+        if self.first_octave >= relief.octaves:
             return np.zeros(x.shape)
-        return relief.amplitude_m * relief.beyond(x, y, self.shown, self.spacing_m)
+        return relief.amplitude_m * relief.beyond(x, y, self.first_octave, self.spacing_m)
 
     def spectrum(self) -> Spectrum:
-        """Of the octaves."""
-        return self.relief.spectrum(self.shown)
+        """Returns the spectrum of the octaves."""
+        return self.relief.spectrum(self.first_octave)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Multifractal(OctaveRelief):
     key: int = noise_key()
 
     #: As a relief of a material, at any fineness.
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "displacement_multifractal": {
             "DESCRIPTION": "Fractal relief on Perlin noise (Musgrave, in Ebert et al. 2003).",
             "EXAMPLE": {
@@ -166,22 +166,22 @@ class Multifractal(OctaveRelief):
         return self.noise(octaves, max(grid.spacing_m)).on(grid.x(), grid.y())
 
     def beyond(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int, spacing_m: float
+        self, x: NDArray[np.float64], y: NDArray[np.float64], first_octave: int, spacing_m: float
     ) -> NDArray[np.float64]:
         """Warped as the grid's octaves are, if there are any: its samples must not move."""
-        noise = self.noise(self.octaves, spacing_m if shown else 0.0)
-        return replace(noise, shown=shown).at(x, y)
+        noise = self.noise(self.octaves, spacing_m if first_octave else 0.0)
+        return replace(noise, first_octave=first_octave).at(x, y)
 
-    def spectrum(self, shown: int) -> Spectrum:
+    def spectrum(self, first_octave: int) -> Spectrum:
         """Octaves of the multifractals as large as they get where they are rough."""
         rough = {"fbm": 1.0, "billow": 2.0}.get(self.variant, 1.0 + abs(self.offset))
-        octaves = range(shown, self.octaves)
+        octaves = range(first_octave, self.octaves)
         amplitude = rough * self.amplitude_m
         return octave_spectrum(self.scale_m, octaves, self.lacunarity, self.gain, amplitude)
 
     def noise(self, octaves: int, spacing_m: float) -> Fractal:
         """Some octaves, warped by those that a grid shows; by all where its spacing is 0."""
-        warps = octaves_shown(self.distortion_octaves, self.scale_m, WARP_LACUNARITY, spacing_m)
+        warps = octaves_resolved(self.distortion_octaves, self.scale_m, WARP_LACUNARITY, spacing_m)
         return Fractal(
             self.key,
             octaves,
@@ -195,8 +195,8 @@ class Multifractal(OctaveRelief):
         )
 
 
-def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: float) -> int:
-    """How many of a noise's octaves are at least two grid spacings wide."""
+def octaves_resolved(octaves: int, scale_m: float, lacunarity: float, spacing_m: float) -> int:
+    """Counts the octaves of a noise that are at least two grid spacings wide."""
     wavelength = scale_m
     for octave in range(octaves):
         if wavelength < 2.0 * spacing_m:
@@ -206,9 +206,9 @@ def octaves_shown(octaves: int, scale_m: float, lacunarity: float, spacing_m: fl
 
 
 def octaves_held(octaves: int, scale_m: float, lacunarity: float, extent_m: float) -> int:
-    """How many of a noise's octaves have a place: float64 knows where in its lattice a point lies.
+    """Counts the octaves of a noise in whose lattice float64 can still place a point.
 
     Beyond 2**45 wavelengths from the origin too few bits are left of the place between two points
     of the lattice, and soon none; whole numbers of it then overflow.
     """
-    return octaves_shown(octaves, scale_m, lacunarity, 2.0**-46 * extent_m)
+    return octaves_resolved(octaves, scale_m, lacunarity, 2.0**-46 * extent_m)

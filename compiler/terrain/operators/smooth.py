@@ -78,7 +78,7 @@ def diffuse(grid: Grid, height: NDArray[np.float64], length_m: float) -> NDArray
 
 
 def laplacian_eigenvalues(n: int, spacing: float) -> NDArray[np.float64]:
-    """Of minus the second difference with insulated ends, by the modes of the DCT-II: float64 [n].
+    """Returns eigenvalues of minus the second difference, insulated, by DCT-II mode: float64 [n].
 
     (2 - 2 cos(pi k / n)) / spacing^2, from half the angle, which keeps the bits of the small ones.
     """

@@ -14,7 +14,7 @@ from scenec.compiler.noise.lattice import hash2, unit
 from scenec.compiler.terrain.detail import Spectrum
 from scenec.compiler.terrain.grid import Applied, Grid
 from scenec.compiler.terrain.operators.halving import changed
-from scenec.compiler.terrain.operators.multifractal import octaves_shown
+from scenec.compiler.terrain.operators.multifractal import octaves_resolved
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -50,7 +50,7 @@ class Terraces:
     """Size of the bends."""
     key: int = noise_key()
 
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "displacement_terraces": {
             "DESCRIPTION": "Cuts the ground, with what stands before it in the list, into steps, "
             "as layered rock weathers: level ledges as sharp as the mesh is fine.",
@@ -60,7 +60,7 @@ class Terraces:
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Terraced heights."""
-        octaves = octaves_shown(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
+        octaves = octaves_resolved(_OCTAVES, self.bend_scale_m, _LACUNARITY, max(grid.spacing_m))
         out = height + self._change(
             height, self.bend_m * self._bends(octaves).on(grid.x(), grid.y())
         )
@@ -91,12 +91,12 @@ class Terraces:
         return Fractal(self.key, octaves, _GAIN, _LACUNARITY, scale_m=self.bend_scale_m)
 
     def _change(
-        self, height: NDArray[np.float64], bend: NDArray[np.float64]
+        self, height: NDArray[np.float64], offset_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         key = np.uint64(self.key)
         layers = key, self.step_m, self.riser, self.tread_slope, self.irregularity
         out = np.empty(height.size)
-        raised = np.ascontiguousarray(height + bend).ravel()
+        raised = np.ascontiguousarray(height + offset_m).ravel()
         over_threads(_terraced_part, raised.size, raised, layers, out, least=POINTS)
         return out.reshape(height.shape)
 

@@ -96,8 +96,8 @@ def _degrees(slope: float) -> float:
     return float(elementary.atan(slope) * (180.0 / elementary.PI))
 
 
-class _Step(NamedTuple):
-    """What an iteration goes by.
+class _Iteration(NamedTuple):
+    """Holds the parameters of an iteration.
 
     Attributes:
         dx, dy: Spacing, meters.
@@ -129,7 +129,7 @@ def _slide(
     out, half, change = height, height, 0.0
     for level in range(len(levels) - 1, -1, -1):
         spacing_mean = float(np.sqrt(steps[level][0] * steps[level][1]))
-        step = _Step(*steps[level], slope, max(travel, spacing_mean) * spacing_mean)
+        step = _Iteration(*steps[level], slope, max(travel, spacing_mean) * spacing_mean)
         out, half, change = _iterate(levels[level], step, q, held, _COARSE if level else _FINE)
         if level:
             q, held = _refine(out, q, step, *levels[level - 1].shape)
@@ -138,7 +138,7 @@ def _slide(
 
 def _iterate(
     height: NDArray[np.float64],
-    step: _Step,
+    step: _Iteration,
     q: NDArray[np.float64],
     held: NDArray[np.float64],
     iterations: int,
@@ -180,7 +180,7 @@ _UNKNOWN = np.empty((2, 0, 0))
 
 
 @kernel
-def _push(out: NDArray, height: NDArray, q: NDArray, held: NDArray, step: _Step) -> None:
+def _push(out: NDArray, height: NDArray, q: NDArray, held: NDArray, step: _Iteration) -> None:
     """Heights become the next right-hand side: ``height`` minus penalty * divergence of the aims.
 
     Row by row, while rows are in the cache: gradients of the heights plus what was cut off are
@@ -219,7 +219,7 @@ def _push(out: NDArray, height: NDArray, q: NDArray, held: NDArray, step: _Step)
 
 
 @inlined
-def _add_rises(height: NDArray, j: int, rises: NDArray, step: _Step, q: NDArray) -> None:
+def _add_rises(height: NDArray, j: int, rises: NDArray, step: _Iteration, q: NDArray) -> None:
     """Adds the gradients of a row's triangles. Rows come in order, and are read once.
 
     Args:
@@ -292,7 +292,7 @@ def _sum(
         aims: Of the row, float64 [4, n + 2]: beside it they are 0, as they are across the sides.
         below, above: In y, of the first triangles of the row before and of the second ones of the
             row after, float64 [n].
-        penalty: As of ``_Step``.
+        penalty: As of ``_Iteration``.
         out: float64 [n].
     """
     n = out.size
@@ -311,8 +311,10 @@ def _half(height: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @kernel
-def _refine(height: NDArray, q: NDArray, step: _Step, ny: int, nx: int) -> tuple[NDArray, NDArray]:
-    """What ``_iterate`` begins with on a grid twice as fine, where the penalty is half of it.
+def _refine(
+    height: NDArray, q: NDArray, step: _Iteration, ny: int, nx: int
+) -> tuple[NDArray, NDArray]:
+    """Returns the start of ``_iterate`` on a grid twice as fine, where the penalty is half of it.
 
     Args:
         height, q: What it ends with.

@@ -29,7 +29,7 @@ _FINEST = 3.0
 
 
 class Wheels(NamedTuple):
-    """What presses, in meters.
+    """Describes the wheels that press, in meters.
 
     Attributes:
         middle: Half the distance between the wheels' middles.

@@ -59,7 +59,7 @@ class Worley(OctaveRelief):
     key: int = noise_key()
 
     #: As a relief of a material, at any fineness.
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "displacement_worley": {
             "TITLE": "Displacement: Worley",
             "DESCRIPTION": "Cellular relief: grains, pits or cracks around scattered points "
@@ -75,28 +75,28 @@ class Worley(OctaveRelief):
         return own.beyond(*grid.points(), 0, 0.0).reshape(grid.shape)
 
     def beyond(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], shown: int, spacing_m: float
+        self, x: NDArray[np.float64], y: NDArray[np.float64], first_octave: int, spacing_m: float
     ) -> NDArray[np.float64]:
         """Octaves at points, whatever a grid shows."""
         kind = _KINDS.index(self.distance)
-        cells = Cells(shown, self.gain, self.lacunarity, self.jitter, kind)
+        cells = WorleyForm(first_octave, self.gain, self.lacunarity, self.jitter, kind)
         keys = subkeys(np.uint64(self.key), self.octaves)
         out = np.empty(x.size)
         x, y = x / self.scale_m, y / self.scale_m
         over_threads(_points_part, x.size, keys, x, y, cells, out, least=POINTS)
         return out
 
-    def spectrum(self, shown: int) -> Spectrum:
-        """Of the octaves, up and down from their mean; cells count as two waves, a cone each."""
-        octaves = range(shown, self.octaves)
+    def spectrum(self, first_octave: int) -> Spectrum:
+        """Returns the octaves' spectrum about their mean; cells count as two waves, a cone each."""
+        octaves = range(first_octave, self.octaves)
         amplitude = _SPANS[_KINDS.index(self.distance)] * self.amplitude_m
         return octave_spectrum(0.5 * self.scale_m, octaves, self.lacunarity, self.gain, amplitude)
 
 
-class Cells(NamedTuple):
-    """Of a ``Worley``, in numbers: octaves left out; ``distance`` by its place in ``_KINDS``."""
+class WorleyForm(NamedTuple):
+    """Holds the parameters of a ``Worley`` but its octaves; ``kind`` is an index of ``_KINDS``."""
 
-    shown: int
+    first_octave: int
     gain: float
     lacunarity: float
     jitter: float
@@ -105,7 +105,7 @@ class Cells(NamedTuple):
 
 @kernel
 def _points_part(
-    begin: int, end: int, keys: NDArray, x: NDArray, y: NDArray, cells: Cells, out: NDArray
+    begin: int, end: int, keys: NDArray, x: NDArray, y: NDArray, cells: WorleyForm, out: NDArray
 ) -> None:
     work = np.empty((4, BLOCK))
     for at in range(begin, end, BLOCK):
@@ -117,7 +117,7 @@ def _points_part(
         value[:] = 0.0
         weight = 1.0
         for octave in range(keys.size):
-            if octave >= cells.shown:
+            if octave >= cells.first_octave:
                 if cells.kind == 2:
                     blocks2_points(keys[octave], u, v, cells.jitter, first)
                 else:

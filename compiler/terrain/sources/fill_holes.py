@@ -51,10 +51,10 @@ def _solve(field: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
     known = field[~mask]
     # Heights from a level: a plain keeps its bits.
     low, high = float(known.min()), float(known.max())
-    around, right, count = _equations(field - low, holes, number)
+    neighbors, right, count = _equations(field - low, holes, number)
     enough = _RESIDUAL * (high - low) + 1e-16 * max(abs(low), abs(high))
     x = field.reshape(-1)[holes] - low
-    left = right - _applied(x, around, count)
+    left = right - _applied(x, neighbors, count)
     way, squared = left.copy(), float((left * left).sum())
     half = x.copy()
     for step in range(_MOST):
@@ -64,7 +64,7 @@ def _solve(field: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:
             error = largest * len(holes)
             break
         half = x.copy() if step == _MOST // 2 else half
-        applied = _applied(way, around, count)
+        applied = _applied(way, neighbors, count)
         length = squared / float((way * applied).sum())
         x += length * way
         left -= length * applied
@@ -100,12 +100,12 @@ def _coarsen(field: NDArray, mask: NDArray) -> tuple[NDArray, NDArray]:
 
 @kernel
 def _equations(field: NDArray, holes: NDArray, number: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """What Laplace's equation says of each sample of a hole.
+    """Sets up Laplace's equation at each sample of a hole.
 
     Its neighbors in holes (-1: none), the sum of those that are known, and how many there are.
     """
     ny, nx = field.shape
-    around = np.full((holes.size, 4), -1, np.int64)
+    neighbors = np.full((holes.size, 4), -1, np.int64)
     right = np.zeros(holes.size)
     count = np.zeros(holes.size)
     for k in range(holes.size):
@@ -120,18 +120,18 @@ def _equations(field: NDArray, holes: NDArray, number: NDArray) -> tuple[NDArray
             other = number[b * nx + a]
             if other < 0:
                 right[k] += field[b, a]
-            around[k, side] = other
-    return around, right, count
+            neighbors[k, side] = other
+    return neighbors, right, count
 
 
 @kernel
-def _applied(x: NDArray, around: NDArray, count: NDArray) -> NDArray:
+def _applied(x: NDArray, neighbors: NDArray, count: NDArray) -> NDArray:
     """Minus the second differences of the holes' samples, the known ones taken as 0."""
     out = np.empty(x.size)
     for k in range(x.size):
         total = count[k] * x[k]
         for side in range(4):
-            if around[k, side] >= 0:
-                total -= x[around[k, side]]
+            if neighbors[k, side] >= 0:
+                total -= x[neighbors[k, side]]
         out[k] = total
     return out

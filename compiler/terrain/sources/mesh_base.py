@@ -10,11 +10,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.model import Model, read_model
+from scenec.compiler.assets.model import MeshModel, read_model
 from scenec.compiler.geometry import affine
 from scenec.compiler.kinds import Finding, Node, an, bounded, file, forms, key, list_of, noise_key
 from scenec.compiler.terrain.grid import Applied, Grid, HeightField
-from scenec.compiler.terrain.operators.multifractal import octaves_shown
+from scenec.compiler.terrain.operators.multifractal import octaves_resolved
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.compiler.terrain.sources.mesh_plan import SAME, Above, see
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface, roughened, subdivided
@@ -97,7 +97,7 @@ class MeshBase:
     """
 
     #: What a mask is of it.
-    ELSEWHERE: ClassVar = {
+    VARIANTS: ClassVar = {
         "relief_mesh": {
             "mask": {
                 "description": "Where the operator acts: conditions whose product is the mask. "
@@ -137,8 +137,8 @@ class MeshBase:
             SceneError: The file cannot be read, or there is no mesh somewhere under the terrain.
         """
         mesh = self._read()
-        seen, report = self._seen(grid, self._placed(mesh), mesh.faces)
-        top, filled = self._whole(seen)
+        view, report = self._viewed(grid, self._placed(mesh), mesh.faces)
+        top, filled = self._filled(view)
         return height + top, {**_read_report(mesh), **report, **filled}
 
     def stage(self, grid: Grid, max_triangles: int) -> tuple[MeshSurface, dict[str, Any]]:
@@ -153,10 +153,10 @@ class MeshBase:
         mesh = self._read()
         points = self._placed(mesh)
         spacing = max(grid.spacing_m)
-        seen, _ = self._seen(grid, points, mesh.faces)
-        _, filled = self._whole(seen)
+        view, _ = self._viewed(grid, points, mesh.faces)
+        _, filled = self._filled(view)
         # Of closed solids and of open sheets, the side seen from above is the front.
-        flipped = 2 * int(seen.down.sum()) > int(np.isfinite(seen.top).sum())
+        flipped = 2 * int(view.down.sum()) > int(np.isfinite(view.top).sum())
         faces = np.ascontiguousarray(mesh.faces[:, ::-1]) if flipped else mesh.faces
         points, faces, edge = subdivided(points, faces, spacing, max_triangles, grid.size_m)
         report: dict[str, Any] = {
@@ -169,21 +169,21 @@ class MeshBase:
         }
         if self.roughness is not None:
             rough = self.roughness
-            octaves = octaves_shown(rough.octaves, rough.scale_m, 2.0, edge)
+            octaves = octaves_resolved(rough.octaves, rough.scale_m, 2.0, edge)
             points = roughened(
                 points, faces, rough.key, rough.amplitude_m, rough.scale_m, octaves, rough.gain
             )
             report["roughness_octaves"] = octaves
             report["roughness_octaves_below_edge"] = rough.octaves - octaves
-        seen, above = self._seen(grid, points, faces)
+        view, above = self._viewed(grid, points, faces)
         # Roughness may draw the mesh's border in; that is no hole of the file's.
-        top = _without_holes(seen)[0]
+        top = _without_holes(view)[0]
         return MeshSurface(grid, top, points, faces), {**report, **above, **filled}
 
-    def _read(self) -> Model:
+    def _read(self) -> MeshModel:
         return read_model(self.file, unit_m=self.unit_m, up=self.up, part=self.part, looks=False)
 
-    def _placed(self, mesh: Model) -> NDArray[np.float64]:
+    def _placed(self, mesh: MeshModel) -> NDArray[np.float64]:
         turn = affine.about_axis(2, self.rotation_deg)
         points = affine.applied(turn, mesh.points * self.scale)
         if self.place == "center":
@@ -194,12 +194,12 @@ class MeshBase:
             raise SceneError(f"{self.file.name}: its size overflows; use a smaller scale")
         return points
 
-    def _seen(
+    def _viewed(
         self, grid: Grid, points: NDArray[np.float64], faces: NDArray[np.int32]
     ) -> tuple[Above, dict[str, Any]]:
         frame = HeightField(grid, np.zeros(grid.shape)).frame()
-        seen = see(points, faces, frame, grid.shape)
-        there = np.isfinite(seen.top)
+        view = see(points, faces, frame, grid.shape)
+        there = np.isfinite(view.top)
         if not there.any():
             low, high = points.min(axis=0), points.max(axis=0)
             raise SceneError(
@@ -208,37 +208,37 @@ class MeshBase:
                 f"is {grid.size_m[0]:g} m by {grid.size_m[1]:g} m around (0, 0); check unit_m, up "
                 "and place"
             )
-        both = np.isfinite(seen.floor)
-        gap = np.where(both, seen.ceiling, 0.0) - np.where(both, seen.floor, 0.0)
+        both = np.isfinite(view.floor)
+        gap = np.where(both, view.ceiling, 0.0) - np.where(both, view.floor, 0.0)
         over = gap > SAME * max(grid.spacing_m)
-        return seen, {
+        return view, {
             "overhang_fraction": float(over.sum() / there.sum()),
             "overhang_height_max_m": float(gap[over].max(initial=0.0)),
-            "facing_down_fraction": float(seen.down.sum() / there.sum()),
+            "facing_down_fraction": float(view.down.sum() / there.sum()),
         }
 
-    def _whole(self, seen: Above) -> Applied:
+    def _filled(self, view: Above) -> Applied:
         """Heights without holes."""
-        holes = ~np.isfinite(seen.top)
+        holes = ~np.isfinite(view.top)
         count = int(holes.sum())
         if count == 0:
-            return seen.top, {}
+            return view.top, {}
         if self.holes == "error":
             raise SceneError(
                 f"{self.file.name}: {count} of {holes.size} samples of the terrain have no mesh "
                 "over or under them; make the terrain smaller or the mesh larger, or say "
                 '"holes": "fill"'
             )
-        filled, error = _without_holes(seen)
+        filled, error = _without_holes(view)
         return filled, {"holes_filled": count, "holes_error_m": error}
 
 
-def _without_holes(seen: Above) -> tuple[NDArray[np.float64], float]:
-    holes = ~np.isfinite(seen.top)
-    return fill_holes(np.where(holes, 0.0, seen.top), holes)
+def _without_holes(view: Above) -> tuple[NDArray[np.float64], float]:
+    holes = ~np.isfinite(view.top)
+    return fill_holes(np.where(holes, 0.0, view.top), holes)
 
 
-def _read_report(mesh: Model) -> dict[str, Any]:
+def _read_report(mesh: MeshModel) -> dict[str, Any]:
     return {
         **({"left_out": list(mesh.notes)} if mesh.notes else {}),
         "triangles_of_file": len(mesh.faces),
@@ -248,7 +248,7 @@ def _read_report(mesh: Model) -> dict[str, Any]:
 
 
 def _beyond(grid: Grid, points: NDArray[np.float64]) -> dict[str, Any]:
-    """How far the mesh reaches over the terrain's rectangle, where heights are its border's."""
+    """Reports how far the mesh exceeds the terrain's rectangle; heights there are its border's."""
     half = 0.5 * np.array(grid.size_m)
     reach = float((np.abs(points[:, :2]) - half).max(initial=0.0))
     return {"beyond_terrain_m": reach if reach > SAME * max(grid.spacing_m) else 0.0}

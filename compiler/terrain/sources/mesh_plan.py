@@ -42,7 +42,7 @@ def see(
     frame: tuple[float, float, float, float],
     shape: tuple[int, int],
 ) -> Above:
-    """What a grid's samples see of a mesh.
+    """Projects a mesh onto a grid's samples.
 
     Args:
         points: float64 [n, 3].

@@ -1,0 +1,103 @@
+"""Where on a planet a DEM lies: recorded on the stage, and no number of the scene depends on it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+
+from scenec.backends.check.stage import check_stage
+from scenec.backends.run.session import Session
+from scenec.compiler.compile import compile_cfg
+from scenec.schemas import stage as names
+from scenec.testing.small import small_cfg, write_cfg
+
+rasterio = pytest.importorskip("rasterio")
+
+PASSES = ("depth", "range", "label", "instance", "face", "normal", "position")
+HEIGHTS = np.random.default_rng(1).normal(size=(30, 40)).cumsum(axis=0).astype(np.float32)
+
+
+def compiled(folder: Path, origin: tuple[float, float] | None, **keys) -> Path:
+    """A scene on a DEM with everything else in it, too."""
+    folder.mkdir()
+    place = {} if origin is None else {"crs": "EPSG:32617"}
+    corner = (0.0, 0.0) if origin is None else origin
+    if origin is None:
+        np.save(folder / "dem.npy", HEIGHTS)
+    else:
+        with rasterio.open(
+            folder / "dem.tif", "w", driver="GTiff", width=40, height=30, count=1,
+            dtype="float32", transform=rasterio.transform.from_origin(*corner, 1.0, 1.0), **place,
+        ) as file:  # fmt: skip
+            file.write(HEIGHTS, 1)
+    cfg = small_cfg(samples=2)
+    cfg["terrain"]["relief"][0] = {
+        "type": "dem", "file": "dem.npy" if origin is None else "dem.tif", "pixel_m": 1,
+        "center": [0.4, 0.6], "height_scale": 0.3, **keys,
+    }  # fmt: skip
+    compile_cfg(write_cfg(folder, cfg), seed=5, out=folder / "out")
+    return folder / "out" / "batch_0000"
+
+
+def frames(batch: Path) -> list[dict[str, np.ndarray]]:
+    session = Session.open(batch / "stage.usda", "reference")
+    found = []
+    for sample in range(2):
+        camera = session.scene.cameras[sample][0]
+        passes = [name for name in session.passes(PASSES, camera) if name != "rgb"]
+        found.append(session.render(camera, sample, passes, 1, 1).arrays)
+    return found
+
+
+def test_frames_of_a_scene_moved_by_ten_thousand_kilometers_keep_their_bits(tmp_path):
+    near = compiled(tmp_path / "near", (300.0, 500.0))
+    far = compiled(tmp_path / "far", (1e7 + 0.3, -1e7))
+    none = compiled(tmp_path / "none", None)
+    first = frames(near)
+    assert np.isfinite(first[0]["depth"]).mean() > 0.3
+    assert len(np.unique(first[0]["instance"])) > 5
+    for other in (far, none):
+        layers = {path.relative_to(other) for path in other.rglob("*.usd*")}
+        assert layers == {path.relative_to(near) for path in near.rglob("*.usd*")}
+        for name in layers - {Path("stage.usda")}:
+            assert (near / name).read_bytes() == (other / name).read_bytes(), name
+        for a, b in zip(first, frames(other), strict=True):
+            assert a.keys() == b.keys()
+            for name in a:
+                assert a[name].tobytes() == b[name].tobytes(), name
+
+
+def test_the_place_of_the_origin_stands_on_the_root_and_in_the_report(tmp_path):
+    batch = compiled(tmp_path / "far", (1e7, -1e7 + 0.125), height_offset_m=2.5)
+    stage = Usd.Stage.Open(str(batch / "stage.usda"))
+    root = stage.GetDefaultPrim()
+    assert root.GetAttribute(names.ATTR_GEOREFERENCE_CRS).Get() == "EPSG:32617"
+    # 0.4 of 40 columns to the east, and 0.4 of 30 rows south of the first corner.
+    center = tuple(root.GetAttribute(names.ATTR_GEOREFERENCE_CENTER).Get())
+    assert center == (1e7 + 16.0, -1e7 + 0.125 - 12.0)
+    assert root.GetAttribute(names.ATTR_GEOREFERENCE_HEIGHT_OFFSET).Get() == 2.5
+    step = json.loads((batch / "report.json").read_text())["relief"][0]
+    assert tuple(step["georeference"]["center"]) == center
+    assert check_stage(batch / "stage.usda") == []
+
+
+def test_the_height_offset_gives_back_the_heights_of_the_file(tmp_path):
+    # Without an offset the mean is put at 0; what was added for that is what the stage says.
+    batch = compiled(tmp_path / "scene", (5.0, 5.0), height_scale=1.0, height_offset_m=None)
+    stage = Usd.Stage.Open(str(batch / "stage.usda"))
+    root = stage.GetDefaultPrim()
+    offset = root.GetAttribute(names.ATTR_GEOREFERENCE_HEIGHT_OFFSET).Get()
+    # Rows 10 to 26 from the south, columns 6 to 26: what lies under the terrain of 20 m x 16 m.
+    under = HEIGHTS[::-1][10:26, 6:26]
+    assert -offset == pytest.approx(float(under.mean()), abs=0.1 * float(under.std()))
+
+
+def test_without_a_place_there_is_nothing(tmp_path):
+    batch = compiled(tmp_path / "scene", None)
+    stage = Usd.Stage.Open(str(batch / "stage.usda"))
+    root = stage.GetDefaultPrim()
+    assert not [name for name in root.GetPropertyNames() if "georeference" in name]
