@@ -54,7 +54,7 @@ def verify_models(folder: Path) -> list[Flaw]:
         if not file.is_file():
             flaws.append(Flaw(entry.file, "is missing"))
         elif file.stat().st_size != entry.bytes:
-            what = f"has {file.stat().st_size:,} bytes; {EXPORT} says {entry['bytes']:,}"
+            what = f"has {file.stat().st_size:,} bytes; {EXPORT} says {entry.bytes:,}"
             flaws.append(Flaw(entry.file, what))
         elif entry.sha256 is not UNSET and sha256(file) != entry.sha256:
             flaws.append(Flaw(entry.file, f"was changed: its sha256 is not that of {EXPORT}"))
