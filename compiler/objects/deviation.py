@@ -85,7 +85,7 @@ def _find_face(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
+def square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance from a point to a triangle (Ericson 2005, section 5.1.5)."""
     a, b, c = points[face[0]], points[face[1]], points[face[2]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -123,10 +123,10 @@ def _square_to_triangle(points, face, x, y, z):  # type: ignore[no-untyped-def]
 @kernel
 def _squared_distance(mesh, face, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance to a face and its three neighbors, the nearest of them."""
-    best = _square_to_triangle(mesh.points, mesh.faces[face], x, y, z)
+    best = square_to_triangle(mesh.points, mesh.faces[face], x, y, z)
     for k in range(3):
         other = mesh.faces[mesh.beyond[face, k]]
-        best = min(best, _square_to_triangle(mesh.points, other, x, y, z))
+        best = min(best, square_to_triangle(mesh.points, other, x, y, z))
     return best
 
 

@@ -6,7 +6,6 @@ No weights are fetched: a network begins from random ones.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHe
 from torchvision.models.detection.mask_rcnn import MaskRCNNHeads, MaskRCNNPredictor
 
 from scenec.datasets.torch_dataset import FrameDataset
-from scenec.lab.experiments.networks import prepare
+from scenec.lab.experiments.networks import Recipe, descend, prepare
 from scenec.lab.experiments.renders import Frames
 from scenec.lab.experiments.terrains import CLASSES
 
@@ -34,19 +33,9 @@ LEAST_PIXELS = 12
 _ROCK = CLASSES.index("rock") + 1
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How a network is trained.
-
-    Attributes:
-        steps: Of AdamW, its rate rising and falling once (one cycle).
-        pictures: In a step.
-        rate: The highest learning rate.
-    """
-
-    steps: int
-    pictures: int = 4
-    rate: float = 1e-3
+def recipe(steps: int) -> Recipe:
+    """Says how a network is trained."""
+    return Recipe("small", steps, pictures=4, rate=1e-3)
 
 
 def network(size: tuple[int, int]) -> nn.Module:
@@ -81,7 +70,7 @@ def network(size: tuple[int, int]) -> nn.Module:
 
 
 def detected_by(
-    train: Frames, test: Frames, size: tuple[int, int], recipe: Recipe, seed: int
+    train: Frames, test: Frames, size: tuple[int, int], how: Recipe, seed: int
 ) -> tuple[list[dict[str, Any]], float]:
     """Trains a network, and asks it about other pictures.
 
@@ -89,18 +78,18 @@ def detected_by(
         train: What it learns from.
         test: What it is asked about.
         size: Of pictures.
-        recipe: How it is trained.
+        how: It is trained.
         seed: Of its weights, and of the order and turning of pictures.
 
     Returns:
         COCO's results, pictures numbered from 1; CPU seconds of this process.
     """
     start = time.process_time()
-    net = trained(train, size, recipe, seed)
+    net = trained(train, size, how, seed)
     return _results(net, test), time.process_time() - start
 
 
-def trained(train: Frames, size: tuple[int, int], recipe: Recipe, seed: int) -> nn.Module:
+def trained(train: Frames, size: tuple[int, int], how: Recipe, seed: int) -> nn.Module:
     """A network that has learned."""
     device = prepare(seed)
     # Its loss scatters gradients in an order of its own; on one thread that is the same each time.
@@ -111,22 +100,12 @@ def trained(train: Frames, size: tuple[int, int], recipe: Recipe, seed: int) -> 
     )  # fmt: skip
     read = [_learned(samples[i], device) for i in range(len(samples))]
     net = network(size).to(device).train()
-    optimizer = torch.optim.AdamW(net.parameters(), recipe.rate, weight_decay=0.01)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, recipe.rate, recipe.steps)
-    order: list[int] = []
-    for _ in range(recipe.steps):
-        if len(order) < recipe.pictures:
-            order = torch.randperm(len(read)).tolist()
-        chosen = [read[i] for i in order[: recipe.pictures]]
-        del order[: recipe.pictures]
-        if torch.rand(()) < 0.5:
-            chosen = [_mirrored(*one) for one in chosen]
-        optimizer.zero_grad()
-        losses = net([one[0] for one in chosen], [one[1] for one in chosen])
-        sum(losses.values()).backward()
-        nn.utils.clip_grad_norm_(net.parameters(), 5.0)
-        optimizer.step()
-        schedule.step()
+
+    def lost(chosen: list[int], mirrored: bool) -> torch.Tensor:
+        some = [_mirrored(*read[i]) if mirrored else read[i] for i in chosen]
+        return sum(net([one[0] for one in some], [one[1] for one in some]).values())
+
+    descend(net, how, len(read), lost, longest=5.0)
     return net
 
 

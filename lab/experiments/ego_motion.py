@@ -1,4 +1,4 @@
-"""Writes docs/ego_motion.md: how far visual odometry is off, flight by flight, one thing varied.
+"""Makes the tables of docs/ego_motion.md: how far visual odometry is off, one thing varied.
 
 python lab/experiments/ego_motion.py [--fast] [--full] [--only A,B] [-o FOLDER] [--work FOLDER]
 
@@ -12,7 +12,6 @@ frames, and goes on where an earlier run left off. Needs the extras `pyrender`, 
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,39 +35,16 @@ from scenec.lab.experiments.flights import (
     cfg,
     write_track,
 )
-from scenec.lab.experiments.odometry import SEED as RANSAC_SEED
 from scenec.lab.experiments.odometry import stereo, with_depth
-from scenec.lab.runner import SCENEC, Page, command, run, table
+from scenec.lab.experiments.renders import chosen
+from scenec.lab.runner import SCENEC, Page, command, run
 from scenec.schemas.errors import OutputError
-from scenec.schemas.spelling import nearest
 
 STEREO, DEPTH = "stereo (toy-vo)", "depth (ORB and PnP)"
 #: Supersampling: pyrender has no noise of its own, which would count as a sensor's.
 _SPP = 8
 #: What is varied is varied on this one.
 _VARIED_ON = FLIGHTS[1]
-
-HEAD = """\
-# Ego-motion
-
-How far off is visual odometry on made pictures, and what does that depend on? This is the
-experiment of section IV-A of the OAISYS paper: three flights of a small aircraft over a generated
-surface, the first with fast turns, the second and third gentle. Only a simulator can then vary one
-thing alone.
-
-Two odometries see the pictures. *Stereo* is the package toy-vo, which others wrote (optical flow,
-keyframes, bundle adjustment in a window), on two cameras {baseline:g} m apart. *Depth* is OpenCV's
-ORB features and `solvePnPRansac` put together from frame to frame in the plainest way, without
-keyframes or a map, on one picture and its exact depth. evo judges both, as
-[`scenec evaluate`](evaluate.md) does: the absolute error (ATE) is the distance from the true
-position after the best rigid alignment, rms over all frames; the relative error (RPE) is what one
-frame's motion is off, rms.
-
-`python lab/experiments/ego_motion.py{words}` made this page on {{cores}} cores ({{versions}}):
-{size} pixels, {frames} frames at 10 Hz a flight, pyrender with {spp} samples a pixel, seed {seed},
-RANSAC's seed {ransac}.
-"""
-
 
 #: What is changed in the cfg.
 Change = Callable[[dict[str, Any]], None] | None
@@ -88,14 +64,11 @@ class Experiment:
     """
 
     def __init__(self, page: Page) -> None:
-        full = page.options.full
+        full, self.only = page.options.full, chosen(page, VARIED)
         self.frames = WHOLE if full else 8 if page.fast else 30
-        self.varied = WHOLE if full else 8 if page.fast else 20
+        self.count = WHOLE if full else 8 if page.fast else 20
         self.size = (640, 480) if full else (160, 120) if page.fast else (320, 240)
-        for name in page.options.only:
-            if name not in VARIED:
-                raise OutputError(f"--only: nothing is varied by {name!r}{nearest(name, VARIED)}")
-        self.vary = {name: _some(VARIED[name], full) for name in page.options.only}
+        self.vary = {name: _some(VARIED[name], full) for name in self.only}
         self.work = Path(page.options.work) if page.options.work else page.scratch
         self._found: dict[tuple[str, int], dict[str, Evaluation | None]] = {}
 
@@ -141,6 +114,54 @@ class Experiment:
                  "--samples", f"0:{count}"))  # fmt: skip
         return out
 
+    def flights(self, page: Page) -> None:
+        """Flies all flights as they are."""
+        figure, axes = plt.subplots(1, len(FLIGHTS), figsize=(14, 4.6), constrained_layout=True)
+        rows = []
+        for panel, flight in zip(axes, FLIGHTS, strict=True):
+            found = self.judged(flight.name, flight, self.frames)
+            for name, one in found.items():
+                length = None if one is None else one.measures["path_length"]
+                rows.append([f"{flight.name}: {flight.what}", name, length, *_cells(one)])
+            shown = {name: one.arrays for name, one in found.items() if one is not None}
+            if shown:
+                true = list(shown.values())[-1]["true"]
+                tracks = [(name, arrays["estimated"]) for name, arrays in shown.items()]
+                tracks_from_above(panel, true, tracks)
+            panel.set_title(f"{flight.name}: {flight.what}", fontsize=10)
+        page.rows(rows)
+        page.save(figure, "tracks")
+
+    def varied(self, page: Page) -> None:
+        """Varies one thing at a time; a dash is a lost track."""
+        figure, axes = plt.subplots(
+            1, len(self.vary), figsize=(15, 4.2), constrained_layout=True, squeeze=False
+        )
+        panels = iter(axes[0])
+        for what in VARIED:
+            if what not in self.vary:
+                page.rows(None)
+                continue
+            panel, values = next(panels), self.vary[what]
+            rows: list[list[Any]] = []
+            errors: dict[str, list[float]] = {STEREO: [], DEPTH: []}
+            for value, change in values.items():
+                name = _VARIED_ON.name if change is None else f"{what} {value}"
+                for odometry, one in self.judged(name, _VARIED_ON, self.count, change).items():
+                    rows.append([value, odometry, *_cells(one)])
+                    error = None if one is None else one.measures["ate_rmse"]
+                    errors[odometry].append(float("nan") if error is None else error)
+            page.rows(rows)
+            for (odometry, line), color in zip(errors.items(), COLORS, strict=False):
+                panel.plot(range(len(line)), line, "o-", color=color, label=odometry)
+            panel.set_xticks(range(len(values)), list(values), rotation=25, ha="right", fontsize=8)
+            panel.set_yscale("log")
+            panel.set_title(what)
+            panel.grid(visible=True, which="both", linewidth=0.3, alpha=0.6)
+        axes[0, 0].set_ylabel("ATE, m")
+        axes[0, 0].legend(fontsize=8)
+        page.save(figure, "varied")
+
 
 def _errors(estimate: Track, truth: Track) -> Evaluation | None:
     try:
@@ -163,90 +184,14 @@ def _cells(found: Evaluation | None) -> list[Any]:
     ]
 
 
-_COLUMNS = ("ATE, m", "% of path", "RPE, mm a frame", "RPE, deg a frame", "tracked, %")
-
-
-def flights(page: Page, experiment: Experiment) -> str:
-    """All flights as they are."""
-    figure, axes = plt.subplots(1, len(FLIGHTS), figsize=(14, 4.6), constrained_layout=True)
-    rows = []
-    for panel, flight in zip(axes, FLIGHTS, strict=True):
-        found = experiment.judged(flight.name, flight, experiment.frames)
-        true = None
-        tracks = []
-        for name, one in found.items():
-            length = None if one is None else one.measures["path_length"]
-            rows.append([f"{flight.name}: {flight.what}", name, length, *_cells(one)])
-            if one is not None:
-                true = one.arrays["true"]
-                tracks.append((name, one.arrays["estimated"]))
-        if true is not None:
-            tracks_from_above(panel, true, tracks)
-        panel.set_title(f"{flight.name}: {flight.what}", fontsize=10)
-    return (
-        "## Three flights\n\n"
-        + table(("flight", "odometry", "path tracked, m", *_COLUMNS), rows)
-        + "\n"
-        + page.save(figure, "tracks")
-        + "\nTrue and estimated tracks from above, as in the paper's figure 8; circles are where "
-        "they begin.\n"
-    )
-
-
-def varied(page: Page, experiment: Experiment) -> str:
-    """One thing at a time."""
-    figure, axes = plt.subplots(
-        1, len(experiment.vary), figsize=(15, 4.2), constrained_layout=True, squeeze=False
-    )
-    parts = [
-        f"## One thing varied\n\nOn the first {experiment.varied} frames of flight "
-        f"{_VARIED_ON.name}. Ground, rocks, path and all else "
-        "stay the same. A dash is a lost track.\n"
-    ]
-    for panel, (what, values) in zip(axes[0], experiment.vary.items(), strict=True):
-        rows: list[list[Any]] = []
-        errors: dict[str, list[float]] = {STEREO: [], DEPTH: []}
-        for value, change in values.items():
-            name = _VARIED_ON.name if change is None else f"{what} {value}"
-            judged = experiment.judged(name, _VARIED_ON, experiment.varied, change)
-            for odometry, one in judged.items():
-                rows.append([value, odometry, *_cells(one)])
-                error = None if one is None else one.measures["ate_rmse"]
-                errors[odometry].append(float("nan") if error is None else error)
-        parts.append(f"### {what.capitalize()}\n\n" + table((what, "odometry", *_COLUMNS), rows))
-        for (odometry, line), color in zip(errors.items(), COLORS, strict=False):
-            panel.plot(range(len(line)), line, "o-", color=color, label=odometry)
-        panel.set_xticks(range(len(values)), list(values), rotation=25, ha="right", fontsize=8)
-        panel.set_yscale("log")
-        panel.set_title(what)
-        panel.grid(visible=True, which="both", linewidth=0.3, alpha=0.6)
-    axes[0, 0].set_ylabel("ATE, m")
-    axes[0, 0].legend(fontsize=8)
-    parts.append(page.save(figure, "varied"))
-    return "\n".join(parts)
-
-
 def main(page: Page) -> None:
-    """Writes the page."""
-    start = time.perf_counter()
-    experiment = Experiment(page)
-    only = page.options.only
-    head = HEAD.format(
-        words="" if only == tuple(VARIED) else f" --only {','.join(only)}",
-        baseline=BASELINE_M,
-        size="{} × {}".format(*experiment.size),
-        frames=experiment.frames,
-        spp=_SPP,
-        seed=SEED,
-        ransac=RANSAC_SEED,
-    )
+    """Refreshes the page."""
+    own = Experiment(page)
+    page.value("size", "{} × {}".format(*own.size))
+    page.value("frames", str(own.frames))
+    page.value("count", str(own.count))
     packages = ("toy-vo", "opencv-python-headless", "evo", "pyrender-maintained")
-    page.write(
-        head,
-        packages,
-        (lambda page: flights(page, experiment), lambda page: varied(page, experiment)),
-    )
-    print(f"{time.perf_counter() - start:.0f} s in all")
+    page.refresh(packages, (own.flights, own.varied))
 
 
 if __name__ == "__main__":

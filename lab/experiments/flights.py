@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,55 +89,14 @@ def write_track(path: Path, flight: Flight, frames: int) -> None:
 
 def cfg(track: Path, size: tuple[int, int]) -> dict[str, Any]:
     """A stony plain under a sun of 40 degrees, flown over along a track by two cameras."""
-    camera = {"resolution": list(size), "fov_deg": 80}
-    sensors = {"left": camera, "right": camera | {"mount": {"position_m": [BASELINE_M, 0, 0]}}}
-    return {
-        "version": 1,
-        "name": "flight",
-        "samples": len(track.read_text(encoding="utf-8").splitlines()) - 1,
-        "labels": {"class": {"sky": 1, "ground": 2, "rock": 3}},
-        "terrain": {
-            "size_m": [40, 32],
-            "spacing_m": 0.2,
-            "relief": [
-                {"type": "plane"},
-                {"type": "multifractal", "amplitude_m": 0.5, "scale_m": 8, "octaves": 6},
-            ],
-            "ground": [{"material": "soil", "labels": {"class": "ground"}}],
-        },
-        "materials": {
-            "soil": {
-                "base_color": [0.29, 0.2, 0.13],
-                "specular": 0,
-                "variation": 0.2,
-                "maps": {
-                    "size_m": 2.5,
-                    "procedural": {
-                        "type": "regolith", "craters": 0, "stones": 0.6, "grain_m": 0.03,
-                    },
-                },
-            },
-            "stone": {"base_color": [0.17, 0.13, 0.1], "variation": 0.4, "specular": 0.02},
-        },
-        "objects": {
-            "rocks": {
-                "type": "rocks",
-                "count": 900,
-                "material": "stone",
-                "labels": {"class": "rock"},
-                "prototypes": 6,
-                "subdivisions": 1,
-                "size_m": {"type": "log_uniform", "min": 0.05, "max": 0.5},
-                "density": {"type": "noise", "scale_m": 5},
-            }
-        },
-        "light": {
-            "sun": {"elevation_deg": 40, "azimuth_deg": 120},
-            "sky": {"type": "clear", "resolution": 32, "labels": {"class": "sky"}},
-        },
-        "rigs": {"mav": {"pose": {"type": "track", "file": track.name}, "sensors": sensors}},
-        "outputs": ["rgb", "depth"],
-    }  # fmt: skip
+    file = Path(__file__).with_suffix(".json")
+    made: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    made["samples"] = len(track.read_text(encoding="utf-8").splitlines()) - 1
+    mav = made["rigs"]["mav"]
+    mav["pose"]["file"] = track.name
+    for sensor in mav["sensors"].values():
+        sensor["resolution"] = list(size)
+    return made
 
 
 def _sensors(**keys: Any) -> Callable[[dict[str, Any]], None]:

@@ -1,4 +1,4 @@
-"""Writes docs/head_to_head.md: two workloads of other tools, CPU seconds by phase, memory, noise.
+"""Makes the tables of docs/head_to_head.md: two workloads of other tools, phase by phase.
 
     python lab/experiments/head_to_head.py [--fast] [--full] [--only A,B] [--backends A,B]
         [--work FOLDER] [-o FOLDER]
@@ -26,7 +26,7 @@ from scenec.backends.run.executors import make_executor
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
-from scenec.lab.runner import Cell, Page, apart, names, peak_mib, run, table
+from scenec.lab.runner import Cell, Page, apart, names, peak_mib, run
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.frames import read_frame
 
@@ -38,137 +38,32 @@ SPP, MORE = 16, 64
 STEPS = ("load", "radiance", "write")
 PHASES = ("compile", "start", "load", "radiance", "annotation", "write")
 
-HEAD = """\
-# Head to head
-
-What does a frame cost here, and what elsewhere? Two workloads of other tools, each compiled once
-and rendered by every backend.
-
-`python lab/experiments/head_to_head.py{words}` made this page on {{cores}} cores
-({{versions}}). Seconds are CPU seconds of all threads. They still grow beside other work, as caches
-and memory are shared: the yardstick is 0.4 where little else runs. One process renders and is
-measured whole, another one compiles, and nothing is taken from a cache. *Start* is the
-interpreter, imports and what no other step counts; *load* reads the stage and gives it to the
-renderer (Mitsuba compiles its kernel in the first *radiance*); *annotation* casts the exact rays
-and makes every other pass. *Noise* is the relative rms error of a picture, as its sidecar states it
-by two halves, over all frames. pyrender is a rasterizer: its supersampled pictures have no noise,
-and no shadows of the sky.
-
-Rows in italics are stated, not measured by this page: they were taken side by side on such a
-machine earlier, with the tools' own settings, and nothing is known of their noise.
-"""
-
 
 @dataclass(frozen=True)
 class Workload:
     """What is rendered.
 
     Attributes:
-        name: For options and files.
-        title, about: Of its section.
+        name: For options, files, and numbers of the page.
         cfg: What is compiled.
         stated: Rows of other tools: name, CPU s a sample, CPU s in all, peak in GB, where known.
         aims: CPU s a sample with start and compile, by backend.
     """
 
     name: str
-    title: str
-    about: str
     cfg: dict[str, Any]
     stated: tuple[tuple[str, float, float | None, float | None], ...]
     aims: dict[str, float]
 
 
-def _texture(kind: str, color: tuple[float, ...]) -> dict[str, Any]:
-    maps = {"procedural": {"type": kind, "resolution": 512}}
-    return {"base_color": list(color), "specular": 0, "variation": 0.25, "maps": maps}
-
-
-#: Seven textures: name, class, surface, mean color.
-_TEXTURES = (
-    ("red_sand", "sand", "sand", (0.42, 0.27, 0.17)),
-    ("pale_sand", "sand", "sand", (0.5, 0.42, 0.31)),
-    ("coarse_gravel", "gravel", "gravel", (0.24, 0.2, 0.17)),
-    ("fine_gravel", "gravel", "gravel", (0.33, 0.29, 0.25)),
-    ("dried_mud", "dried_mud", "mud_cracks", (0.34, 0.27, 0.2)),
-    ("soil", "soil", "soil", (0.2, 0.14, 0.09)),
-    ("bedrock", "bedrock", "weathered", (0.25, 0.21, 0.17)),
-)
-
-
-def paper() -> dict[str, Any]:
-    """Five classes of ground out of seven merged textures, 30,000 rocks of 16 models, five samples.
-
-    A camera two meters above 100 m of relief, under a sky that each sample draws anew.
-    """
-    surfaces = dict.fromkeys(["sky", *(surface for _, surface, _, _ in _TEXTURES), "rock"])
-    ground: list[dict[str, Any]] = []
-    for name, surface, _, _ in _TEXTURES:
-        layer: dict[str, Any] = {
-            "material": name,
-            "labels": {"class": "ground", "surface": surface},
-        }
-        if ground:
-            layer |= {"noise": {"scale_m": 15, "octaves": 3}, "coverage": 0.35, "sharpness": 6}
-        ground.append(layer)
-    cfg = rocks_on_hills(30_000, cells=500)
-    cfg |= {
-        "name": "paper_workload",
-        "samples": 5,
-        "outputs": ["rgb", "label", "instance", "depth"],
-        "labels": {
-            "class": {"sky": 1, "ground": 2, "rock": 3},
-            "surface": {surface: i for i, surface in enumerate(surfaces, 1)},
-        },
-        "materials": {
-            "stone": _texture("basalt", (0.16, 0.13, 0.11)),
-            **{name: _texture(kind, color) for name, _, kind, color in _TEXTURES},
-        },
-    }
-    cfg["terrain"]["ground"] = ground
-    cfg["objects"]["rocks"] |= {
-        "prototypes": 16,
-        "subdivisions": 3,
-        "size_m": {"type": "log_uniform", "min": 0.04, "max": 0.5},
-        "labels": {"class": "rock", "surface": "rock"},
-    }
-    del cfg["objects"]["rocks"]["family"]
-    cfg["light"] = {
-        "sun": {
-            "elevation_deg": {"type": "uniform", "min": 20, "max": 70},
-            "azimuth_deg": {"type": "uniform", "min": 0, "max": 360},
-        },
-        "sky": {
-            "type": "atmosphere",
-            "planet": "earth",
-            "labels": {"class": "sky", "surface": "sky"},
-        },
-    }
-    cfg["rigs"]["rover"]["pose"] = {
-        "type": "random_target",
-        "position": {
-            "x_m": {"type": "uniform", "min": -30, "max": 30},
-            "y_m": {"type": "uniform", "min": -30, "max": 30},
-            "height_m": 2,
-        },
-        "target": {
-            "distance_m": 10,
-            "bearing_deg": {"type": "uniform", "min": 0, "max": 360},
-            "height_m": 0.5,
-        },
-    }
-    cfg["rigs"]["rover"]["sensors"]["mast"]["resolution"] = [320, 240]
-    return cfg
-
+#: Five classes of ground out of seven merged textures, 30,000 rocks of 16 models, five samples; a
+#: camera two meters above 100 m of relief, under a sky that each sample draws anew.
+PAPER = Path(__file__).with_name("paper_workload.json")
 
 WORKLOADS = (
     Workload(
         "paper",
-        "The workload of the OAISYS paper",
-        "Five classes of ground out of seven merged textures, 30,000 rocks of 16 models of 1,280 "
-        "triangles, color, two label levels, instances and depth; 320 × 240 pixels, 16 samples a "
-        "pixel, five samples of one batch, the sky drawn anew for each.",
-        paper(),
+        json.loads(PAPER.read_text(encoding="utf-8")),
         (
             ("OAISYS, adaptive subdivision", 188.0, None, None),
             ("OAISYS, without it", 26.0, None, None),
@@ -177,9 +72,6 @@ WORKLOADS = (
     ),
     Workload(
         "blenderproc",
-        "A scene of BlenderProc",
-        "30,000 rocks of 10 shapes on 100 m, plain colors, color, depth and instances; 640 × 480 "
-        "pixels, 16 samples a pixel, three frames.",
         rocks_on_hills(30_000, samples=3, outputs=["rgb", "instance", "depth"]),
         (("BlenderProc 2.8", 67.0 / 3.0, 67.0, 2.4),),
         {},
@@ -268,11 +160,13 @@ class Comparison:
         file = self.work / f"{one.name}_{what}.json"
         return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
 
-    def told(self, one: Workload) -> str:
-        """A section."""
+    def tell(self, one: Workload) -> None:
+        """Fills the two tables of a workload; they stay where it was not measured."""
         frames, compile_cost = int(one.cfg["samples"]), self.found(one, "compile")
         if compile_cost is None:
-            return f"## {one.title}\n\nNot measured.\n"
+            self.page.rows(None)
+            self.page.rows(None)
+            return
         rows: list[list[Cell]] = []
         noise: list[list[Cell]] = []
         aims = []
@@ -298,17 +192,11 @@ class Comparison:
         for name, each, total, peak in one.stated:
             dashes: list[Cell] = [None] * len(PHASES)
             rows.append([f"*{name}*", *dashes, total, each, peak, None])
-        text = f"## {one.title}\n\n{one.about}\n\n"
-        header = ["", *PHASES, "all", "a frame", "peak, GB", "noise"]
-        text += table(header, rows)
+        self.page.rows(rows)
+        self.page.rows(noise)
+        self.page.value(f"{one.name}_noise", _percent(goal) or "-")
         if aims:
-            text += f"\nAimed at, CPU seconds a frame in all: {'; '.join(aims)}.\n"
-        if noise:
-            text += f"\n### At equal noise, {_percent(goal)}\n\n"
-            header = ["", f"noise at {SPP}", f"at {MORE}, first frame", "error falls as",
-                      "samples needed", "radiance, CPU s a frame", "a frame in all"]  # fmt: skip
-            text += table(header, noise)
-        return text
+            self.page.value(f"{one.name}_aims", "; ".join(aims))
 
     def equal(
         self, one: Workload, backend: str, found: dict[str, Any], each: float, goal: float
@@ -339,15 +227,14 @@ def _rms(errors: list[float | None]) -> float:
 
 
 def main(page: Page) -> None:
-    """Measures, and writes the page."""
+    """Measures, and refreshes the page."""
     both = Comparison(page)
     for one in WORKLOADS:
         if not page.options.only or one.name in page.options.only:
             both.measure(one)
-    words = "".join(f" --{name}" for name in ("fast", "full") if getattr(page.options, name))
-    parts = [lambda _, one=one: both.told(one) for one in WORKLOADS]
-    packages = ("mitsuba", "bpy", "pyrender-maintained")
-    page.write(HEAD.format(words=words), packages, parts)
+    for one in WORKLOADS:
+        both.tell(one)
+    page.refresh(("mitsuba", "bpy", "pyrender-maintained"), ())
 
 
 if __name__ == "__main__":

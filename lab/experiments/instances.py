@@ -1,4 +1,4 @@
-"""Writes docs/instances.md: rocks one by one, found by a network and followed through a sequence.
+"""Makes the tables of docs/instances.md: rocks found by a network, and followed.
 
 python lab/experiments/instances.py [--fast] [--full] [--only A,B] [-o DIR] [--work DIR]
 
@@ -14,12 +14,8 @@ from __future__ import annotations
 
 import json
 import os
-import time
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -27,18 +23,24 @@ import numpy as np
 from scenec.datasets.colors import paint_instances
 from scenec.datasets.evaluate.breakdown import ATTRIBUTES
 from scenec.datasets.evaluate.coco_files import read_detections, read_truth
-from scenec.datasets.evaluate.evaluation import Evaluation, Table
+from scenec.datasets.evaluate.evaluation import Evaluation
 from scenec.datasets.evaluate.instances import evaluate_instances
 from scenec.datasets.evaluate.plots import COLORS
 from scenec.datasets.pictures import picture
 from scenec.datasets.source import Source
-from scenec.lab.experiments.renders import Frames, Renders, of_page, words
+from scenec.lab.experiments.renders import (
+    Frames,
+    Renders,
+    chosen,
+    left_out,
+    of_page,
+    on_all_cores,
+    said,
+)
 from scenec.lab.experiments.terrains import FULL, SEED, cfg
 from scenec.lab.experiments.torch_modules import needing_torch
 from scenec.lab.experiments.tracking import Shown, linked_by_boxes, numbered_anew, scores
-from scenec.lab.runner import SCENEC, Page, command, run, table
-from scenec.schemas.errors import OutputError
-from scenec.schemas.spelling import nearest
+from scenec.lab.runner import SCENEC, Page, command, run
 
 _BACKEND = "mitsuba"
 #: Of trainings.
@@ -46,18 +48,6 @@ _SEEDS = (1, 2, 3)
 #: COCO's numbers of masks and boxes.
 _MEASURES = ("ap", "ap50", "ap75", "ar_100")
 _BINS = ("area", "distance", "occlusion")
-
-HEAD = """\
-# Instance segmentation
-
-Rocks, one by one: exported as COCO, found by a network in pictures, and followed through a
-sequence. This is the experiment of section IV-C of the OAISYS paper, which tests on photographs
-labelled by hand; here made pictures are tested on, so nothing below says how well a network does on
-photographs.
-
-`python lab/experiments/instances.py{words}` made this page on {{cores}} cores ({{versions}}):
-seed {seed}, pictures of {size} pixels.
-"""
 
 
 class Experiment:
@@ -71,7 +61,7 @@ class Experiment:
         self.detection = needing_torch("detection")
         self.renders = of_page(page)
         steps = 20_000 if page.options.full else 3 if page.fast else 400
-        self.recipe = self.detection.Recipe(steps)
+        self.recipe = self.detection.recipe(steps)
         self.seeds = _SEEDS[:1] if page.fast else _SEEDS
         self.made = self.renders.cost(FULL, _BACKEND) * self.renders.count(FULL)
         self.dataset = self._export()
@@ -106,23 +96,12 @@ class Experiment:
         left = [seed for seed, file in seconds.items() if not file.exists()]
         train = Frames(self.renders.out(FULL), _BACKEND, self.renders.train)
         self.answers(0).parent.mkdir(parents=True, exist_ok=True)
-        with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-            jobs = [
-                pool.submit(
-                    self.detection.detected_by,
-                    train,
-                    self.test,
-                    self.renders.resolution,
-                    self.recipe,
-                    seed,
-                )
-                for seed in left
-            ]
-            for seed, job in zip(left, jobs, strict=True):
-                found, spent = job.result()
-                named = [one | {"image_id": numbers[one["image_id"] - 1]} for one in found]
-                self.answers(seed).write_text(json.dumps(named), encoding="utf-8")
-                seconds[seed].write_text(json.dumps(spent), encoding="utf-8")
+        same = self.detection.detected_by, train, self.test, self.renders.resolution, self.recipe
+        calls = [(*same, seed) for seed in left]
+        for seed, (found, spent) in zip(left, on_all_cores(calls), strict=True):
+            named = [one | {"image_id": numbers[one["image_id"] - 1]} for one in found]
+            self.answers(seed).write_text(json.dumps(named), encoding="utf-8")
+            seconds[seed].write_text(json.dumps(spent), encoding="utf-8")
         return [json.loads(file.read_text(encoding="utf-8")) for file in seconds.values()]
 
     def _judge(self, seed: int) -> Evaluation:
@@ -140,59 +119,30 @@ def _spread(values: Iterable[float | None], factor: float = 100.0) -> str | None
     return f"{np.mean(known):.1f} ± {np.std(known, ddof=1):.1f}"
 
 
-def found(page: Page) -> str:
-    """Rocks in single pictures."""
+def found(page: Page) -> None:
+    """Finds rocks in single pictures."""
     experiment = Experiment(page)
-    renders = experiment.renders
-    whole = table(
-        ("", "AP", "AP at IoU 0.5", "AP at IoU 0.75", "recall, at most 100"),
-        [
-            (title, *(_spread(e.measures[f"{kind}_{m}"] for e in experiment.judged)
-                      for m in _MEASURES))
-            for title, kind in (("masks", "segm"), ("boxes", "bbox"))
-        ],
-    )  # fmt: skip
-    objects = sum(not one["iscrowd"] for one in experiment.truth["annotations"])
-    parts = "\n".join(
-        table((name, "recall", "AP at IoU 0.5", "rocks"), rows)
-        for name, rows in _parts(experiment).items()
+    page.rows(
+        (title, *(_spread(e.measures[f"{kind}_{m}"] for e in experiment.judged) for m in _MEASURES))
+        for title, kind in (("masks", "segm"), ("boxes", "bbox"))
     )
-    return (
-        "## Rocks in a picture\n\n"
-        f"{renders.batches} terrains, {renders.samples} pictures of each by {_BACKEND}, the same "
-        "as those that segmentation.py makes; no network is trained on the last "
-        f"{renders.held} terrains, where all are tested. Making the pictures took "
-        f"{experiment.made:.0f} CPU s, training and answering {experiment.trained:.0f} CPU s.\n\n"
-        "The network is torchvision's Mask R-CNN, small: MobileNetV3-small with group "
-        "normalization, a feature pyramid of 64 channels, three anchors a place and scale. It "
-        f"begins with random weights, learns for {experiment.recipe.steps} steps of "
-        f"{experiment.recipe.pictures} pictures, and does so once for each of the seeds "
-        f'{", ".join(map(str, experiment.seeds))}; "±" is the standard deviation over them. '
-        f"Truth is what `scenec export --format coco` writes: {objects} rocks of at least "
-        f"{experiment.detection.LEAST_PIXELS} pixels in {len(experiment.truth['images'])} "
-        "held-out pictures; finding a smaller one is neither right nor wrong. "
-        "[`scenec evaluate`](evaluate.md) judges with pycocotools' COCOeval. Percent.\n\n"
-        f"{whole}\nMasks in parts, which only a made dataset knows of every rock:\n\n{parts}\n"
-        + _drawn(page, experiment)
-    )
-
-
-def _parts(experiment: Experiment) -> dict[str, list[Sequence[Any]]]:
-    """Rows by bin: means over seeds."""
-    by_name: Mapping[str, list[Table]] = {
-        name: [t for e in experiment.judged for t in e.tables if t.name == name] for name in _BINS
-    }
-    return {
-        name: [
+    for name in _BINS:
+        tables = [t for e in experiment.judged for t in e.tables if t.name == name]
+        page.rows(
             (row[0][0], _spread(r[1] for r in row), _spread(r[3] for r in row), int(row[0][4] or 0))
             for row in zip(*(one.rows for one in tables), strict=True)
-        ]
-        for name, tables in by_name.items()
-        if tables
-    }
+        )
+    recipe, truth = experiment.recipe, experiment.truth
+    page.value("made", f"{experiment.made:.0f}")
+    page.value("trained", f"{experiment.trained:.0f}")
+    page.value("steps", f"{recipe.steps} steps of {recipe.pictures} pictures")
+    page.value("seeds", ", ".join(map(str, experiment.seeds)))
+    page.value("rocks", str(sum(not one["iscrowd"] for one in truth["annotations"])))
+    page.value("pictures", str(len(truth["images"])))
+    _drawn(page, experiment)
 
 
-def _drawn(page: Page, experiment: Experiment) -> str:
+def _drawn(page: Page, experiment: Experiment) -> None:
     """Held-out pictures with what was found, and precision against recall."""
     from pycocotools import mask as run_lengths
 
@@ -225,12 +175,11 @@ def _drawn(page: Page, experiment: Experiment) -> str:
             panel.set_axis_off()
     for panel, title in zip(panels[:, 0], ("picture", "truth", "found"), strict=True):
         panel.set_title(title, fontsize=9, loc="left")
-    shown = page.save(figure, "found", dpi=80)
-    return f"{shown}\nWhat is shown as found has a score of at least 0.5 (seed 1).\n"
+    page.save(figure, "found", dpi=80)
 
 
-def followed(page: Page) -> str:
-    """Rocks through a sequence."""
+def followed(page: Page) -> None:
+    """Follows rocks through a sequence."""
     start = _cpu_s()
     frames = 6 if page.fast else 24
     out = _sequence(of_page(page), frames)
@@ -244,23 +193,14 @@ def followed(page: Page) -> str:
         "numbered anew in each picture": numbered_anew(exported),
     }
     found = {name: scores(truth, exported, ids) for name, ids in trackers.items()}
-    columns = list(next(iter(found.values())))
-    rocks = len(np.unique(np.concatenate([one.ids for one in truth])))
-    rows = [
-        (name, *(f"{one[c]:.0f}" if c == "switches" else f"{one[c]:.3f}" for c in columns))
+    page.rows(
+        (name, *(f"{one[c]:.0f}" if c == "switches" else f"{one[c]:.3f}" for c in one))
         for name, one in found.items()
-    ]
-    return (
-        "## Rocks through a sequence\n\n"
-        f"A camera circles over one terrain, 5 degrees a picture: {frames} pictures, {rocks} "
-        f"rocks, seen {sum(len(one.ids) for one in truth)} times in all. Truth is the ids in the "
-        "frames themselves; what is judged are the masks and `track_id`s of the COCO export, so a "
-        "fault of either shows. TrackEval gives the numbers; 1 is perfect. All of it took "
-        f"{_cpu_s() - start:.0f} CPU s.\n\n"
-        + table(("tracker", *columns), rows)
-        + "\nIds that hold over all pictures of a terrain score 1. The same masks "
-        "without them keep DetA, and lose AssA and IDF1: what a tracker has to make up for.\n"
     )
+    rocks = len(np.unique(np.concatenate([one.ids for one in truth])))
+    seen = sum(len(one.ids) for one in truth)
+    page.value("sequence", f"{frames} pictures, {rocks} rocks, seen {seen} times in all")
+    page.value("spent", f"{_cpu_s() - start:.0f}")
 
 
 def _sequence(renders: Renders, frames: int) -> Path:
@@ -318,32 +258,23 @@ def _cpu_s() -> float:
     return sum(os.times()[:4])
 
 
-#: Name -> what it tells, and the packages whose versions matter.
+#: Name -> what it makes, how many tables it fills, and the packages whose versions matter.
 PARTS = {
-    "detection": (found, ("torch", "torchvision", "pycocotools", "mitsuba")),
-    "tracking": (followed, ("trackeval",)),
+    "detection": (found, 4, ("torch", "torchvision", "pycocotools", "mitsuba")),
+    "tracking": (followed, 1, ("trackeval",)),
 }
 
 
 def main(page: Page) -> None:
-    """Writes the page.
+    """Refreshes the page.
 
     Raises:
         OutputError: There is no such part, or a package is not installed.
     """
-    start = time.perf_counter()
-    only = page.options.only
-    for name in only:
-        if name not in PARTS:
-            raise OutputError(f"--only: there is no part {name!r}{nearest(name, PARTS)}")
-    head = HEAD.format(
-        words=words(page) + ("" if only == tuple(PARTS) else f" --only {','.join(only)}"),
-        size="{} × {}".format(*of_page(page).resolution),
-        seed=SEED,
-    )
-    packages = dict.fromkeys(package for name in only for package in PARTS[name][1])
-    page.write(head, packages, [PARTS[name][0] for name in only])
-    print(f"{time.perf_counter() - start:.0f} s in all")
+    only = chosen(page, PARTS)
+    said(page)
+    parts = [part if name in only else left_out(n) for name, (part, n, _) in PARTS.items()]
+    page.refresh([package for name in only for package in PARTS[name][2]], parts)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,9 @@ algorithms make a training repeatable on a machine; another processor may round 
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,29 +90,50 @@ def trained(train: Frames, recipe: Recipe, seed: int) -> nn.Module:
     pictures, labels = _loaded(train)
     pictures, labels = pictures.to(device), labels.to(device)
     net = network(recipe.backbone).to(device, memory_format=torch.channels_last).train()
-    optimizer = torch.optim.AdamW(net.parameters(), recipe.rate, weight_decay=0.01)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, recipe.rate, recipe.steps)
     # Rare classes count for more, or nothing would be called a rock.
     shares = labels[labels >= 0].bincount(minlength=len(CLASSES)) / labels.numel()
     loss = nn.CrossEntropyLoss(1.0 / shares.clamp_min(1e-3).sqrt(), ignore_index=-1)
-    order = torch.empty(0, dtype=torch.int64)
-    for _ in range(recipe.steps):
-        if len(order) < recipe.pictures:
-            order = torch.randperm(len(pictures))
-        chosen, order = order[: recipe.pictures], order[recipe.pictures :]
+
+    def lost(chosen: list[int], mirrored: bool) -> torch.Tensor:
         x, y = pictures[chosen], labels[chosen]
-        if torch.rand(()) < 0.5:
+        if mirrored:
             x, y = x.flip(-1), y.flip(-1)
         # Other colors of the light: each terrain has its own, and there are few terrains.
         gains = 0.8 + 0.45 * torch.rand(len(x), 3, 1, 1)
-        x = x * gains.to(device)
-        optimizer.zero_grad()
-        answer = net(_centered(x))["out"]
-        loss(answer, y).backward()
-        optimizer.step()
-        schedule.step()
+        return loss(net(_centered(x * gains.to(device)))["out"], y)
+
+    descend(net, recipe, len(pictures), lost)
     _measure_means(net, pictures, recipe.pictures)
     return net
+
+
+def descend(
+    net: nn.Module, recipe: Recipe, count: int, lost: Callable[[list[int], bool], torch.Tensor],
+    longest: float = math.inf,
+) -> None:  # fmt: skip
+    """Trains a network by AdamW.
+
+    Args:
+        net: It.
+        recipe: How.
+        count: Of pictures there are.
+        lost: Its loss on some of them, which are mirrored or not.
+        longest: Of a gradient; a longer one is cut to this.
+    """
+    optimizer = torch.optim.AdamW(net.parameters(), recipe.rate, weight_decay=0.01)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, recipe.rate, recipe.steps)
+    order: list[int] = []
+    for _ in range(recipe.steps):
+        if len(order) < recipe.pictures:
+            order = torch.randperm(count).tolist()
+        chosen, order = order[: recipe.pictures], order[recipe.pictures :]
+        mirrored = bool(torch.rand(()) < 0.5)
+        optimizer.zero_grad()
+        lost(chosen, mirrored).backward()
+        if longest < math.inf:
+            nn.utils.clip_grad_norm_(net.parameters(), longest)
+        optimizer.step()
+        schedule.step()
 
 
 def _measure_means(net: nn.Module, pictures: torch.Tensor, at_once: int) -> None:

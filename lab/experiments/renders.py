@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from scenec.lab.experiments.terrains import FULL, SEED, SETTINGS, cfg
 from scenec.lab.runner import SCENEC, Page, command
+from scenec.schemas.errors import OutputError
+from scenec.schemas.spelling import nearest
 
 #: Samples a pixel of a preview; path tracers have those of their setting.
 PREVIEW = ("--spp", "8")
@@ -120,9 +125,36 @@ def of_page(page: Page) -> Renders:
     return Renders(work, (96, 72), batches=26, held=6, samples=3)
 
 
-def words(page: Page) -> str:
-    """What the command line says of what is made."""
-    return "".join(f" --{name}" for name in ("fast", "full") if getattr(page.options, name))
+def chosen(page: Page, known: Collection[str]) -> tuple[str, ...]:
+    """Returns the names that ``--only`` gives.
+
+    Raises:
+        OutputError: It has one that is not known.
+    """
+    for name in page.options.only:
+        if name not in known:
+            raise OutputError(f"--only: there is no {name!r}{nearest(name, known)}")
+    return tuple(page.options.only)
+
+
+def on_all_cores(calls: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    """Calls functions, one a core in a fresh process, each with its arguments."""
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+        for job in [pool.submit(*call) for call in calls]:
+            yield job.result()
+
+
+def left_out(tables: int) -> Callable[[Page], object]:
+    """Makes a part of a page that stays as it is."""
+    return lambda page: [page.rows(None) for _ in range(tables)]
+
+
+def said(page: Page) -> None:
+    """Puts the form's numbers into a page."""
+    renders = of_page(page)
+    page.value("size", "{} × {}".format(*renders.resolution))
+    for name in ("batches", "samples", "held"):
+        page.value(name, str(getattr(renders, name)))
 
 
 def file_name(setting: str) -> str:

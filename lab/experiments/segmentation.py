@@ -1,4 +1,4 @@
-"""Writes docs/segmentation.md: what made pictures teach a network, renderer by renderer.
+"""Makes the tables of docs/segmentation.md: what made pictures teach a network.
 
 python lab/experiments/segmentation.py [--fast] [--full] [--only A,B] [-o DIR] [--work DIR]
 
@@ -12,12 +12,9 @@ and goes on where an earlier run left off. Needs the extras `mitsuba`, `cycles`,
 from __future__ import annotations
 
 import json
-import os
-import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -29,12 +26,18 @@ from scenec.datasets.colors import label_colors
 from scenec.datasets.evaluate.labels import evaluate_labels
 from scenec.datasets.pictures import picture
 from scenec.datasets.source import Source
-from scenec.lab.experiments.renders import PREVIEW, Frames, file_name, of_page, words
-from scenec.lab.experiments.terrains import CLASSES, FULL, LEVEL, SEED, SETTINGS
+from scenec.lab.experiments.renders import (
+    Frames,
+    chosen,
+    file_name,
+    left_out,
+    of_page,
+    on_all_cores,
+    said,
+)
+from scenec.lab.experiments.terrains import CLASSES, FULL, LEVEL, SETTINGS
 from scenec.lab.experiments.torch_modules import needing_torch
-from scenec.lab.runner import Page, run, table
-from scenec.schemas.errors import OutputError
-from scenec.schemas.spelling import nearest
+from scenec.lab.runner import Page, run
 
 Numbers = NDArray[np.float64]
 
@@ -45,29 +48,6 @@ _OWN = "mitsuba"
 _SECONDS = "cpu.json"
 #: Of trainings.
 _SEEDS = (1, 2, 3)
-_PARTS = ("transfer", "ablations")
-
-HEAD = """\
-# Semantic segmentation
-
-What do made pictures teach a network, and which part of their realism pays? This is the experiment
-of section IV-B of the OAISYS paper: sky, sand, gravel, dried mud and rock, told apart pixel by
-pixel. The paper tests on 18 photographs labelled by hand. There are none here, so pictures of
-**another renderer** stand for what a network has not seen, and nothing below says how well a
-network does on photographs.
-
-`python lab/experiments/segmentation.py{words}` made this page on {{cores}} cores
-({{versions}}): {batches} terrains, {samples} pictures of {size} pixels of each, seed {seed}; no
-network is trained on the last {held} terrains, where all are tested. Every terrain draws its own
-relief, grounds, colors, rocks and air; colors of the classes overlap. {spp}
-
-The network is torchvision's LR-ASPP on MobileNetV3-{backbone}, from random weights, since the
-experiment downloads nothing: {steps} steps of {pictures} pictures, AdamW, {device}. Each is
-trained {runs} times, by seeds {seeds}; "±" is the standard deviation over them.
-[`scenec evaluate`](evaluate.md) counts the intersection over union (IoU) of each class over all
-held-out pictures. Making the pictures took {made:.0f} CPU s, where stages that are shared count for
-each that shows them; training and answering took {trained:.0f} CPU s.
-"""
 
 
 @dataclass(frozen=True)
@@ -93,10 +73,7 @@ class Experiment:
     """
 
     def __init__(self, page: Page) -> None:
-        for name in page.options.only:
-            if name not in _PARTS:
-                raise OutputError(f"--only: there is no part {name!r}{nearest(name, _PARTS)}")
-        self.parts = page.options.only
+        self.parts = chosen(page, _PARTS)
         self.networks = needing_torch("networks")
         self.renders = of_page(page)
         full, fast = page.options.full, page.fast
@@ -130,21 +107,19 @@ class Experiment:
     def train_all(self, trainings: Sequence[_Training]) -> None:
         """Trains networks that are not trained yet, one a core."""
         left = [one for one in trainings if not (self.answers(one) / _SECONDS).exists()]
-        with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-            jobs = [
-                pool.submit(
-                    self.networks.judged_by,
-                    self.frames(one.setting, one.backend, self.renders.train),
-                    self._tests(one.setting),
-                    self.recipe,
-                    one.seed,
-                    self.answers(one),
-                )
-                for one in left
-            ]
-            for one, job in zip(left, jobs, strict=True):
-                text = json.dumps(job.result())
-                (self.answers(one) / _SECONDS).write_text(text, encoding="utf-8")
+        calls = [
+            (
+                self.networks.judged_by,
+                self.frames(one.setting, one.backend, self.renders.train),
+                self._tests(one.setting),
+                self.recipe,
+                one.seed,
+                self.answers(one),
+            )
+            for one in left
+        ]
+        for one, spent in zip(left, on_all_cores(calls), strict=True):
+            (self.answers(one) / _SECONDS).write_text(json.dumps(spent), encoding="utf-8")
 
     def seconds(self) -> tuple[float, float]:
         """CPU seconds of making the pictures, and of the networks."""
@@ -184,47 +159,27 @@ def _by_class(ious: Numbers) -> list[str]:
     return [f"{100.0 * value:.1f}" for value in np.nanmean(ious, axis=0)]
 
 
-def transfer(page: Page, experiment: Experiment) -> str:
-    """Trained on one renderer, tested on another."""
+def transfer(page: Page, experiment: Experiment) -> None:
+    """Tests networks of one renderer on another."""
     found = {
         (learned, asked): experiment.ious(FULL, learned, asked)
         for learned in _BACKENDS
         for asked in _BACKENDS
     }
-    whole = table(
-        ("trained on", *(f"tested on {name}" for name in _BACKENDS), "CPU s a picture"),
-        [
-            (
-                learned,
-                *(_said(found[learned, asked]) for asked in _BACKENDS),
-                experiment.renders.cost(FULL, learned),
-            )
-            for learned in _BACKENDS
-        ],
-    )
-    classes = table(
-        ("trained on", "tested on", *CLASSES),
-        [(learned, asked, *_by_class(ious)) for (learned, asked), ious in found.items()],
-    )
+    costs = {name: experiment.renders.cost(FULL, name) for name in _BACKENDS}
+    page.rows((a, *(_said(found[a, b]) for b in _BACKENDS), costs[a]) for a in _BACKENDS)
+    page.rows((*names, *_by_class(ious)) for names, ious in found.items())
     means = {key: _mean(ious)[0] for key, ious in found.items()}
     gaps = {
         asked: means[asked, asked]
         - np.mean([means[other, asked] for other in _BACKENDS if other != asked])
         for asked in _BACKENDS
     }
-    gap = ", ".join(f"{value:+.1f} on {name}" for name, value in gaps.items())
-    return (
-        "## From renderer to renderer\n\nMean IoU over the five classes, percent. All three draw "
-        "the same stages; pyrender is a rasterizer, whose light from surface to surface is an "
-        f"estimate. A CPU second counts compiling, rendering and annotating.\n\n{whole}\n"
-        f"What training on the tested renderer itself gains over the mean of the others: {gap} "
-        "points. A gain within the spreads is none: then pictures of the one are as good a "
-        f"teacher for the other as its own.\n\nBy class, percent, means over seeds:\n\n{classes}\n"
-        + _shown(page, experiment, means)
-    )
+    page.value("gap", ", ".join(f"{value:+.1f} on {name}" for name, value in gaps.items()))
+    _shown(page, experiment, means)
 
 
-def _shown(page: Page, experiment: Experiment, means: dict[tuple[str, str], float]) -> str:
+def _shown(page: Page, experiment: Experiment, means: dict[tuple[str, str], float]) -> None:
     """The table as a picture, beside answers."""
     figure = plt.figure(figsize=(13, 4.6), constrained_layout=True)
     left, right = figure.subfigures(1, 2, width_ratios=(1, 2.6))
@@ -259,79 +214,54 @@ def _shown(page: Page, experiment: Experiment, means: dict[tuple[str, str], floa
             panel.set_axis_off()
             if ref is chosen[0]:
                 panel.set_title(title, fontsize=9)
-    shown_as = page.save(figure, "transfer", dpi=80)
-    return (
-        f"{shown_as}\nRight: held-out pictures of {_OWN}, and the answers of networks trained on "
-        f"frames of each renderer (seed {_SEEDS[0]}).\n"
-    )
+    page.save(figure, "transfer", dpi=80)
 
 
-def ablations(page: Page, experiment: Experiment) -> str:
-    """What is left out of the pictures learned from."""
+def ablations(page: Page, experiment: Experiment) -> None:
+    """Leaves something out of the pictures learned from."""
     found = {name: experiment.ious(name, _OWN, _OWN) for name in SETTINGS}
     costs = {name: experiment.renders.cost(name, _OWN) for name in SETTINGS}
     whole = _mean(found[FULL])[0]
-    rows = [
+    page.rows(
         (name, costs[name], _said(ious), f"{_mean(ious)[0] - whole:+.1f}", *_by_class(ious))
         for name, ious in found.items()
-    ]
+    )
     figure, axes = plt.subplots(figsize=(8, 4.4), constrained_layout=True)
     for name, ious in found.items():
-        mean, spread = _mean(ious)
-        axes.errorbar(costs[name], mean, spread, fmt="o", capsize=3, label=name)
+        axes.errorbar(costs[name], *_mean(ious), fmt="o", capsize=3, label=name)
     axes.set_xlabel("CPU s a picture")
     axes.set_ylabel("mean IoU on full pictures, %")
     axes.set_xlim(left=0)
     axes.grid(visible=True, linewidth=0.3, alpha=0.6)
     axes.legend(fontsize=8)
-    header = ("learned from", "CPU s a picture", "mean IoU, %", "points", *CLASSES)
-    return (
-        "## What realism pays\n\nNetworks learn from pictures that lack one thing, and are tested "
-        f"on held-out ones that have everything; all by {_OWN}. Terrains, "
-        "rocks, suns and places stay the same. Points are those lost or won "
-        f"against everything; those within the spreads say nothing.\n\n{table(header, rows)}\n"
-        + page.save(figure, "ablations")
-        + "\nError bars are one standard deviation over seeds of training.\n"
-    )
+    page.save(figure, "ablations")
+
+
+#: Name -> what it makes, and how many tables it fills.
+_PARTS = {"transfer": (transfer, 2), "ablations": (ablations, 1)}
 
 
 def main(page: Page) -> None:
-    """Writes the page."""
-    start = time.perf_counter()
+    """Refreshes the page."""
     experiment = Experiment(page)
-    renders = experiment.renders
     for one in experiment.pictures:
         experiment.renders.cost(*one)
     experiment.train_all(experiment.trainings)
+    said(page)
     made, trained = experiment.seconds()
-    only = page.options.only
-    parts = {"transfer": transfer, "ablations": ablations}
-    head = HEAD.format(
-        words=words(page) + ("" if only == _PARTS else f" --only {','.join(only)}"),
-        batches=renders.batches,
-        samples=renders.samples,
-        size="{} × {}".format(*renders.resolution),
-        seed=SEED,
-        held=renders.held,
-        spp=f"Cycles and Mitsuba take {SETTINGS[FULL].words[-1]} samples a pixel, pyrender "
-        f"{PREVIEW[-1]}.",
-        backbone=experiment.recipe.backbone,
-        steps=experiment.recipe.steps,
-        pictures=experiment.recipe.pictures,
-        device=experiment.networks.device_name(),
-        runs=len(experiment.seeds),
-        seeds=", ".join(map(str, experiment.seeds)),
-        made=made,
-        trained=trained,
-    )
-    packages = ("torch", "torchvision", "mitsuba", "bpy", "pyrender-maintained")
-    page.write(
-        head,
-        packages,
-        [lambda page, part=parts[name]: part(page, experiment) for name in experiment.parts],
-    )
-    print(f"{time.perf_counter() - start:.0f} s in all")
+    page.value("made", f"{made:.0f}")
+    page.value("trained", f"{trained:.0f}")
+    recipe, device = experiment.recipe, experiment.networks.device_name()
+    page.value("backbone", recipe.backbone)
+    page.value("steps", f"{recipe.steps} steps of {recipe.pictures} pictures, AdamW, {device}")
+    seeds = ", ".join(map(str, experiment.seeds))
+    page.value("runs", f"{len(experiment.seeds)} times, by seeds {seeds}")
+    parts: list[Callable[[Page], object]] = []
+    for name, (part, n) in _PARTS.items():
+        own = partial(part, experiment=experiment)
+        parts.append(own if name in experiment.parts else left_out(n))
+    page.refresh(("torch", "torchvision", "mitsuba", "bpy", "pyrender-maintained"), parts)
 
 
 if __name__ == "__main__":
-    run(main, page="segmentation", full=False, only=_PARTS, work="")
+    run(main, page="segmentation", full=False, only=tuple(_PARTS), work="")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import Assembly, bent, rod, rounded_box, shaded, turned_shape
+from scenec.lab.models.solids import Assembly
 from scenec.lab.models.surfaces import UP, Floats, azimuth
 
 LOOKS = {
@@ -67,20 +67,17 @@ def apriltag_board() -> Model:
             points.reshape(-1, 3), faces, np.tile([0.0, -1.0, 0.0], (4 * len(rows), 1))
         )
     x = 0.5 * width
-    rounded_box(
-        parts.part("board", "board_back"),
-        (-x - 0.003, -FRONT_M + 0.001, LIFT_M - 0.003),
-        (x + 0.003, FRONT_M, top + 0.003),
-        0.002,
+    parts.part("board", "board_back").rounded_box(
+        (-x - 0.003, -FRONT_M + 0.001, LIFT_M - 0.003), (x + 0.003, FRONT_M, top + 0.003), 0.002
     )
     legs = parts.part("legs", "aluminum")
     for s in (-1.0, 1.0):
         at = s * 0.38
-        rounded_box(legs, (at - 0.02, FRONT_M, 0.0), (at + 0.02, FRONT_M + 0.04, top - 0.05), 0.003)
-        shaded(legs, rod((at, 0.50, 0.015), (at, FRONT_M + 0.05, 0.90), 0.014, 12))
-        rounded_box(legs, (at - 0.04, 0.45, 0.0), (at + 0.04, 0.55, 0.012), 0.003)
-        rounded_box(legs, (at - 0.04, -0.06, 0.0), (at + 0.04, 0.11, 0.012), 0.003)
-    rounded_box(legs, (-0.38, FRONT_M + 0.04, 0.30), (0.38, FRONT_M + 0.06, 0.34), 0.003)
+        legs.rounded_box((at - 0.02, FRONT_M, 0.0), (at + 0.02, FRONT_M + 0.04, top - 0.05), 0.003)
+        legs.rod((at, 0.50, 0.015), (at, FRONT_M + 0.05, 0.90), 0.014, 12)
+        legs.rounded_box((at - 0.04, 0.45, 0.0), (at + 0.04, 0.55, 0.012), 0.003)
+        legs.rounded_box((at - 0.04, -0.06, 0.0), (at + 0.04, 0.11, 0.012), 0.003)
+    legs.rounded_box((-0.38, FRONT_M + 0.04, 0.30), (0.38, FRONT_M + 0.06, 0.34), 0.003)
     return parts.model()
 
 
@@ -90,27 +87,18 @@ def _sphere(name: str, material: str) -> Model:
     steps = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 33)
     profile = np.column_stack([0.15 * np.cos(steps), 0.15 * np.sin(steps)])
     profile[[0, -1], 0] = 0.0
-    shaded(parts.part(name, material), turned_shape(profile, 64, UP, (0, 0, 1.2)), crease=80)
+    parts.part(name, material).turned(profile, 64, UP, (0, 0, 1.2), crease=80)
     stand = parts.part("stand", "plastic_black")
-    shaded(
-        stand,
-        turned_shape(
-            [(0, 0.30), (0.016, 0.30), (0.016, 0.92), (0.012, 0.94), (0.012, 1.06), (0, 1.06)], 16
-        ),
+    stand.turned(
+        [(0, 0.30), (0.016, 0.30), (0.016, 0.92), (0.012, 0.94), (0.012, 1.06), (0, 1.06)], 16
     )
-    shaded(stand, turned_shape([(0, 0.60), (0.03, 0.60), (0.034, 0.66), (0, 0.66)], 16))
+    stand.turned([(0, 0.60), (0.03, 0.60), (0.034, 0.66), (0, 0.66)], 16)
     for angle in (90.0, 210.0, 330.0):
         out = azimuth(angle)
-        shaded(
-            stand,
-            bent(
-                [UP * 0.62 + out * 0.02, UP * 0.30 + out * 0.18, UP * 0.014 + out * 0.36], 0.011, 10
-            ),
+        stand.bent(
+            [UP * 0.62 + out * 0.02, UP * 0.30 + out * 0.18, UP * 0.014 + out * 0.36], 0.011, 10
         )
-        shaded(
-            stand,
-            turned_shape([(0, 0), (0.022, 0.0), (0.018, 0.02), (0, 0.025)], 12, UP, out * 0.36),
-        )
+        stand.turned([(0, 0), (0.022, 0.0), (0.018, 0.02), (0, 0.025)], 12, UP, out * 0.36)
     return parts.model()
 
 

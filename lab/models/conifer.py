@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
+from scenec.lab.models.solids import Assembly
 from scenec.lab.models.stems import Habit, Level, grown, meshed
 from scenec.lab.models.surfaces import (
     UP,
@@ -26,8 +27,8 @@ LOOKS = {
 
 def juniper() -> Model:
     """A common juniper: a dense column of upright stems."""
-    chance = Chance("juniper")
-    wood, needles = Surface(), Surface()
+    chance, parts = Chance("juniper"), Assembly(LOOKS)
+    wood, needles = parts.parts(wood="juniper_bark", needles="juniper_needle")
     for k in range(11):
         habit = Habit(
             height=chance.between(1.3, 2.3) - 0.05 * k,
@@ -50,9 +51,7 @@ def juniper() -> Model:
         for stem in stems[1:]:
             tip, ahead, _ = stem.at(1.0 if stem.level == 2 else 0.7)
             _tuft(chance, needles, tip, unit(ahead + 0.4 * UP), 0.17, 6)
-    return Model(
-        {"wood": wood.part("juniper_bark"), "needles": needles.part("juniper_needle")}, LOOKS
-    )
+    return parts.model(grown=True)
 
 
 def _tuft(

@@ -10,6 +10,7 @@ import numpy as np
 from scenec.lab.models.glb import Copies, Places
 from scenec.lab.models.growth import Grown
 from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, across, cross, turned, unit
+from scenec.schemas.quaternions import quaternion
 
 
 class Twigs:
@@ -24,7 +25,7 @@ class Twigs:
         side = cross(upward, ahead)
         side = across(ahead) if float(side @ side) < 1e-8 else unit(side)
         frame = np.stack([ahead, side, cross(ahead, side)], axis=1)
-        self._rows[shape].append(np.concatenate([base, _quaternion(frame), [size]]))
+        self._rows[shape].append(np.concatenate([base, quaternion(frame), [size]]))
 
     def places(self, shape: int) -> Places:
         """Of one shape."""
@@ -33,18 +34,6 @@ class Twigs:
 
     def __len__(self) -> int:
         return sum(map(len, self._rows))
-
-
-def _quaternion(frame: Floats) -> Floats:
-    """Of a rotation, (x, y, z, w), by its largest component (Shepperd 1978)."""
-    (a, b, c), (d, e, f), (g, h, i) = frame.tolist()
-    four = [1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i]
-    k = int(np.argmax(four))
-    rows = [
-        (four[0], b + d, c + g, h - f), (b + d, four[1], f + h, c - g),
-        (c + g, f + h, four[2], d - b), (h - f, c - g, d - b, four[3]),
-    ]  # fmt: skip
-    return unit(np.array(rows[k]) * (1.0 if rows[k][3] >= 0.0 else -1.0))
 
 
 def dress(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
+from scenec.lab.models.solids import Assembly
 from scenec.lab.models.surfaces import (
     UP,
     Chance,
@@ -86,15 +87,17 @@ def _tuft(
 
 def grass_short() -> Model:
     """A low, dense tuft as of fescue."""
-    chance, green, dry = Chance("grass_short"), Surface(), Surface()
+    chance, parts = Chance("grass_short"), Assembly(LOOKS)
+    green, dry = parts.parts(blades="grass_blade", dry_blades="straw")
     _tuft(chance, [green], 50, (0.07, 0.20), radius=0.14, lean=(4, 32), bend=(10, 75), width=0.0042)
     _tuft(chance, [dry], 7, (0.06, 0.13), radius=0.13, lean=(25, 60), bend=(30, 90), width=0.0036)
-    return Model({"blades": green.part("grass_blade"), "dry_blades": dry.part("straw")}, LOOKS)
+    return parts.model(grown=True)
 
 
 def grass_tall() -> Model:
     """A tuft to the knee whose blades arch over, as of cocksfoot."""
-    chance, green, dry = Chance("grass_tall"), Surface(), Surface()
+    chance, parts = Chance("grass_tall"), Assembly(LOOKS)
+    green, dry = parts.parts(blades="grass_pale", dry_blades="straw")
     _tuft(
         chance, [green], 36, (0.22, 0.58), radius=0.12, lean=(3, 26), bend=(25, 110),
         width=0.0068, segments=4,
@@ -103,13 +106,13 @@ def grass_tall() -> Model:
         chance, [dry], 6, (0.15, 0.36), radius=0.12, lean=(25, 55), bend=(40, 120), width=0.005,
         segments=4,
     )  # fmt: skip
-    return Model({"blades": green.part("grass_pale"), "dry_blades": dry.part("straw")}, LOOKS)
+    return parts.model(grown=True)
 
 
 def grass_seeding() -> Model:
     """A tuft in seed: culms to the hip with loose panicles over a low skirt of blades."""
-    chance = Chance("grass_seeding")
-    green, culms, heads = Surface(), Surface(), Surface()
+    chance, parts = Chance("grass_seeding"), Assembly(LOOKS)
+    green, culms, heads = parts.parts(blades="grass_blade", culms="straw", seed_heads="seed_head")
     _tuft(chance, [green], 18, (0.15, 0.42), radius=0.10, lean=(4, 30), bend=(20, 95), width=0.0055)
     for k in range(4):
         base = chance.on_disc(0.08)
@@ -127,31 +130,25 @@ def grass_seeding() -> Model:
                 point + reach * 0.35 * out, spray, out, chance.between(0.022, 0.032), 0.0075,
                 fold=0.0,
             )  # fmt: skip
-    return Model(
-        {
-            "blades": green.part("grass_blade"),
-            "culms": culms.part("straw"),
-            "seed_heads": heads.part("seed_head"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def grass_dry() -> Model:
     """A tuft of last year: bleached blades that lean, break and lie, a few green ones between."""
-    chance, dead, green = Chance("grass_dry"), Surface(), Surface()
+    chance, parts = Chance("grass_dry"), Assembly(LOOKS)
+    dead, green = parts.parts(dry_blades="bleached", blades="grass_blade")
     _tuft(
         chance, [dead], 34, (0.14, 0.46), radius=0.13, lean=(12, 46), bend=(25, 100), width=0.005,
         segments=4,
     )  # fmt: skip
     _tuft(chance, [green], 6, (0.12, 0.30), radius=0.1, lean=(3, 24), bend=(15, 70), width=0.0045)
-    return Model({"dry_blades": dead.part("bleached"), "blades": green.part("grass_blade")}, LOOKS)
+    return parts.model(grown=True)
 
 
 def grass_fine() -> Model:
     """A fine-leaved tuft in flower, as of bent: hair-thin culms under open purplish panicles."""
-    chance = Chance("grass_fine")
-    green, culms, heads = Surface(), Surface(), Surface()
+    chance, parts = Chance("grass_fine"), Assembly(LOOKS)
+    green, culms, heads = parts.parts(blades="fine_blade", culms="straw", seed_heads="panicle")
     _tuft(chance, [green], 22, (0.10, 0.32), radius=0.09, lean=(3, 34), bend=(15, 80), width=0.0028)
     for k in range(6):
         ahead = azimuth(60.0 * k + chance.about(0.0, 25.0), chance.between(68.0, 86.0))
@@ -166,20 +163,13 @@ def grass_fine() -> Model:
                 point, unit(along + 0.9 * out), out, chance.between(0.02, 0.045) * (1.6 - t),
                 0.006, fold=0.0,
             )  # fmt: skip
-    return Model(
-        {
-            "blades": green.part("fine_blade"),
-            "culms": culms.part("straw"),
-            "seed_heads": heads.part("panicle"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def fern() -> Model:
     """A male fern: a funnel of arching fronds, each of many pinnae."""
-    chance = Chance("fern")
-    pinnae, stalks = Surface(), Surface()
+    chance, parts = Chance("fern"), Assembly(LOOKS)
+    pinnae, stalks = parts.parts(fronds="fern_frond", stalks="fern_stalk")
     for k in range(9):
         ahead = azimuth(40.0 * k + chance.about(0.0, 14.0), chance.between(52.0, 74.0))
         length = chance.between(0.5, 0.85)
@@ -197,13 +187,15 @@ def fern() -> Model:
                     point, out, cross(side, along), reach * chance.about(1.0, 0.1), 0.24 * reach,
                     fold=0.1, widest=0.25,
                 )  # fmt: skip
-    return Model({"fronds": pinnae.part("fern_frond"), "stalks": stalks.part("fern_stalk")}, LOOKS)
+    return parts.model(grown=True)
 
 
 def litter() -> Model:
     """Fallen leaves and some dead twigs on half a square meter of ground."""
-    chance = Chance("litter")
-    brown, pale, twigs = Surface(), Surface(), Surface()
+    chance, parts = Chance("litter"), Assembly(LOOKS)
+    brown, pale, twigs = parts.parts(
+        leaves="litter_brown", pale_leaves="litter_pale", twigs="fern_stalk"
+    )
     for k in range(90):
         base = chance.on_disc(0.42) + UP * chance.between(0.004, 0.03)
         ahead = azimuth(chance.between(0.0, 360.0), chance.about(0.0, 22.0))
@@ -217,20 +209,15 @@ def litter() -> Model:
         base = chance.on_disc(0.4) + 0.008 * UP
         path = _arc(base, azimuth(chance.between(0, 360), 3.0), chance.between(0.1, 0.35), 6.0, 3)
         twigs.tube(path, [0.004, 0.0035, 0.003, 0.0], 3)
-    return Model(
-        {
-            "leaves": brown.part("litter_brown"),
-            "pale_leaves": pale.part("litter_pale"),
-            "twigs": twigs.part("fern_stalk"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def clover() -> Model:
     """White clover: leaves of three leaflets on stalks of their own, and globes of florets."""
-    chance = Chance("clover")
-    leaves, stalks, florets = Surface(), Surface(), Surface()
+    chance, parts = Chance("clover"), Assembly(LOOKS)
+    leaves, stalks, florets = parts.parts(
+        leaves="clover_leaf", stalks="stalk", flowers="clover_floret"
+    )
     for _ in range(26):
         base = chance.on_disc(0.10)
         ahead = azimuth(chance.between(0.0, 360.0), chance.between(55.0, 88.0))
@@ -252,14 +239,7 @@ def clover() -> Model:
             [(0.0, -0.004), (0.0085, -0.001), (0.0105, 0.005), (0.0075, 0.0115), (0.0, 0.014)],
             7, unit(path[-1] - path[-2]), path[-1],
         )  # fmt: skip
-    return Model(
-        {
-            "leaves": leaves.part("clover_leaf"),
-            "stalks": stalks.part("stalk"),
-            "flowers": florets.part("clover_floret"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def _clover_leaflet(
@@ -274,8 +254,10 @@ def _clover_leaflet(
 
 def daisy() -> Model:
     """Oxeye daisy: heads of white rays around a yellow disc on leafy stalks."""
-    chance = Chance("daisy")
-    rays, discs, stalks, leaves = Surface(), Surface(), Surface(), Surface()
+    chance, parts = Chance("daisy"), Assembly(LOOKS)
+    rays, discs, stalks, leaves = parts.parts(
+        rays="daisy_petal", discs="daisy_disc", stalks="stalk", leaves="herb_leaf"
+    )
     for k in range(5):
         base = chance.on_disc(0.04)
         ahead = azimuth(72.0 * k + chance.about(0.0, 30.0), chance.between(70.0, 86.0))
@@ -304,21 +286,15 @@ def daisy() -> Model:
         ahead = azimuth(angle, chance.between(15.0, 60.0))
         path = _arc(chance.on_disc(0.02), ahead, chance.between(0.07, 0.12), 55.0, 4)
         leaves.lamina(path, [0.006, 0.017, 0.020], across(ahead))
-    return Model(
-        {
-            "rays": rays.part("daisy_petal"),
-            "discs": discs.part("daisy_disc"),
-            "stalks": stalks.part("stalk"),
-            "leaves": leaves.part("herb_leaf"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def poppy() -> Model:
     """Common poppy: bowls of four crumpled petals, nodding buds, cut leaves."""
-    chance = Chance("poppy")
-    petals, hearts, stalks, leaves = Surface(), Surface(), Surface(), Surface()
+    chance, parts = Chance("poppy"), Assembly(LOOKS)
+    petals, hearts, stalks, leaves = parts.parts(
+        petals="poppy_petal", hearts="poppy_heart", stalks="stalk", leaves="poppy_leaf"
+    )
     for k in range(4):
         ahead = azimuth(90.0 * k + chance.about(0.0, 30.0), chance.between(72.0, 86.0))
         path = _arc(chance.on_disc(0.03), ahead, chance.between(0.36, 0.58), chance.about(5, 15), 3)
@@ -358,15 +334,7 @@ def poppy() -> Model:
                 point = path[i - 1] + (path[i] - path[i - 1]) * 0.6
                 size = length * (0.34 - 0.05 * i + 0.04 * (i == 2))
                 leaves.leaf(point, lobe, cross(side, along), size, 0.32 * size, fold=0.0)
-    return Model(
-        {
-            "petals": petals.part("poppy_petal"),
-            "hearts": hearts.part("poppy_heart"),
-            "stalks": stalks.part("stalk"),
-            "leaves": leaves.part("poppy_leaf"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def _poppy_petal(

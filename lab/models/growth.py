@@ -26,7 +26,7 @@ from scenec.lab.models.surfaces import (
     Surface,
     across,
     azimuth,
-    cross,
+    rings_along,
     turned,
     unit,
 )
@@ -293,21 +293,16 @@ def _tube(
     surface: Surface, path: Floats, radii: Floats, sides: int, tile: tuple[float, float]
 ) -> Floats:
     """A tube with a seam, for a picture around it; returns its texture coordinates."""
-    ahead = unit(np.gradient(path, axis=0))
     lengths = np.append(0.0, np.cumsum(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1))))
     turns = max(1.0, round(2.0 * math.pi * float(radii[0]) / tile[0]))
-    angles = 2.0 * math.pi * np.arange(sides + 1) / sides
-    side = across(ahead[0])
     points, normals, uv, faces = [], [], [], []
-    for i, center in enumerate(path):
-        side = unit(side - ahead[i] * float(side @ ahead[i]))
-        ring = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * cross(ahead[i], side)
+    for i, (center, open_) in enumerate(zip(path, rings_along(path, sides), strict=True)):
         # The seam is one place.
-        ring[-1] = ring[0]
+        ring = np.concatenate([open_, open_[:1]])
         points.append(center + max(float(radii[i]), 0.0008) * ring)
         normals.append(ring)
-        uv.append(np.stack([turns * np.arange(sides + 1) / sides, np.full(sides + 1, 0.0)], axis=1))
-        uv[-1][:, 1] = lengths[i] / tile[1]
+        along = np.full(sides + 1, lengths[i] / tile[1])
+        uv.append(np.stack([turns * np.arange(sides + 1) / sides, along], axis=1))
         if i:
             a = (i - 1) * (sides + 1) + np.arange(sides)[:, None]
             b = a + sides + 1

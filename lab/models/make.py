@@ -1,6 +1,6 @@
-"""Writes assets/models/*.glb, or says whether the files there are what it makes.
+"""Writes assets/models/*.glb.
 
-    .venv/bin/python lab/models/make.py [--check | --table] [NAME ...]
+    .venv/bin/python lab/models/make.py [--table] [NAME ...]
 
 Plants, stones and things of scenec's own: nothing is read, every model is made from the numbers in
 this folder, stones by the compiler. Files are the same bytes each time; across machines ``--check``
@@ -27,69 +27,44 @@ from scenec.lab.models import (
     vehicles,
     woody,
 )
-from scenec.lab.models.glb import Card, Model, encode, same, triangles
+from scenec.lab.models.glb import Card, Model, encode, triangles
 
 FOLDER = Path(__file__).resolve().parents[2] / "assets" / "models"
 
 #: What makes each model, and its suggested label on the level ``class``.
 MODELS: dict[str, tuple[Callable[[], Model], str]] = {
-    "grass_short": (grasses.grass_short, "grass"),
-    "grass_tall": (grasses.grass_tall, "grass"),
-    "grass_seeding": (grasses.grass_seeding, "grass"),
-    "grass_dry": (grasses.grass_dry, "grass"),
-    "grass_fine": (grasses.grass_fine, "grass"),
-    "fern": (grasses.fern, "fern"),
-    "litter": (grasses.litter, "litter"),
-    "clover": (grasses.clover, "flower"),
-    "daisy": (grasses.daisy, "flower"),
-    "poppy": (grasses.poppy, "flower"),
-    "hazel": (trees.hazel, "shrub"),
-    "hazel_young": (trees.hazel_young, "shrub"),
-    "rose": (woody.rose, "shrub"),
-    "juniper": (conifer.juniper, "shrub"),
-    "oak": (trees.oak, "tree"),
-    "oak_young": (trees.oak_young, "tree"),
-    "oak_old": (trees.oak_old, "tree"),
-    "birch": (trees.birch, "tree"),
-    "birch_young": (trees.birch_young, "tree"),
-    "birch_old": (trees.birch_old, "tree"),
-    "spruce": (trees.spruce, "tree"),
-    "spruce_young": (trees.spruce_young, "tree"),
-    "spruce_old": (trees.spruce_old, "tree"),
-    "pine": (trees.pine, "tree"),
-    "pine_old": (trees.pine_old, "tree"),
-    "snag": (woody.snag, "tree"),
-    "log": (woody.log, "dead_wood"),
-    "stone_weathered": (stones.stone_weathered, "stone"),
-    "stone_angular": (stones.stone_angular, "stone"),
-    "stone_rounded": (stones.stone_rounded, "stone"),
-    "stone_slab": (stones.stone_slab, "stone"),
-    "stone_vesicular": (stones.stone_vesicular, "stone"),
-    "boulder_wall": (farm.boulder_wall, "wall"),
-    "fence_panel": (farm.fence_panel, "fence"),
-    "fence_post": (farm.fence_post, "fence"),
-    "gate": (farm.gate, "fence"),
-    "hay_bale": (farm.hay_bale, "bale"),
-    "shed": (farm.shed, "building"),
-    "bench": (farm.bench, "bench"),
-    "pallet": (street.pallet, "pallet"),
-    "oil_drum": (street.oil_drum, "drum"),
-    "traffic_cone": (street.traffic_cone, "cone"),
-    "delineator": (street.delineator, "pole"),
-    "street_lamp": (street.street_lamp, "pole"),
-    "sign_stop": (street.sign_stop, "sign"),
-    "sign_give_way": (street.sign_give_way, "sign"),
-    "sign_speed_limit": (street.sign_speed_limit, "sign"),
-    "car": (vehicles.car, "car"),
-    "tractor": (vehicles.tractor, "tractor"),
-    "person": (person.person, "person"),
-    "rover": (vehicles.rover, "rover"),
-    "lander": (props.lander, "lander"),
-    "calibration_board": (props.calibration_board, "target"),
-    "apriltag_board": (boards.apriltag_board, "target"),
-    "sphere_gray": (boards.sphere_gray, "target"),
-    "sphere_mirror": (boards.sphere_mirror, "target"),
-}
+    name: (getattr(room, name), label) for room, label, names in (
+        (grasses, "grass", "grass_short grass_tall grass_seeding grass_dry grass_fine"),
+        (grasses, "fern", "fern"),
+        (grasses, "litter", "litter"),
+        (grasses, "flower", "clover daisy poppy"),
+        (trees, "shrub", "hazel hazel_young"),
+        (woody, "shrub", "rose"),
+        (conifer, "shrub", "juniper"),
+        (trees, "tree", "oak oak_young oak_old birch birch_young birch_old spruce spruce_young "
+                        "spruce_old pine pine_old"),
+        (woody, "tree", "snag"),
+        (woody, "dead_wood", "log"),
+        (stones, "stone", "stone_weathered stone_angular stone_rounded stone_slab stone_vesicular"),
+        (farm, "wall", "boulder_wall"),
+        (farm, "fence", "fence_panel fence_post gate"),
+        (farm, "bale", "hay_bale"),
+        (farm, "building", "shed"),
+        (farm, "bench", "bench"),
+        (street, "pallet", "pallet"),
+        (street, "drum", "oil_drum"),
+        (street, "cone", "traffic_cone"),
+        (street, "pole", "delineator street_lamp"),
+        (street, "sign", "sign_stop sign_give_way sign_speed_limit"),
+        (vehicles, "car", "car"),
+        (vehicles, "tractor", "tractor"),
+        (person, "person", "person"),
+        (vehicles, "rover", "rover"),
+        (props, "lander", "lander"),
+        (props, "target", "calibration_board"),
+        (boards, "target", "apriltag_board sphere_gray sphere_mirror"),
+    ) for name in names.split()
+}  # fmt: skip
 
 
 def made(name: str) -> tuple[Model, Card]:
@@ -98,36 +73,24 @@ def made(name: str) -> tuple[Model, Card]:
     return maker(), Card((maker.__doc__ or "").splitlines()[0].rstrip("."), label)
 
 
-def main(arguments: list[str]) -> int:
-    """Writes or checks; returns the exit status."""
+def main(arguments: list[str]) -> None:
+    """Writes the files, or prints their rows."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; compare with the files"
-    )
     parser.add_argument("--table", action="store_true", help="write nothing; print the page's rows")
     parser.add_argument("names", nargs="*", metavar="NAME", help="models; all when none is named")
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in MODELS]
     if unknown:
         parser.error(f"no model {unknown[0]!r}: expected one of {', '.join(MODELS)}")
-    stale = 0
     for name in options.names or MODELS:
-        file = FOLDER / f"{name}.glb"
         model, card = made(name)
         if options.table:
             print(_row(name, model, card))
             continue
         data = encode(model, card)
-        if options.check:
-            fresh = file.is_file() and same(file.read_bytes(), data)
-            stale += not fresh
-            print(f"{name}: {'as made' if fresh else 'differs: run lab/models/make.py'}")
-            continue
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(data)
+        (FOLDER / f"{name}.glb").write_bytes(data)
         parts = ", ".join(dict.fromkeys(key for key, _, _ in model.meshes()))
         print(f"{name}: {triangles(model)} triangles, {len(data)} bytes, {parts}")
-    return 1 if stale else 0
 
 
 def _row(name: str, model: Model, card: Card) -> str:
@@ -139,4 +102,4 @@ def _row(name: str, model: Model, card: Card) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(sys.argv[1:])

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import Assembly, Solid, gradient, surface_nets
+from scenec.lab.models.solids import Assembly, gradient, surface_nets
 from scenec.lab.models.surfaces import Floats, unit
 
 LOOKS = {
@@ -78,11 +78,8 @@ def _both(fields: Callable[[float], Field], soft: float) -> Field:
 
 
 def _arm(s: float) -> Field:
-    shoulder, elbow, wrist = (
-        (s * 0.178, 0.012, 1.412),
-        (s * 0.248, 0.030, 1.135),
-        (s * 0.275, -0.040, 0.905),
-    )
+    shoulder, elbow = (s * 0.178, 0.012, 1.412), (s * 0.248, 0.030, 1.135)
+    wrist = (s * 0.275, -0.040, 0.905)
     return _joined(
         _cone(shoulder, elbow, 0.060, 0.047), _cone(elbow, wrist, 0.047, 0.037), soft=0.02
     )
@@ -105,11 +102,8 @@ def _hand(s: float) -> Field:
 
 
 def _leg(s: float) -> Field:
-    hip, knee, ankle = (
-        (s * 0.085, 0.0, 0.900),
-        (s * 0.102, -0.012, 0.490),
-        (s * 0.112, 0.022, 0.085),
-    )
+    hip, knee = (s * 0.085, 0.0, 0.900), (s * 0.102, -0.012, 0.490)
+    ankle = (s * 0.112, 0.022, 0.085)
     calf = _ball((s * 0.108, 0.034, 0.360), (0.058, 0.062, 0.150))
     return _joined(
         _cone(hip, knee, 0.084, 0.066), _cone(knee, ankle, 0.066, 0.058), calf, soft=0.03
@@ -160,24 +154,15 @@ def person() -> Model:
     trousers = _cut(_cut(trousers, (0.0, 0.0, -1.0), -0.062), (0.0, 0.0, 1.0), 0.98)
 
     def grown(
-        name: str,
-        material: str,
-        field: Field,
-        low: Sequence[float],
-        high: Sequence[float],
+        name: str, material: str, field: Field, low: Sequence[float], high: Sequence[float],
         step: float,
-    ) -> None:
+    ) -> None:  # fmt: skip
         solid = surface_nets(field, low, high, step)
-        _smooth(parts, name, material, field, solid, step)
+        normals = unit(gradient(field, solid.points, 0.3 * step))
+        parts.part(name, material).add(solid.points, solid.faces, normals)
 
-    grown(
-        "head",
-        "skin",
-        _cut(face, (0.0, 0.0, -1.0), -1.47),
-        (-0.12, -0.16, 1.44),
-        (0.12, 0.15, 1.83),
-        0.0115,
-    )
+    face = _cut(face, (0.0, 0.0, -1.0), -1.47)
+    grown("head", "skin", face, (-0.12, -0.16, 1.44), (0.12, 0.15, 1.83), 0.0115)
     grown("hair", "hair", hair, (-0.12, -0.14, 1.50), (0.12, 0.16, 1.84), 0.014)
     for s in (-1.0, 1.0):
         x = sorted((s * 0.22, s * 0.32))
@@ -187,10 +172,3 @@ def person() -> Model:
     grown("jacket", "jacket", jacket, (-0.35, -0.18, 0.80), (0.35, 0.18, 1.60), 0.0200)
     grown("trousers", "trousers", trousers, (-0.22, -0.17, 0.03), (0.22, 0.17, 1.02), 0.0190)
     return parts.model()
-
-
-def _smooth(
-    parts: Assembly, name: str, material: str, field: Field, solid: Solid, step: float
-) -> None:
-    normals = unit(gradient(field, solid.points, 0.3 * step))
-    parts.part(name, material).add(solid.points, solid.faces, normals)

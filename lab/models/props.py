@@ -9,7 +9,8 @@ import numpy as np
 from PIL import Image
 
 from scenec.lab.models.glb import Look, Model, Part
-from scenec.lab.models.surfaces import UP, Floats, Surface, across, azimuth, unit
+from scenec.lab.models.solids import Assembly
+from scenec.lab.models.surfaces import UP, Surface, across, azimuth, unit
 
 #: The board: squares of 100 mm, ten by seven, with a white margin of 100 mm.
 SQUARE_M, COLUMNS, ROWS, MARGIN_M = 0.1, 10, 7, 0.1
@@ -57,11 +58,7 @@ def calibration_board() -> Model:
         "board_back": Look((0.50, 0.50, 0.50), 0.70),
         "aluminum": Look((0.58, 0.59, 0.60), 0.40, 1.0),
     }
-    parts = {
-        "pattern": pattern,
-        "board": panel.part("board_back"),
-        "legs": legs.part("aluminum"),
-    }
+    parts = {"pattern": pattern, "board": panel.part("board_back"), "legs": legs.part("aluminum")}
     return Model(parts, looks)
 
 
@@ -78,8 +75,11 @@ def _checkerboard() -> bytes:
 
 def lander() -> Model:
     """A small probe on four legs: foil-covered body, dish, two solar panels, mast, engine."""
-    body, deck, legs, feet = Surface(), Surface(), Surface(), Surface()
-    dish, panel, mast, engine = Surface(), Surface(), Surface(), Surface()
+    parts = Assembly(_LANDER)
+    body, deck, legs, feet = parts.parts(body="foil", deck="white_paint", legs="strut", feet="pad")
+    dish, mast, panel, engine = parts.parts(
+        dish="white_paint", mast="strut", panel="solar_cell", engine="dark_metal"
+    )
     body.spun(
         [(0.0, 0.52), (0.50, 0.52), (0.60, 0.60), (0.60, 0.94), (0.52, 1.02), (0.0, 1.02)],
         8, smooth=False,
@@ -114,7 +114,10 @@ def lander() -> Model:
     mast.tube(np.array([[0.22, 0.24, 1.04], [0.22, 0.24, 1.72]]), [0.022, 0.018], 10, closed=True)
     mast.box((0.12, 0.19, 1.72), (0.32, 0.29, 1.82))
     for s in (-1.0, 1.0):
-        _eye(engine, np.array([0.22 + 0.06 * s, 0.19, 1.77]))
+        eye = [(0.028, -0.005), (0.028, 0.03), (0.0, 0.024)]
+        engine.spun(
+            eye, 12, np.array([0.0, -1.0, 0.0]), (0.22 + 0.06 * s, 0.19, 1.77), smooth=False
+        )
         # Panels stand off the body, tilted to the sun.
         tilt = math.radians(18.0)
         frame = np.array(
@@ -124,28 +127,11 @@ def lander() -> Model:
         for column in range(3):
             for row in range(4):
                 low = np.array([-0.42 + 0.283 * column, -0.46 + 0.232 * row])
-                panel.box(
-                    (low[0], low[1], 0.014), (low[0] + 0.274, low[1] + 0.222, 0.018), frame, center
-                )
+                panel.box((*low, 0.014), (low[0] + 0.274, low[1] + 0.222, 0.018), frame, center)
         deck.box((-0.44, -0.48, 0.0), (0.44, 0.48, 0.014), frame, center)
         legs.tube(
             np.array([[s * 0.56, 0.0, 0.92], center - UP * 0.01]), [0.022, 0.022], 8, closed=True
         )
     engine.spun([(0.20, 0.26), (0.16, 0.36), (0.09, 0.46), (0.08, 0.53)], 20)
     engine.spun([(0.075, 0.53), (0.085, 0.46), (0.15, 0.36), (0.185, 0.262), (0.20, 0.26)], 20)
-    parts = {
-        "body": body.part("foil"),
-        "deck": deck.part("white_paint"),
-        "legs": legs.part("strut"),
-        "feet": feet.part("pad"),
-        "dish": dish.part("white_paint"),
-        "mast": mast.part("strut"),
-        "panel": panel.part("solar_cell"),
-        "engine": engine.part("dark_metal"),
-    }
-    return Model(parts, _LANDER)
-
-
-def _eye(surface: Surface, at: Floats) -> None:
-    front = np.array([0.0, -1.0, 0.0])
-    surface.spun([(0.028, -0.005), (0.028, 0.03), (0.0, 0.024)], 12, front, at, smooth=False)
+    return parts.model(grown=True)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.surfaces import UP, Floats, Integers, Surface, across, cross, unit
+from scenec.lab.models.surfaces import UP, Floats, Integers, Surface, band, rings_along, swept, unit
 
 type Outline = Sequence[tuple[float, float]] | Floats
 
@@ -39,10 +38,6 @@ class Solid(NamedTuple):
         points = self.points if turn is None else self.points @ turn
         return Solid(points + np.asarray(at, np.float64), self.faces)
 
-    def mirrored(self) -> Solid:
-        """Its image on the other side of the plane x = 0."""
-        return Solid(self.points * np.array([-1.0, 1.0, 1.0]), self.faces[:, ::-1])
-
 
 def outward(points: Floats, faces: Integers | Sequence[Sequence[int]]) -> Solid:
     """A solid with all faces turned round where they enclose a negative volume."""
@@ -50,21 +45,6 @@ def outward(points: Floats, faces: Integers | Sequence[Sequence[int]]) -> Solid:
     a, b, c = (points[rows[:, k]] for k in range(3))
     negative = float((a * np.cross(b, c)).sum()) < 0.0
     return Solid(points, rows[:, ::-1] if negative else rows)
-
-
-def together(*solids: Solid) -> Solid:
-    """Several solids as one list of points and faces."""
-    starts = np.cumsum([0] + [len(s.points) for s in solids[:-1]])
-    return Solid(
-        np.concatenate([s.points for s in solids]),
-        np.concatenate([s.faces + n for s, n in zip(solids, starts, strict=True)]),
-    )
-
-
-def shaded(surface: Surface, *solids: Solid, crease: float = CREASE_DEG) -> None:
-    """Adds solids to a part: smooth but for edges sharper than ``crease`` degrees."""
-    for solid in solids:
-        surface.add(*creased(solid.points, solid.faces, crease))
 
 
 def creased(points: Floats, faces: Integers, degrees: float) -> tuple[Floats, Integers, Floats]:
@@ -97,61 +77,6 @@ def creased(points: Floats, faces: Integers, degrees: float) -> tuple[Floats, In
     keys = np.column_stack([corners, np.round(normals * 512.0)])
     _, used, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return points[corners[used]], numbers.reshape(-1, 3).astype(np.int64), normals[used]
-
-
-def rounded_box(
-    surface: Surface, low: Sequence[float], high: Sequence[float], bevel: float,
-    at: Sequence[float] | Floats = (0.0, 0.0, 0.0), turn: Floats | None = None,
-) -> None:  # fmt: skip
-    """Adds a box whose edges are chamfered by ``bevel``, shaded as if they were round.
-
-    All points carry the normal of the large face that they bound: a bevel then shades from one
-    face's normal to the other's, with 44 triangles a box.
-    """
-    x = np.array([low, high], np.float64)
-    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
-    corner = np.where(signs < 0, x[0], x[1])
-    points, normals = np.zeros((8, 3, 3)), np.zeros((8, 3, 3))
-    for axis in range(3):
-        points[:, axis] = corner - bevel * signs * (np.arange(3) != axis)
-        normals[:, axis, axis] = signs[:, axis]
-    faces: list[tuple[int, int, int]] = []
-
-    def quad(*ring: int) -> None:
-        a, b, c, d = ring
-        faces.extend([(a, b, c), (a, c, d)])
-
-    def index(i: int, j: int, k: int, axis: int) -> int:
-        return 3 * (4 * i + 2 * j + k) + axis
-
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-
-        def place(a: int, b: int, c: int, owner: int, axes: tuple[int, int, int]) -> int:
-            bits = [0, 0, 0]
-            for which, bit in zip(axes, (a, b, c), strict=True):
-                bits[which] = bit
-            return index(bits[0], bits[1], bits[2], owner)
-
-        axes = (axis, u, v)
-        for side in (0, 1):
-            quad(*(place(side, p, q, axis, axes) for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))))
-        for p in (0, 1):
-            for q in (0, 1):
-                # The edge along this axis, between the faces of the other two.
-                quad(
-                    place(0, p, q, u, axes), place(1, p, q, u, axes),
-                    place(1, p, q, v, axes), place(0, p, q, v, axes),
-                )  # fmt: skip
-    faces += [(3 * k, 3 * k + 1, 3 * k + 2) for k in range(8)]
-    rows = np.array(faces)
-    flat, toward = points.reshape(-1, 3), normals.reshape(-1, 3)
-    a, b, c = (flat[rows[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * toward[rows].sum(axis=1)).sum(axis=1) < 0.0
-    rows[inward] = rows[inward][:, ::-1]
-    if turn is not None:
-        flat, toward = flat @ turn, toward @ turn
-    surface.add(flat + np.asarray(at, np.float64), rows, toward)
 
 
 def ears(outline: Floats) -> list[tuple[int, int, int]]:
@@ -233,17 +158,10 @@ def loft(sections: Floats, caps: Sequence[tuple[int, int, int]] | None = None) -
         caps: Triangles of the ends; None makes fans about their middles.
     """
     count, around, _ = sections.shape
-    points = sections.reshape(-1, 3)
-    faces: list[tuple[int, int, int]] = []
-    for i in range(count - 1):
-        for j in range(around):
-            a, b = i * around + j, i * around + (j + 1) % around
-            faces += [(a, b, b + around), (a, b + around, a + around)]
+    points, faces = sections.reshape(-1, 3), band(count, around)
     last = (count - 1) * around
     if caps is None:
-        points = np.concatenate(
-            [points, sections[0].mean(axis=0)[None], sections[-1].mean(axis=0)[None]]
-        )
+        points = np.concatenate([points, sections[[0, -1]].mean(axis=1)])
         for j in range(around):
             k, n = (j + 1) % around, len(points)
             faces += [(n - 2, k, j), (n - 1, last + j, last + k)]
@@ -260,28 +178,8 @@ def turned_shape(
 
     A profile whose ends have radius 0 is closed by that; another one is a ring's, and closes.
     """
-    rows = [(float(r), float(h)) for r, h in np.asarray(profile, np.float64)]
-    side = across(axis)
-    other = cross(axis, side)
-    angles = 2.0 * math.pi * np.arange(sides) / sides
-    around = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-    points: list[Floats] = []
-    rings: list[range] = []
-    for radius, height in rows:
-        count = sides if radius > 0.0 else 1
-        rings.append(range(len(points), len(points) + count))
-        points += list(np.asarray(at) + axis * height + radius * around[:count])
-    if rows[0][0] > 0.0:
-        rings.append(rings[0])
-    faces: list[tuple[int, int, int]] = []
-    for lower, upper in pairwise(rings):
-        for j in range(sides):
-            k = (j + 1) % sides
-            if len(lower) > 1:
-                faces.append((lower[j], lower[k], upper[k % len(upper)]))
-            if len(upper) > 1:
-                faces.append((lower[j % len(lower)], upper[k], upper[j]))
-    return outward(np.array(points), faces)
+    rows = np.asarray(profile, np.float64).tolist()
+    return outward(*swept(rows, sides, axis, at, closed=rows[0][0] > 0.0))
 
 
 def rod(start: Sequence[float], end: Sequence[float], radius: float, sides: int = 10) -> Solid:
@@ -299,26 +197,8 @@ def bent(
     """A pipe along a path, closed at its ends."""
     path = np.asarray(path, np.float64)
     radii = np.broadcast_to(np.asarray(radii, np.float64), len(path))
-    ahead = unit(np.gradient(path, axis=0))
-    side = across(ahead[0])
-    angles = 2.0 * math.pi * np.arange(sides) / sides
-    sections = np.zeros((len(path), sides, 3))
-    for i, (point, radius) in enumerate(zip(path, radii, strict=True)):
-        side = unit(side - ahead[i] * float(side @ ahead[i]))
-        other = cross(ahead[i], side)
-        sections[i] = point + radius * (
-            np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-        )
-    return loft(sections)
-
-
-def ellipsoid(center: Sequence[float], radii: Sequence[float], sides: int = 20) -> Solid:
-    """An ellipsoid along the axes."""
-    steps = np.linspace(-0.5 * math.pi, 0.5 * math.pi, sides // 2 + 1)
-    profile = [(math.cos(t), math.sin(t)) for t in steps]
-    profile[0], profile[-1] = (0.0, -1.0), (0.0, 1.0)
-    ball = turned_shape(profile, sides)
-    return Solid(ball.points * np.asarray(radii) + np.asarray(center), ball.faces)
+    rings = zip(path, radii, rings_along(path, sides), strict=True)
+    return loft(np.array([point + radius * ring for point, radius, ring in rings]))
 
 
 def arc(
@@ -344,6 +224,20 @@ def soft_polygon(corners: Outline, radius: float, steps: int = 4) -> Floats:
         start, end = math.degrees(middle - spread), math.degrees(middle + spread)
         out += arc((float(center[0]), float(center[1])), radius, start, end, steps)
     return np.array(out)
+
+
+def soft_hull(rows: Sequence[Sequence[float]], steps: int) -> Floats:
+    """Returns sections of a hull along y: rectangles of soft corners [k, n, 3].
+
+    Args:
+        rows: Each (y, half width, lowest, highest, radius of the corners).
+        steps: Points of a corner.
+    """
+    sections = []
+    for y, half, low, high, soft in rows:
+        ring = soft_polygon([(-half, low), (half, low), (half, high), (-half, high)], soft, steps)
+        sections.append(np.column_stack([ring[:, 0], np.full(len(ring), y), ring[:, 1]]))
+    return np.array(sections)
 
 
 def surface_nets(
@@ -405,22 +299,108 @@ def gradient(distance: Callable[[Floats], Floats], points: Floats, step: float) 
     return np.column_stack(columns)
 
 
+class Piece(Surface):
+    """A part of solids, which are smooth but for edges sharper than ``crease`` degrees."""
+
+    def solid(self, solid: Solid, crease: float = CREASE_DEG) -> None:
+        """Adds a solid."""
+        self.add(*creased(solid.points, solid.faces, crease))
+
+    def turned(self, *shape: Any, crease: float = CREASE_DEG) -> None:
+        """Adds a ``turned_shape``."""
+        self.solid(turned_shape(*shape), crease)
+
+    def rod(self, *shape: Any) -> None:
+        """Adds a ``rod``."""
+        self.solid(rod(*shape))
+
+    def bent(self, *shape: Any) -> None:
+        """Adds what is ``bent``."""
+        self.solid(bent(*shape))
+
+    def prism(self, *shape: Any, crease: float = CREASE_DEG) -> None:
+        """Adds a ``prism``."""
+        self.solid(prism(*shape), crease)
+
+    def loft(self, sections: Any, caps: Any = None, crease: float = CREASE_DEG) -> None:
+        """Adds a ``loft``."""
+        self.solid(loft(np.asarray(sections), caps), crease)
+
+    def rounded_box(
+        self, low: Sequence[float], high: Sequence[float], bevel: float,
+        at: Sequence[float] | Floats = (0.0, 0.0, 0.0), turn: Floats | None = None,
+    ) -> None:  # fmt: skip
+        """Adds a box whose edges are chamfered by ``bevel``, shaded as if they were round.
+
+        All points carry the normal of the large face that they bound: a bevel then shades from one
+        face's normal to the other's, with 44 triangles a box.
+        """
+        x = np.array([low, high], np.float64)
+        signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+        corner = np.where(signs < 0, x[0], x[1])
+        points, normals = np.zeros((8, 3, 3)), np.zeros((8, 3, 3))
+        for axis in range(3):
+            points[:, axis] = corner - bevel * signs * (np.arange(3) != axis)
+            normals[:, axis, axis] = signs[:, axis]
+        faces: list[tuple[int, int, int]] = []
+
+        def quad(*ring: int) -> None:
+            a, b, c, d = ring
+            faces.extend([(a, b, c), (a, c, d)])
+
+        def index(i: int, j: int, k: int, axis: int) -> int:
+            return 3 * (4 * i + 2 * j + k) + axis
+
+        for axis in range(3):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+
+            def place(a: int, b: int, c: int, owner: int, axes: tuple[int, int, int]) -> int:
+                bits = [0, 0, 0]
+                for which, bit in zip(axes, (a, b, c), strict=True):
+                    bits[which] = bit
+                return index(bits[0], bits[1], bits[2], owner)
+
+            axes = (axis, u, v)
+            for side in (0, 1):
+                quad(*(place(side, p, q, axis, axes) for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))))
+            for p in (0, 1):
+                for q in (0, 1):
+                    # The edge along this axis, between the faces of the other two.
+                    quad(
+                        place(0, p, q, u, axes), place(1, p, q, u, axes),
+                        place(1, p, q, v, axes), place(0, p, q, v, axes),
+                    )  # fmt: skip
+        faces += [(3 * k, 3 * k + 1, 3 * k + 2) for k in range(8)]
+        rows = np.array(faces)
+        flat, toward = points.reshape(-1, 3), normals.reshape(-1, 3)
+        a, b, c = (flat[rows[:, k]] for k in range(3))
+        inward = (np.cross(b - a, c - a) * toward[rows].sum(axis=1)).sum(axis=1) < 0.0
+        rows[inward] = rows[inward][:, ::-1]
+        if turn is not None:
+            flat, toward = flat @ turn, toward @ turn
+        self.add(flat + np.asarray(at, np.float64), rows, toward)
+
+
 class Assembly:
     """Parts of a model by name, each of one material."""
 
     def __init__(self, looks: dict[str, Look]):
         self._looks = looks
-        self._parts: dict[str, tuple[Surface, str]] = {}
+        self._parts: dict[str, tuple[Piece, str]] = {}
 
-    def part(self, name: str, material: str) -> Surface:
+    def part(self, name: str, material: str) -> Piece:
         """The part of a name, made when it is first asked for."""
-        return self._parts.setdefault(name, (Surface(), material))[0]
+        return self._parts.setdefault(name, (Piece(), material))[0]
 
-    def model(self) -> Model:
-        """All of it, let down or lifted onto z = 0."""
+    def parts(self, **materials: str) -> list[Piece]:
+        """Makes several parts, by name."""
+        return [self.part(*named) for named in materials.items()]
+
+    def model(self, grown: bool = False) -> Model:
+        """All of it, let down or lifted onto z = 0 unless it has ``grown`` where it is."""
         parts = {name: surface.part(material) for name, (surface, material) in self._parts.items()}
         lowest = min(float(part.points[:, 2].min()) for part in parts.values())
-        for part in parts.values():
+        for part in () if grown else parts.values():
             part.points[:, 2] -= lowest
         used = {material for _, material in self._parts.values()}
         return Model(parts, {name: look for name, look in self._looks.items() if name in used})

@@ -27,27 +27,16 @@ _SEED, _SUBDIVISIONS = 1, 4
 def _stone(family: str, size: float, material: str) -> Model:
     """The finest mesh of a family's first rock; ``size`` is the diameter of the ball about it."""
     cfg = {
-        "version": 1,
-        "name": "stone",
-        "samples": 1,
-        "labels": {},
-        "outputs": ["rgb"],
+        "version": 1, "name": "stone", "samples": 1, "labels": {}, "outputs": ["rgb"],
         "terrain": {
-            "size_m": [8, 8],
-            "spacing_m": 1,
-            "relief": [{"type": "plane"}],
+            "size_m": [8, 8], "spacing_m": 1, "relief": [{"type": "plane"}],
             "ground": [{"material": "stone"}],
         },
         "materials": {"stone": {"base_color": [0.2, 0.2, 0.2]}},
         "objects": {
             "stones": {
-                "type": "rocks",
-                "count": 1,
-                "family": family,
-                "material": "stone",
-                "prototypes": 1,
-                "subdivisions": _SUBDIVISIONS,
-                "size_m": size,
+                "type": "rocks", "count": 1, "family": family, "material": "stone",
+                "prototypes": 1, "subdivisions": _SUBDIVISIONS, "size_m": size,
             }
         },
         "light": {"sun": {"elevation_deg": 45, "azimuth_deg": 180}},
@@ -61,7 +50,7 @@ def _stone(family: str, size: float, material: str) -> Model:
                 "sensors": {"eye": {"resolution": [8, 8], "fov_deg": 50}},
             }
         },
-    }
+    }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "stone.json")
         path.write_text(json.dumps(cfg), encoding="utf-8")

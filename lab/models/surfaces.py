@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -75,6 +75,59 @@ def azimuth(degrees: float, elevation: float = 0.0) -> Floats:
     return np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
 
 
+def circle(sides: int, side: Floats, other: Floats) -> Floats:
+    """Returns unit vectors all around, from ``side`` toward ``other``, [n, 3]."""
+    angles = 2.0 * math.pi * np.arange(sides) / sides
+    return np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
+
+
+def rings_along(path: Floats, sides: int) -> Iterator[Floats]:
+    """Yields unit vectors around each point of a path, carried along without twist."""
+    ahead = unit(np.gradient(path, axis=0))
+    side = across(ahead[0])
+    for on in ahead:
+        side = unit(side - on * float(side @ on))
+        yield circle(sides, side, cross(on, side))
+
+
+def band(rings: int, sides: int) -> list[tuple[int, int, int]]:
+    """Returns faces between rings of so many points, one after the other."""
+    faces = []
+    for i in range(rings - 1):
+        for j in range(sides):
+            a, b = i * sides + j, i * sides + (j + 1) % sides
+            faces += [(a, b, b + sides), (a, b + sides, a + sides)]
+    return faces
+
+
+def swept(
+    profile: Sequence[Sequence[float]], sides: int, axis: Floats, at: Floats | Sequence[float],
+    closed: bool = False,
+) -> tuple[Floats, list[tuple[int, int, int]]]:  # fmt: skip
+    """Returns points and faces of what a profile of (radius, height) sweeps around an axis.
+
+    Args:
+        closed: Whether the profile's end is joined to its start.
+    """
+    side = across(axis)
+    around = circle(sides, side, cross(axis, side))
+    points: list[Floats] = []
+    rings: list[range] = []
+    for radius, height in profile:
+        count = sides if radius > 0.0 else 1
+        rings.append(range(len(points), len(points) + count))
+        points += list(np.asarray(at) + axis * height + radius * around[:count])
+    faces: list[tuple[int, int, int]] = []
+    for lower, upper in pairwise([*rings, rings[0]] if closed else rings):
+        for j in range(sides):
+            k = (j + 1) % sides
+            if len(lower) > 1:
+                faces.append((lower[j], lower[k], upper[k % len(upper)]))
+            if len(upper) > 1:
+                faces.append((lower[j % len(lower)], upper[k], upper[j]))
+    return np.array(points), faces
+
+
 class Surface:
     """Pieces of one part."""
 
@@ -118,22 +171,12 @@ class Surface:
         tip = radii[-1] == 0.0
         rings = len(path) - 1 if tip else len(path)
         ahead = unit(np.gradient(path, axis=0))
-        side = across(ahead[0])
-        angles = 2.0 * math.pi * np.arange(sides) / sides
         points: list[Floats] = []
         normals: list[Floats] = []
-        for i in range(rings):
-            # Carried along without twist.
-            side = unit(side - ahead[i] * float(side @ ahead[i]))
-            other = cross(ahead[i], side)
-            ring = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
+        for i, ring in zip(range(rings), rings_along(path, sides), strict=False):
             points += list(path[i] + radii[i] * ring)
             normals += list(ring)
-        faces: list[tuple[int, int, int]] = []
-        for i in range(rings - 1):
-            for j in range(sides):
-                a, b = i * sides + j, i * sides + (j + 1) % sides
-                faces += [(a, b, b + sides), (a, b + sides, a + sides)]
+        faces = band(rings, sides)
         if tip:
             points.append(path[-1])
             normals.append(ahead[-1])
@@ -271,25 +314,5 @@ class Surface:
         at: Floats | Sequence[float] = (0.0, 0.0, 0.0), smooth: bool = True,
     ) -> None:  # fmt: skip
         """What a profile of (radius, height) sweeps around an axis; going up, outside is out."""
-        side = across(axis)
-        other = cross(axis, side)
-        angles = 2.0 * math.pi * np.arange(sides) / sides
-        around = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-        rows = list(profile)
-        pieces = [rows] if smooth else [rows[i : i + 2] for i in range(len(rows) - 1)]
-        for piece in pieces:
-            points: list[Floats] = []
-            rings = []
-            for radius, height in piece:
-                count = sides if radius > 0.0 else 1
-                rings.append(range(len(points), len(points) + count))
-                points += list(np.asarray(at) + axis * height + radius * around[:count])
-            faces = []
-            for lower, upper in pairwise(rings):
-                for j in range(sides):
-                    k = (j + 1) % sides
-                    if len(lower) > 1:
-                        faces.append((lower[j], lower[k], upper[k % len(upper)]))
-                    if len(upper) > 1:
-                        faces.append((lower[j % len(lower)], upper[k], upper[j]))
-            self.add(np.array(points), faces, None)
+        for piece in [profile] if smooth else pairwise(profile):
+            self.add(*swept(piece, sides, axis, at), None)

@@ -7,9 +7,19 @@ import math
 import numpy as np
 
 from scenec.lab.models.glb import Look, Model
-from scenec.lab.models.solids import loft, shaded
+from scenec.lab.models.solids import Assembly, loft
 from scenec.lab.models.stems import Habit, Level, grown, meshed
-from scenec.lab.models.surfaces import UP, Chance, Floats, Surface, across, azimuth, turned, unit
+from scenec.lab.models.surfaces import (
+    UP,
+    Chance,
+    Floats,
+    Surface,
+    across,
+    azimuth,
+    band,
+    turned,
+    unit,
+)
 
 LOOKS = {
     "rose_bark": Look((0.090, 0.100, 0.045), 0.70),
@@ -23,8 +33,8 @@ LOOKS = {
 
 def rose() -> Model:
     """A dog rose in flower: arching canes, pinnate leaves, pale pink flowers."""
-    chance = Chance("rose")
-    canes, leaves, petals = Surface(), Surface(), Surface()
+    chance, parts = Chance("rose"), Assembly(LOOKS)
+    canes, leaves, petals = parts.parts(canes="rose_bark", leaves="rose_leaf", flowers="rose_petal")
     for k in range(15):
         habit = Habit(
             height=chance.between(0.8, 1.6),
@@ -50,14 +60,7 @@ def rose() -> Model:
                     _pinnate(leaves, chance, point, unit(along + 1.1 * around + 0.35 * UP))
             if stem.level == 1 and chance.between(0.0, 1.0) < 0.36:
                 _rose_flower(petals, chance, *stem.at(1.0)[:2])
-    return Model(
-        {
-            "canes": canes.part("rose_bark"),
-            "leaves": leaves.part("rose_leaf"),
-            "flowers": petals.part("rose_petal"),
-        },
-        LOOKS,
-    )
+    return parts.model(grown=True)
 
 
 def _pinnate(surface: Surface, chance: Chance, base: Floats, ahead: Floats) -> None:
@@ -105,12 +108,7 @@ def log() -> Model:
     # Broken ends are not cut at right angles.
     grid[0, :, 0] += 0.05 * np.cos(2.0 * math.pi * np.arange(sides) / sides)
     grid[-1, :, 0] += [chance.about(0.0, 0.035) for _ in range(sides)]
-    faces = []
-    for i in range(rings - 1):
-        for j in range(sides):
-            a, b = i * sides + j, i * sides + (j + 1) % sides
-            faces += [(a, b, b + sides), (a, b + sides, a + sides)]
-    bark.add(grid.reshape(-1, 3), faces, None)
+    bark.add(grid.reshape(-1, 3), band(rings, sides), None)
     for i, out in ((0, -1.0), (rings - 1, 1.0)):
         heart = grid[i].mean(axis=0) + np.array([-0.015 * out, 0.0, 0.0])
         fan = [(0, 1 + j, 1 + (j + 1) % sides) for j in range(sides)]
@@ -160,9 +158,9 @@ def snag() -> Model:
             Level((0.5, 0.15), 3, 4, wander=22.0, down=(50, 15)),
         ),
     )  # fmt: skip
-    chance = Chance("snag")
+    chance, parts = Chance("snag"), Assembly(LOOKS)
     stems = grown(habit, chance, np.zeros(3), unit(np.array([0.05, 0.03, 1.0])))
-    wood, breaks = Surface(), Surface()
+    wood, breaks = parts.parts(wood="bleached_wood", breaks="dead_wood")
     path, radii = stems[0].path, stems[0].radii
     sides = 24
     angles = 2.0 * math.pi * np.arange(sides) / sides
@@ -181,7 +179,7 @@ def snag() -> Model:
     cap = len(trunk.points) - 1
     trunk.points[cap, 2] = path[-1, 2] - 0.12
     hollow = (trunk.faces == cap).any(axis=1)
-    shaded(wood, trunk._replace(faces=trunk.faces[~hollow]), crease=50)
-    shaded(breaks, trunk._replace(faces=trunk.faces[hollow]), crease=30)
+    wood.solid(trunk._replace(faces=trunk.faces[~hollow]), crease=50)
+    breaks.solid(trunk._replace(faces=trunk.faces[hollow]), crease=30)
     meshed(stems[1:], habit, {1: wood, 2: wood, 3: wood})
-    return Model({"wood": wood.part("bleached_wood"), "breaks": breaks.part("dead_wood")}, LOOKS)
+    return parts.model(grown=True)

@@ -14,13 +14,20 @@ import math
 import re
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from scenec.backends.camera.rays import camera_rays
+from scenec.backends.exact import ExactCaster
+from scenec.backends.stage.read import read_stage
+from scenec.backends.stage.scene import RenderScene
+from scenec.compiler.compile import compile_cfg
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.views.needed import Keep
 from scenec.lab.runner import Cell, Study, apart, names, run
 from scenec.schemas.errors import ScenecError
 from scenec.testing.extreme_scenes import (
@@ -48,26 +55,25 @@ def _cfg(
 
 
 def _compiled(folder: Path, cfg: dict[str, Any], **how: Any) -> Path:
-    from scenec.compiler.compile import compile_cfg
 
     file = folder / "extremes.json"
     file.write_text(json.dumps(cfg), encoding="utf-8")
     return compile_cfg(file, seed=1, out=folder / "out", **how).out / "batch_0000"
 
 
+def _scene(folder: Path, cfg: dict[str, Any], **how: Any) -> RenderScene:
+    return read_stage(_compiled(folder, cfg, **how) / "stage.usda")
+
+
 def plane(
     folder: Path, eye: Any, sensor: Any = EYE, turn: Any = DOWN, size: Any = None, spacing: Any = 4
 ) -> Found:
     """Depth and footprint of a plane against the closed form."""
-    from scenec.backends.camera.rays import camera_rays
-    from scenec.backends.exact import ExactCaster
-    from scenec.backends.stage.read import read_stage
-
     cfg = _cfg(folder, eye, sensor, turn)
     if size is not None:
         cfg["terrain"] |= {"size_m": list(size), "spacing_m": spacing}
     width, height = cfg["terrain"]["size_m"]
-    scene = read_stage(_compiled(folder, cfg) / "stage.usda")
+    scene = _scene(folder, cfg)
     camera = scene.cameras[0][0]
     seen = ExactCaster(scene).cast(camera_rays(camera))[2].ravel()
     pose = camera.camera_to_world.astype(np.longdouble)
@@ -86,12 +92,9 @@ def plane(
 
 def rocks(folder: Path, count: int, **more: Any) -> Found:
     """Objects that stand in the stage, by number; their ids are 1 to n."""
-    from scenec.backends.stage.read import read_stage
-    from scenec.compiler.views.needed import Keep
-
     cfg = _cfg(folder, (0.0, 0.0, 2000.0), EYE)
     cfg["objects"]["rocks"] |= {"count": count, "subdivisions": 1, "lod_px": 0} | more
-    scene = read_stage(_compiled(folder, cfg, keep=Keep.UNPRUNED) / "stage.usda")
+    scene = _scene(folder, cfg, keep=Keep.UNPRUNED)
     ids = np.unique(scene.rows.instance_id)
     ids = ids[ids > 0]
     return f"{len(ids):,} objects, ids to {int(ids.max(initial=0)):,}", float(abs(len(ids) - count))
@@ -99,15 +102,12 @@ def rocks(folder: Path, count: int, **more: Any) -> Found:
 
 def prototypes(folder: Path, count: int) -> Found:
     """Classes of 64 shapes each; those missing in the stage."""
-    from scenec.backends.stage.read import read_stage
-    from scenec.compiler.views.needed import Keep
-
     cfg = _cfg(folder, (0.0, 0.0, 2000.0), EYE)
     one = cfg["objects"].pop("rocks")
     one |= {"count": 640, "prototypes": 64, "subdivisions": 1, "lod_px": 0}
     for number in range(-(-count // 64)):
         cfg["objects"][f"rocks_{number}"] = one
-    scene = read_stage(_compiled(folder, cfg, keep=Keep.UNPRUNED) / "stage.usda")
+    scene = _scene(folder, cfg, keep=Keep.UNPRUNED)
     wanted = 64 * len(cfg["objects"])
     return f"{len(scene.meshes):,} meshes for {wanted:,} shapes", None
 
@@ -116,9 +116,6 @@ def labels(folder: Path, levels: int, words: int) -> Found:
     """Values of all levels that differ from what the cfg says, over the ground alone."""
     from scenec.backends.annotation.annotate import annotate
     from scenec.backends.annotation.registry import select
-    from scenec.backends.exact import ExactCaster
-    from scenec.backends.stage.read import read_stage
-    from scenec.compiler.views.needed import Keep
 
     cfg = _cfg(folder, (0.0, 0.0, 20.0), EYE)
     rocks, cfg["objects"] = cfg["objects"]["rocks"], {}
@@ -132,7 +129,7 @@ def labels(folder: Path, levels: int, words: int) -> Found:
     for number in range(2, words + 1):
         cfg["labels"]["level_0"][f"word_{number}"] = number
         cfg["objects"][f"rock_{number}"] = rocks | {"labels": {"level_0": f"word_{number}"}}
-    scene = read_stage(_compiled(folder, cfg, keep=Keep.UNPRUNED) / "stage.usda")
+    scene = _scene(folder, cfg, keep=Keep.UNPRUNED)
     made = annotate(scene, ExactCaster(scene), scene.cameras[0][0], select(scene, ["label"]), 0)
     values = [each for each in made.arrays.values() if each.dtype.kind == "u"]
     wrong = sum(int((each != 1).sum()) for each in values[1 if words > 1 else 0 :])
@@ -142,9 +139,6 @@ def labels(folder: Path, levels: int, words: int) -> Found:
 
 def samples(folder: Path, count: int) -> Found:
     """Off by how much the last pose is, of those that were asked for [m]."""
-    from scenec.backends.stage.read import read_stage
-    from scenec.compiler.compile import compile_cfg
-
     made = compile_cfg(many_poses_cfg(folder, count), seed=1, out=folder / "out").out
     scene = read_stage(made / "batch_0000" / "stage.usda")
     asked = np.loadtxt(folder / "many.csv", delimiter=",")[:, 1:4]
@@ -154,12 +148,10 @@ def samples(folder: Path, count: int) -> Found:
 
 def cameras(folder: Path, count: int) -> Found:
     """Of many cameras, how far the worst is from where the cfg has it [m]."""
-    from scenec.backends.stage.read import read_stage
-
     eyes = [Case(f"c{i}", "", (0.3 * i - 70, 0.1 * i, 3.0 + i), DOWN, EYE) for i in range(count)]
     extreme_cfg(folder, tuple(eyes), stones=300)
     cfg = json.loads((folder / "extremes.json").read_text("utf-8"))
-    scene = read_stage(_compiled(folder, cfg) / "stage.usda")
+    scene = _scene(folder, cfg)
     found = {c.name.removesuffix("_eye"): c.camera_to_world[:3, 3] for c in scene.cameras[0]}
     off = [
         found[e.name] - [e.eye[0], e.eye[1], SLOPE[0] * e.eye[0] + SLOPE[1] * e.eye[1] + e.eye[2]]
@@ -170,16 +162,12 @@ def cameras(folder: Path, count: int) -> Found:
 
 def within(folder: Path, up: float) -> Found:
     """A camera in the middle of a boulder: what it sees."""
-    from scenec.backends.camera.rays import camera_rays
-    from scenec.backends.exact import ExactCaster
-    from scenec.backends.stage.read import read_stage
-
     cfg = _cfg(folder, (0.0, 0.0, up), EYE, NORTH)
     cfg["objects"]["rocks"] |= {
         "count": 1, "size_m": 60, "clearance_m": -1000, "lod_px": 0,
         "where": [{"type": "point", "x_m": 0, "y_m": 0, "max_m": 6}],
     }  # fmt: skip
-    scene = read_stage(_compiled(folder, cfg) / "stage.usda")
+    scene = _scene(folder, cfg)
     seen = ExactCaster(scene).cast(camera_rays(scene.cameras[0][0]))[2]
     far = float(seen[np.isfinite(seen)].max())
     return (
@@ -216,12 +204,10 @@ def lit(
     return f"{mean:.4g} W/(m² sr), {truth:.4g} asked", abs(mean - truth) / (truth or 1.0)
 
 
-def diffusion(folder: Path) -> Found:
+def diffusion(_: Path) -> Found:
     """A mode's decay against the exponential, over twelve decades of steps."""
-    from scenec.compiler.terrain.grid import Grid
     from scenec.compiler.terrain.operators.smooth import Diffusion
 
-    del folder
     n = 64
     grid, i = Grid((n - 1.0, n - 1.0), (n, n)), np.arange(n)
     mode = np.cos(np.pi * 3 * (i + 0.5) / n)[:, None] * np.cos(np.pi * 2 * (i + 0.5) / n)
@@ -234,11 +220,8 @@ def diffusion(folder: Path) -> Found:
     return "a mode's decay, steps of 1e-6 to 1e6 Δx²/κ", float(max(off))
 
 
-def rivers(folder: Path, m: float, n: float) -> Found:
+def rivers(_: Path, m: float, n: float) -> Found:
     """The slope-area law in the steady state, over ten decades of steps."""
-    from dataclasses import replace
-
-    from scenec.compiler.terrain.grid import Grid
     from scenec.compiler.terrain.operators.drainage import (
         SIDES,
         drain,
@@ -247,7 +230,6 @@ def rivers(folder: Path, m: float, n: float) -> Found:
     )
     from scenec.compiler.terrain.operators.stream_power import StreamPower
 
-    del folder
     grid, k, uplift = Grid((2000.0, 1500.0), (31, 41)), 1e-5, 1e-3
     dx = grid.spacing_m[0]
     noise = np.random.default_rng(2).normal(size=grid.shape)
@@ -274,12 +256,10 @@ def rivers(folder: Path, m: float, n: float) -> Found:
     return "slopes by the slope-area law, steps of 0.01 to 1e8 explicit ones", worst
 
 
-def hillslopes(folder: Path) -> Found:
+def hillslopes(_: Path) -> Found:
     """The parabola between two outlets, over ten decades of steps."""
-    from scenec.compiler.terrain.grid import Grid
     from scenec.compiler.terrain.operators.stream_power import StreamPower
 
-    del folder
     grid = Grid((200.0, 200.0), (41, 41))
     parabola = 0.01 * (100.0**2 - grid.x()[None, :] ** 2) + np.zeros(grid.shape)
     off = [
@@ -299,12 +279,10 @@ def hillslopes(folder: Path) -> Found:
     return "a parabola, D Δt/Δx² of 1e-5 to 1e5", float(max(off) / parabola.max())
 
 
-def slides(folder: Path) -> Found:
+def slides(_: Path) -> Found:
     """Cliffs that come to rest as ramps, over ten decades of drops; off by so much of the drop."""
-    from scenec.compiler.terrain.grid import Grid
     from scenec.compiler.terrain.operators.thermal import Thermal
 
-    del folder
     grid, slope = Grid((199.0, 199.0), (200, 200)), math.tan(math.radians(33.0))
     x = grid.x()[None, :] + np.zeros(grid.shape)
     worst = 0.0
@@ -315,13 +293,12 @@ def slides(folder: Path) -> Found:
     return "cliffs of 1e-4 to 1e6 m as ramps of 33°, 1 m a sample", worst
 
 
-def wear(folder: Path) -> Found:
+def wear(_: Path) -> Found:
     """Craters' wear against the heat kernel of the plane, over six decades of its time."""
     from scipy.special import i0e
 
     from scenec.compiler.terrain.operators.crater_profile import fresh, profile_table
 
-    del folder
     count = 240_000
     at = (np.arange(count) + 0.5) * 12.0 / count
     worst = 0.0
@@ -453,11 +430,9 @@ def rows() -> list[Row]:
 
 def high(folder: Path, height: float) -> Found:
     """How far the vertices of a plane far up are off it, relative."""
-    from scenec.backends.stage.read import read_stage
-
     cfg = _cfg(folder, (0.0, 0.0, height + 20.0), EYE)
     cfg["terrain"]["relief"][0]["height_m"] = height
-    scene = read_stage(_compiled(folder, cfg) / "stage.usda")
+    scene = _scene(folder, cfg)
     off = 0.0
     for mesh, matrix in zip(scene.rows.mesh, scene.rows.to_world, strict=True):
         x, y, z = (scene.meshes[mesh].points @ matrix[:, :3].T + matrix[:, 3]).T

@@ -19,7 +19,6 @@ tool, a loop device, a file system that the kernel has) is left out, with a line
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import random
@@ -39,10 +38,12 @@ from typing import Any
 
 import psutil
 
+from scenec.lab.robustness.soak import scanned_cfg
 from scenec.lab.runner import SCENEC, Study, names, run
 from scenec.lab.runner import command as run_command
 from scenec.schemas.errors import ScenecError
-from scenec.testing.small import small_cfg, write_cfg
+from scenec.schemas.files import sha256, tree
+from scenec.testing.small import write_cfg
 
 #: Bytes of a disk that is full before anything is finished.
 SMALL_DISK = 300_000
@@ -80,23 +81,26 @@ class Disturbed:
     before: Callable[[], None] | None = None
     moment: Callable[[subprocess.Popen[bytes]], None] = lambda process: None
 
+    def after(self, seconds: float, work: Callable[[subprocess.Popen[bytes]], object]) -> None:
+        """Calls something with the process once it has worked for some time, or has ended."""
+
+        def moment(process: subprocess.Popen[bytes]) -> None:
+            _sleep(process, seconds)
+            work(process)
+
+        self.moment = moment
+
 
 def _signalled(number: signal.Signals) -> Callable[[Disturbed, float], Iterator[None]]:
     def fault(on: Disturbed, after_s: float) -> Iterator[None]:
-        def moment(process: subprocess.Popen[bytes]) -> None:
-            _sleep(process, after_s)
-            with suppress(ProcessLookupError):
-                process.send_signal(number)
-
-        on.moment = moment
+        on.after(after_s, lambda process: process.send_signal(number))
         yield
 
     return fault
 
 
 def _stopped(on: Disturbed, after_s: float) -> Iterator[None]:
-    def moment(process: subprocess.Popen[bytes]) -> None:
-        _sleep(process, after_s)
+    def stop(process: subprocess.Popen[bytes]) -> None:
         try:
             first = psutil.Process(process.pid)
             of = [first, *first.children(recursive=True)]
@@ -108,7 +112,7 @@ def _stopped(on: Disturbed, after_s: float) -> Iterator[None]:
                     each.send_signal(number)
             time.sleep(0.5)
 
-    on.moment = moment
+    on.after(after_s, stop)
     yield
 
 
@@ -134,16 +138,14 @@ def _quota(on: Disturbed, after_s: float) -> Iterator[None]:
 
 
 def _stalling(on: Disturbed, after_s: float) -> Iterator[None]:
+    def freeze(_: object) -> None:
+        _tool("fsfreeze", "--freeze", on.folder)
+        # Whoever writes waits in the kernel, and not even a signal ends that.
+        time.sleep(STALLED_S)
+        _tool("fsfreeze", "--unfreeze", on.folder)
+
     with _imaged(on.folder, "mkfs.ext4"):
-
-        def moment(process: subprocess.Popen[bytes]) -> None:
-            _sleep(process, after_s)
-            _tool("fsfreeze", "--freeze", on.folder)
-            # Whoever writes waits in the kernel, and not even a signal ends that.
-            time.sleep(STALLED_S)
-            _tool("fsfreeze", "--unfreeze", on.folder)
-
-        on.moment = moment
+        on.after(after_s, freeze)
         yield
 
 
@@ -152,17 +154,15 @@ def _shimmed(fault: str, for_s: float) -> Callable[[Disturbed, float], Iterator[
         library, when = on.folder.parent / "shim.so", on.folder.parent / "when"
         source = Path(__file__).with_name("shim.c")
         _tool("cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl")
-        below = {"SHIM_BELOW": str(on.folder)} if fault == "share" else {}
         on.environment |= {"LD_PRELOAD": str(library), "SHIM": fault, "SHIM_WHEN": str(when)}
-        on.environment |= below
+        on.environment |= {"SHIM_BELOW": str(on.folder)} if fault == "share" else {}
 
-        def moment(process: subprocess.Popen[bytes]) -> None:
-            _sleep(process, after_s)
+        def fail(process: subprocess.Popen[bytes]) -> None:
             when.touch()
             _sleep(process, for_s)
             when.unlink()
 
-        on.moment = moment
+        on.after(after_s, fail)
         yield
 
     return begun
@@ -171,12 +171,7 @@ def _shimmed(fault: str, for_s: float) -> Callable[[Disturbed, float], Iterator[
 def _read_only(on: Disturbed, after_s: float) -> Iterator[None]:
     # What ext4 does after an error of its disk; a usual remount waits for files that are open.
     with _imaged(on.folder, "mkfs.ext4"):
-
-        def moment(process: subprocess.Popen[bytes]) -> None:
-            _sleep(process, after_s)
-            _tool("mount", "-o", "remount,abort", on.folder)
-
-        on.moment = moment
+        on.after(after_s, lambda _: _tool("mount", "-o", "remount,abort", on.folder))
         yield
 
 
@@ -204,11 +199,7 @@ def _no_temporary(on: Disturbed, after_s: float) -> Iterator[None]:
     gone.mkdir()
     on.environment["TMPDIR"] = str(gone)
 
-    def moment(process: subprocess.Popen[bytes]) -> None:
-        _sleep(process, after_s)
-        shutil.rmtree(gone, ignore_errors=True)
-
-    on.moment = moment
+    on.after(after_s, lambda _: shutil.rmtree(gone, ignore_errors=True))
     yield
 
 
@@ -251,18 +242,14 @@ FAULTS: dict[str, Callable[[Disturbed, float], Iterator[None]]] = {
     "little memory": _limited(resource.RLIMIT_AS, 700 << 20),
     "small files only": _limited(resource.RLIMIT_FSIZE, 20_000),
 }
-AS_ROOT = ("no permission", "disk full", "quota", "share stalls", "read-only", "no /dev/shm")
-#: What a fault needs.
+#: What a fault needs; tools but a compiler do so as root.
 TOOLS = {
-    "disk full": ("mount", "umount"),
-    "quota": ("mount", "umount", "sync", "mkfs.btrfs", "btrfs"),
-    "share stalls": ("mount", "umount", "mkfs.ext4", "fsfreeze"),
-    "share fails": ("cc",),
-    "read-only": ("mount", "umount", "mkfs.ext4"),
-    "clock back": ("cc",),
-    "no permission": ("setpriv",),
-    "no /dev/shm": ("unshare", "sh", "mount"),
-}
+    "disk full": ("mount", "umount"), "quota": ("mount", "umount", "sync", "mkfs.btrfs", "btrfs"),
+    "share stalls": ("mount", "umount", "mkfs.ext4", "fsfreeze"), "share fails": ("cc",),
+    "read-only": ("mount", "umount", "mkfs.ext4"), "clock back": ("cc",),
+    "no permission": ("setpriv",), "no /dev/shm": ("unshare", "sh", "mount"),
+}  # fmt: skip
+AS_ROOT = tuple(fault for fault, tools in TOOLS.items() if tools != ("cc",))
 
 
 def _tool(*words: str | Path) -> None:
@@ -345,16 +332,6 @@ def _sleep(process: subprocess.Popen[bytes], seconds: float) -> None:
         process.wait(timeout=seconds)
 
 
-def _cfg(folder: Path) -> Path:
-    cfg = small_cfg(batches=2, samples=2)
-    cfg["terrain"]["spacing_m"] = 0.5
-    cfg["objects"]["rocks"] |= {"count": 60, "prototypes": 2, "subdivisions": 1}
-    cfg["rigs"]["rover"]["lidars"] = {
-        "top": {"beams": 4, "elevation_deg": [-20, 0], "azimuths": 90}
-    }
-    return write_cfg(folder, cfg)
-
-
 @dataclass(frozen=True)
 class Command:
     """A command, and those that come before it.
@@ -388,11 +365,16 @@ def _line(command: Command, cfg: Path, out: Path) -> list[str]:
 
 def digests(out: Path) -> dict[str, str]:
     """Of each file."""
-    return {
-        str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(out.rglob("*"))
-        if path.is_file()
-    }
+    return {str(path): sha256(out / path) for path in tree(out)}
+
+
+def _taken(command: Command, made: dict[str, Path], folder: Path) -> Path:
+    """A new folder with what a command takes."""
+    if command.after:
+        shutil.copytree(made[command.after], folder)
+    else:
+        folder.mkdir()
+    return folder
 
 
 def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[str]]]:
@@ -402,11 +384,7 @@ def prepared(folder: Path, cfg: Path) -> tuple[dict[str, Path], dict[str, set[st
     for name, command in COMMANDS.items():
         runs = []
         for turn in ("a", "b"):
-            out = folder / f"{name}_{turn}"
-            if command.after:
-                shutil.copytree(made[command.after], out)
-            else:
-                out.mkdir()
+            out = _taken(command, made, folder / f"{name}_{turn}")
             run_command(_line(command, cfg, out))
             runs.append(digests(out))
         made[name] = folder / f"{name}_a"
@@ -473,11 +451,7 @@ def tried(
     command = COMMANDS[name]
     place = study.scratch / "run"
     place.mkdir()
-    folder = place / "output"
-    if command.after:
-        shutil.copytree(made[command.after], folder)
-    else:
-        folder.mkdir()
+    folder = _taken(command, made, place / "output")
     line = _line(command, cfg, folder)
     on = Disturbed(folder, environment={"SCENEC_CACHE": ""})
     mark = str(rng.getrandbits(48))
@@ -493,12 +467,10 @@ def tried(
         wrong.append(f"does not go on: {text[-300:]}")
     whole, found = digests(made[name]), digests(folder)
     for file in sorted(whole.keys() | found.keys()):
-        if file not in found:
-            wrong.append(f"{file} is missing")
-        elif file not in whole:
-            wrong.append(f"{file} is left")
-        elif file not in timed and whole[file] != found[file]:
-            wrong.append(f"{file} differs")
+        if (file in timed and file in found) or whole.get(file) == found.get(file):
+            continue
+        how = "is missing" if file not in found else "is left" if file not in whole else "differs"
+        wrong.append(f"{file} {how}")
     shutil.rmtree(place)
     last = said.strip().splitlines()[-1:] or [""]
     return f"{ended}: {last[0][:120]}", wrong
@@ -518,7 +490,7 @@ def main(study: Study) -> None:
     if not faults:
         raise ScenecError("none of these faults can be made here")
     rng = random.Random(study.options.seed)
-    cfg = _cfg(study.scratch)
+    cfg = write_cfg(study.scratch, scanned_cfg(batches=2, samples=2))
     made, timed = prepared(study.scratch, cfg)
     files = ", ".join(sorted({file for some in timed.values() for file in some})) or "none"
     study.say(f"files that differ between undisturbed runs (times are in them): {files}\n")

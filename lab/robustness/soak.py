@@ -20,7 +20,6 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,55 +56,55 @@ def _allocated() -> int:
     return int(found.uordblks + found.hblkhd)
 
 
-@dataclass
+#: What is read of a process: bytes, Python's blocks, and numbers of the others.
+READ: dict[str, Callable[[psutil.Process], int]] = {
+    "allocated": lambda _: _allocated(),
+    "memory": lambda own: own.memory_info().rss,
+    "blocks": lambda _: sys.getallocatedblocks(),
+    "descriptors": lambda own: own.num_fds(),
+    "threads": lambda own: own.num_threads(),
+    "processes": lambda own: len(own.children(recursive=True)),
+}
+
+
 class Count:
-    """What a process holds after some turns: bytes, Python's blocks, and numbers of the others.
+    """What a process holds after some turns.
 
     Attributes:
         every: Turns between two readings.
-        turns: Of the work.
+        read: Each reading, by name.
+        turns, seconds: Of the work.
     """
 
-    every: int
-    memory: list[int]
-    allocated: list[int]
-    blocks: list[int]
-    descriptors: list[int]
-    threads: list[int]
-    processes: list[int]
-    turns: int = 0
-    seconds: float = 0.0
+    def __init__(self, turns: int) -> None:
+        self.every = max(1, turns // READINGS)
+        self.read: dict[str, list[int]] = {name: [] for name in READ}
+        self.turns, self.seconds = 0, 0.0
 
-    @classmethod
-    def of(cls, turns: int) -> Count:
-        """Before the first one."""
-        return cls(max(1, turns // READINGS), *([] for _ in range(6)))
-
-    def take(self) -> None:
+    def take(self, *_: object) -> None:
         """Looks at this process."""
         self.turns += 1
-        if self.turns % self.every:
-            return
-        own = psutil.Process()
-        # What is only in cycles is not held.
-        gc.collect()
-        self.allocated.append(_allocated())
-        self.memory.append(own.memory_info().rss)
-        self.blocks.append(sys.getallocatedblocks())
-        self.descriptors.append(own.num_fds())
-        self.threads.append(own.num_threads())
-        self.processes.append(len(own.children(recursive=True)))
+        if self.turns % self.every == 0:
+            # What is only in cycles is not held.
+            gc.collect()
+            for name, reading in READ.items():
+                self.read[name].append(reading(psutil.Process()))
+
+
+def scanned_cfg(**how: int) -> dict[str, Any]:
+    """Makes a ``small_cfg`` of few rocks, with a lidar."""
+    cfg = small_cfg(**how)
+    cfg["terrain"]["spacing_m"] = 0.5
+    cfg["objects"]["rocks"] |= {"count": 60, "prototypes": 2, "subdivisions": 1}
+    beams = {"beams": 4, "elevation_deg": [-20, 0], "azimuths": 90}
+    cfg["rigs"]["rover"]["lidars"] = {"top": beams}
+    return cfg
 
 
 def _cfg(folder: Path, samples: int, seed: int = 0) -> Path:
-    cfg = small_cfg(samples=samples)
-    cfg["terrain"]["spacing_m"] = 0.5
+    cfg = scanned_cfg(samples=samples)
     cfg["terrain"]["relief"][0]["slope"][0] += 1e-3 * seed
-    cfg["objects"]["rocks"] |= {"count": 60, "prototypes": 2, "subdivisions": 1}
     cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [32, 24]
-    cfg["rigs"]["rover"]["lidars"] = {
-        "top": {"beams": 4, "elevation_deg": [-20, 0], "azimuths": 90}
-    }
     return write_cfg(folder, cfg)
 
 
@@ -138,8 +137,8 @@ def scans(out: Path, count: int) -> Count:
 
 
 def _counted(work: Callable[[Callable[..., None]], Any], count: int) -> Count:
-    found, start = Count.of(count), time.process_time()
-    work(lambda *_: found.take())
+    found, start = Count(count), time.process_time()
+    work(found.take)
     assert found.turns >= count, f"{found.turns} of {count}"
     found.seconds = time.process_time() - start
     return found
@@ -149,28 +148,28 @@ def compiles(folder: Path, count: int) -> Count:
     """Compiles cfgs, each another one, with a cache as a command has it."""
     from scenec.compiler.compile import compile_cfg
 
-    found, start = Count.of(count), time.process_time()
-    for seed in range(count):
-        cfg = _cfg(folder, 2, seed)
-        compile_cfg(cfg, seed=seed, out=folder / "out", cache=folder / "steps")
-        shutil.rmtree(folder / "out")
-        found.take()
-    found.seconds = time.process_time() - start
-    return found
+    def work(took: Callable[..., None]) -> None:
+        for seed in range(count):
+            cfg = _cfg(folder, 2, seed)
+            compile_cfg(cfg, seed=seed, out=folder / "out", cache=folder / "steps")
+            shutil.rmtree(folder / "out")
+            took()
+
+    return _counted(work, count)
 
 
 def layers(count: int) -> Count:
     """Makes layers of twenty prims in memory, with nothing of scenec's."""
     from pxr import Sdf
 
-    found, start = Count.of(count), time.process_time()
-    for _ in range(count):
-        layer = Sdf.Layer.CreateAnonymous()
-        for number in range(20):
-            Sdf.CreatePrimInLayer(layer, f"/World/Prim_{number}")
-        found.take()
-    found.seconds = time.process_time() - start
-    return found
+    def work(took: Callable[..., None]) -> None:
+        for _ in range(count):
+            layer = Sdf.Layer.CreateAnonymous()
+            for number in range(20):
+                Sdf.CreatePrimInLayer(layer, f"/World/Prim_{number}")
+            took()
+
+    return _counted(work, count)
 
 
 def slope(values: Sequence[int]) -> tuple[float, float]:
@@ -194,37 +193,31 @@ def main(study: Study) -> None:
     """Prints a row a work."""
     count = 40 if study.fast else study.options.frames
     compiled = 24 if study.fast else study.options.compiles
-    chosen = study.options.works or (*RENDERERS, "scan", "compile", "openusd")
     out = study.batch(_cfg(study.scratch, count)).parent
+    folder = study.scratch / "compiles"
+    folder.mkdir()
+    works: dict[str, tuple[Any, ...]] = {
+        "scan": (scans, out, count), "compile": (compiles, folder, compiled),
+        "openusd": (layers, count),
+    }  # fmt: skip
     rows = []
-    for name in chosen:
-        if name == "compile":
-            folder = study.scratch / "compiles"
-            folder.mkdir()
-            cost = apart(compiles, folder, compiled)
-        elif name == "openusd":
-            cost = apart(layers, count)
-        elif name == "scan":
-            cost = apart(scans, out, count)
-        else:
-            cost = apart(frames, name, out, count)
-        found: Count = cost.value
+    for name in study.options.works or (*RENDERERS, *works):
+        found: Count = apart(*works.get(name, (frames, name, out, count))).value
+        read = found.read
         row: list[str | float] = [name, found.turns, found.seconds / found.turns]
-        row += [found.memory[int(WARM * len(found.memory))] / 2**20, found.memory[-1] / 2**20]
-        for values, unit in ((found.memory, 1024), (found.allocated, 1024), (found.blocks, 1)):
-            growth, error = (each / (unit * found.every) for each in slope(values))
+        memory = read["memory"]
+        row += [memory[int(WARM * len(memory))] / 2**20, memory[-1] / 2**20]
+        for each, unit in (("memory", 1024), ("allocated", 1024), ("blocks", 1)):
+            growth, error = (one / (unit * found.every) for one in slope(read[each]))
             row.append(f"{growth:.3g} ± {error:.2g}")
-        row += [_of(found.descriptors), _of(found.threads), _of(found.processes)]
+        row += [_of(read[each]) for each in ("descriptors", "threads", "processes")]
         rows.append(row)
         print(row, flush=True)
-    header = ["work", "turns", "CPU s a turn", "MiB warm", "MiB at the end", "KiB a turn"]
-    header += [
-        "KiB allocated a turn",
-        "Python's blocks a turn",
-        "descriptors",
-        "threads",
+    header = [
+        "work", "turns", "CPU s a turn", "MiB warm", "MiB at the end", "KiB a turn",
+        "KiB allocated a turn", "Python's blocks a turn", "descriptors", "threads",
         "child processes",
-    ]
+    ]  # fmt: skip
     study.table(header, rows)
 
 

@@ -152,13 +152,7 @@ class _Climb:
     """One call of ``climb``."""
 
     def __init__(
-        self,
-        batch: Batch,
-        backend: str,
-        ladder: Ladder,
-        folder: Path,
-        say: Say,
-        executor: Executor,
+        self, batch: Batch, backend: str, ladder: Ladder, folder: Path, say: Say, executor: Executor
     ) -> None:
         self._batch = batch
         self._ladder = ladder

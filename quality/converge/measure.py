@@ -105,38 +105,24 @@ def rows(batch: str, climbed: Sequence[Climbed], seen: Seen) -> list[Row]:
             pictures = [(Rung(1), False, 0, shown) for shown in one.references[0]]
         for rung, denoised, repeat, shown in pictures:
             frame = shown.read()
+            which = batch, shown.place, one.backend, denoised
+            quality = rung.name if one.stochastic else "only", repeat
             found += [
-                _row(batch, one, other.backend, rung, denoised, repeat, shown, frame, seen)
+                Row(*which, other.backend, *quality, *_measured(frame, seen, other.backend, shown))
                 for other in climbed
                 if other.stochastic
             ]
     return found
 
 
-def _row(
-    batch: str,
-    one: Climbed,
-    against: str,
-    rung: Rung,
-    denoised: bool,
-    repeat: int,
-    shown: Shown,
-    frame: Frame,
-    seen: Seen,
-) -> Row:
+def _measured(frame: Frame, seen: Seen, against: str, shown: Shown) -> tuple[Any, ...]:
+    """What a ``Row`` says of a picture itself."""
     key = (against, shown.place)
     found: Errors = errors(frame.passes["rgb"][seen.masks[shown.place]], seen.references[key])
     map_ = flip(seen.frames[key], frame)
     record = frame.sidecar
     seconds = record.seconds or {}
-    return Row(
-        batch,
-        shown.place,
-        one.backend,
-        denoised,
-        against,
-        rung.name if one.stochastic else "only",
-        repeat,
+    return (
         record.samples_per_pixel or 0,
         float(seconds["radiance"]) + float(seconds.get("haze", 0.0)),
         found.relative_ms,

@@ -12,7 +12,7 @@ import numpy as np
 
 from scenec.backends.registry import require_name
 from scenec.quality.converge import measure, report
-from scenec.quality.converge.fits import Fit, band, fit
+from scenec.quality.converge.fits import band, fit
 from scenec.quality.converge.ladder import Climbed, Ladder, climb
 from scenec.quality.converge.measure import Row
 from scenec.quality.converge.metrics import root
@@ -92,12 +92,7 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
         raise BackendError(f"repeats must be at least 1, not {ladder.repeats}")
 
 
-def _add(
-    found: ConvergeReport,
-    one: Climbed,
-    seen: measure.Seen,
-    ladder: Ladder,
-) -> None:
+def _add(found: ConvergeReport, one: Climbed, seen: measure.Seen, ladder: Ladder) -> None:
     noises = [seen.references[one.backend, shown.place] for shown in one.references[0]]
     entry = found.backends.setdefault(
         one.backend,
@@ -149,13 +144,10 @@ def _series(rows: Sequence[Row], backends: dict[str, dict[str, Any]]) -> list[Se
     for (backend, denoised, against), rungs in groups.items():
         steps = tuple(_step(name, of_rung) for name, of_rung in rungs.items())
         stochastic = bool(backends[backend]["stochastic"])
-        over: list[Fit | None] = [None, None]
-        if stochastic and backend == against:
-            errors = [step.relative_rms for step in steps]
-            over = [
-                fit([step.spp for step in steps], errors, denoised),
-                fit([step.seconds for step in steps], errors, denoised),
-            ]
+        errors = [step.relative_rms for step in steps]
+        costs = [step.spp for step in steps], [step.seconds for step in steps]
+        own = stochastic and backend == against
+        over = [fit(cost, errors, denoised) if own else None for cost in costs]
         found.append(Series(backend, denoised, against, stochastic, steps, over[0], over[1]))
     return found
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.objects.deviation import square_to_triangle
 from scenec.compiler.scene.objects import Prototype
-from scenec.quality.ladder.points import triangle
+from scenec.quality.ladder.points import Floats, Integers, triangle
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -32,7 +33,7 @@ def apart(one: Prototype, other: Prototype) -> tuple[float, float]:
     return largest, float(np.sqrt(squares))
 
 
-def spread_over(mesh: Prototype) -> NDArray[np.float64]:
+def spread_over(mesh: Prototype) -> Floats:
     """Points spread evenly over the area of a mesh, float64 [n, 3]."""
     corners = mesh.points.astype(np.float64)[mesh.faces]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -44,13 +45,11 @@ def spread_over(mesh: Prototype) -> NDArray[np.float64]:
     # One to each of as many equal parts of the area.
     part = (np.arange(count) + 0.5) / count * before[-1]
     face = np.minimum(np.searchsorted(before, part, side="right"), len(corners) - 1)
-    points: NDArray[np.float64] = (triangle(count)[..., None] * corners[face]).sum(axis=1)
+    points: Floats = (triangle(count)[..., None] * corners[face]).sum(axis=1)
     return points
 
 
-def nearest(
-    at: NDArray[np.float64], points: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def nearest(at: Floats, points: Floats, faces: Integers) -> Floats:
     """Distance of each point to the nearest of all triangles, float64 [n].
 
     Args:
@@ -83,57 +82,13 @@ def _balls(first: int, last: int, points: NDArray, faces: NDArray, balls: NDArra
 
 
 @kernel
-def _nearest(
-    first: int,
-    last: int,
-    at: NDArray,
-    points: NDArray,
-    faces: NDArray,
-    balls: NDArray,
-    out: NDArray,
-) -> None:
+def _nearest(first, last, at, points, faces, balls, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         best = np.inf
+        x, y, z = at[n]
         for f in range(len(faces)):
-            x = at[n, 0] - balls[f, 0]
-            y = at[n, 1] - balls[f, 1]
-            z = at[n, 2] - balls[f, 2]
+            u, v, w = x - balls[f, 0], y - balls[f, 1], z - balls[f, 2]
             least = best + balls[f, 3]
-            if x * x + y * y + z * z >= least * least:
-                continue
-            best = min(best, _to_triangle(at[n], points, faces[f]))
+            if u * u + v * v + w * w < least * least:
+                best = min(best, np.sqrt(square_to_triangle(points, faces[f], x, y, z)))
         out[n] = best
-
-
-@kernel
-def _to_triangle(p: NDArray, points: NDArray, face: NDArray) -> float:
-    """Distance to a triangle: to its plane where the foot is inside, else to the nearest edge."""
-    a, b, c = points[face[0]], points[face[1]], points[face[2]]
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    square = nx * nx + ny * ny + nz * nz
-    px, py, pz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    if square > 0.0:
-        # Barycentric coordinates of the foot, by areas.
-        s = (
-            (py * vz - pz * vy) * nx + (pz * vx - px * vz) * ny + (px * vy - py * vx) * nz
-        ) / square
-        t = (
-            (uy * pz - uz * py) * nx + (uz * px - ux * pz) * ny + (ux * py - uy * px) * nz
-        ) / square
-        if s >= 0.0 and t >= 0.0 and s + t <= 1.0:
-            return abs(px * nx + py * ny + pz * nz) / np.sqrt(square)
-    return min(_to_edge(p, a, b), min(_to_edge(p, b, c), _to_edge(p, c, a)))
-
-
-@kernel
-def _to_edge(p: NDArray, a: NDArray, b: NDArray) -> float:
-    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    px, py, pz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    square = ex * ex + ey * ey + ez * ez
-    t = 0.0
-    if square > 0.0:
-        t = min(max((px * ex + py * ey + pz * ez) / square, 0.0), 1.0)
-    x, y, z = px - t * ex, py - t * ey, pz - t * ez
-    return np.sqrt(x * x + y * y + z * z)

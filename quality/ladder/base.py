@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.build import State, build_to
 from scenec.compiler.cameras.rigs import place_rigs
@@ -25,6 +24,7 @@ from scenec.compiler.scene.rig import Rig
 from scenec.compiler.views.needed import Keep
 from scenec.compiler.views.resolution import Views, pixels_of_balls, views_of
 from scenec.quality.ladder.eyes import Eye, eyes_of
+from scenec.quality.ladder.points import Floats
 
 #: As near as errors on the ground are looked at, meters.
 _NEAREST_M = 0.05
@@ -95,9 +95,9 @@ class Base:
         return views
 
     @property
-    def near(self) -> NDArray[np.float64] | None:
+    def near(self) -> Floats | None:
         """Pixels of a meter at each sample of the grid; None without cameras."""
-        near: NDArray[np.float64] | None = self._seen["near"]
+        near: Floats | None = self._seen["near"]
         return near
 
     @cached_property
@@ -110,7 +110,7 @@ class Base:
         """Part that a pixel counts out of view."""
         return self.plan.terrain.meshing.unseen
 
-    def pixels(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pixels(self, at: Floats) -> Floats:
         """Pixels of a meter at points on the ground, [n, 3], in the view that shows them largest.
 
         As the mesh's tolerance counts them; 0 without cameras.

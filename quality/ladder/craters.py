@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,7 @@ from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock
-from scenec.quality.ladder.points import rms, square, worst
+from scenec.quality.ladder.points import square
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.window import Window, emitted, in_pixels
 
@@ -22,12 +23,7 @@ _CELLS, _POINTS = 2048, 100_000
 
 
 def craters(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladder of the craters' detail, or why there is none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladder of the craters' detail over so many rungs, or why there is none."""
     found = [
         inner for inner in map(unmasked, base.plan.terrain.relief) if isinstance(inner, Craters)
     ]
@@ -52,22 +48,9 @@ def craters(base: Base, rungs: int) -> list[Ladder] | str:
         )
         error = np.abs(field.height_at(x, y) - truth)
         details: dict[str, float | int | bool] = {"craters": shown, "craters_below_grid": left_out}
-        if base.rigs:
-            pixels = in_pixels(base, x, y, error)
-            details |= {"worst_px": worst(pixels), "rms_px": rms(pixels)}
-        rung_list.append(
-            Rung(
-                value=max(grid.spacing_m),
-                used=factor == 1.0,
-                worst=worst(error),
-                rms=rms(error),
-                claimed=None,
-                seconds=clock.seconds,
-                bytes=size,
-                triangles=triangles,
-                details=details,
-            )
-        )
+        details |= in_pixels(base, x, y, error)
+        rung = Rung.of(error, clock, size, triangles, **details)
+        rung_list.append(replace(rung, value=max(grid.spacing_m), used=factor == 1.0))
     wide, high = window.size_m
     return [
         Ladder(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.geometry.lenses import FUNCTIONS, pixel_rays
 from scenec.compiler.geometry.poses import compose
 from scenec.compiler.scene.rig import Lidar, Rig, Sensor
 from scenec.compiler.views.frustum import lidar_directions, sensor_poses
+from scenec.quality.ladder.points import Bools, Floats, Integers
 from scenec.schemas.lens import project
 
 
@@ -23,10 +23,10 @@ class Eye:
         sensor: It.
     """
 
-    pose: NDArray[np.float64]
+    pose: Floats
     sensor: Sensor | Lidar
 
-    def rays(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rays(self, u: Floats, v: Floats) -> Floats:
         """Unit vectors that it looks along, world, float64 [m, 3]; none beyond an image circle.
 
         Args:
@@ -35,9 +35,7 @@ class Eye:
         local, known = self.looking(u, v)
         return self.turned(local[known])
 
-    def looking(
-        self, u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def looking(self, u: Floats, v: Floats) -> tuple[Floats, Bools]:
         """Rays of all places, own axes, float64 [n, 3], and whether there is such a ray, [n]."""
         if isinstance(self.sensor, Lidar):
             beams, rays = self.sensor.elevations_deg, self.sensor.rays
@@ -50,13 +48,13 @@ class Eye:
         width, height = self.sensor.resolution
         return pixel_rays(self.sensor.lens, self.sensor.intrinsics, u * width, v * height)
 
-    def turned(self, local: NDArray[np.float64]) -> NDArray[np.float64]:
+    def turned(self, local: Floats) -> Floats:
         """Vectors of its own axes as unit vectors of the world, float64 [n, 3]."""
         world = (local[:, None, :] * self.pose[None, :, :3]).sum(axis=2)
-        unit: NDArray[np.float64] = world / np.sqrt((world * world).sum(axis=1))[:, None]
+        unit: Floats = world / np.sqrt((world * world).sum(axis=1))[:, None]
         return unit
 
-    def rows(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rows(self, points: Floats) -> Floats:
         """Rows of a camera's picture at which points lie, float64 [n]; NaN out of the picture.
 
         Args:
@@ -73,7 +71,7 @@ class Eye:
         return np.where(shown, v, np.nan)
 
 
-def _entry(part: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+def _entry(part: Floats, count: int) -> Integers:
     """Of so many entries, those at parts of the way through, [n]."""
     return np.minimum((part * count).astype(np.int64), count - 1)
 

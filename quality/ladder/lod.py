@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.emit.layer import Appearance
 from scenec.compiler.emit.objects import write_scatter
@@ -20,6 +19,7 @@ from scenec.compiler.scene.objects import Placed, Prototype, Scatter
 from scenec.quality.ladder.apart import apart
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
+from scenec.quality.ladder.points import Floats, Integers
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.schemas.errors import SceneError
 
@@ -30,24 +30,18 @@ _REFERENCE = (
 
 
 @dataclass(frozen=True)
-class _Measured:
-    """Distances of all meshes of a class from the finest of their chains, in their own unit.
+class _Class:
+    """A class with levels of detail.
 
     Attributes:
-        worst, rms: float64 [meshes].
+        worst, rms: Distances of all meshes from the finest of their chains, in their own unit,
+            float64 [meshes].
     """
-
-    worst: NDArray[np.float64]
-    rms: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Class:
-    """A class with levels of detail."""
 
     plan: ScatterPlan
     levels: Levels
-    measured: _Measured
+    worst: Floats
+    rms: Floats
 
 
 def lod(base: Base, rungs: int) -> list[Ladder] | str:
@@ -83,7 +77,7 @@ def lod(base: Base, rungs: int) -> list[Ladder] | str:
             chains = build_chains(plan.source.shapes)
         scatter, used = _renumbered(one, chains)
         levels = see_levels(scatter, used, base.object_views, base.unseen, plan.lod_px)
-        classes.append(_Class(plan, levels, _distances(used)))
+        classes.append(_Class(plan, levels, *_distances(used)))
     if not classes:
         return "no object with levels of detail stands anywhere"
     # Models and single objects, of which every triangle counts towards the budget.
@@ -130,14 +124,14 @@ def _renumbered(one: Scatter, chains: Sequence[Chain]) -> tuple[Scatter, tuple[C
     return replace(one, prototypes=tuple(chain[0] for chain in used)), used
 
 
-def _distances(chains: Sequence[Chain]) -> _Measured:
+def _distances(chains: Sequence[Chain]) -> tuple[Floats, Floats]:
     both = [
         (0.0, 0.0) if level is chain[0] else apart(level, chain[0])
         for chain in chains
         for level in chain
     ]
     worst, rms = (np.array(column) for column in zip(*both, strict=True))
-    return _Measured(worst, rms)
+    return worst, rms
 
 
 def _rung(
@@ -166,7 +160,7 @@ def _rung(
 def _measure(
     base: Base,
     classes: Sequence[_Class],
-    meshes: Sequence[NDArray[np.int64]],
+    meshes: Sequence[Integers],
     chosen: Sequence[tuple[Scatter, dict[str, Any]]],
     clock: Clock,
 ) -> Rung:
@@ -184,8 +178,8 @@ def _measure(
     count = triangles = 0
     for one, mesh, (_, facts) in zip(classes, meshes, chosen, strict=True):
         near = 1.0 if one.levels.near is None else one.levels.near
-        far = one.measured.worst[mesh] * one.levels.size
-        mean = one.measured.rms[mesh] * one.levels.size * near
+        far = one.worst[mesh] * one.levels.size
+        mean = one.rms[mesh] * one.levels.size * near
         worst_px = max(worst_px, float((far * near).max(initial=0.0)))
         worst_m = max(worst_m, float(far.max(initial=0.0)))
         squares += float((mean * mean).sum())
@@ -233,12 +227,12 @@ def _by_level(base: Base, classes: Sequence[_Class]) -> Ladder:
 
 
 def _at_levels(
-    classes: Sequence[_Class], meshes: Sequence[NDArray[np.int64]]
+    classes: Sequence[_Class], meshes: Sequence[Integers]
 ) -> list[tuple[Scatter, dict[str, Any]]]:
     return [_at_level(one.levels, mesh) for one, mesh in zip(classes, meshes, strict=True)]
 
 
-def _at_level(levels: Levels, mesh: NDArray[np.int64]) -> tuple[Scatter, dict[str, Any]]:
+def _at_level(levels: Levels, mesh: Integers) -> tuple[Scatter, dict[str, Any]]:
     used, prototype = np.unique(mesh, return_inverse=True)
     prototypes: tuple[Prototype, ...] = tuple(levels.meshes[i] for i in used)
     scatter = replace(levels.scatter, prototypes=prototypes, prototype=prototype.astype(np.int32))

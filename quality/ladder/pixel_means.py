@@ -11,15 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scenec.quality.ladder.points import Floats
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 
-def pixel_means(
-    level: NDArray[np.float64], middle: NDArray[np.float64], side: float
-) -> NDArray[np.float64]:
+def pixel_means(level: Floats, middle: Floats, side: float) -> Floats:
     """Means over squares, float64 [n].
 
     Args:
@@ -46,9 +44,9 @@ class _Sums(NamedTuple):
         across: Along its row, float64 [h, w + 1].
     """
 
-    whole: NDArray[np.float64]
-    down: NDArray[np.float64]
-    across: NDArray[np.float64]
+    whole: Floats
+    down: Floats
+    across: Floats
 
 
 @kernel

@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 
+type Floats = NDArray[np.float64]
+type Integers = NDArray[np.int64]
+type Bools = NDArray[np.bool_]
+
 _STEP = (0.7548776662466927, 0.5698402909980532)
 
 
-def square(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def square(count: int) -> tuple[Floats, Floats]:
     """Points in the unit square, float64 [n] each."""
     n = np.arange(1, count + 1).astype(np.float64)
-    u: NDArray[np.float64] = (n * _STEP[0] + 0.5) % 1.0
-    v: NDArray[np.float64] = (n * _STEP[1] + 0.5) % 1.0
+    u: Floats = (n * _STEP[0] + 0.5) % 1.0
+    v: Floats = (n * _STEP[1] + 0.5) % 1.0
     return u, v
 
 
-def triangle(count: int) -> NDArray[np.float64]:
+def triangle(count: int) -> Floats:
     """Barycentric coordinates of points in a triangle, float64 [n, 3]."""
     u, v = square(count)
     over = u + v > 1.0
@@ -30,7 +34,7 @@ def triangle(count: int) -> NDArray[np.float64]:
     return np.stack([1.0 - u - v, u, v], axis=1)
 
 
-def upper_half(count: int) -> NDArray[np.float64]:
+def upper_half(count: int) -> Floats:
     """Directions above the horizon, even in solid angle: unit vectors, float64 [n, 3]."""
     up, turn = square(count)
     level = np.sqrt((1.0 - up) * (1.0 + up))
@@ -39,11 +43,11 @@ def upper_half(count: int) -> NDArray[np.float64]:
     return np.stack([x, y, up], axis=1)
 
 
-def rms(values: NDArray[np.float64]) -> float:
+def rms(values: Floats) -> float:
     """Root mean square; 0 of nothing."""
     return float(np.sqrt((values * values).mean())) if values.size else 0.0
 
 
-def worst(values: NDArray[np.float64]) -> float:
+def worst(values: Floats) -> float:
     """The largest of values that are not negative; 0 of nothing."""
     return float(values.max(initial=0.0))

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
+from scenec.quality.ladder.cost import Clock
+from scenec.quality.ladder.points import Floats, rms, worst
 from scenec.quality.ladder.slopes import Slope, slope
 from scenec.schemas.csv_cells import guarded_line
 
@@ -44,6 +46,14 @@ class Rung:
     bytes: int
     triangles: int | None = None
     details: dict[str, float | int | bool] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, error: Floats, clock: Clock, size: int, triangles: int | None = None, **details: Any
+    ) -> Rung:
+        """Makes a rung of errors at points, float64 [n]; its value is set when it is known."""
+        seconds, worst_, rms_ = clock.seconds, worst(error), rms(error)
+        return cls(0.0, False, worst_, rms_, None, seconds, size, triangles, details)
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.rig import Lidar
 from scenec.compiler.terrain.grid import HeightField, surface_height
 from scenec.quality.ladder.eyes import Eye
-from scenec.quality.ladder.points import square
+from scenec.quality.ladder.points import Bools, Floats, Integers, square
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -37,22 +37,20 @@ class Skylines:
         known: Whether a camera has such a bearing, bool [cameras, bearings].
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    away: NDArray[np.float64]
-    eye: NDArray[np.int64]
-    known: NDArray[np.bool_]
+    x: Floats
+    y: Floats
+    away: Floats
+    eye: Integers
+    known: Bools
 
 
-def spread(field: HeightField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def spread(field: HeightField) -> tuple[Floats, Floats]:
     """Points evenly over the terrain, and not on samples."""
     u, v = square(_OVER_ALL)
     return (u - 0.5) * field.grid.size_m[0], (v - 0.5) * field.grid.size_m[1]
 
 
-def looked_at(
-    field: HeightField, eyes: Sequence[Eye]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def looked_at(field: HeightField, eyes: Sequence[Eye]) -> tuple[Floats, Floats]:
     """Where rays through pixels, spread evenly over all pictures and scans, meet the ground first.
 
     The ground is the grid's triangles, which only decides where points lie, never what is measured
@@ -61,10 +59,8 @@ def looked_at(
     if not eyes:
         return np.zeros(0), np.zeros(0)
     origin, toward = _rays(eyes, max(_RAYS // len(eyes), 1))
-    reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
-                          + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
     far = np.full(len(origin), -1.0)
-    growth = _growth(reach, _ALONG)
+    growth = _growth(field, _ALONG)
     over_threads(_march, len(origin), field.height, field.frame(), origin, toward, growth, far)
     met = np.flatnonzero(far > 0.0)
     place = origin[met] + far[met, None] * toward[met]
@@ -74,28 +70,13 @@ def looked_at(
     return np.ascontiguousarray(place[inside, 0]), np.ascontiguousarray(place[inside, 1])
 
 
-def _growth(reach: float, count: int) -> float:
-    """Ratio of places along a ray that goes from near the eye to ``reach``."""
-    low, high = 1.0, 2.0
-    while _grown(high, count) * _FIRST_M < reach:
-        high *= 2.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if _grown(middle, count) * _FIRST_M < reach:
-            low = middle
-        else:
-            high = middle
-    return high
+def _growth(field: HeightField, count: int) -> float:
+    """Ratio of places along a ray that goes from near the eye across all of the ground."""
+    reach = max(math.hypot(*field.grid.size_m), _FIRST_M)
+    return float((reach / _FIRST_M) ** (1.0 / count))
 
 
-def _grown(ratio: float, count: int) -> float:
-    out = 1.0
-    for _ in range(count):
-        out = min(out * ratio, 1e300)
-    return out
-
-
-def _rays(eyes: Sequence[Eye], each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rays(eyes: Sequence[Eye], each: int) -> tuple[Floats, Floats]:
     """Eyes and unit vectors of rays through pixels, float64 [n, 3] each."""
     u, v = square(each)
     directions = [eye.rays(u, v) for eye in eyes]
@@ -136,14 +117,7 @@ def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:
     if not len(cameras):
         return None
     chosen = cameras[:: max(1, -(-len(cameras) // _VIEWS))]
-    reach = float(np.sqrt(field.grid.size_m[0] * field.grid.size_m[0]
-                          + field.grid.size_m[1] * field.grid.size_m[1]))  # fmt: skip
-    growth = _growth(reach, _PLACES)
-    away = np.empty(_PLACES)
-    at = _FIRST_M
-    for k in range(_PLACES):
-        away[k] = at
-        at *= growth
+    away = _FIRST_M * _growth(field, _PLACES) ** np.arange(_PLACES)
     x = np.empty((len(chosen), _BEARINGS, _PLACES))
     y = np.empty_like(x)
     known = np.empty((len(chosen), _BEARINGS), np.bool_)
@@ -160,9 +134,7 @@ def skylines(field: HeightField, eyes: Sequence[Eye]) -> Skylines | None:
     return Skylines(x, y, np.broadcast_to(away, x.shape), chosen, known)
 
 
-def horizons(
-    lines: Skylines, eyes: Sequence[Eye], heights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def horizons(lines: Skylines, eyes: Sequence[Eye], heights: Floats) -> Floats:
     """Row of the picture that each bearing's horizon has, float64 [cameras, bearings].
 
     NaN where the ground under a bearing is not there or its horizon is out of the picture.
@@ -193,9 +165,9 @@ class Truth:
         lines: Skylines, or None without cameras.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
+    x: Floats
+    y: Floats
+    z: Floats
     checked: int
     lines: Skylines | None
 

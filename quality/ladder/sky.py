@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.emit.lights import write_lights
@@ -25,7 +24,7 @@ from scenec.compiler.scene.light import SkyLight, SunDisc
 from scenec.compiler.scene.scene import Scene
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
-from scenec.quality.ladder.points import rms, upper_half, worst
+from scenec.quality.ladder.points import Floats, Integers, rms, upper_half, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.sky_truth import atmosphere_along, bilinear, clear_along
 from scenec.schemas.exr import write_rgb
@@ -46,54 +45,32 @@ type _Made = Callable[[int], SkyAndSun]
 
 
 def sky(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladders of the sky's first picture, or why there are none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladders of the sky's first picture, or why there are none."""
     plan, sun = base.plan.light.sky, base.plan.light.sun
+    sun = None if sun is None else replace(_first(sun), gobo=None)
     if plan is None:
         return "the scene has no sky"
     if not base.color:
         return "no output shows color, so there is no sky"
     if isinstance(plan, ClearSky):
-        return [_clear(_first_clear(plan), None if sun is None else _first_sun(sun), rungs)]
+        return [_clear(_first(plan), sun, rungs)]
     if isinstance(plan, AtmosphereSky):
         assert sun is not None
         if plan.planet == "moon":
             return "the sky is black: there is no air"
-        one, above = _first_atmosphere(plan), _first_sun(sun)
-        return [_rows(one, above, rungs), *_constants(one, above, rungs)]
+        one = _first(plan)
+        return [_rows(one, sun, rungs), *_constants(one, sun, rungs)]
     return "the sky is a picture from a file, which is taken as it is"
 
 
-def _first_sun(sun: SunDisc) -> SunDisc:
-    return SunDisc(
-        sun.azimuth_deg[:1], sun.elevation_deg[:1], sun.irradiance[:1], sun.diameter_deg[:1],
-        sun.color[:1],
-    )  # fmt: skip
-
-
-def _first_clear(plan: ClearSky) -> ClearSky:
-    return replace(
-        plan,
-        irradiance=plan.irradiance[:1],
-        zenith_color=plan.zenith_color[:1],
-        horizon_color=plan.horizon_color[:1],
-        ground_color=plan.ground_color[:1],
-    )
-
-
-def _first_atmosphere(plan: AtmosphereSky) -> AtmosphereSky:
-    return replace(
-        plan,
-        air_density=plan.air_density[:1],
-        dust_density=plan.dust_density[:1],
-        ozone_density=plan.ozone_density[:1],
-        altitude_m=plan.altitude_m[:1],
-        ground_color=plan.ground_color[:1],
-    )
+def _first[S: (ClearSky, AtmosphereSky, SunDisc)](light: S) -> S:
+    """Of all samples the first."""
+    of_samples = {
+        one.name: getattr(light, one.name)[:1]
+        for one in fields(light)
+        if isinstance(getattr(light, one.name), np.ndarray)
+    }
+    return replace(light, **of_samples)
 
 
 def _sizes(resolution: int, rungs: int) -> list[tuple[int, bool]]:
@@ -155,8 +132,8 @@ def _rows(plan: AtmosphereSky, sun: SunDisc, rungs: int) -> Ladder:
 def _of_rows(
     sizes: list[tuple[int, bool]],
     made: _Made,
-    to: NDArray[np.float64],
-    truth: NDArray[np.float64],
+    to: Floats,
+    truth: Floats,
     level: tuple[float, float],
 ) -> list[Rung]:
     # A night without light is shown without error.
@@ -176,25 +153,19 @@ def _of_rows(
         )
         error = facts.get(light.texture[0], {}).get("resolution_error")
         arriving = float(luminance(horizontal_irradiance(picture)))
-        found.append(
-            Rung(
-                value=float(rows),
-                used=used,
-                worst=worst(away),
-                rms=rms(away),
-                claimed=None if error is None else float(error),
-                seconds=clock.seconds,
-                bytes=size,
-                details={
-                    "rms_off_horizon": rms(away[inner]),
-                    "worst_off_horizon": worst(away[inner]),
-                    "irradiance_error": off(arriving, level[0]),
-                    # Of the sum that it is held against.
-                    "irradiance_noise": level[1],
-                    "directions": len(to),
-                },
-            )
+        rung = Rung.of(
+            away,
+            clock,
+            size,
+            rms_off_horizon=rms(away[inner]),
+            worst_off_horizon=worst(away[inner]),
+            irradiance_error=off(arriving, level[0]),
+            # Of the sum that it is held against.
+            irradiance_noise=level[1],
+            directions=len(to),
         )
+        claimed = None if error is None else float(error)
+        found.append(replace(rung, value=float(rows), used=used, claimed=claimed))
     return found
 
 
@@ -205,7 +176,7 @@ def off(found: float, truth: float) -> float:
     return 1.0 if found > 0.0 else 0.0
 
 
-def irradiance(light: NDArray[np.float64], to: NDArray[np.float64]) -> tuple[float, float]:
+def irradiance(light: Floats, to: Floats) -> tuple[float, float]:
     """Luminance that reaches level ground, and how far a sum over so many directions may err.
 
     Args:
@@ -291,18 +262,8 @@ def _constants(plan: AtmosphereSky, sun: SunDisc, rungs: int) -> list[Ladder]:
             clock = Clock()
             picture, size = clock.mean(partial(_written, plan, sun, {**usual, key: value}))
             away = np.abs(luminance(picture[row, column] - truth)) / mean
-            rung_list.append(
-                Rung(
-                    value=float(value),
-                    used=value == usual[key],
-                    worst=worst(away),
-                    rms=rms(away),
-                    claimed=None,
-                    seconds=clock.seconds,
-                    bytes=size,
-                    details={"directions": len(to)},
-                )
-            )
+            rung = Rung.of(away, clock, size, directions=len(to))
+            rung_list.append(replace(rung, value=float(value), used=value == usual[key]))
         found.append(
             Ladder(
                 name="sky",
@@ -318,39 +279,29 @@ def _constants(plan: AtmosphereSky, sun: SunDisc, rungs: int) -> list[Ladder]:
     return found
 
 
-def _written(
-    plan: AtmosphereSky, sun: SunDisc, numbers: dict[str, int]
-) -> tuple[NDArray[np.float64], int]:
+def _written(plan: AtmosphereSky, sun: SunDisc, numbers: dict[str, int]) -> tuple[Floats, int]:
     """A picture and the bytes of its file."""
     picture = _baked(plan, sun, **numbers)
     single = picture.astype(np.float32)
     return picture, written(lambda folder: write_rgb(folder / "sky.exr", single))
 
 
-def _texels(
-    rows: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+def _texels(rows: int) -> tuple[Floats, Integers, Integers]:
     """Directions of all texels above the horizon's rows; their rows and columns."""
     to = directions(rows)[: rows // 2 - 1]
     row, column = np.indices(to.shape[:2])
     # Left and right half are the same.
     half = column.ravel() < rows
-    return (
-        np.ascontiguousarray(to.reshape(-1, 3)[half]),
-        row.ravel()[half],
-        column.ravel()[half],
-    )
+    return (np.ascontiguousarray(to.reshape(-1, 3)[half]), row.ravel()[half], column.ravel()[half])
 
 
-def _baked(
-    plan: AtmosphereSky, sun: SunDisc, steps: int, bearings: int, count: int
-) -> NDArray[np.float64]:
+def _baked(plan: AtmosphereSky, sun: SunDisc, steps: int, bearings: int, count: int) -> Floats:
     of_nodes = weights(count)
     medium = MEDIA[plan.planet](
         count, float(plan.air_density[0]), float(plan.dust_density[0]), float(plan.ozone_density[0])
     )
     above = sun.color[0] / luminance(sun.color[0] * of_nodes.sum(axis=0)) * sun.irradiance[0]
-    picture: NDArray[np.float64] = above * atmosphere.bake(
+    picture: Floats = above * atmosphere.bake(
         medium,
         of_nodes,
         float(plan.altitude_m[0]),

@@ -32,13 +32,14 @@ from scenec.compiler.light.atmosphere_spectra import wavelengths, weights
 from scenec.compiler.light.clear_sky import ClearSky
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light import SunDisc
+from scenec.quality.ladder.points import Floats
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
 
 
-def bilinear(picture: NDArray, to: NDArray[np.float64]) -> NDArray[np.float64]:
+def bilinear(picture: NDArray, to: Floats) -> Floats:
     """A lat-long picture read along directions as renderers read it, float64 [n, 3].
 
     Args:
@@ -58,17 +59,13 @@ def bilinear(picture: NDArray, to: NDArray[np.float64]) -> NDArray[np.float64]:
     texels = picture.astype(np.float64)
     upper = texels[j, i] + s * (texels[j, right] - texels[j, i])
     lower = texels[below, i] + s * (texels[below, right] - texels[below, i])
-    found: NDArray[np.float64] = upper + t * (lower - upper)
+    found: Floats = upper + t * (lower - upper)
     return found
 
 
 def atmosphere_along(
-    plan: AtmosphereSky,
-    sun: SunDisc,
-    to: NDArray[np.float64],
-    steps: int,
-    count: int,
-) -> NDArray[np.float64]:
+    plan: AtmosphereSky, sun: SunDisc, to: Floats, steps: int, count: int
+) -> Floats:
     """An atmosphere's light along directions above the horizon, at the first sample.
 
     The same physics as the baked picture's, evaluated for each direction: every direction has a ray
@@ -101,7 +98,7 @@ def atmosphere_along(
     over_threads(_along, len(to), to, look, air, plan.scattering == "multiple", found)
     white = nodes.sum(axis=0)
     above = sun.color[0] / luminance(sun.color[0] * white) * sun.irradiance[0]
-    lit: NDArray[np.float64] = found * above
+    lit: Floats = found * above
     return lit
 
 
@@ -137,9 +134,7 @@ def _along(first, last, to, look, air, multiple, out):  # type: ignore[no-untype
             out[n, i] = max(out[n, i], 0.0) + max(more[i], 0.0)
 
 
-def clear_along(
-    plan: ClearSky, sun: SunDisc | None, to: NDArray[np.float64], fine: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def clear_along(plan: ClearSky, sun: SunDisc | None, to: Floats, fine: Floats) -> Floats:
     """A clear sky's light along directions above the horizon, at the first sample.
 
     Type 12 of ISO 15469:2004, from its formula, with colors and irradiance as the cfg has them.
@@ -162,12 +157,7 @@ def clear_along(
     return scale * _cie(to, toward, plan.zenith_color[0], plan.horizon_color[0])
 
 
-def _cie(
-    to: NDArray[np.float64],
-    sun: NDArray[np.float64],
-    zenith: NDArray[np.float64],
-    horizon: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _cie(to: Floats, sun: Floats, zenith: Floats, horizon: Floats) -> Floats:
     up = to[:, 2]
     cosine = np.clip((to * sun).sum(axis=1), -1.0, 1.0)
     apart = elementary.acos_array(cosine)
@@ -175,7 +165,5 @@ def _cie(
     right = elementary.exp(-1.5 * elementary.PI)
     indicatrix = 1.0 + 10.0 * (elementary.exp_array(-3.0 * apart) - right) + 0.45 * cosine * cosine
     mix = np.sqrt(up)[:, None]
-    relative: NDArray[np.float64] = (gradation * indicatrix)[:, None] * (
-        horizon + mix * (zenith - horizon)
-    )
+    relative: Floats = (gradation * indicatrix)[:, None] * (horizon + mix * (zenith - horizon))
     return relative

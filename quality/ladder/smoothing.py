@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds.table import name_of
@@ -22,7 +21,7 @@ from scenec.compiler.terrain.program import run
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock
-from scenec.quality.ladder.points import rms, worst
+from scenec.quality.ladder.points import Floats, rms
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.window import Window, emitted, in_pixels
 
@@ -31,7 +30,7 @@ _CELLS, _ITERATED, _RIVERS = 2048, 512, 256
 #: Points of the window's border that do not count, in lengths of the smoothing.
 _BORDER = 5.0
 
-type _Field = tuple[NDArray[np.float64], dict[str, Any]]
+type _Field = tuple[Floats, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -44,12 +43,7 @@ class _Step:
 
 
 def smoothing(base: Base, rungs: int) -> list[Ladder] | str:
-    """Ladders of all operators that smooth or wear the relief, or why there are none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """Ladders of all operators that smooth or wear the relief, or why there are none."""
     terrain = base.plan.terrain
     places = [
         (place, inner)
@@ -85,7 +79,7 @@ def length_m(operator: Smooth | Diffusion) -> float:
     return float(np.sqrt(2.0 * operator.diffusivity_m2_per_a * operator.duration_a))
 
 
-def continuous(grid: Grid, height: NDArray[np.float64], length: float) -> NDArray[np.float64]:
+def continuous(grid: Grid, height: Floats, length: float) -> Floats:
     """Heights diffused as the continuous equation has it, by the exact decay of each mode.
 
     exp(-(k pi / W)^2 length^2 / 2), where ``smooth`` has the decay of second differences.
@@ -95,7 +89,7 @@ def continuous(grid: Grid, height: NDArray[np.float64], length: float) -> NDArra
         wave = elementary.PI * np.arange(n) / (n * spacing)
         decay = elementary.exp_array(-0.5 * length * length * wave * wave)
         modes *= decay[:, None] if axis == 0 else decay[None, :]
-    smoothed: NDArray[np.float64] = scipy.fft.idctn(modes, type=2)
+    smoothed: Floats = scipy.fft.idctn(modes, type=2)
     return smoothed
 
 
@@ -109,7 +103,7 @@ def _in_space(base: Base, step: _Step, rungs: int) -> Ladder:
     )
     surface = GroundSurface(step.before)
 
-    def sampled(grid: Grid) -> NDArray[np.float64]:
+    def sampled(grid: Grid) -> Floats:
         return surface.height_at(*grid.points()).reshape(grid.shape)
 
     fine = window.grid(2.0 ** -(finer + 2))
@@ -197,9 +191,9 @@ def _in_time(base: Base, operator: StreamPower, step: _Step, rungs: int) -> Ladd
 def _rung(
     base: Base,
     grid: Grid,
-    height: NDArray[np.float64],
-    apply: Callable[[Grid, NDArray[np.float64]], _Field],
-    truth: NDArray[np.float64],
+    height: Floats,
+    apply: Callable[[Grid, Floats], _Field],
+    truth: Floats,
     border: float,
 ) -> Rung:
     """One run of an operator, held against heights at its samples but for a border."""
@@ -220,17 +214,5 @@ def _rung(
         "points": len(error),
     }
     details |= {key: report[key] for key in ("last_iteration_m", "error_rms_m") if key in report}
-    if base.rigs:
-        pixels = in_pixels(base, x[inside], y[inside], error)
-        details |= {"worst_px": worst(pixels), "rms_px": rms(pixels)}
-    return Rung(
-        value=0.0,
-        used=False,
-        worst=worst(error),
-        rms=rms(error),
-        claimed=None,
-        seconds=clock.seconds,
-        bytes=size,
-        triangles=triangles,
-        details=details,
-    )
+    details |= in_pixels(base, x[inside], y[inside], error)
+    return Rung.of(error, clock, size, triangles, **details)

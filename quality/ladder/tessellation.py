@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.emit.layer import label_names
 from scenec.compiler.emit.terrain import write_terrain
@@ -18,10 +17,10 @@ from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
-from scenec.quality.ladder.points import rms, worst
+from scenec.quality.ladder.points import Bools, Floats, rms, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.seen import Truth, horizons
-from scenec.quality.ladder.tin import Heights, Index
+from scenec.quality.ladder.tin import Heights, heights
 
 #: How far float32 vertices may lie within the terrain's border, parts of its size.
 _ROUNDING = 1e-6
@@ -36,12 +35,7 @@ _CLAIM = (
 
 
 def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladder of ``terrain.mesh.tolerance_px``, or why there is none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladder of ``terrain.mesh.tolerance_px``, or why there is none."""
     meshing = base.plan.terrain.meshing
     if isinstance(base.surface.field, MeshSurface):
         return "the terrain is a mesh, which is kept as it is"
@@ -50,13 +44,12 @@ def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
     if meshing.tolerance_px is None:
         return "tolerance_px is 0: the whole grid is kept, and its triangles are the ground"
     truth = Truth.of(base.built["surface"], base.eyes)
-    index = Index(truth.x, truth.y)
     at = np.stack([truth.x, truth.y, truth.z], axis=1)
     pixels = base.pixels(at[: truth.checked])
     factors = steps(*split(rungs))
     _warm(base)
     found = [
-        _rung(base, meshing.tolerance_px * factor, factor == 1.0, truth, index, pixels)
+        _rung(base, meshing.tolerance_px * factor, factor == 1.0, truth, pixels)
         for factor in factors
     ]
     bound = [rung for rung in found if rung.details["budget_bound"]]
@@ -113,14 +106,7 @@ def _warm(base: Base) -> None:
     )
 
 
-def _rung(
-    base: Base,
-    tolerance_px: float,
-    used: bool,
-    truth: Truth,
-    index: Index,
-    pixels: NDArray[np.float64],
-) -> Rung:
+def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Floats) -> Rung:
     terrain = base.plan.terrain
     clock = Clock()
     tiles, report = clock.mean(partial(_tiles, base, tolerance_px))
@@ -138,25 +124,21 @@ def _rung(
     )
     mesh = report["mesh"]
     finer = mesh.get("finer", {})
-    heights = index.heights(tiles)
-    error, normal, there = distances(truth, heights)
+    mesh_heights = heights(tiles, truth.x, truth.y)
+    error, normal, there = distances(truth, mesh_heights)
     shown = error * pixels[there]
     order = np.sort(shown, kind="stable")
-    return Rung(
-        value=tolerance_px,
-        used=used,
-        worst=worst(shown),
-        rms=rms(shown),
-        claimed=None,
-        seconds=clock.seconds,
-        bytes=size,
-        triangles=int(report["faces"]),
-        details={
+    rung = Rung.of(
+        shown,
+        clock,
+        size,
+        int(report["faces"]),
+        **{
             "worst_m": worst(error),
             "rms_m": rms(error),
             "worst_normal_m": worst(normal),
             "99_9_percent_px": float(order[int(0.999 * (len(order) - 1))]) if len(order) else 0.0,
-            **_silhouettes(base, truth, heights),
+            **_silhouettes(base, truth, mesh_heights),
             "found_px": float(
                 max(mesh["height_error_max_px"], finer.get("surface_error_found_px", 0.0))
             ),
@@ -170,11 +152,10 @@ def _rung(
             "points_in_holes": holes(truth, there, base.surface.field.grid.size_m),
         },
     )
+    return replace(rung, value=tolerance_px, used=used)
 
 
-def distances(
-    truth: Truth, heights: Heights
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+def distances(truth: Truth, heights: Heights) -> tuple[Floats, Floats, Bools]:
     """How far a mesh is from the truth where it is, up or down and along its normal, meters [m].
 
     Returns:
@@ -187,7 +168,7 @@ def distances(
     return error, error * upright[there], there
 
 
-def holes(truth: Truth, there: NDArray[np.bool_], size_m: tuple[float, float]) -> int:
+def holes(truth: Truth, there: Bools, size_m: tuple[float, float]) -> int:
     """How many points have no triangle, but for those that the border's rounding leaves out.
 
     Args:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from scenec.compiler.scene.material import Material
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.pixel_means import pixel_means
-from scenec.quality.ladder.points import rms, square, worst
+from scenec.quality.ladder.points import Floats, square
 from scenec.quality.ladder.results import Ladder, Rung, split
 
 #: Pixels that are looked through, of each material.
@@ -48,17 +47,12 @@ class _Picture:
     source: Source
     pixels: float
     halved: int
-    truth: NDArray[np.float64]
+    truth: Floats
     mean: float
 
 
 def textures(base: Base, rungs: int) -> list[Ladder] | str:
-    """The ladder of the pictures' texels, or why there is none.
-
-    Args:
-        base: The scene.
-        rungs: How many.
-    """
+    """The ladder of the pictures' texels, or why there is none."""
     if not base.color:
         return "no output shows color, so there are no pictures"
     objects = base.built["objects"]
@@ -149,7 +143,7 @@ def _pictures(materials: dict[str, MaterialPlan], seen: dict[str, Footprint]) ->
     return [one for one in found if one.mean > 0.0]
 
 
-def _through(planes: NDArray, pixels: float) -> NDArray[np.float64]:
+def _through(planes: NDArray, pixels: float) -> Floats:
     """Luminance that pixels show which are spread over a repeat, float64 [n].
 
     Args:
@@ -173,19 +167,12 @@ def _nearest(one: _Picture, times: int) -> int:
     return next(own for own in range(max(times, 0), -1, -1) if _possible(one, own))
 
 
-class _Smaller(NamedTuple):
-    """A picture on a rung: what its colors are multiplied with, and its bytes in the stage."""
-
-    source: Source
-    factor: tuple[float, float, float]
-    size: int
-
-
-def _smaller(one: _Picture, times: int) -> _Smaller:
+def _smaller(one: _Picture, times: int) -> tuple[Source, tuple[float, float, float], int]:
+    """A picture on a rung, what its colors are multiplied with, and its bytes in the stage."""
     small = reduced(one.source, "base_color", times) if times else None
     source = one.source if small is None else small.picture
     size = written(lambda folder: copy_maps(folder, one.name, _only(one, source)))
-    return _Smaller(source, (1.0, 1.0, 1.0) if small is None else small.factor, size)
+    return source, (1.0, 1.0, 1.0) if small is None else small.factor, size
 
 
 def _rung(pictures: list[_Picture], times: int) -> Rung:
@@ -194,27 +181,22 @@ def _rung(pictures: list[_Picture], times: int) -> Rung:
         lambda: [_smaller(one, _nearest(one, one.halved + times)) for one in pictures]
     )
     errors, texels, least = [], [], np.inf
-    for one, small in zip(pictures, made, strict=True):
-        planes = colors(small.source) * np.array(small.factor)
+    for one, (source, factor, _) in zip(pictures, made, strict=True):
+        planes = colors(source) * np.array(factor)
         errors.append(np.abs(_through(planes, one.pixels) / one.mean - one.truth))
         texels.append(min(planes.shape[:2]))
         least = min(least, texels[-1] / one.pixels)
     away = np.concatenate(errors)
-    return Rung(
-        value=2.0**-times,
-        used=times == 0,
-        worst=worst(away),
-        rms=rms(away),
-        claimed=None,
-        seconds=clock.seconds,
-        bytes=sum(small.size for small in made),
-        details={
-            "texels_per_pixel_least": float(least),
-            "texels_across_least": min(texels),
-            "texels_across_most": max(texels),
-            "pixels": len(away),
-        },
+    rung = Rung.of(
+        away,
+        clock,
+        sum(size for _, _, size in made),
+        texels_per_pixel_least=float(least),
+        texels_across_least=min(texels),
+        texels_across_most=max(texels),
+        pixels=len(away),
     )
+    return replace(rung, value=2.0**-times, used=times == 0)
 
 
 def _only(one: _Picture, source: Source) -> Material:

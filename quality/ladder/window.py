@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenec.compiler.emit.terrain import write_terrain
 from scenec.compiler.mesh.surface import GroundSurface
@@ -15,6 +14,7 @@ from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import written
+from scenec.quality.ladder.points import Floats, rms, worst
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,7 @@ class Window:
 
 
 def emitted(base: Base, field: HeightField) -> tuple[int, int]:
-    """Bytes and triangles of a piece of ground, meshed as the cfg asks for, without its colors.
-
-    Args:
-        base: The scene.
-        field: Its heights.
-    """
+    """Bytes and triangles of a piece of ground, meshed as the cfg asks for, without its colors."""
     near = pixels_per_meter(field, base.views, base.unseen) if base.rigs else None
     meshing = base.plan.terrain.meshing
     tiles, report = build_tiles(
@@ -76,10 +71,13 @@ def emitted(base: Base, field: HeightField) -> tuple[int, int]:
     return size, int(report["faces"])
 
 
-def in_pixels(
-    base: Base, x: NDArray[np.float64], y: NDArray[np.float64], error: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Errors of height at points of the terrain, in pixels of the view that shows them largest."""
+def in_pixels(base: Base, x: Floats, y: Floats, error: Floats) -> dict[str, float]:
+    """Returns errors of height at points, in pixels of the view that shows them largest.
+
+    Nothing without cameras.
+    """
+    if not base.rigs:
+        return {}
     z = base.surface.field.height_at(x, y)
-    shown: NDArray[np.float64] = error * base.pixels(np.stack([x, y, z], axis=1))
-    return shown
+    shown: Floats = error * base.pixels(np.stack([x, y, z], axis=1))
+    return {"worst_px": worst(shown), "rms_px": rms(shown)}

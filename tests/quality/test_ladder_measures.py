@@ -28,7 +28,7 @@ from scenec.quality.ladder.sky_truth import atmosphere_along, bilinear, clear_al
 from scenec.quality.ladder.slopes import slope
 from scenec.quality.ladder.smoothing import continuous
 from scenec.quality.ladder.tessellation import distances, holes
-from scenec.quality.ladder.tin import Heights, Index
+from scenec.quality.ladder.tin import Heights, heights
 
 
 @given(
@@ -74,16 +74,16 @@ def test_a_mesh_has_the_heights_of_the_triangles_it_was_made_of():
     tiles, _ = build_tiles(GroundSurface(field, smooth=False), 1, color=False)
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-6, 6, 5000), rng.uniform(-4, 4, 5000)
-    found = Index(x, y).heights(tiles)
+    found = heights(tiles, x, y)
     assert np.abs(found.z - field.height_at(x, y)).max() < 1e-6
     assert ((found.upright > 0.5) & (found.upright <= 1.0)).all()
 
 
 def test_points_beyond_a_mesh_have_no_height():
     tiles, _ = build_tiles(GroundSurface(hills(0.4), smooth=False), 1, color=False)
-    found = Index(np.array([0.0, 7.0]), np.array([0.0, 0.0])).heights(tiles)
+    found = heights(tiles, np.array([0.0, 7.0]), np.array([0.0, 0.0]))
     assert np.isnan(found.z).tolist() == [False, True]
-    nothing = Index(np.zeros(0), np.zeros(0)).heights(tiles)
+    nothing = heights(tiles, np.zeros(0), np.zeros(0))
     assert nothing.z.shape == (0,)
 
 
@@ -93,7 +93,7 @@ def test_linear_interpolation_of_a_smooth_surface_errs_as_one_over_its_triangles
     triangles, error = [], []
     for spacing in (0.8, 0.4, 0.2, 0.1):
         tiles, report = build_tiles(GroundSurface(hills(spacing), smooth=False), 1, color=False)
-        away = Index(x, y).heights(tiles).z - np.sin(x) * np.cos(0.7 * y)
+        away = heights(tiles, x, y).z - np.sin(x) * np.cos(0.7 * y)
         triangles.append(float(report["faces"]))
         error.append(points.rms(away))
     found = slope(triangles, error)

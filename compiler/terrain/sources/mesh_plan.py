@@ -226,14 +226,26 @@ def top_at(
     y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Height of the topmost surface at points, -inf where there is none: float64 [n]."""
+    return topmost(points, faces, bins, flat, x, y)[0]
+
+
+def topmost(
+    points: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    bins: PlanBins,
+    flat: float,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Returns the same, and which faces those are, -1 where there is none: int64 [n]."""
     xy = np.stack([x, y], axis=1)
-    out = np.empty(x.size)
-    over_threads(_top_at_part, x.size, points, faces, bins, flat, xy, out)
-    return out
+    out, which = np.empty(x.size), np.full(x.size, -1)
+    over_threads(_topmost, x.size, points, faces, bins, flat, xy, out, which)
+    return out, which
 
 
 @kernel
-def _top_at_part(first, last, points, faces, bins, flat, xy, out):  # type: ignore[no-untyped-def]
+def _topmost(first, last, points, faces, bins, flat, xy, out, which):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         top = -np.inf
         x, y = xy[n]
@@ -242,6 +254,7 @@ def _top_at_part(first, last, points, faces, bins, flat, xy, out):  # type: igno
             for k in range(bins.start[square], bins.start[square + 1]):
                 a, b, c = faces[bins.faces[k]]
                 facing, z = hit(points, a, b, c, x, y, flat)
-                if facing != 0:
-                    top = max(top, z)
+                if facing != 0 and z > top:
+                    top = z
+                    which[n] = bins.faces[k]
         out[n] = top
