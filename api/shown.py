@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,6 +24,7 @@ from scenec.datasets.colors import label_colors, paint_depth, paint_instances, p
 from scenec.datasets.source import FrameRef, LoadedFrame, Source
 from scenec.schemas.manifest import REPORT, Batch, find_batches
 from scenec.schemas.records import FrameRecord
+from scenec.schemas.report import BatchReport, read_output_record
 
 #: Pixels that a shown picture is wide at most.
 _WIDE = 480
@@ -93,10 +93,9 @@ class StageView:
         rows: dict[str, Any] = {"stage": str(self.batch.stage)}
         report = self.batch.folder / REPORT
         if report.is_file():
-            facts = json.loads(report.read_bytes())
-            rows["terrain"] = f"{facts['ground']['faces']:,} faces"
-            for name, entry in facts.get("objects", {}).items():
-                rows[name] = f"{entry['count']:,}"
+            told = read_output_record(report, BatchReport)
+            rows["terrain"] = f"{told.ground.faces:,} faces"
+            rows |= {name: f"{entry.count:,}" for name, entry in told.objects.items()}
         rows["cameras"] = ", ".join(camera.name for camera in self.cameras)
         rows["samples"] = len(self.scene.cameras)
         shown = "".join(picture_html(self.sketch(i)) for i in range(min(len(self.cameras), 4)))

@@ -221,5 +221,5 @@ class Backend:
 
 
 def completed(kind: type) -> type[Backend]:
-    """Returns a kind's class, or, if it does not derive from ``Backend``, a subclass of both."""
+    """Returns a backend's class, or, if it does not derive from ``Backend``, a subclass of both."""
     return kind if issubclass(kind, Backend) else type(kind.__name__, (kind, Backend), {})

@@ -10,11 +10,8 @@ from scenec.api import forms
 from scenec.api.declare import CallOptions, declared
 from scenec.api.options import (
     CompileOptions,
-    FrameOptions,
     PictureOptions,
-    RenderOptions,
     StageOptions,
-    WorkOptions,
 )
 from scenec.schemas.errors import ScenecError
 
@@ -79,21 +76,13 @@ def chosen(record: type[CallOptions], options: argparse.Namespace) -> dict[str, 
     return {name: value for name, value in vars(options).items() if name in there}
 
 
-def add_cfg(parser: argparse.ArgumentParser) -> None:
-    """The cfg."""
+def add_cfg(parser: argparse.ArgumentParser, *only: str) -> None:
+    """Adds the cfg, and what of ``CompileOptions`` is said of it."""
     parser.add_argument(
         "cfg", metavar="CFG", help="a file of JSON or YAML, or package:configs/NAME of ours"
     )
-
-
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """``--set``."""
-    add(parser, CompileOptions, "settings")
-
-
-def add_seed(parser: argparse.ArgumentParser) -> None:
-    """``--seed``."""
-    add(parser, CompileOptions, "seed")
+    for name in only:
+        add(parser, CompileOptions, name)
 
 
 def add_render_options(parser: argparse.ArgumentParser) -> None:
@@ -104,14 +93,7 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
     own = list(declared(PictureOptions, own=True))
     last = own.index("timeout")
-    add(parser, PictureOptions, *own[:last])
-    add_executor(parser)
-    add(parser, PictureOptions, *own[last:])
-
-
-def add_executor(parser: argparse.ArgumentParser, record: type[CallOptions] = WorkOptions) -> None:
-    """Adds the options of workers."""
-    add(parser, record, "workers", "cluster")
+    add(parser, PictureOptions, *own[:last], "workers", "cluster", *own[last:])
 
 
 def add_keep(parser: argparse.ArgumentParser) -> None:
@@ -134,26 +116,6 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
         const=False,
         help="make all anew, and keep nothing",
     )
-
-
-def add_replace(parser: argparse.ArgumentParser) -> None:
-    """Adds options for an output that is there, and for batches that fail."""
-    add(parser, StageOptions, "replace", "faults")
-
-
-def add_allow_missing(parser: argparse.ArgumentParser) -> None:
-    """Adds the option for an incomplete stage."""
-    add(parser, RenderOptions, "allow_missing")
-
-
-def add_batches(parser: argparse.ArgumentParser) -> None:
-    """A choice of batches."""
-    add(parser, RenderOptions, "batches")
-
-
-def add_frames(parser: argparse.ArgumentParser) -> None:
-    """A choice among the frames of an output."""
-    add(parser, FrameOptions)
 
 
 def add_verbose(parser: argparse.ArgumentParser) -> None:

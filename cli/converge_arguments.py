@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.cli.arguments import add_allow_missing, add_json, amount, names, positive, span
+from scenec.api.options import RenderOptions
+from scenec.cli.arguments import add, add_json, amount, names, positive, span
 
 
 def rungs(text: str) -> tuple[int, ...]:
@@ -48,5 +49,5 @@ def add_converge_options(parser: argparse.ArgumentParser) -> None:
         "--denoise", action="store_true", help="climb again with denoising, where there is one"
     )
     parser.add_argument("--device", metavar="NAME", default="auto", help="default: auto")
-    add_allow_missing(parser)
+    add(parser, RenderOptions, "allow_missing")
     add_json(parser)

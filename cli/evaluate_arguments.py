@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from scenec.api.declare import declared
-from scenec.api.options import EvaluateOptions
-from scenec.cli.arguments import add, add_frames, add_json
+from scenec.api.options import EvaluateOptions, FrameOptions
+from scenec.cli.arguments import add, add_json
 
 
 def add_evaluate_options(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +28,6 @@ def add_evaluate_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--out", metavar="FOLDER", help="write tables and plots there (JSON, CSV, PNG)"
     )
-    add_frames(parser)
+    add(parser, FrameOptions)
     add(parser, EvaluateOptions, *list(declared(EvaluateOptions, own=True))[1:])
     add_json(parser)

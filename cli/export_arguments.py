@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from scenec.api.declare import declared
-from scenec.api.options import ExportOptions
-from scenec.cli.arguments import add, add_executor, add_frames, add_json
+from scenec.api.options import ExportOptions, FrameOptions
+from scenec.cli.arguments import add, add_json
 
 EPILOG = """\
 conditions of --keep: NAME OPERATOR VALUE, in quotes, all must hold
@@ -43,9 +43,7 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="the dataset (default: OUT/datasets/FORMAT)",
     )
-    add_frames(parser)
+    add(parser, FrameOptions)
     own = [name for name in declared(ExportOptions, own=True) if name != "workers"]
-    add(parser, ExportOptions, *own[:-1])
-    add_executor(parser, ExportOptions)
-    add(parser, ExportOptions, own[-1])
+    add(parser, ExportOptions, *own[:-1], "workers", "cluster", own[-1])
     add_json(parser)

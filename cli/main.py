@@ -27,17 +27,11 @@ from scenec.api.options import (
 from scenec.cli import interrupt
 from scenec.cli.arguments import (
     add,
-    add_allow_missing,
-    add_batches,
     add_cache,
     add_cfg,
-    add_executor,
     add_json,
     add_keep,
     add_render_options,
-    add_replace,
-    add_seed,
-    add_settings,
     add_verbose,
     positive,
     read_by,
@@ -184,42 +178,32 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(metavar="COMMAND", required=True)
 
     run = _command(commands, "run", "compile a cfg and render it: the main job")
-    add_cfg(run)
-    add_settings(run)
-    add_seed(run)
+    add_cfg(run, "settings", "seed")
     run.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_render_options(run)
     add_keep(run)
     add_cache(run)
-    add_replace(run)
-    add_batches(run)
+    add(run, CompileOptions, "replace", "faults", "batches")
     add_verbose(run)
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
-    add_cfg(compile_)
-    add_settings(compile_)
-    add_seed(compile_)
+    add_cfg(compile_, "settings", "seed")
     compile_.add_argument("-o", "--out", metavar="OUT", required=True, help="output folder")
     add_keep(compile_)
     add_cache(compile_)
-    add_replace(compile_)
-    add_batches(compile_)
-    add_executor(compile_, CompileOptions)
+    add(compile_, CompileOptions, "replace", "faults", "batches", "workers", "cluster")
     compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
     add_verbose(compile_)
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
     validate.epilog = "Example: scenec validate cfg.yaml --set light.sun.elevation_deg=10"
-    add_cfg(validate)
-    add_settings(validate)
+    add_cfg(validate, "settings")
     add_json(validate)
 
     preview = _command(commands, "preview", "show what a cfg makes in the browser, as it is edited")
-    add_cfg(preview)
-    add_settings(preview)
-    add_seed(preview)
+    add_cfg(preview, "settings", "seed")
     add(preview, PreviewOptions)
     preview.add_argument(
         "--port",
@@ -254,9 +238,7 @@ def parser() -> argparse.ArgumentParser:
     add_sweep_options(_command(commands, "sweep", "run a cfg with many values and seeds"))
 
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
-    add_cfg(settle)
-    add_settings(settle)
-    add_seed(settle)
+    add_cfg(settle, "settings", "seed")
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
     add_settle_options(settle)
     add_json(settle)
@@ -264,18 +246,14 @@ def parser() -> argparse.ArgumentParser:
     render = _command(commands, "render", "render what was compiled, or any USD stage")
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
-    add(render, RenderOptions, "replace")
-    add_allow_missing(render)
-    add_batches(render)
+    add(render, RenderOptions, "replace", "allow_missing", "batches")
     add_verbose(render)
     add_json(render)
 
     scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
     scan.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
-    add(scan, ScanOptions, "samples", "lidars", "ply")
-    add_executor(scan)
-    add_allow_missing(scan)
-    add_batches(scan)
+    works = ("workers", "cluster", "allow_missing", "batches")
+    add(scan, ScanOptions, "samples", "lidars", "ply", *works)
     add_verbose(scan)
     add_json(scan)
 

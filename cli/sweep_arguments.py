@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.api.options import SweepOptions
+from scenec.api.options import StageOptions, SweepOptions
 from scenec.cli.arguments import (
     add,
-    add_batches,
     add_cache,
     add_cfg,
     add_json,
     add_keep,
     add_render_options,
-    add_replace,
     add_verbose,
 )
 
@@ -27,8 +25,7 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     add_verbose(parser)
     add_keep(parser)
     add_cache(parser)
-    add_replace(parser)
-    add_batches(parser)
+    add(parser, StageOptions, "replace", "faults", "batches")
     add_json(parser)
     parser.epilog = (
         "Each combination has a folder of OUT, named for what differs; OUT/sweep.csv and "

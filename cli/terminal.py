@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.api.listener import Listener
 from scenec.cli.output import Progress, say
-from scenec.schemas.codec import encode
+from scenec.schemas.codec import decode, encode
+from scenec.schemas.errors import OutputError
+from scenec.schemas.report import HeightFacts, IterationFacts
 
 if TYPE_CHECKING:
     from scenec.backends.run.render import RenderReport
     from scenec.backends.run.scan import ScanReport
     from scenec.compiler.compile import CompileReport
 
-#: What a file of heights says of its numbers where they are meters.
-_HEIGHTS = {"scale": 1.0, "offset": 0.0, "unit_m": 1.0}
 #: Steps of a batch that are named with ``--verbose``.
 _SLOWEST = 5
 
@@ -76,43 +76,47 @@ class Terminal(Listener):
         from scenec.compiler.kinds.table import CHOICES
         from scenec.compiler.mesh.precision import WARN_PX
 
-        facts, seconds = report.facts[name], report.seconds[name]
-        objects = sum(entry["count"] for entry in facts.get("objects", {}).values())
-        spared = sum(entry["instances"] for entry in facts.get("left_out", []))
+        batch, seconds = report.reports[name], report.seconds[name]
+        objects = sum(entry.count for entry in batch.objects.values())
+        spared = sum(entry.instances for entry in batch.left_out)
         less = f" ({spared:,} left out)" if spared else ""
         say(
-            f"{name}: {facts['ground']['faces']:,} terrain faces, {objects:,} objects{less}, "
-            f"{facts['bytes'] / 2**20:.1f} MiB"
+            f"{name}: {batch.ground.faces:,} terrain faces, {objects:,} objects{less}, "
+            f"{batch.bytes / 2**20:.1f} MiB"
         )
+        precision = batch.precision
+        assert precision is not None
         if self._verbose:
             slowest = sorted(seconds.items(), key=lambda item: -item[1])[:_SLOWEST]
             steps = ", ".join(f"{step} {spent:.2g} s" for step, spent in slowest)
             say(
                 f"{name}: {sum(seconds.values()):.1f} s ({steps}); positions in float32: "
-                f"{precision_text(facts['precision'])}"
+                f"{precision_text(precision)}"
             )
-        off = facts["precision"]["float32_error_max_px"]
+        off = precision.float32_error_max_px
         if off is not None and off > WARN_PX:
             say(
                 f"{name}: warning: float32 moves vertices by up to {off:.2g} pixels of the nearest "
-                f"view, over {facts['precision']['extent_m']:g} m; make the terrain smaller, or "
+                f"view, over {precision.extent_m:g} m; make the terrain smaller, or "
                 "keep cameras farther from it"
             )
-        for place, entry in enumerate(facts["relief"]):
-            if entry["type"] not in CHOICES["relief"].kinds:
+        for place, entry in enumerate(batch.relief):
+            if entry.type not in CHOICES["relief"].kinds:
                 # Of another package: it reports what it likes.
                 continue
-            read = tuple(entry.get(key, rest) for key, rest in _HEIGHTS.items())
-            if read != tuple(_HEIGHTS.values()):
+            at = f"/terrain/relief/{place}"
+            read = decode(entry.facts, HeightFacts, OutputError, at)
+            if replace(read, band=None) != HeightFacts():
                 say(
-                    f"{name}: /terrain/relief/{place} (dem): heights are (sample * {read[0]:g} + "
-                    f"{read[1]:g}) * {read[2]:.9g} m of band {entry['band']}"
+                    f"{name}: {at} (dem): heights are (sample * {read.scale:g} + "
+                    f"{read.offset:g}) * {read.unit_m:.9g} m of band {read.band}"
                 )
-            if entry.get("error_rms_m", 0.0) > entry.get("error_aim_m", math.inf):
+            went = decode(entry.facts, IterationFacts, OutputError, at)
+            if went.error_rms_m > went.error_aim_m:
                 say(
-                    f"{name}: warning: /terrain/relief/{place} ({entry['type']}) errs by about "
-                    f"{entry['error_rms_m']:.2g} m rms after {entry['steps']:,} steps, its aim is "
-                    f"{entry['error_aim_m']:.2g} m; raise steps, or error_m"
+                    f"{name}: warning: {at} ({entry.type}) errs by about "
+                    f"{went.error_rms_m:.2g} m rms after {went.steps:,} steps, its aim is "
+                    f"{went.error_aim_m:.2g} m; raise steps, or error_m"
                 )
 
     def scanned(self, report: ScanReport) -> None:

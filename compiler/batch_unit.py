@@ -7,19 +7,21 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scenec.compiler.cache.memo import Memo, memoizing
 from scenec.compiler.cache.store import Store
 from scenec.compiler.cfg.load import load
 from scenec.compiler.output import batch_name
 from scenec.compiler.views.needed import Keep
+from scenec.schemas.codec import decode, encode
 from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
 from scenec.schemas.files import tree, write_json
 from scenec.schemas.left_out import write_left_out
 from scenec.schemas.manifest import REPORT
 from scenec.schemas.native import commentary
 from scenec.schemas.plugins import blaming
+from scenec.schemas.report import BatchReport
 from scenec.schemas.strays import Firing
 from scenec.schemas.units import Keeper
 
@@ -41,7 +43,8 @@ class Compiled:
     Attributes:
         error: Why it could not be built, or None.
         attempt: How often it was drawn again.
-        seconds, facts: Of each pass; the contents of its report.json.
+        seconds: Of each pass.
+        report: What was written of it; None where it could not be built.
         made, taken: How often each step was made, or taken from the cache; None without one.
         cameras, lidars: When each is triggered (``schemas.strays``).
     """
@@ -50,7 +53,7 @@ class Compiled:
     samples: int = 0
     attempt: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
-    facts: dict[str, Any] = field(default_factory=dict)
+    report: BatchReport | None = None
     made: dict[str, int] | None = None
     taken: dict[str, int] | None = None
     cameras: Firing = field(default_factory=list)
@@ -126,13 +129,13 @@ class CompileBatch:
                     # Handed over, so that it can let go of what it has built.
                     scene = build(plans.pop(), log, self.keep)
                     with self._naming():
-                        self._emit(scene, log, attempt)
+                        report = self._emit(scene, log, attempt)
             except SceneError as error:
                 compiled.error = error
                 if last > self.first + 1:
                     say(f"warning: {self.what} cannot be built: {error}")
                 continue
-            compiled = Compiled(None, scene.samples, attempt, log.seconds, log.facts)
+            compiled = Compiled(None, scene.samples, attempt, log.seconds, report)
             if memo is not None:
                 compiled.made, compiled.taken = dict(memo.made), dict(memo.taken)
             compiled.cameras = _firing(scene, lambda rig: rig.sensors)
@@ -151,7 +154,7 @@ class CompileBatch:
         except OutputError as error:
             raise OutputError(str(error).replace(str(self.folder), str(self.out))) from error
 
-    def _emit(self, scene: Scene, log: BuildLog, attempt: int) -> None:
+    def _emit(self, scene: Scene, log: BuildLog, attempt: int) -> BatchReport:
         """Writes the batch and its report."""
         shutil.rmtree(self.folder, ignore_errors=True)
         folder = self.folder / self.what
@@ -163,6 +166,7 @@ class CompileBatch:
         write_json(folder / REPORT, {**drawn, **log.facts})
         if log.record is not None:
             write_left_out(folder, log.record)
+        return decode(encode(log.facts), BatchReport, OutputError, str(folder / REPORT))
 
 
 def _write(folder: Path, scene: Scene) -> None:

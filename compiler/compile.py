@@ -8,7 +8,6 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_
 from pathlib import Path
-from typing import Any
 
 from scenec.compiler.batch_unit import CompileBatch, Compiled
 from scenec.compiler.cache.store import Store
@@ -19,6 +18,7 @@ from scenec.compiler.output import Output, locked
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
+from scenec.schemas.report import BatchReport
 from scenec.schemas.strays import cut_short, stray_line, stray_scans, strays
 from scenec.schemas.units import Executor, Keeper, LocalExecutor, Outcome, Unit, run_all
 
@@ -36,7 +36,7 @@ class CompileReport:
         batches: Indices of the batches compiled now.
         unchanged: How many of them were there already, byte for byte.
         seconds: Per batch, seconds of each pass.
-        facts: Per batch, the contents of its report.json.
+        reports: Per batch, its report.
         strays: A line for each batch beside which frames or scans of an earlier stage lie that this
             one has no place for, and one for each with files that are not the compiler's: nothing
             replaces them.
@@ -50,7 +50,7 @@ class CompileReport:
     batches: tuple[int, ...]
     unchanged: int
     seconds: dict[str, dict[str, float]]
-    facts: dict[str, dict[str, Any]]
+    reports: dict[str, BatchReport]
     strays: tuple[str, ...] = ()
     failed: dict[str, str] = field(default_factory=dict)
     attempts: dict[str, int] = field(default_factory=dict)
@@ -153,7 +153,8 @@ def compile_cfg(
             if compiled.attempt:
                 report.attempts[name] = compiled.attempt
             report.seconds[name] = {"load": load_seconds, **compiled.seconds}
-            report.facts[name] = compiled.facts
+            if compiled.report is not None:
+                report.reports[name] = compiled.report
             left_over += _strays(out / name, compiled)
             left_over += output.foreign(batch)
             if compiled.made is not None and compiled.taken is not None:

@@ -14,8 +14,8 @@ another record           an object with at least the keys that have no default
 =======================  ===========================================================================
 
 Keys have the names of fields, and are written in their order. What a file lacks has its default;
-keys that no field has are passed over. ``omitted()`` is a default that is not written; ``UNSET``
-likewise, of what may be null as well.
+keys that no field has are passed over, or are in a field that is ``rest()``, with their values.
+``omitted()`` is a default that is not written; ``UNSET`` likewise, of what may be null as well.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 import types
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import MISSING, field, fields, is_dataclass
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -62,9 +62,14 @@ class Unset(Enum):
 UNSET: Final = Unset.UNSET
 
 
-def omitted() -> Any:
-    """Returns a field's default: None, which is not written."""
-    return field(default=None, metadata={"omitted": True})
+def omitted(default: Any = None, needed: Callable[[Mapping[str, Any]], bool] | None = None) -> Any:
+    """Returns a field's default, which is not written; ``needed`` objects must have the key."""
+    return field(default=default, metadata={"omitted": True, "needed": needed})
+
+
+def rest() -> Any:
+    """Returns a field that has the keys, a ``Mapping``, that no other field has."""
+    return field(default_factory=dict, metadata={"rest": True})
 
 
 def natural(value: Any) -> str | None:
@@ -116,11 +121,12 @@ def decode[T](value: Any, kind: type[T], error: type[ScenecError], where: str) -
 def encode(value: Any) -> Any:
     """Returns a record, or what one may hold, as JSON values."""
     if is_dataclass(value):
-        return {
-            name: encode(inner)
-            for name, skip in _written(cast(Hashable, type(value)))
-            if (inner := getattr(value, name)) is not UNSET and not (skip and inner is None)
-        }
+        found: dict[str, Any] = {}
+        for name, is_rest, skipped in _written(cast(Hashable, type(value))):
+            inner = getattr(value, name)
+            if inner is not UNSET and inner is not skipped:
+                found |= encode(inner) if is_rest else {name: encode(inner)}
+        return found
     if isinstance(value, Mapping):
         return {str(key): encode(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -138,8 +144,12 @@ class _MismatchError(Exception):
 
 
 @cache
-def _written(kind: Any) -> tuple[tuple[str, bool], ...]:
-    return tuple((one.name, "omitted" in one.metadata) for one in fields(kind))
+def _written(kind: Any) -> tuple[tuple[str, bool, Any], ...]:
+    """Returns of each field its name, whether it is the rest, and what of it is not written."""
+    return tuple(
+        (one.name, "rest" in one.metadata, one.default if "omitted" in one.metadata else UNSET)
+        for one in fields(kind)
+    )
 
 
 @cache
@@ -223,13 +233,22 @@ def _mapping(inner: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return read
 
 
+def _is_needed(one: Field[Any]) -> Callable[[Any], bool] | None:
+    if one.default is MISSING and one.default_factory is MISSING:
+        return lambda _value: True
+    needed: Callable[[Any], bool] | None = one.metadata.get("needed")
+    return needed
+
+
 def _record(kind: Any) -> Callable[[Any], Any]:
     hints = get_type_hints(kind, include_extras=True)
-    keys = {one.name: _reader(hints[one.name]) for one in fields(kind)}
-    needed = {
-        one.name
+    others = next((one.name for one in fields(kind) if "rest" in one.metadata), None)
+    readers = {one.name: _reader(hints[one.name]) for one in fields(kind)}
+    of_others = {} if others is None else {others: readers.pop(others)}
+    keys = {
+        one.name: (readers[one.name], _is_needed(one))
         for one in fields(kind)
-        if one.default is MISSING and one.default_factory is MISSING
+        if one.name in readers
     }
 
     def read(value: Any) -> Any:
@@ -237,15 +256,18 @@ def _record(kind: Any) -> Callable[[Any], Any]:
             raise _expected(NAMES[dict], value)
         found, key = {}, ""
         try:
-            for key, inner in keys.items():
+            for key, (inner, is_needed) in keys.items():
                 if key in value:
                     found[key] = inner(value[key])
-                elif key in needed:
+                elif is_needed is not None and is_needed(value):
                     break
             else:
+                for key, inner in of_others.items():
+                    found[key] = inner({name: value[name] for name in value if name not in keys})
                 return kind(**found)
         except _MismatchError as fault:
-            fault.place.append(key)
+            if key in keys:
+                fault.place.append(key)
             raise
         guess = closest(key, [name for name in value if name not in keys])
         mend = "" if guess is None else f"; is it {shown(guess)}?"

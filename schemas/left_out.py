@@ -23,18 +23,19 @@ all others were never placed.
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import UNSET, Natural, Unset, read_record
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import write_json
 from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
-from scenec.schemas.shape import Each, natural, read_shaped
 
 #: What a step or a kind reports of its own for report.json: JSON.
 Facts = dict[str, Any]
@@ -94,14 +95,24 @@ def _is_reason(value: Any) -> str | None:
     return None if value in list(Reason) else f"one of {', '.join(Reason)}"
 
 
-_SHAPE = {
-    "format": natural,
-    "tiles": Each(_is_reason),
-    "classes": Each(
-        {"drawn": natural, "bits": natural, "reasons": [_is_reason], "codes": str,
-         "ids?": [natural]}
-    ),
-}  # fmt: skip
+@dataclass(frozen=True, kw_only=True)
+class PackedClass:
+    """What ``left_out.json`` says of a class: see the module."""
+
+    drawn: Natural
+    bits: Natural
+    reasons: tuple[Annotated[str, _is_reason], ...]
+    codes: str
+    ids: tuple[Natural, ...] | Unset = UNSET
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackedRecord:
+    """What ``left_out.json`` holds: see the module."""
+
+    format: Natural
+    tiles: Mapping[str, Annotated[str, _is_reason]]
+    classes: Mapping[str, PackedClass]
 
 
 @dataclass(frozen=True)
@@ -203,18 +214,18 @@ def read_left_out(folder: Path) -> Record | None:
     path = folder / LEFT_OUT
     what = "record of what was left out"
     try:
-        value = read_shaped(path, _SHAPE, OutputError, what)
+        value = read_record(path, PackedRecord, OutputError, what)
     except FileNotFoundError:
         return None
-    if value["format"] != _FORMAT:
+    if value.format != _FORMAT:
         raise OutputError(f"{path}: a record of another version; compile again")
     classes = {}
-    for name, one in value["classes"].items():
+    for name, one in value.classes.items():
         try:
             classes[name] = _from_json(one)
         except (ValueError, OverflowError, MemoryError) as error:
             raise OutputError(f"{path}: is no {what}: /classes/{name}: {error}") from error
-    tiles = {name: Reason(reason) for name, reason in value["tiles"].items()}
+    tiles = {name: Reason(reason) for name, reason in value.tiles.items()}
     return Record(classes, tiles)
 
 
@@ -236,21 +247,21 @@ def _as_json(one: ClassRecord) -> dict[str, Any]:
     }
 
 
-def _from_json(value: dict[str, Any]) -> ClassRecord:
+def _from_json(value: PackedClass) -> ClassRecord:
     """The other way.
 
     Raises:
         ValueError, OverflowError: It is not what ``_as_json`` makes.
     """
-    drawn, bits = int(value["drawn"]), int(value["bits"])
+    drawn, bits = value.drawn, value.bits
     # Before there are arrays of that size: base64 takes four characters for three bytes.
-    if bits not in _BITS or ("ids" not in value and drawn > 6 * (len(value["codes"]) + 1)):
+    if bits not in _BITS or (value.ids is UNSET and drawn > 6 * (len(value.codes) + 1)):
         raise ValueError("numbers out of range")
-    ids = np.array(value["ids"], np.int64) if "ids" in value else np.arange(1, drawn + 1)
+    ids = np.arange(1, drawn + 1) if value.ids is UNSET else np.array(value.ids, np.int64)
     if len(ids) and not (ids[0] > 0 and ids[-1] <= drawn and (np.diff(ids) > 0).all()):
         raise ValueError("numbers out of range")
-    names = np.array([ORDER.index(Reason(name)) for name in value["reasons"]], np.uint8)
-    codes = _unpacked(base64.b64decode(value["codes"], validate=True), bits, len(ids))
+    names = np.array([ORDER.index(Reason(name)) for name in value.reasons], np.uint8)
+    codes = _unpacked(base64.b64decode(value.codes, validate=True), bits, len(ids))
     if len(codes) and codes.max() >= len(names):
         raise ValueError("a code without a reason")
     reasons = names[codes] if len(codes) else np.zeros(0, np.uint8)

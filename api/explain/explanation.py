@@ -12,6 +12,9 @@ from scenec.api.explain.data import BatchData, read_batches
 from scenec.api.explain.left_out import as_json, left_out_of, left_out_text, parts_of, rates_of
 from scenec.api.explain.passes import frames_text, passes_text, rows_of
 from scenec.api.explain.stage import StageContents, read_contents
+from scenec.schemas.errors import OutputError
+from scenec.schemas.files import read_json
+from scenec.schemas.manifest import REPORT
 
 #: Columns of a text, where nobody says otherwise.
 WIDTH = 100
@@ -79,7 +82,9 @@ class Explanation:
         """For scripts."""
         data = [one.data for one in self.batches]
         return {
-            "reports": {batch.name: batch.report for batch in data},
+            "reports": {
+                one.name: read_json(one.folder / REPORT, OutputError, "report") for one in data
+            },
             "seconds": {batch.name: batch.seconds for batch in data if batch.seconds},
             "batches": {one.data.name: one.as_json() for one in self.batches},
         }

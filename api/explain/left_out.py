@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from scenec.api.explain.data import BatchData
 from scenec.api.explain.stage import StageContents
+from scenec.schemas.report import BatchReport, ClassFacts, MeshFacts, SurfaceFacts
 
 #: Bytes that stand for a triangle where nothing was rendered: three corners in float32.
 _TRIANGLE = 36
@@ -104,54 +105,43 @@ def rates_of(batch: BatchData, contents: StageContents) -> Rates:
     """Measures a batch's costs of a byte and of a triangle."""
     loads = [(one.seconds["load"], one.backend) for one in batch.frames if "load" in one.seconds]
     load, backend = max(loads, default=(None, ""))
-    return Rates(
-        batch.seconds.get("emit"), int(batch.report["bytes"]), load, contents.triangles, backend
-    )
+    return Rates(batch.seconds.get("emit"), batch.report.bytes, load, contents.triangles, backend)
 
 
-def left_out_of(report: Mapping[str, Any], rates: Rates | None = None) -> list[LeftOut]:
+def left_out_of(report: BatchReport, rates: Rates | None = None) -> list[LeftOut]:
     """Lists what is not in the stage, most effective first.
 
     By seconds where they can be estimated, else by bytes and triangles; then by instances.
 
     Args:
-        report: report.json.
+        report: Of the batch.
         rates: For seconds.
-
-    Raises:
-        KeyError, TypeError, AttributeError, ValueError: It is no report.
     """
     found = [
-        LeftOut(
-            entry["what"],
-            entry["why"],
-            int(entry.get("instances", 0)),
-            int(entry.get("triangles", 0)),
-            int(entry.get("bytes") or 0),
-        )
-        for entry in report.get("left_out", [])
+        LeftOut(one.what, one.why, one.instances, one.triangles, one.bytes or 0)
+        for one in report.left_out
     ]
-    found += _coarser_ground(report["ground"].get("mesh"))
-    for name, entry in report.get("objects", {}).items():
+    found += _coarser_ground(report.ground.mesh)
+    for name, entry in report.objects.items():
         found += _coarser_objects(name, entry)
         why = f"of a model of objects/{name}; the surface model has no place for it"
-        found += [LeftOut(note, why) for note in entry.get("left_out", [])]
-    for name, entry in report.get("surfaces", {}).items():
-        found += _smaller_pictures(name, entry)
+        found += [LeftOut(note, why) for note in entry.left_out]
+    for name, surface in report.surfaces.items():
+        found += _smaller_pictures(name, surface)
     if rates is not None:
         found = [replace(one, seconds=rates.seconds(one)) for one in found]
     return sorted(found, key=lambda one: (-(one.seconds or 0.0), -one.weight, -one.instances))
 
 
-def parts_of(report: Mapping[str, Any], contents: StageContents, left: Sequence[LeftOut]) -> Parts:
+def parts_of(report: BatchReport, contents: StageContents, left: Sequence[LeftOut]) -> Parts:
     """Measures how much of a batch is in its stage.
 
     Args:
-        report: report.json.
+        report: Of the batch.
         contents: What the stage holds.
         left: What is not in it.
     """
-    instances, triangles, written = contents.instances, contents.triangles, int(report["bytes"])
+    instances, triangles, written = contents.instances, contents.triangles, report.bytes
     return Parts(
         (instances, instances + sum(one.instances for one in left)),
         (triangles, triangles + sum(one.triangles for one in left)),
@@ -204,29 +194,29 @@ def size(number: int) -> str:
     return f"{value:.0f} {unit}" if unit == "B" else f"{value:.3g} {unit}"
 
 
-def _coarser_ground(mesh: Mapping[str, Any] | None) -> list[LeftOut]:
-    if mesh is None or mesh["triangles"] >= mesh["triangles_of_grid"]:
+def _coarser_ground(mesh: MeshFacts | None) -> list[LeftOut]:
+    if mesh is None or mesh.triangles >= mesh.triangles_of_grid:
         return []
-    spared = int(mesh["triangles_of_grid"] - mesh["triangles"])
-    why = f"no view shows more than {mesh['tolerance_reached_px']:.2g} px of them"
+    spared = mesh.triangles_of_grid - mesh.triangles
+    why = f"no view shows more than {mesh.tolerance_reached_px:.2g} px of them"
     return [LeftOut("terrain: triangles of the grid", why, triangles=spared)]
 
 
-def _coarser_objects(name: str, entry: Mapping[str, Any]) -> list[LeftOut]:
-    spared = int(entry.get("triangles_finest", entry["triangles"]) - entry["triangles"])
+def _coarser_objects(name: str, entry: ClassFacts) -> list[LeftOut]:
+    spared = entry.triangles_spared
     if spared <= 0:
         return []
-    why = f"coarser levels of detail show errors of {entry['lod_error_max_px']:.2g} px at most"
+    why = f"coarser levels of detail show errors of {entry.lod_error_max_px:.2g} px at most"
     return [LeftOut(f"objects/{name}: finer levels of detail", why, triangles=spared)]
 
 
-def _smaller_pictures(name: str, entry: Mapping[str, Any]) -> list[LeftOut]:
+def _smaller_pictures(name: str, entry: SurfaceFacts) -> list[LeftOut]:
     found = []
-    for kind, picture in entry.get("pictures", {}).items():
-        if picture.get("bytes_saved", 0) <= 0:
+    for kind, picture in entry.pictures.items():
+        if picture.bytes_saved <= 0 or picture.texels_kept is None:
             continue
-        wide, high = picture["texels_kept"]
+        wide, high = picture.texels_kept
         why = f"a pixel shows no more than {wide} × {high} of them"
         what = f"materials/{name}: texels of {kind.replace('_', ' ')}"
-        found.append(LeftOut(what, why, bytes=int(picture["bytes_saved"])))
+        found.append(LeftOut(what, why, bytes=int(picture.bytes_saved)))
     return found

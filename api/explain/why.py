@@ -16,6 +16,7 @@ from scenec.api.explain.stage import ClassContents, StageContents, read_contents
 from scenec.schemas import stage as names
 from scenec.schemas.errors import OutputError
 from scenec.schemas.left_out import Reason, Record, read_left_out
+from scenec.schemas.report import ClassFacts
 from scenec.schemas.spelling import nearest
 
 _OBJECTS = f"{names.ROOT}/Objects/"
@@ -143,7 +144,7 @@ class _BatchIndex:
         self.data = data
         self.contents = contents
         self.record = record
-        self.names = tuple(data.report.get("objects", {}))
+        self.names = tuple(data.report.objects)
 
     def drawn(self, name: str) -> int:
         """Largest local id of a class."""
@@ -251,18 +252,18 @@ def _of_instance(index: _BatchIndex, name: str, local_id: int) -> Why:
         words,
         frame_id,
         (x, y, z),
-        _level(index.data.report["objects"][name], there, at, sight),
+        _level(index.data.report.objects[name], there, at, sight),
         sight,
     )
 
 
-def _level(entry: dict[str, Any], there: ClassContents, at: int, sight: Sight | None) -> Level:
+def _level(entry: ClassFacts, there: ClassContents, at: int, sight: Sight | None) -> Level:
     mesh = there.meshes[there.which[at]]
     triangles = int(there.triangles[there.which[at]])
-    known = entry.get("levels", {}).get(mesh)
+    known = entry.levels.get(mesh)
     if known is None:
         return Level(mesh, triangles)
-    error = float(known["error"]) * float(there.scales[at])
+    error = known.error * float(there.scales[at])
     return Level(mesh, triangles, error, None if sight is None else error * sight.pixels_per_m)
 
 
@@ -316,7 +317,7 @@ def _of_other(index: _BatchIndex, path: str) -> Why:
     if there:
         return Why(path, index.data.name, True, "prim", "it is one of its prims")
     last = path.rsplit("/", 1)[-1]
-    for entry in index.data.report.get("left_out", []):
-        if last in entry["what"].partition(":")[0].split("/"):
-            return Why(path, index.data.name, False, "left out", f"{entry['what']}: {entry['why']}")
+    for entry in index.data.report.left_out:
+        if last in entry.what.partition(":")[0].split("/"):
+            return Why(path, index.data.name, False, "left out", f"{entry.what}: {entry.why}")
     raise OutputError(f"{index.data.folder}: no prim {path}{nearest(path, known)}")

@@ -38,7 +38,7 @@ _MOST_GROWTH = 8
 #: A round that adds less than a part in this many of what is there is not worth its start.
 _LEAST_PART = 8
 
-#: ``draw(spp, seed)``: a picture of its own noise. ``draw(spp, seed, first)``: one that goes on
+#: ``draw(spp, seed)``: a picture of its own noise. ``draw(spp, seed, first=n)``: one that goes on
 #: after so many samples per pixel of the same seed.
 Draw = Callable[..., Radiance]
 #: ``denoise(radiance, seed)``: the mean of all rounds so far, denoised.
@@ -139,7 +139,7 @@ def collect(
     while True:
         name = round_seed(seed, 0 if continues else len(rounds.made))
         start = clock()
-        total.add(draw(spp, name, rounds.spp) if continues else draw(spp, name))
+        total.add(draw(spp, name, first=rounds.spp) if continues else draw(spp, name))
         picture = total.radiance()
         clean = None
         if lost:

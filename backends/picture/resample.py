@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scenec.backends.camera.lens import Projection, RayTable, local_rays, ray_table
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.noise_seeds import view_seed
-from scenec.backends.picture.tiles import radiance
+from scenec.backends.picture.tiles import drawer
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.kernels import kernel
@@ -124,7 +124,13 @@ def plan_views(camera: Camera) -> Views:
 
 
 def draw(
-    backend: Backend, camera: Camera, views: Views, sample: int, spp: int, seed: int, denoise: bool
+    backend: Backend,
+    camera: Camera,
+    views: Views,
+    sample: int,
+    spp: int,
+    seed: int,
+    denoise: bool = False,
 ) -> Radiance:
     """A picture of a camera with a lens, of views that a backend renders.
 
@@ -143,7 +149,7 @@ def draw(
     each = max(1, int(np.ceil(spp / views.fineness**2)))
     parts = []
     for i, view in enumerate(views.cameras):
-        parts.append(radiance(backend, view, sample, each, view_seed(seed, i), denoise))
+        parts.append(drawer(backend, view, sample, denoise)(each, view_seed(seed, i)))
     clean = [_denoised(part) for part in parts]
     channels = 7 + 3 * len(clean[0])
     picture = np.zeros((camera.height, camera.width, channels), np.float32)

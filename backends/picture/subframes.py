@@ -44,7 +44,7 @@ from scenec.backends.noise_seeds import sub_frame_number, sub_frame_seed
 from scenec.backends.picture.blur import MOST, Blur
 from scenec.backends.picture.compose import background
 from scenec.backends.picture.sky import combine
-from scenec.backends.picture.tiles import radiance
+from scenec.backends.picture.tiles import drawer
 from scenec.backends.stage.scene import Camera, Focus, RenderScene
 from scenec.schemas.records import BlurRecord
 
@@ -267,7 +267,7 @@ class Drawing:
     def _still(self, camera: Camera, spp: int, seed: int) -> Radiance:
         """A picture of a camera without shutter and aperture."""
         if camera.lens is None or self._backend.follows_lenses:
-            return radiance(self._backend, camera, self._sample, spp, seed)
+            return drawer(self._backend, camera, self._sample)(spp, seed)
         # Imported here: few cameras have a lens.
         from scenec.backends.picture import resample
 
@@ -276,7 +276,7 @@ class Drawing:
             # A few rows, all of them outside of the image circle.
             nothing = np.zeros((2, camera.height, camera.width, 3), np.float32)
             return Radiance(nothing, nothing[0, ..., 0], spp, stochastic=self._stochastic)
-        return resample.draw(self._backend, camera, views, self._sample, spp, seed, False)
+        return resample.draw(self._backend, camera, views, self._sample, spp, seed)
 
     def _complete(
         self, camera: Camera, there: Camera, drawn: Radiance

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,31 +11,39 @@ from scenec.backends.camera import tiles
 from scenec.backends.camera.tiles import crop
 from scenec.backends.contract import Backend, Radiance
 from scenec.backends.noise_seeds import tile_seed
+from scenec.backends.picture.adaptive import Draw
 from scenec.backends.stage.scene import Camera
+from scenec.schemas.errors import BackendError
 
 
-def radiance(
-    backend: Backend,
-    camera: Camera,
-    sample: int,
-    spp: int,
-    seed: int,
-    denoise: bool = False,
-    first: int = 0,
-) -> Radiance:
-    """Renders a picture by ``Backend.radiance``; a large one by tiles, each with noise of its own.
+def drawer(backend: Backend, camera: Camera, sample: int, denoise: bool = False) -> Draw:
+    """Returns what draws a camera's picture: the backend itself, or a large one tile by tile.
 
-    A denoised one is drawn in one go: tiles would show. What has a ``first`` is for backends that
-    go on from there (``Backend.continues``).
-
-    Raises:
-        BackendError: The renderer failed.
+    A denoised one is drawn in one go: tiles would show.
     """
+    if denoise:
+        return partial(_denoised, backend, camera, sample)
     width, height = camera.width, camera.height
-    more: dict[str, Any] = {"first": first} if first else {}
     small = width * height <= tiles.PIXELS and width <= tiles.WIDEST and height <= tiles.TALLEST
-    if denoise or small:
-        return backend.radiance(camera, sample, spp, seed, denoise, **more)
+    if small:
+        return partial(backend.radiance, camera, sample)
+    return partial(_by_tiles, backend, camera, sample)
+
+
+def _denoised(
+    backend: Backend, camera: Camera, sample: int, spp: int, seed: int, **more: Any
+) -> Radiance:
+    found = backend.radiance(camera, sample, spp, seed, True, **more)
+    if found.denoised is None:
+        raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
+    return found
+
+
+def _by_tiles(
+    backend: Backend, camera: Camera, sample: int, spp: int, seed: int, **more: Any
+) -> Radiance:
+    """Draws tiles, each with noise of its own."""
+    width, height = camera.width, camera.height
     halves = np.empty((2, height, width, 3), np.float32)
     coverage = np.empty((height, width), np.float32)
     dropped, stochastic, drawn = 0, True, spp

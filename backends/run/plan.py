@@ -20,34 +20,26 @@ USUAL_SPP = 64
 class RenderPlan:
     """Declares what to render, and how well.
 
+    What else is told of a field stands at ``scenec.api.options.RenderOptions``, of which a
+    command's plan is made.
+
     Attributes:
         backend: Name, see ``registry``; "auto" for the first that works (``run.auto``).
             Without ``rgb`` no renderer starts, and frames go to ``frames/annotation``.
-        passes: ``rgb``, ``depth``, ``range``, ``label`` (all levels) or ``label.<level>``,
-            ``instance``, ``normal``, ``position``, ``face``, ``amodal`` (masks, a file of their
-            own; it brings ``instance`` with it); None takes the stage's own choice, of annotation
-            alone all of that but ``rgb``.
-        samples: Only these time codes.
-        batches: Only these batches.
-        cameras: Only these, by name.
-        spp: Samples per pixel of ``rgb``; None is 64. With ``error`` or ``seconds`` it is the most
-            there may be; None is 4096 then.
-        error: Render ``rgb`` in rounds until its relative rms error is below this by its 95 % bound
-            (``noise.estimate``).
-        seconds: Render ``rgb`` in rounds for as long as this, a frame; loading and annotation do
-            not count. Such frames depend on the machine's speed; those that are there still count
-            as made.
-        denoise: Whether to denoise ``rgb``; the error that remains is then unknown.
+        passes: ``amodal`` brings ``instance`` with it; None takes the stage's own choice.
+        samples, batches, cameras: Only these: time codes, numbers, names.
+        spp: None is 64; with ``error`` or ``seconds`` 4096.
+        error: As of ``noise.estimate``.
+        seconds: A frame's, without loading and annotation; one that is there still counts as made.
+        denoise: Whether to; the error that remains is then unknown.
         noise_seed: Renderings with different ones have independent noise.
-        device: One of the backend's devices, or "auto" for the fastest that works here.
+        device: One of the backend's devices, or "auto".
         folder: Where frames go (``<folder>/frames``; for several batches, a folder each in it);
             None puts them into the batches' own.
-        allow_missing: Whether to render what is there of a stage that is not whole (layers, prims,
-            pictures that are missing, files that are not those of the manifest): sidecars then say
-            what was missing, under ``losses``, and a later render of the whole stage makes these
-            frames again.
-        replace: Whether frames of the same stage may be replaced that have passes, samples, a
-            target, noise or denoising that this plan does not ask for.
+        allow_missing: Sidecars then say what was missing, under ``losses``, and a later render of
+            the whole stage makes these frames again.
+        replace: Whether frames of the same stage may be replaced that have what this plan does not
+            ask for.
 
     Raises:
         BackendError: What no stage and no machine could make possible: there is no such backend, it

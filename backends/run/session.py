@@ -21,7 +21,7 @@ from scenec.backends.camera.tiles import witness
 from scenec.backends.contract import Backend, Radiance, Visibility
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.picture import tiles
-from scenec.backends.picture.adaptive import Draw, Rounds, Target, collect
+from scenec.backends.picture.adaptive import Denoise, Draw, Rounds, Target, collect
 from scenec.backends.picture.compose import Picture, compose
 from scenec.backends.picture.exposure import Meter
 from scenec.backends.registry import open_backend
@@ -33,18 +33,13 @@ from scenec.backends.run.facts import (
     annotation_versions,
     describe_frame,
 )
-from scenec.backends.run.reuse import find_annotation
-from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
-from scenec.schemas.errors import BackendError, CameraRefusedError, StageError
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, FrameKey
+from scenec.schemas.errors import BackendError, CameraRefusedError
+from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
-from scenec.schemas.memory import GB
 from scenec.schemas.records import (
-    BackendChoice,
-    BlurRecord,
     FrameRecord,
     HazePixels,
     LensRadiance,
@@ -59,19 +54,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceLight:
-    """Light from surfaces, and how it was drawn.
+    """How light from surfaces is drawn for a frame.
 
     Attributes:
-        radiance: What the backend returned, or the sum of rounds.
-        rounds: Of adaptive sampling; None for a picture drawn at once.
-        lens: How it came through a lens; None: a pinhole.
-        blur: What is approximated of shutter and aperture; None without either.
+        draw: Draws a picture.
+        continues: Whether it goes on from samples that were drawn before.
+        denoise: Denoises a mean of rounds; None: ``draw`` does so, if it is asked for.
+        lens: How it comes through a lens; None: a pinhole.
+        blurred: What draws an open shutter or an aperture, and says how; None without either.
     """
 
-    radiance: Radiance
-    rounds: Rounds | None
+    draw: Draw
+    continues: bool
+    denoise: Denoise | None
     lens: LensRadiance | None
-    blur: BlurRecord | None
+    blurred: Drawing | None
 
 
 class Session:
@@ -89,8 +86,9 @@ class Session:
         self.scene = scene
         self.backend = backend
         self._caster: ExactCaster | None = None
-        self._meter = Meter(scene)
         self._loaded = False
+        #: Of its cameras' exposures.
+        self.meter = Meter(scene)
         #: Where frames of it go, as far as they have been made ready.
         self.folders: set[Path] = set()
 
@@ -194,11 +192,18 @@ class Session:
         """
         seconds: dict[str, float] = {}
         arrays: dict[str, NDArray] = {}
-        light = None
+        radiance = rounds = None
         if "rgb" in passes:
-            light = self._light(camera, sample, spp, seed, denoise, seconds, target)
+            light = self._plan_light(camera, sample, denoise, target is not None, seconds)
+            with timed(seconds, "radiance"):
+                if target is None:
+                    radiance = light.draw(spp, seed)
+                else:
+                    radiance, rounds = collect(
+                        light.draw, seed, target, continues=light.continues, denoise=light.denoise
+                    )
             # First of the passes, whatever is known of it only later.
-            arrays["rgb"] = light.radiance.halves[0]
+            arrays["rgb"] = radiance.halves[0]
         record = describe_frame(self.scene, camera, sample, self.facts())
         annotation = [name for name in passes if name != "rgb"]
         found = ready
@@ -217,18 +222,18 @@ class Session:
                 height_above_surface_m=found.height_m,
                 sky=None if sky is None else SkyPixels(pixels=sky[0], below_horizon=sky[1]),
             )
-        if light is not None:
+        if radiance is not None:
             hits = None if found is None else found.hits
-            veil = self._veil(light.radiance, camera, sample, hits, seconds)
-            with _timed(seconds, "compose"):
-                picture = compose(light.radiance, self.scene, camera, sample, veil)
+            veil = self._veil(radiance, camera, sample, hits, seconds)
+            with timed(seconds, "compose"):
+                picture = compose(radiance, self.scene, camera, sample, veil)
             arrays["rgb"] = picture.rgb
-            record = self._describe_light(record, light, picture, veil)
+            record = self._describe_light(record, light, radiance, rounds, picture, veil)
         return FrameResult(
             arrays,
             replace(record, seconds=seconds),
             None if found is None else found.seen,
-            None if light is None else light.radiance.coverage > 0.0,
+            None if radiance is None else radiance.coverage > 0.0,
         )
 
     def write_instances(self, folder: Path) -> None:
@@ -244,64 +249,6 @@ class Session:
         if table_digest(path) != self.scene.digest:
             write_table(path, self.instances.table())
 
-    def render_to(
-        self,
-        stem: Path,
-        camera_index: int,
-        sample: int,
-        key: FrameKey,
-        seed: int,
-        choice: BackendChoice | None = None,
-    ) -> FrameRecord:
-        """Render a frame and write it; returns its record, with the seconds of writing.
-
-        A ``choice`` of this backend is noted in the sidecar.
-
-        Raises:
-            BackendError: There is no such camera or sample, or the renderer failed.
-            StageError: The frame is to be of another stage than the one that was opened.
-            OutputError: A file cannot be written.
-        """
-        if key.stage_digest != self.scene.digest:
-            # A process that was replaced has opened it again.
-            raise StageError(f"{self.scene.source}: has changed since rendering began; run again")
-        camera = self._camera(camera_index, sample)
-        memory.reset_peak()
-        annotation = [name for name in key.passes if name != "rgb"]
-        ready = find_annotation(stem, self.scene.digest, annotation) if annotation else None
-        once = key.error is None and key.seconds is None
-        target = None if once else Target(key.error, key.seconds, key.spp)
-        exposure, metering = None, dict[str, float]()
-        if "rgb" in key.passes:
-            with _timed(metering, "exposure"):
-                camera, exposure = self._meter.exposed(
-                    camera, sample, lambda: self.caster(metering)
-                )
-            metering["exposure"] -= metering.get("load", 0.0)
-        result = self.render(camera, sample, key.passes, key.spp, seed, key.denoise, target, ready)
-        seconds = dict(result.record.seconds or {})
-        for step, took in metering.items():
-            seconds[step] = seconds.get(step, 0.0) + took
-        peak = memory.peak()
-        taken = None
-        if camera.imaging is not None and "rgb" in result.arrays:
-            # Imported here: few cameras have any.
-            from scenec.backends.imaging.camera import take
-
-            with _timed(seconds, "imaging"):
-                taken = take(result.arrays["rgb"], camera, camera.imaging, sample)
-        record = replace(
-            result.record,
-            exposure=exposure,
-            peak_memory_gb=None if peak is None else round(peak / GB, 3),
-            choice=choice,
-            seconds=dict(seconds),
-        )
-        with _timed(seconds, "write"):
-            result = replace(result, record=record)
-            record = write_frame(stem, result, key, self.scene, camera, taken)
-        return replace(record, seconds=seconds)
-
     def witness(self, camera_index: int, sample: int) -> Visibility | None:
         """Returns the backend's own first hits of a frame, for checks.
 
@@ -311,62 +258,46 @@ class Session:
         Raises:
             BackendError: There is no such camera or sample, or the renderer failed.
         """
-        camera = self._camera(camera_index, sample)
+        camera = self.camera(camera_index, sample)
         backend = self._renderer({})
         plain = camera.lens is None and not is_rolling(camera)
         return witness(
             lambda rays, part: backend.witness(rays, sample, part if plain else None), camera
         )
 
-    def _light(
-        self,
-        camera: Camera,
-        sample: int,
-        spp: int,
-        seed: int,
-        denoise: bool,
-        seconds: dict[str, float],
-        target: Target | None,
+    def _plan_light(
+        self, camera: Camera, sample: int, denoise: bool, rounds: bool, seconds: dict[str, float]
     ) -> SurfaceLight:
-        """Light from surfaces; with a target, in rounds."""
+        """Plans how light from surfaces is drawn: by whom, and what comes after."""
         backend = self._renderer(seconds)
-        views = through_lens = None
+        views = lens = None
         if camera.lens is not None:
             # Imported here: few cameras have a lens.
-            from scenec.backends.camera import lens
+            from scenec.backends.camera.lens import ray_table
             from scenec.backends.picture import resample
 
             if backend.follows_lenses:
-                error = lens.ray_table(camera).error_px
-                through_lens = LensRadiance(way="rays", interpolation_px=error)
+                lens = LensRadiance(way="rays", interpolation_px=ray_table(camera).error_px)
             else:
                 views = resample.plan_views(camera)
-                through_lens = views.record()
-
-        def draw(count: int, noise: int, first: int = 0) -> Radiance:
-            if views is not None:
-                found = resample.draw(backend, camera, views, sample, count, noise, denoise)
-            else:
-                found = tiles.radiance(backend, camera, sample, count, noise, draws_clean, first)
-            if draws_clean and found.denoised is None:
-                raise BackendError(f"backend {backend.name} was asked to denoise, and did not")
-            return found
-
+                lens = views.record()
         blurred = self._blurred(camera, sample, denoise, seconds)
         # What can denoise a mean of rounds does so, and no round.
-        clean = backend.denoise if denoise and views is None else None
-        later = None if clean is None or target is None else partial(clean, camera, sample)
-        draws_clean = denoise and later is None
-        goes_on = backend.continues and views is None and blurred is None
-        rounds = None
-        with _timed(seconds, "radiance"):
-            drawing: Draw = draw if blurred is None else blurred.draw
-            if target is None:
-                radiance = drawing(spp, seed)
-            else:
-                radiance, rounds = collect(drawing, seed, target, continues=goes_on, denoise=later)
-        blur = None if blurred is None else blurred.record
-        return SurfaceLight(radiance, rounds, through_lens, blur)
+        clean = backend.denoise if denoise and rounds and views is None else None
+        draw: Draw
+        if blurred is not None:
+            draw = blurred.draw
+        elif views is not None:
+            draw = partial(resample.draw, backend, camera, views, sample, denoise=denoise)
+        else:
+            draw = tiles.drawer(backend, camera, sample, denoise and clean is None)
+        return SurfaceLight(
+            draw,
+            backend.continues and views is None and blurred is None,
+            None if clean is None else partial(clean, camera, sample),
+            lens,
+            blurred,
+        )
 
     def _blurred(
         self, camera: Camera, sample: int, denoise: bool, seconds: dict[str, float]
@@ -386,7 +317,7 @@ class Session:
 
         caster = self.caster(seconds)
         caster.pose(sample)
-        with _timed(seconds, "blur"):
+        with timed(seconds, "blur"):
             found = blur.measure(camera, caster)
         if found is None:
             return None
@@ -410,7 +341,7 @@ class Session:
         from scenec.backends.picture.haze import veil
 
         caster = self.caster(seconds)
-        with _timed(seconds, "haze"):
+        with timed(seconds, "haze"):
             rays = camera_rays(camera)
             air = self._hazy.air(sample)
             assert air is not None
@@ -420,24 +351,27 @@ class Session:
             return veil(air, camera, caster, rays, hits.t, radiance.coverage)
 
     def _describe_light(
-        self, record: FrameRecord, light: SurfaceLight, picture: Picture, veil: Veil | None
+        self,
+        record: FrameRecord,
+        light: SurfaceLight,
+        radiance: Radiance,
+        rounds: Rounds | None,
+        picture: Picture,
+        veil: Veil | None,
     ) -> FrameRecord:
         """Adds what there is to say of ``rgb``."""
-        radiance, rounds = light.radiance, None
         denoised = radiance.denoised is not None
         error = picture.denoised if denoised else picture.noise
         assert error is not None
-        if light.rounds is not None:
-            after = error.relative_rms_bound_95
-            rounds = light.rounds.record(
-                picture.noise.relative_rms_bound_95 if after is None else after
-            )
+        bound = error.relative_rms_bound_95
+        if bound is None:
+            bound = picture.noise.relative_rms_bound_95
         return replace(
             record,
             losses=tuple(self.losses),
             denoised=self.facts().denoiser if denoised else None,
             lens_radiance=light.lens,
-            blur=light.blur,
+            blur=None if light.blurred is None else light.blurred.record,
             haze=None
             if veil is None
             else HazePixels(subsampled_pixels=veil.subsampled, changing_pixels=veil.changing),
@@ -445,12 +379,12 @@ class Session:
             samples_dropped=radiance.dropped,
             estimated_error=error,
             estimated_error_before_denoising=picture.noise if denoised else None,
-            rounds=rounds,
+            rounds=None if rounds is None else rounds.record(bound),
         )
 
     def caster(self, seconds: dict[str, float] | None = None) -> ExactCaster:
         """The exact caster, of the scene as it was posed last; what building it takes is added."""
-        with _timed({} if seconds is None else seconds, "load"):
+        with timed({} if seconds is None else seconds, "load"):
             if self._caster is None:
                 self._caster = ExactCaster(self.scene)
         return self._caster
@@ -473,21 +407,26 @@ class Session:
             raise CameraRefusedError(
                 f"{ANNOTATION} has no rgb; leave rgb out of --passes, or use --backend mitsuba"
             )
-        with _timed(seconds, "load"):
+        with timed(seconds, "load"):
             if not self._loaded:
                 memory.require_room(self.backend.name, self.backend.load_cost, self.scene)
                 self.backend.load(self._hazy.lit() if any(self.scene.haze) else self.scene)
                 self._loaded = True
         return self.backend
 
-    def _camera(self, index: int, sample: int) -> Camera:
+    def camera(self, index: int, sample: int) -> Camera:
+        """Returns a camera at a sample.
+
+        Raises:
+            BackendError: There is no such sample.
+        """
         if not 0 <= sample < len(self.scene.cameras):
             raise BackendError(f"{self.scene.source}: has no sample {sample}")
         return self.scene.cameras[sample][index]
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
     """Adds what the block takes to the seconds of a step."""
     start = time.perf_counter()
     yield

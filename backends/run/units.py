@@ -6,15 +6,16 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.backends.picture.brightness import FrameBrightness, brief
-from scenec.schemas.errors import BackendError, OutputError
+from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.files import sweep
 from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
+from scenec.schemas.memory import GB
 from scenec.schemas.native import native_reading
 from scenec.schemas.records import BackendChoice, FrameRecord
 from scenec.schemas.units import Keeper
@@ -302,15 +303,62 @@ class RenderFrame(MakeFile):
         Raises:
             ScenecError: See ``MakeFile``.
         """
-        session = self.holds.session(keeper)
-        if not self.key.backend_version.startswith(session.facts().version):
+        # Imported here: who gives units out has no need of it.
+        from scenec.backends.picture.adaptive import Target
+        from scenec.backends.run import memory
+        from scenec.backends.run.reuse import find_annotation
+        from scenec.backends.run.session import timed
+        from scenec.backends.run.writer import write_frame
+
+        session, key, sample = self.holds.session(keeper), self.key, self.sample
+        scene = session.scene
+        if not key.backend_version.startswith(session.facts().version):
             # A process that was replaced has imported it again.
-            raise BackendError(f"backend {self.key.backend} has changed meanwhile; run again")
+            raise BackendError(f"backend {key.backend} has changed meanwhile; run again")
         with self.claimed(session) as found:
             if found is not None:
                 return found
-            place = self.number, self.sample
-            record = session.render_to(self.stem, *place, self.key, self.seed, self.choice)
+            if key.stage_digest != scene.digest:
+                # A process that was replaced has opened it again.
+                raise StageError(f"{scene.source}: has changed since rendering began; run again")
+            camera = session.camera(self.number, sample)
+            memory.reset_peak()
+            annotation = [name for name in key.passes if name != "rgb"]
+            ready = find_annotation(self.stem, scene.digest, annotation) if annotation else None
+            once = key.error is None and key.seconds is None
+            target = None if once else Target(key.error, key.seconds, key.spp)
+            exposure, metering = None, dict[str, float]()
+            if "rgb" in key.passes:
+                with timed(metering, "exposure"):
+                    camera, exposure = session.meter.exposed(
+                        camera, sample, lambda: session.caster(metering)
+                    )
+                metering["exposure"] -= metering.get("load", 0.0)
+            result = session.render(
+                camera, sample, key.passes, key.spp, self.seed, key.denoise, target, ready
+            )
+            seconds = dict(result.record.seconds or {})
+            for step, took in metering.items():
+                seconds[step] = seconds.get(step, 0.0) + took
+            peak = memory.peak()
+            taken = None
+            if camera.imaging is not None and "rgb" in result.arrays:
+                # Imported here: few cameras have any.
+                from scenec.backends.imaging.camera import take
+
+                with timed(seconds, "imaging"):
+                    taken = take(result.arrays["rgb"], camera, camera.imaging, sample)
+            record = replace(
+                result.record,
+                exposure=exposure,
+                peak_memory_gb=None if peak is None else round(peak / GB, 3),
+                choice=self.choice,
+                seconds=dict(seconds),
+            )
+            with timed(seconds, "write"):
+                result = replace(result, record=record)
+                record = write_frame(self.stem, result, key, scene, camera, taken)
+            record = replace(record, seconds=seconds)
         return UnitResult(
             now=True,
             seconds=dict(record.seconds or {}),

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.datasets.export_records import EXPORT
 from scenec.datasets.models import MODEL_FORMATS
 from scenec.datasets.verify import Flaw
+from scenec.schemas.codec import UNSET, Natural, Unset, read_record
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import read_json, sha256
-from scenec.schemas.shape import Each, natural, read_shaped
 
 _WHAT = f"{EXPORT} of scenec"
-_SHAPE = {"batches": Each({"file": str, "bytes": natural, "sha256?": str})}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFile:
+    """The file of a batch, as it was written."""
+
+    file: str
+    bytes: Natural
+    sha256: str | Unset = UNSET
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelsRecord:
+    """What stands in the ``export.json`` of models: the file of each batch."""
+
+    batches: Mapping[str, ModelFile]
 
 
 def is_models(folder: Path) -> bool:
@@ -30,17 +47,17 @@ def verify_models(folder: Path) -> list[Flaw]:
     Raises:
         OutputError: Its ``export.json`` is none.
     """
-    report = read_shaped(folder / EXPORT, _SHAPE, OutputError, _WHAT)
+    batches = read_record(folder / EXPORT, ModelsRecord, OutputError, _WHAT).batches
     flaws = []
-    for entry in report["batches"].values():
-        file = folder / entry["file"]
+    for entry in batches.values():
+        file = folder / entry.file
         if not file.is_file():
-            flaws.append(Flaw(entry["file"], "is missing"))
-        elif file.stat().st_size != entry["bytes"]:
-            what = f"has {file.stat().st_size:,} bytes; {EXPORT} says {entry['bytes']:,}"
-            flaws.append(Flaw(entry["file"], what))
-        elif "sha256" in entry and sha256(file) != entry["sha256"]:
-            flaws.append(Flaw(entry["file"], f"was changed: its sha256 is not that of {EXPORT}"))
-    names = {entry["file"] for entry in report["batches"].values()}
+            flaws.append(Flaw(entry.file, "is missing"))
+        elif file.stat().st_size != entry.bytes:
+            what = f"has {file.stat().st_size:,} bytes; {EXPORT} says {entry.bytes:,}"
+            flaws.append(Flaw(entry.file, what))
+        elif entry.sha256 is not UNSET and sha256(file) != entry.sha256:
+            flaws.append(Flaw(entry.file, f"was changed: its sha256 is not that of {EXPORT}"))
+    names = {entry.file for entry in batches.values()}
     others = (p.name for p in sorted(folder.glob("batch_*")) if p.name not in names)
     return flaws + [Flaw(name, f"is no part of it: {EXPORT} does not list it") for name in others]

@@ -18,7 +18,7 @@ _SHAPES = "/_shapes"
 
 
 @dataclass(frozen=True)
-class MeshPiece:
+class LabeledPiece:
     """Holds faces of one mesh that have the same labels.
 
     Attributes:
@@ -39,7 +39,7 @@ class MeshPiece:
 
 
 #: A piece and where it is, float64 [3, 4].
-type Placed = tuple[MeshPiece, NDArray[np.float64]]
+type Placed = tuple[LabeledPiece, NDArray[np.float64]]
 
 
 class ModelFile:
@@ -51,11 +51,11 @@ class ModelFile:
 
     def __init__(self, meshes: tuple[Mesh, ...]) -> None:
         self._meshes = meshes
-        self._pieces: dict[int, list[MeshPiece]] = {}
+        self._pieces: dict[int, list[LabeledPiece]] = {}
         self._names: set[str] = set()
         self._models: dict[str, Sequence[Placed]] = {}
 
-    def pieces(self, mesh: int) -> list[MeshPiece]:
+    def pieces(self, mesh: int) -> list[LabeledPiece]:
         """Lists the pieces of a mesh; none of one without faces."""
         if mesh not in self._pieces:
             self._pieces[mesh] = self._split(mesh)
@@ -69,7 +69,7 @@ class ModelFile:
         self._models[f"/{free}"] = content
         return f"/{free}"
 
-    def shows(self, piece: MeshPiece, place: NDArray[np.float64]) -> bool:
+    def shows(self, piece: LabeledPiece, place: NDArray[np.float64]) -> bool:
         """Tells whether a face of a piece has an area where it is."""
         mesh = self._meshes[piece.mesh]
         points = mesh.points.astype(np.float64) @ place[:, :3].T + place[:, 3]
@@ -93,7 +93,7 @@ class ModelFile:
                 UsdGeom.Xformable(made).AddTransformOp().Set(matrix)
         stage.GetRootLayer().Save()
 
-    def _split(self, index: int) -> list[MeshPiece]:
+    def _split(self, index: int) -> list[LabeledPiece]:
         mesh = self._meshes[index]
         count = len(mesh.faces)
         if not count:
@@ -109,10 +109,10 @@ class ModelFile:
             self._names.add(name)
             surface = mesh.layers[0] if mesh.layers else -1
             area = float(areas[faces].sum())
-            found.append(MeshPiece(name, index, faces, tuple(kind), surface, area))
+            found.append(LabeledPiece(name, index, faces, tuple(kind), surface, area))
         return found
 
-    def _write(self, prim: UsdGeom.Mesh, piece: MeshPiece) -> None:
+    def _write(self, prim: UsdGeom.Mesh, piece: LabeledPiece) -> None:
         mesh = self._meshes[piece.mesh]
         faces = mesh.faces[piece.faces]
         prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(mesh.points))

@@ -11,7 +11,6 @@ holds the noise of both pictures: the first row, another seed, is that alone.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -23,6 +22,7 @@ from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import Cell, Study, run
 from scenec.schemas.frames import read_frame
 from scenec.schemas.picture import luminance
+from scenec.schemas.report import BatchReport, read_output_record
 
 MODELS = ("oak", "birch_old", "spruce_old", "pine_old", "grass_tall", "fern")
 RUNGS = (0.5, 1.0, 2.0, 4.0)
@@ -83,9 +83,9 @@ def _seen(
     batch, spp = study.batch(cfg), 4 if study.fast else study.options.spp
     drawn = render(batch.parent, "mitsuba", spp=spp, noise_seed=seed, replace=True)
     passes = read_frame(drawn.frames[0]).passes
-    report = json.loads((batch / "report.json").read_text(encoding="utf-8"))
+    report = read_output_record(batch / "report.json", BatchReport)
     light = luminance(passes["rgb"].astype(np.float64))
-    return (passes["label.class"] == 3, light), int(report["objects"]["plants"]["triangles"])
+    return (passes["label.class"] == 3, light), report.objects["plants"].triangles
 
 
 if __name__ == "__main__":

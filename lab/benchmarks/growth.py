@@ -19,7 +19,6 @@ take.
 from __future__ import annotations
 
 import copy
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -59,6 +58,7 @@ from scenec.lab.runner import (
     run,
 )
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.report import BatchReport, read_output_record
 from scenec.schemas.sidecars import read_sidecar
 
 _SIZE = 400.0
@@ -297,9 +297,9 @@ def million(study: Study) -> None:
             out = folder / "out"
             words = ["compile", study.cfg(of_kind(kind, count), kind), "--seed", "1", "-o", out]
             cost = command([*SCENEC, *words, "--no-cache"])
-            report = json.loads((out / "batch_0000" / "report.json").read_text())
-            made = report["objects"]["rocks"]
-            what = f"{made['triangles']:,} triangles, {report['bytes'] / 1e6:.0f} MB"
+            report = read_output_record(out / "batch_0000" / "report.json", BatchReport)
+            made = report.objects["rocks"]
+            what = f"{made.triangles:,} triangles, {report.bytes / 1e6:.0f} MB"
             yield [kind, "compile", cost.wall_s, cost.peak_mib * 2**20 / 1e9, what]
             for backend in options.backends:
                 yield [kind, backend, *rendered(out, backend, options.spp)]

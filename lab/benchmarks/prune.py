@@ -14,7 +14,6 @@ that no pruning of rocks can reach. *drive* looks along hilly ground, *drone* st
 
 from __future__ import annotations
 
-import json
 import statistics
 import time
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.compiler.views.needed import Keep
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import Cell, Study, apart, run
+from scenec.schemas.report import Timings, read_output_record
 
 #: Height, distance of the target, field of view.
 _LOOKS = {"drive": (1.5, 10, 65), "drone": (25, 0.01, 60), "around": (1.5, 10, 90)}
@@ -99,11 +99,11 @@ def measured(study: Study, content: dict[str, Any], keep: Keep) -> dict[str, flo
     options = study.options
     batch = study.batch(content, keep=keep)
     files = [p for p in batch.rglob("*") if p.is_file() and p.suffix != ".json"]
-    timings = json.loads((batch.parent / "timings.json").read_text(encoding="utf-8"))
+    timings = read_output_record(batch.parent / "timings.json", Timings)
     numbers = {
         "stage, MB": sum(path.stat().st_size for path in files) / 1e6,
         "instances": int((read_stage(batch / "stage.usda").rows.instance_id > 0).sum()),
-        "prune, s": timings["compile"]["batch_0000"].get("prune", 0.0),
+        "prune, s": timings.compile["batch_0000"].get("prune", 0.0),
     }
     for backend in options.backends:
         # A process of its own: two renderers do not share one.

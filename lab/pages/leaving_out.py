@@ -20,6 +20,7 @@ from scenec.compiler.views.illumination import MIN_VIEW_FACTOR, SHARP
 from scenec.compiler.views.needed import Keep
 from scenec.lab.runner import ROOT, SHIPPED, Page, run
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.report import Timings, read_output_record
 from scenec.testing.pruned_extremes import CASES, Case, pruned_cfg
 from scenec.testing.pruned_scenes import annotation, compiled, difference
 
@@ -63,7 +64,7 @@ def _contents(batch: Path) -> list[str]:
         if prim.GetTypeName() == "PointInstancer":
             found = prim.GetAttribute("protoIndices").Get(Usd.TimeCode.EarliestTime())
             instances += 0 if found is None else len(found)
-    timings = json.loads((batch.parent / "timings.json").read_text(encoding="utf-8"))
+    timings = read_output_record(batch.parent / "timings.json", Timings)
     return [
         f"{sum(p.stat().st_size for p in files):,}",
         str(len(files)),
@@ -72,7 +73,7 @@ def _contents(batch: Path) -> list[str]:
         str(sum("Light" in name for name in types)),
         str(len(primvars)),
         f"{instances:,}",
-        f"{sum(timings['compile'][batch.name].values()):.1f}",
+        f"{sum(timings.compile[batch.name].values()):.1f}",
     ]
 
 
@@ -119,7 +120,7 @@ def _compared(pruned: Path, whole: Path, spp: int) -> list[str]:
     classes = report["prune"]["objects"].values()
     kept = [sum(one.get(name, 0) for one in classes) for name in ("seen", "shadow", "light")]
     drawn = sum(sum(one.values()) - one.get("not placed", 0) for one in classes)
-    timings = json.loads((pruned.parent / "timings.json").read_text(encoding="utf-8"))
+    timings = read_output_record(pruned.parent / "timings.json", Timings)
     lit = difference(pruned, whole, spp)
     sizes = [
         sum(p.stat().st_size for p in batch.rglob("*") if p.is_file() and p.suffix != ".json")
@@ -131,7 +132,7 @@ def _compared(pruned: Path, whole: Path, spp: int) -> list[str]:
         f"{100 * lit.paired:.2g} %" if lit.blocks else "dark",
         f"{100 * lit.noise:.2g} %" if lit.blocks else "",
         f"{sizes[0] / sizes[1]:.3g} ×",
-        f"{timings['compile'][pruned.name].get('prune', 0.0):.2f}",
+        f"{timings.compile[pruned.name].get('prune', 0.0):.2f}",
     ]
 
 

@@ -19,7 +19,7 @@ from scenec.testing.made_output import make_output
 ROOT = Path(__file__).parents[2]
 ROOMS = ("api", "backends", "cli", "compiler", "datasets", "importers", "lab", "quality")
 #: Names that records go by. The net digests the JSON itself.
-RECORDS = {"sidecar", "sidecars", "manifest", "_manifest"}
+RECORDS = {"sidecar", "sidecars", "manifest", "_manifest", "timings"}
 
 
 def even(value: Any) -> str | None:

@@ -66,7 +66,7 @@ def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path):
     compile_cfg(written(tmp_path, cfg(pattern=pattern)), seed=3, out=tmp_path / "out")
     (stem,) = scan_output(tmp_path / "out", ply=True).scans
     scan = read_scan(stem)
-    assert scan.sidecar["version"] == "1.1"
+    assert scan.sidecar.version == "1.1"
     up, left = (np.radians(scan.arrays[f"{name}_deg"]) for name in ("elevation", "azimuth"))
     assert up.shape == left.shape == (1, 500)
     # A rose of three petals: r = R cos(3 t).
@@ -75,7 +75,7 @@ def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path):
     assert 15.0 < np.degrees(left[0, 0]) < 20.0
     np.testing.assert_allclose(np.hypot(up, left)[0], left[0, 0] * np.abs(np.cos(3.0 * turn)))
     own = np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=-1)
-    pose = np.array(scan.sidecar["lidar_to_world"])
+    pose = np.array(scan.sidecar.lidar_to_world)
     assert pose[:3, 3] == pytest.approx([0.0, 0.0, 3.0])
     toward = own @ pose[:3, :3].T
     assert scan.arrays["range_true"] == pytest.approx(-3.0 / toward[..., 2], rel=1e-9)

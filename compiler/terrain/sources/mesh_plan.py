@@ -239,13 +239,14 @@ def topmost(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Returns the same, and which faces those are, -1 where there is none: int64 [n]."""
     xy = np.stack([x, y], axis=1)
-    out, which = np.empty(x.size), np.full(x.size, -1)
-    over_threads(_topmost, x.size, points, faces, bins, flat, xy, out, which)
-    return out, which
+    # Doubles hold the numbers of faces exactly.
+    out = np.full((x.size, 2), -1.0)
+    over_threads(_topmost, x.size, points, faces, bins, flat, xy, out)
+    return out[:, 0], out[:, 1].astype(np.int64)
 
 
 @kernel
-def _topmost(first, last, points, faces, bins, flat, xy, out, which):  # type: ignore[no-untyped-def]
+def _topmost(first, last, points, faces, bins, flat, xy, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         top = -np.inf
         x, y = xy[n]
@@ -256,5 +257,5 @@ def _topmost(first, last, points, faces, bins, flat, xy, out, which):  # type: i
                 facing, z = hit(points, a, b, c, x, y, flat)
                 if facing != 0 and z > top:
                     top = z
-                    which[n] = bins.faces[k]
-        out[n] = top
+                    out[n, 1] = bins.faces[k]
+        out[n, 0] = top

@@ -26,6 +26,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.instances import read_frame_table
 from scenec.testing.examples import examples
+from scenec.testing.frame_units import render_to
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
@@ -197,6 +198,6 @@ def test_a_cfg_may_ask_for_masks(tmp_path):
     passes = session.passes(None, session.scene.cameras[0][0])
     assert passes == ("depth", "instance", "amodal")
     key = FrameKey(session.scene.digest, passes, 0, 0, "reference", "1")
-    session.render_to(tmp_path / "000000", 0, 0, key, 0)
+    render_to(session, tmp_path / "000000", 0, key)
     assert set(read_frame(tmp_path / "000000").passes) == {"depth", "instance"}
     assert len(read_amodal(tmp_path / "000000").ids) > 10

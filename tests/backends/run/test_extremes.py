@@ -225,10 +225,10 @@ def test_radiance_in_tiles_is_as_bright_and_none_has_the_noise_of_another(
     session = Session.open(extremes / "batch_0000" / "stage.usda", "mitsuba")
     camera = dict(_cases(session.scene))["down"]
     session.backend.load(session.scene)
-    whole = drawn.radiance(session.backend, camera, 0, 16, 5)
+    whole = drawn.drawer(session.backend, camera, 0)(16, 5)
     monkeypatch.setattr(tiles, "PIXELS", 12 * 18)
     monkeypatch.setattr(tiles, "WIDEST", 12)
-    tiled = drawn.radiance(session.backend, camera, 0, 16, 5)
+    tiled = drawn.drawer(session.backend, camera, 0)(16, 5)
     assert tiled.spp == whole.spp
     np.testing.assert_array_equal(tiled.coverage, whole.coverage)
     variance = (0.5 * (whole.halves[0] - whole.halves[1]).astype(float)) ** 2

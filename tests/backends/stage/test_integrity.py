@@ -25,6 +25,7 @@ from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.manifest import find_batches, read_manifest, stage_digest
 from scenec.testing.foreign_stages import polygons
+from scenec.testing.frame_units import render_to
 from scenec.testing.small import small_cfg, write_cfg
 
 ANNOTATION = ("depth", "instance")
@@ -441,7 +442,7 @@ def test_a_stage_that_changed_while_it_was_rendered_is_no_stage_of_its_frames(ou
     session = Session.open(stage_of(out), "reference")
     key = FrameKey("0" * 64, ("depth",), 0, 0, "reference", "")
     with pytest.raises(StageError, match="has changed since rendering began"):
-        session.render_to(tmp_path / "frame", 0, 0, key, 0)
+        render_to(session, tmp_path / "frame", 0, key)
     assert not list(tmp_path.glob("frame*"))
 
 

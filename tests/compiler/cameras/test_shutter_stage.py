@@ -25,6 +25,7 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.frames import FrameKey, read_frame
 from scenec.schemas.shutter import Shutter, between
 from scenec.testing import small
+from scenec.testing.frame_units import render_to
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +184,7 @@ def test_sidecars_say_where_the_camera_was(stage: Path, tmp_path: Path) -> None:
     camera = front(stage)
     key = FrameKey(session.scene.digest, ("depth", "instance", "position", "flow"), 0, 1, "r", "0")
     stem = tmp_path / "000001"
-    session.render_to(stem, 0, 1, key, 1)
+    render_to(session, stem, 1, key, 1)
     frame = read_frame(stem)
     held = camera.shutter
     said = frame.sidecar.shutter

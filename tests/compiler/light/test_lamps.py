@@ -311,7 +311,7 @@ def test_the_stage_holds_what_shines_and_says_what_was_left_out(night):
     stage = Usd.Stage.Open(str(path))
     names = [prim.GetName() for prim in stage.GetPrimAtPath(LIGHTS).GetChildren()]
     assert names == ["Earth", "Head", "Mast", "Dome"]
-    left_out = [entry["what"] for entry in report.facts["batch_0000"]["left_out"]]
+    left_out = [entry.what for entry in report.reports["batch_0000"].left_out]
     assert left_out == ["light/sun", "light/more/Set"]
     (earth,) = read_stage(path).lighting[0].suns
     np.testing.assert_allclose(earth.to_light, [np.cos(np.pi / 6), 0, 0.5], atol=1e-12)

@@ -217,8 +217,8 @@ def test_the_sun_turns_and_grows_with_its_picture(tmp_path):
         strength=3.0,
         rotation_deg={"type": "uniform", "min": 0, "max": 360},
     )
-    report = compile_cfg(cfg, seed=3, out=tmp_path / "out").facts["batch_0000"]
-    suns = report["sky"]["suns"]
+    report = compile_cfg(cfg, seed=3, out=tmp_path / "out").reports["batch_0000"]
+    suns = report.sky.pictures["suns"].facts
     assert [suns[name]["found"] for name in ("sunny.exr", "gray.exr")] == [True, False]
     scene = read_stage(tmp_path / "out/batch_0000/stage.usda")
     light = scene.lighting[0]
