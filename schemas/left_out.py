@@ -97,7 +97,7 @@ def _is_reason(value: Any) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class PackedClass:
-    """What ``left_out.json`` says of a class: see the module."""
+    """Records a class's instances in ``left_out.json``: see the module."""
 
     drawn: Natural
     bits: Natural
@@ -108,7 +108,7 @@ class PackedClass:
 
 @dataclass(frozen=True, kw_only=True)
 class PackedRecord:
-    """What ``left_out.json`` holds: see the module."""
+    """Records the content of ``left_out.json``: see the module."""
 
     format: Natural
     tiles: Mapping[str, Annotated[str, _is_reason]]

@@ -31,7 +31,7 @@ class ReliefFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class HeightFacts:
-    """What the samples of a DEM became heights by, among the facts of its step."""
+    """Records how a DEM's samples became heights, among the facts of its step."""
 
     scale: float = 1.0
     offset: float = 0.0
@@ -41,7 +41,7 @@ class HeightFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class IterationFacts:
-    """How far an iteration came, among the facts of its step."""
+    """Records how far an iteration came, among the facts of its step."""
 
     steps: Natural = 0
     error_rms_m: float = 0.0
@@ -148,13 +148,13 @@ class ClassFacts:
 
     @property
     def triangles_spared(self) -> int:
-        """How many more there would be with all objects at their finest level."""
+        """Counts the triangles more with all objects at their finest level."""
         return 0 if self.triangles_finest is None else self.triangles_finest - self.triangles
 
 
 @dataclass(frozen=True, kw_only=True)
 class BudgetFacts:
-    """What all objects may have, and by what their errors grew for it."""
+    """Records the triangles that all objects may have, and the factor on their errors."""
 
     max_triangles: Natural
     error_factor: float
@@ -218,7 +218,7 @@ class SurfaceFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class PrunedLight:
-    """What pruning neglects of light."""
+    """Records the light that pruning neglects."""
 
     min_view_factor: float | None = omitted()
     everywhere: bool = False
@@ -227,7 +227,7 @@ class PrunedLight:
 
 @dataclass(frozen=True, kw_only=True)
 class PrunedTiles:
-    """How many tiles of the terrain were kept."""
+    """Records how many tiles of the terrain were kept."""
 
     kept: Natural
     of: Natural

@@ -30,7 +30,7 @@ Say = Callable[[str], None]
 
 
 @dataclass
-class BatchReport:
+class WorkReport:
     """Reports the outcome of a render or a scan.
 
     Attributes:
@@ -97,7 +97,7 @@ class BatchRun(ABC):
     def __init__(
         self,
         batches: Mapping[Opening, Batch],
-        report: BatchReport,
+        report: WorkReport,
         progress: Progress | None,
         warn: Say | None = None,
         say: Say = lambda _line: None,

@@ -12,7 +12,7 @@ from typing import Any
 from scenec.backends.picture import brightness
 from scenec.backends.registry import AUTO
 from scenec.backends.run.auto import choose
-from scenec.backends.run.batches import BatchReport, BatchRun, OpenBatch, Progress, Say
+from scenec.backends.run.batches import BatchRun, OpenBatch, Progress, Say, WorkReport
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import frames_of, may_lose, not_requested, opening_of
 from scenec.backends.run.plan import RenderPlan
@@ -29,7 +29,7 @@ from scenec.schemas.update import reading
 
 
 @dataclass
-class RenderReport(BatchReport):
+class RenderReport(WorkReport):
     """Reports the outcome of a render.
 
     Attributes:

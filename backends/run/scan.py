@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.backends.annotation.lidar import scan
-from scenec.backends.run.batches import BatchReport, BatchRun, Progress
+from scenec.backends.run.batches import BatchRun, Progress, WorkReport
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.facts import label_names, rows, time_of
 from scenec.backends.run.frames import require_samples
@@ -30,7 +30,7 @@ from scenec.schemas.versions import version_of
 
 
 @dataclass
-class ScanReport(BatchReport):
+class ScanReport(WorkReport):
     """Reports the outcome of a scan; steps are ``read``, ``load``, ``scan``, ``write``."""
 
     @property

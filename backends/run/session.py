@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceLight:
-    """How light from surfaces is drawn for a frame.
+    """Describes how light from surfaces is drawn for a frame.
 
     Attributes:
         draw: Draws a picture.

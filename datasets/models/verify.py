@@ -27,7 +27,7 @@ class ModelFile:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelsRecord:
-    """What stands in the ``export.json`` of models: the file of each batch."""
+    """Records the content of the models' ``export.json``: the file of each batch."""
 
     batches: Mapping[str, ModelFile]
 

@@ -42,7 +42,7 @@ class LabeledPiece:
 type Placed = tuple[LabeledPiece, NDArray[np.float64]]
 
 
-class ModelFile:
+class ModelWriter:
     """Collects the models of a cfg, in meters, z up.
 
     Args:

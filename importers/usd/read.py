@@ -15,7 +15,7 @@ from scenec.importers.report import DROPPED, TRANSLATED
 from scenec.importers.scene import LEVEL, identifier
 from scenec.importers.usd.cameras import add_cameras, moves
 from scenec.importers.usd.light import add_light
-from scenec.importers.usd.models import ModelFile
+from scenec.importers.usd.models import ModelWriter
 from scenec.importers.usd.scene import Labels, Scene
 from scenec.importers.usd.shapes import add_rocks, add_shapes
 from scenec.schemas.errors import StageError
@@ -56,7 +56,7 @@ def _imported(
     if not (read.bounds < 1e300).all() or not (read.bounds > -1e300).all():
         raise StageError("its transforms and metersPerUnit leave the range of numbers")
     scene = Scene(
-        stage, read, StageFrame.of(stage), imported, keep, Labels(read), ModelFile(read.meshes)
+        stage, read, StageFrame.of(stage), imported, keep, Labels(read), ModelWriter(read.meshes)
     )
     report = imported.report
     unit, axis = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)

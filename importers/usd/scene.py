@@ -14,7 +14,7 @@ from scenec.backends.stage.scene import RenderScene
 from scenec.importers.output import Imported
 from scenec.importers.report import DROPPED
 from scenec.importers.scene import LEVEL, Taxonomy, identifier, unused
-from scenec.importers.usd.models import ModelFile
+from scenec.importers.usd.models import ModelWriter
 
 #: What may stay as it is.
 KEEP = ("cameras", "light")
@@ -112,7 +112,7 @@ class Scene:
     imported: Imported
     keep: Sequence[str]
     labels: Labels
-    models: ModelFile
+    models: ModelWriter
     shift: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     extent_m: tuple[float, float] = (10.0, 10.0)
     moves: bool = False
