@@ -424,5 +424,5 @@ def test_the_picture_is_the_same_on_any_number_of_threads_and_in_any_order() -> 
         assert one.clean is not None
         assert other.clean is not None
         assert one.clean.tobytes() == other.clean.tobytes()
-        assert one.facts == other.facts
+        assert one.record == other.record
     assert first[0].picture.tobytes() != first[1].picture.tobytes()
