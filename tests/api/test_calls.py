@@ -7,6 +7,7 @@ import inspect
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import scenec
@@ -16,7 +17,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.cli.main import main, parser
 from scenec.compiler.compile import FAULTS
 from scenec.compiler.views.needed import Keep
-from scenec.schemas.errors import ScenecError
+from scenec.schemas.errors import ScenecError, StageError
 from scenec.testing.small import small_cfg, write_cfg
 
 RECORDS = {
@@ -91,6 +92,31 @@ def test_an_option_that_is_a_text_is_read_as_the_command_line_reads_it():
         options.CompileOptions(keep="sen")
 
 
+def test_one_value_stands_for_a_list_of_one():
+    asked = options.RunOptions(settings="a.b=1", samples=3)  # type: ignore[arg-type]
+    assert (asked.settings, asked.samples) == (("a.b=1",), range(3, 4))
+    assert options.ExportOptions(keep="area>=40").keep == ("area>=40",)
+
+
+def test_an_array_of_samples_is_taken_as_it_is():
+    samples = np.arange(3)
+    assert options.RenderOptions(samples=samples).samples is samples  # type: ignore[arg-type]
+
+
+def test_batches_that_are_compiled_are_a_range():
+    with pytest.raises(ScenecError, match=r"batches: \[0, 2\]: expected a range, A:B"):
+        options.CompileOptions(batches=[0, 2])  # type: ignore[arg-type]
+
+
+def test_arguments_that_are_missing_are_named():
+    with pytest.raises(TypeError, match="'out'"):
+        scenec.compile("cfg.json")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="'out'"):
+        scenec.render(out="OUT")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="unexpected keyword argument 'sed'"):
+        scenec.compile("cfg.json", "OUT", sed=1)  # type: ignore[call-arg]
+
+
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calls")
@@ -128,6 +154,20 @@ def test_answers_print_and_show_what_the_command_prints(out, capsys):
     assert main(["explain", str(out)]) == 0
     assert str(found) == capsys.readouterr().out.strip()
     assert "left out" in found._repr_html_()
+
+
+def test_no_batch_is_no_stage_to_render(out):
+    with pytest.raises(StageError, match="no batch is asked for"):
+        scenec.render(out, backend="annotation", batches=[], workers=0)
+
+
+def test_frames_go_to_a_folder_that_is_named_by_a_text(out, tmp_path):
+    made = scenec.render(
+        out, backend="annotation", samples=np.arange(2), folder=str(tmp_path), workers=0
+    )
+    assert made.rendered is not None
+    assert made.rendered.rendered == 2
+    assert len(list(tmp_path.glob("frames/annotation/*/*.exr"))) == 2
 
 
 def test_a_check_tells_a_sound_output_from_a_damaged_one(out, tmp_path):
