@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -178,6 +179,17 @@ def test_a_check_tells_a_sound_output_from_a_damaged_one(out, tmp_path):
     damaged = scenec.check(made)
     assert damaged.errors > 0
     assert not damaged.sound
+
+
+def test_a_check_of_a_dataset_tells_its_flaws(out, tmp_path, capsys):
+    folder = tmp_path / "coco"
+    scenec.export(out, "coco", folder=folder, workers=0)
+    assert scenec.check(folder, against=folder).as_json()["against"]["same"]
+    next(iter(folder.rglob("*.json"))).write_text("{}")
+    found = scenec.check(folder)
+    assert found.as_json()["flaws"]
+    assert main(["check", str(folder), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == found.as_json()
 
 
 def test_a_listener_hears_what_is_done(tmp_path):
