@@ -146,7 +146,8 @@ def test_frames_are_read_when_they_are_looked_at(out):
     assert ["loaded" in vars(frame) for frame in frames] == [False, True]
 
 
-def test_answers_print_and_show_what_the_command_prints(out, capsys):
+def test_answers_print_and_show_what_the_command_prints(out, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
     assert main(["explain", str(out), "--why", "rocks/1"]) == 0
     answer = scenec.why(out, "rocks/1")
     assert str(answer) == capsys.readouterr().out.strip()
