@@ -8,6 +8,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +26,28 @@ from scenec.api.steps import (
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, SweepPoint, points, read_all
 from scenec.compiler.views.needed import Keep
+from scenec.schemas.codec import Natural, decode
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.files import atomic, check_writable, write_json
+from scenec.schemas.files import atomic, check_writable, read_json, write_json
 from scenec.schemas.manifest import MANIFEST
-from scenec.schemas.shape import natural, read_shaped
 from scenec.schemas.units import Executor, run_all
 
 TABLE = "sweep"
-#: What is relied on of a point in the list.
-_POINT = {"folder": str, "seed": natural, "cfg_sha256": str, "state": str}
+
+
+@dataclass(frozen=True)
+class _Point:
+    folder: str
+    seed: Natural
+    cfg_sha256: str
+    state: str
+
+
+@dataclass(frozen=True)
+class _PointList:
+    name: str
+    points: tuple[_Point, ...]
 
 
 @Spread(SweepOptions).two
@@ -151,7 +164,8 @@ def _require_sweep_table(out: Path) -> None:
     listed, table = out / f"{TABLE}.json", out / f"{TABLE}.csv"
     rows: list[dict[str, Any]] = []
     with suppress(FileNotFoundError):
-        found = read_shaped(listed, {"name": str, "points": [_POINT]}, OutputError, "sweep's list")
+        found = read_json(listed, OutputError, "sweep's list")
+        decode(found, _PointList, OutputError, f"{listed}: is no sweep's list")
         rows = found["points"]
     try:
         there = table.read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -30,12 +30,11 @@ from scenec.datasets.export_records import (
     DATA,
     EXPORT,
     EXPORT_VERSION,
-    FAULT,
     INDEX_COLUMNS,
     SCRATCH,
-    TALLY,
     TASKS,
     Records,
+    TaskRecord,
     is_done,
     read_export,
 )
@@ -95,7 +94,7 @@ class ExportReport:
     resumed: int = 0
     there: bool = False
     splits: dict[str, int] = field(default_factory=dict)
-    tally: Tally = field(default_factory=Tally)
+    tally: Tally = field(default_factory=lambda: Tally(0, 0, {}))
     faults: list[FrameFault] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
     passes_left_out: dict[str, int] = field(default_factory=dict)
@@ -222,17 +221,15 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
             "folder with -o"
         )
     written = read_export(path)
-    if written["key"] == plan.full_key() and not _mended(plan, written["faults"]):
+    if written.key == plan.full_key() and not _mended(plan, written.faults):
         # A run that was killed after its last step left it.
         shutil.rmtree(_partial(plan), ignore_errors=True)
         report = ExportReport(folder, plan.format_name, there=True)
-        report.frames, report.splits = written["frames"], written["splits"]
-        report.digest = written["digest"]["annotation"]
-        report.tally.add(*(written["instances"][key] for key in TALLY))
-        report.left_out = written["left_out"]
-        report.passes_left_out = written.get("passes_left_out", {})
-        report.held = written.get("held", {})
-        report.faults = [FrameFault(*(fault[key] for key in FAULT)) for fault in written["faults"]]
+        report.frames, report.splits = written.frames, written.splits
+        report.digest = written.digest.annotation
+        report.tally, report.left_out = written.instances, written.left_out
+        report.passes_left_out, report.held = written.passes_left_out, written.held
+        report.faults = list(written.faults)
         return report
     if not replace:
         raise OutputError(
@@ -242,9 +239,9 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
     return None
 
 
-def _mended(plan: Plan, faults: list[dict[str, Any]]) -> bool:
+def _mended(plan: Plan, faults: Sequence[FrameFault]) -> bool:
     """Whether a frame that was damaged or foreign can be read now."""
-    names = {fault["name"] for fault in faults}
+    names = {fault.name for fault in faults}
     for ref in plan.source.frames:
         if ref.name in names:
             try:
@@ -310,16 +307,16 @@ def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
         index = csv.writer(index_file, lineterminator="\n")
         index.writerow(INDEX_COLUMNS)
         for task, entry in records.entries():
-            index.writerows(map(guarded_line, entry["index"]))
-            for line in entry["index"]:
+            index.writerows(map(guarded_line, entry.index))
+            for line in entry.index:
                 annotation.update(f"{line[0]} {line[7]}\n".encode())
                 pictures.update(f"{line[0]} {line[8]}\n".encode())
             _add_up(report, task, entry)
-            statistics.merge(entry["statistics"])
+            statistics.merge(entry.statistics)
             for batch in {ref.batch_name for ref in task.frames}:
                 if last[batch] == task.number:
                     statistics.close(batch)
-            note(plan.format_name, sums, {name: digest for name, _, digest in entry["files"]})
+            note(plan.format_name, sums, {name: digest for name, _, digest in entry.files})
     if not report.frames:
         raise FrameError.none_readable(plan.out, len(report.faults), report.faults[0].message)
     report.narrowed = {what: one for what, one in report.narrowed.items() if one.lost}
@@ -355,16 +352,16 @@ def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
     shutil.rmtree(partial, ignore_errors=True)
 
 
-def _add_up(report: ExportReport, task: Task, entry: dict[str, Any]) -> None:
-    report.frames += len(entry["index"])
-    report.splits[task.split] += len(entry["index"])
-    report.tally.add(*(entry["tally"][key] for key in TALLY))
-    _note(report.left_out, entry["left_out"])
-    _note(report.passes_left_out, entry["unheld"])
-    _note(report.held, entry["held"])
-    for what, one in entry["narrowed"].items():
-        report.narrowed[what] = report.narrowed.get(what, Narrowed()) + Narrowed(**one)
-    report.faults.extend(FrameFault(*(one[key] for key in FAULT)) for one in entry["faults"])
+def _add_up(report: ExportReport, task: Task, entry: TaskRecord) -> None:
+    report.frames += len(entry.index)
+    report.splits[task.split] += len(entry.index)
+    report.tally.add(entry.tally.seen, entry.tally.kept, entry.tally.rejected)
+    _note(report.left_out, entry.left_out)
+    _note(report.passes_left_out, entry.unheld)
+    _note(report.held, entry.held)
+    for what, one in entry.narrowed.items():
+        report.narrowed[what] = report.narrowed.get(what, Narrowed()) + one
+    report.faults.extend(entry.faults)
 
 
 def _note(counts: dict[str, int], more: dict[str, int]) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from scenec.datasets.export_plan import Plan
-from scenec.datasets.export_records import DATA, SCRATCH, write_record
+from scenec.datasets.export_records import DATA, SCRATCH, TaskRecord, write_record
 from scenec.datasets.filters import Tally
-from scenec.datasets.formats.contract import Format, Task
+from scenec.datasets.formats.contract import Format, Narrowed, Task
 from scenec.datasets.formats.registry import find_format, origin_of
 from scenec.datasets.pictures import kinds, vouch
 from scenec.datasets.source import FrameFault, LoadedFrame, kind_of
@@ -63,19 +62,19 @@ class ExportPart:
         if origin_of(self.plan.format_name) != self.package:
             raise OutputError(f"format {self.plan.format_name!r} has changed meanwhile; run again")
         task = self.task
-        lines: list[list[str]] = []
+        lines: list[tuple[str, ...]] = []
         faults: list[FrameFault] = []
-        tally = Tally()
+        tally = Tally(0, 0, {})
         statistics = Statistics()
         frames = self._frames(task, lines, faults, tally, statistics)
         data, scratch = self.partial / DATA, self.partial / SCRATCH
         first = next(frames, None)
-        files: list[list[Any]] = []
+        files: list[tuple[str, int, str]] = []
         record = None
         left_out: dict[str, int] = {}
         held: dict[str, int] = {}
         unheld: Counter[str] = Counter()
-        narrowed: dict[str, Any] = {}
+        narrowed: dict[str, Narrowed] = {}
         if first is not None:
             form = self.plan.format()
             told = _counted(itertools.chain((first,), frames), form, left_out, unheld)
@@ -85,31 +84,31 @@ class ExportPart:
                 pass
             record, left_out = written.record, {**left_out, **written.left_out}
             held = written.held
-            narrowed = {what: asdict(one) for what, one in written.narrowed.items()}
+            narrowed = written.narrowed
             files = [
-                [n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n)]
+                (n, (data / n).stat().st_size, written.digests.get(n) or sha256(data / n))
                 for n in written.files
             ]
-        entry = {
-            "key": self.key,
-            "files": files,
-            "record": record,
-            "left_out": left_out,
-            "held": held,
-            "unheld": unheld,
-            "narrowed": narrowed,
-            "index": lines,
-            "faults": [asdict(fault) for fault in faults],
-            "tally": asdict(tally),
-            "statistics": statistics.state(),
-        }
+        entry = TaskRecord(
+            key=self.key,
+            files=tuple(files),
+            record=record,
+            left_out=left_out,
+            held=held,
+            unheld=unheld,
+            narrowed=narrowed,
+            index=tuple(lines),
+            faults=tuple(faults),
+            tally=tally,
+            statistics=statistics.state(),
+        )
         write_record(self.partial, task, entry)
         return faults
 
     def _frames(
         self,
         task: Task,
-        lines: list[list[str]],
+        lines: list[tuple[str, ...]],
         faults: list[FrameFault],
         tally: Tally,
         statistics: Statistics,
@@ -133,7 +132,7 @@ class ExportPart:
                     raise
                 faults.append(FrameFault(ref.name, kind_of(error), str(error)))
                 continue
-            lines.append([*line, str(len(frame.ignored))])
+            lines.append((*line, str(len(frame.ignored))))
             tally.add(seen, int((~frame.ignored).sum()), rejected)
             statistics.add(measure(frame))
             yield frame

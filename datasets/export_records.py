@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from scenec.datasets.export_plan import Plan
-from scenec.datasets.formats.contract import Done, Task
+from scenec.datasets.filters import Tally
+from scenec.datasets.formats.contract import Done, Narrowed, Task
+from scenec.datasets.source import FrameFault
+from scenec.schemas.codec import Natural, decode, encode, natural, rest
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import as_json, inside, write_json
-from scenec.schemas.shape import Each, natural, read_shaped, require_shape
+from scenec.schemas.files import as_json, inside, read_json, write_json
 
 EXPORT = "export.json"
 #: Version of what stands in ``export.json``.
@@ -25,37 +27,51 @@ INDEX_COLUMNS = (
 #: Folders of an export that is being made: its tasks' records, what they share, the dataset.
 TASKS, SCRATCH, DATA = "tasks", "scratch", "data"
 
-FAULT = {"name": str, "kind": str, "message": str}
-TALLY = {"seen": natural, "kept": natural, "rejected": Each(natural)}
-#: What is relied on in ``export.json``.
-_EXPORT_SHAPE = {
-    "export": natural,
-    "key": str,
-    "frames": natural,
-    "splits": Each(natural),
-    "digest": {"annotation": str, "pictures": str},
-    "instances": TALLY,
-    "left_out": Each(natural),
-    "held?": Each(natural),
-    "passes_left_out?": Each(natural),
-    "faults": [FAULT],
-    "backend?": (None, str),
-}
-_RECORD_SHAPE = {
-    "digest": str,
-    "key": str,
-    "files": [[str, natural, str]],
-    "left_out": Each(natural),
-    "held": Each(natural),
-    "unheld": Each(natural),
-    "narrowed": Each({"lost": natural, "of": natural, "most": float}),
-    "index": [[str] * len(INDEX_COLUMNS)],
-    "faults": [FAULT],
-    "tally": TALLY,
-}
+
+@dataclass(frozen=True, kw_only=True)
+class Digests:
+    """Digests over all frames' annotation, and over their pictures."""
+
+    annotation: str
+    pictures: str
 
 
-def read_export(path: Path) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Records what is relied on in ``export.json``; ``settings`` are all others."""
+
+    export: Natural
+    key: str
+    frames: Natural
+    splits: dict[str, Natural]
+    digest: Digests
+    instances: Tally
+    left_out: dict[str, Natural]
+    held: dict[str, Natural] = field(default_factory=dict)
+    passes_left_out: dict[str, Natural] = field(default_factory=dict)
+    faults: tuple[FrameFault, ...]
+    backend: str | None = None
+    settings: Mapping[str, Any] = rest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskRecord:
+    """Records a task that is done: its files with bytes and sha256, and its share of all sums."""
+
+    key: str
+    files: tuple[tuple[str, Natural, str], ...]
+    record: Any
+    left_out: dict[str, Natural]
+    held: dict[str, Natural]
+    unheld: dict[str, Natural]
+    narrowed: Mapping[str, Narrowed]
+    index: tuple[tuple[str, ...], ...]
+    faults: tuple[FrameFault, ...]
+    tally: Tally
+    statistics: Mapping[str, Any]
+
+
+def read_export(path: Path) -> Export:
     """Reads a dataset's ``export.json``.
 
     Raises:
@@ -63,13 +79,13 @@ def read_export(path: Path) -> dict[str, Any]:
         OutputError: It is none, or of another version.
     """
     what = f"{EXPORT} of scenec"
-    summary: dict[str, Any] = read_shaped(path, {"export": natural}, OutputError, what)
-    if summary["export"] != EXPORT_VERSION:
+    found = read_json(path, OutputError, what)
+    version = found.get("export") if isinstance(found, dict) else None
+    if natural(version) is None and version != EXPORT_VERSION:
         raise OutputError(
-            f"{path}: is of version {summary['export']}, and this scenec knows {EXPORT_VERSION}"
+            f"{path}: is of version {version}, and this scenec knows {EXPORT_VERSION}"
         )
-    require_shape(summary, _EXPORT_SHAPE, OutputError, f"{path}: is no {what}")
-    return summary
+    return decode(found, Export, OutputError, f"{path}: is no {what}")
 
 
 def record_path(partial: Path, task: Task) -> Path:
@@ -81,8 +97,8 @@ def is_done(plan: Plan, partial: Path, task: Task) -> bool:
     """Whether an earlier export did a task, and its files are there."""
     try:
         entry = read_record(partial, task)
-        return entry["key"] == plan.task_key(task) and all(
-            (partial / DATA / name).stat().st_size == size for name, size, _ in entry["files"]
+        return entry.key == plan.task_key(task) and all(
+            (partial / DATA / name).stat().st_size == size for name, size, _ in entry.files
         )
     except (OSError, OutputError):
         return False
@@ -93,12 +109,13 @@ def _digest(entry: dict[str, Any]) -> str:
     return hashlib.sha256(as_json(entry).encode()).hexdigest()
 
 
-def write_record(partial: Path, task: Task, entry: dict[str, Any]) -> None:
+def write_record(partial: Path, task: Task, record: TaskRecord) -> None:
     """Writes the record of a task that is done."""
+    entry = encode(record)
     write_json(record_path(partial, task), {"digest": _digest(entry), **entry})
 
 
-def read_record(partial: Path, task: Task) -> dict[str, Any]:
+def read_record(partial: Path, task: Task) -> TaskRecord:
     """The record of a task.
 
     Raises:
@@ -106,13 +123,15 @@ def read_record(partial: Path, task: Task) -> dict[str, Any]:
         OutputError: It is none, or names a file elsewhere.
     """
     path = record_path(partial, task)
-    entry: dict[str, Any] = read_shaped(path, _RECORD_SHAPE, OutputError, "record of an export")
-    digest = entry.pop("digest")
-    if digest != _digest(entry):
+    what = "record of an export"
+    found = read_json(path, OutputError, what)
+    record = decode(found, TaskRecord, OutputError, f"{path}: is no {what}")
+    # Of what stands there, with keys that no field has.
+    if found.pop("digest", None) != _digest(found):
         raise OutputError(f"{path}: was changed since it was written; export again")
-    for i, (name, _, _) in enumerate(entry["files"]):
+    for i, (name, _, _) in enumerate(record.files):
         inside(partial / DATA, name, f"{path}: /files/{i}/0")
-    return entry
+    return record
 
 
 @dataclass(frozen=True)
@@ -122,15 +141,15 @@ class Records:
     plan: Plan
     partial: Path
 
-    def entries(self) -> Iterator[tuple[Task, dict[str, Any]]]:
+    def entries(self) -> Iterator[tuple[Task, TaskRecord]]:
         """Each task with all that its record holds."""
         for task in self.plan.tasks():
             entry = read_record(self.partial, task)
-            if entry["key"] != self.plan.task_key(task):
+            if entry.key != self.plan.task_key(task):
                 path = record_path(self.partial, task)
                 raise OutputError(f"{path}: was changed by another process; export again")
             yield task, entry
 
     def __iter__(self) -> Iterator[Done]:
         for task, entry in self.entries():
-            yield Done(task, entry["record"])
+            yield Done(task, entry.record)

@@ -10,7 +10,7 @@ import fnmatch
 import operator
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas import rle
+from scenec.schemas.codec import Natural
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.spelling import nearest
 
@@ -140,9 +141,9 @@ class Filters:
 class Tally:
     """Counts instances examined, accepted and rejected, summed over frames."""
 
-    seen: int = 0
-    kept: int = 0
-    rejected: dict[str, int] = field(default_factory=dict)
+    seen: Natural
+    kept: Natural
+    rejected: dict[str, Natural]
 
     def add(self, examined: int, accepted: int, rejected: dict[str, int]) -> None:
         """Add a frame's."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.datasets.evaluate.coco_files import ANNOTATIONS
+from scenec.datasets.export_records import Export
 from scenec.datasets.formats.registry import find_format
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import read_json
@@ -16,27 +17,28 @@ from scenec.schemas.spelling import shown
 _NUMBERS = ("id", "image_id", "category_id")
 
 
-def setting_differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[str]:
+def setting_differences(first: Export, second: Export) -> Iterator[str]:
     """Yields a line for each setting by which two datasets hold other things.
 
     Args:
-        first: What stands in its ``export.json``.
+        first: Its ``export.json``.
         second: Likewise.
     """
     keys = ["labels", "remap"]
-    if any(sum(one["instances"]["rejected"].values()) for one in (first, second)):
+    if any(first.instances.rejected.values()) or any(second.instances.rejected.values()):
         keys += ["keep", "rejected"]
-    if first["format"] == second["format"]:
+    one, two = first.settings, second.settings
+    if one["format"] == two["format"]:
         keys.append("level")
-        neutral = _neutral(str(first["format"]))
-        options = [one.get("options", {}) for one in (first, second)]
+        neutral = _neutral(str(one["format"]))
+        options = [settings.get("options", {}) for settings in (one, two)]
         for name in sorted({*options[0], *options[1]} - neutral):
-            a, b = (one.get(name, "its default") for one in options)
+            a, b = (given.get(name, "its default") for given in options)
             if a != b:
                 yield f"option {name}: {a} against {b}"
     for key in keys:
-        if first.get(key) != second.get(key):
-            yield f"{key}: {shown(first.get(key))} against {shown(second.get(key))}"
+        if one.get(key) != two.get(key):
+            yield f"{key}: {shown(one.get(key))} against {shown(two.get(key))}"
 
 
 def _neutral(name: str) -> set[str]:

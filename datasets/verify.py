@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.export import CARD, INDEX, STATISTICS
-from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, read_export
+from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, Export, read_export
 from scenec.datasets.holdings import coco_differences, setting_differences
 from scenec.datasets.source import Source
 from scenec.datasets.sums import SUMS, read_sums
+from scenec.schemas.codec import read_record
 from scenec.schemas.csv_cells import unguarded
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
 from scenec.schemas.native import native_reading
-from scenec.schemas.shape import read_shaped
 from scenec.schemas.update import finish_update
 
 Say = Callable[[str], None]
@@ -147,7 +147,7 @@ def opened(folder: Path) -> list[Flaw]:
     Raises:
         OutputError: pycocotools is not installed.
     """
-    if _summary(folder)["format"] != "coco":
+    if _summary(folder).settings["format"] != "coco":
         return []
     # Imported here: pycocotools is needed for this alone.
     from scenec.datasets.evaluate.coco_files import ANNOTATIONS, flaws_of
@@ -194,8 +194,9 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
     if all(map(is_dataset, (first, second))):
         summaries = [_summary(folder) for folder in (first, second)]
         found.held += setting_differences(*summaries)
-        if [one["format"] for one in summaries] == ["coco", "coco"]:
-            kinds = {one["options"].get("segmentation", "rle") for one in summaries}
+        settings = [one.settings for one in summaries]
+        if [one["format"] for one in settings] == ["coco", "coco"]:
+            kinds = {one["options"].get("segmentation", "rle") for one in settings}
             found.held += coco_differences(first, second, len(kinds) == 1)
     return found
 
@@ -208,7 +209,7 @@ def _differences(name: str, one: ComparedFrame, two: ComparedFrame) -> Iterator[
         yield f"{name}: in the split {one.split} against {two.split}"
 
 
-def _summary(folder: Path) -> dict[str, Any]:
+def _summary(folder: Path) -> Export:
     finish_update(folder)
     path = folder / EXPORT
     try:
@@ -252,28 +253,28 @@ def _index(folder: Path) -> list[dict[str, str]]:
     return [{name: unguarded(line[name]) for name in INDEX_COLUMNS} for line in lines]
 
 
-def _contradictions(folder: Path, summary: dict[str, Any]) -> Iterator[Flaw]:
+def _contradictions(folder: Path, summary: Export) -> Iterator[Flaw]:
     """Yields contradictions between index, summary and statistics."""
     try:
         lines = _index(folder)
-        statistics = read_shaped(folder / STATISTICS, dict, OutputError, STATISTICS)
+        statistics = read_record(folder / STATISTICS, dict[str, Any], OutputError, STATISTICS)
     except (OSError, OutputError) as error:
         yield Flaw(INDEX, str(error))
         return
     for name, count in Counter(line["frame"] for line in lines).items():
         if count > 1:
             yield Flaw(INDEX, f"lists {name} {count} times")
-    if len(lines) != summary["frames"] or statistics.get("frames") != summary["frames"]:
+    if len(lines) != summary.frames or statistics.get("frames") != summary.frames:
         yield Flaw(
             EXPORT,
-            f"says {summary['frames']} frames, {INDEX} lists {len(lines)}, {STATISTICS} counts "
+            f"says {summary.frames} frames, {INDEX} lists {len(lines)}, {STATISTICS} counts "
             f"{statistics.get('frames')}",
         )
-    counts = dict.fromkeys(summary["splits"], 0)
+    counts = dict.fromkeys(summary.splits, 0)
     for line in lines:
         counts[line["split"]] = counts.get(line["split"], 0) + 1
-    if counts != summary["splits"]:
-        yield Flaw(EXPORT, f"says {summary['splits']} frames in splits, {INDEX} has {counts}")
+    if counts != summary.splits:
+        yield Flaw(EXPORT, f"says {summary.splits} frames in splits, {INDEX} has {counts}")
     split_of: dict[str, str] = {}
     for line in lines:
         if split_of.setdefault(line["batch"], line["split"]) != line["split"]:
@@ -283,13 +284,13 @@ def _contradictions(folder: Path, summary: dict[str, Any]) -> Iterator[Flaw]:
         state = hashlib.sha256()
         for line in lines:
             state.update(f"{line['frame']} {line[column]}\n".encode())
-        if state.hexdigest() != summary["digest"][key]:
+        if state.hexdigest() != getattr(summary.digest, key):
             yield Flaw(EXPORT, f"its digest of all {key} is not that of {INDEX}")
 
 
 def _backend(folder: Path) -> str | None:
     """Whose frames a dataset holds; None for an output folder."""
-    return str(_summary(folder).get("backend")) if is_dataset(folder) else None
+    return str(_summary(folder).backend) if is_dataset(folder) else None
 
 
 def _frames(

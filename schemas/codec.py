@@ -4,11 +4,11 @@ A record is a frozen dataclass whose annotations say what a file holds:
 
 =======================  ===========================================================================
 ``str``, ``bool``        of this type; ``int`` is no ``bool``, ``float`` any finite number
-``JSON``                 whatever is there
+``JSON``, ``Any``        whatever is there
 ``X | None``             null, or X
 ``tuple[X, ...]``        a list of these, of any length
 ``tuple[X, Y]``          a list of just these
-``Mapping[str, X]``      an object with any keys and such values
+``Mapping[str, X]``      an object with any keys and such values; ``dict[str, X]`` likewise
 another record           an object with at least the keys that have no default
 ``Annotated[X, check]``  X of which ``check(value)`` is None, and not what was expected instead
 =======================  ===========================================================================
@@ -156,7 +156,7 @@ def _written(kind: Any) -> tuple[tuple[str, bool, Any], ...]:
 def _reader(kind: Any) -> Callable[[Any], Any]:
     """Returns what makes a value of this type of a JSON value, or raises a ``_MismatchError``."""
     origin, args = get_origin(kind), get_args(kind)
-    if kind is JSON:
+    if kind in (JSON, Any):
         return lambda value: value
     if origin is Annotated:
         return _checked(args[1], _reader(args[0]))
@@ -166,7 +166,7 @@ def _reader(kind: Any) -> Callable[[Any], Any]:
         return lambda value: None if value is None and may_be_null else inner(value)
     if origin is tuple:
         return _tuple(args)
-    if origin is Mapping:
+    if origin in (Mapping, dict):
         return _mapping(_reader(args[1]))
     if is_dataclass(kind):
         return _record(kind)

@@ -7,6 +7,7 @@ there is not raises a bare assertion. So all is checked here before.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +18,44 @@ from scenec.datasets.evaluate.instances import NEEDED, Coco, quiet
 from scenec.datasets.formats.coco import instance_annotations
 from scenec.datasets.formats.coco_parts import NO_LEVEL, image_entry
 from scenec.datasets.source import Source
+from scenec.schemas.codec import Natural, decode, is_number, natural
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import read_json
-from scenec.schemas.shape import is_number, natural, require_shape
+from scenec.schemas.records import Row4
 from scenec.schemas.spelling import nearest, shown
 
 ANNOTATIONS = "annotations"
-_DOCUMENT = {
-    "images": [{"id": natural, "width": natural, "height": natural}],
-    "annotations": [{"image_id": natural, "category_id": natural, "bbox": [float] * 4}],
-    "categories": [{"id": natural, "name": str}],
-}
 #: A corner of a polygon may lie this many times a picture's side outside of it.
 _FAR = 16.0
 #: Pixels: sides of boxes whose areas add up.
 _MOST = 1e9
+
+
+@dataclass(frozen=True)
+class _Image:
+    id: Natural
+    width: Natural
+    height: Natural
+
+
+@dataclass(frozen=True)
+class _Annotation:
+    image_id: Natural
+    category_id: Natural
+    bbox: Row4
+
+
+@dataclass(frozen=True)
+class _Category:
+    id: Natural
+    name: str
+
+
+@dataclass(frozen=True)
+class _Document:
+    images: tuple[_Image, ...]
+    annotations: tuple[_Annotation, ...]
+    categories: tuple[_Category, ...]
 
 
 def read_truth(path: Path, split: str | None = None) -> tuple[Path, Coco]:
@@ -59,7 +83,7 @@ def read_truth(path: Path, split: str | None = None) -> tuple[Path, Coco]:
             raise OutputError(f"{path}: has no split {split!r}{nearest(split, files)}")
         file = files[split] if split is not None else next(iter(files.values()))
     document = read_json(file, FrameError, "a COCO file")
-    require_shape(document, _DOCUMENT, FrameError, str(file))
+    decode(document, _Document, FrameError, str(file))
     images = {one["id"]: one for one in document["images"]}
     categories = {one["id"] for one in document["categories"]}
     found = []

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from scenec.backends.check.files import check_files
 from scenec.backends.check.frames import check_frames, check_scans
 from scenec.datasets.export import Choice, export
-from scenec.datasets.export_records import read_record, record_path, write_record
+from scenec.datasets.export_records import TaskRecord, read_record, record_path, write_record
+from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Task
 from scenec.datasets.source import Source
 from scenec.datasets.verify import verify
@@ -29,7 +30,6 @@ from scenec.schemas.left_out import ClassRecord, Reason, Record, read_left_out, 
 from scenec.schemas.manifest import find_batches, gaps, read_manifest
 from scenec.schemas.records import NOT_WRITTEN, ScanRecord
 from scenec.schemas.scans import read_scan, write_scan
-from scenec.schemas.shape import Each, natural, require_shape
 from scenec.testing.examples import examples
 from scenec.testing.made_output import make_output
 from scenec.testing.processes import output_of
@@ -243,10 +243,11 @@ def test_an_export_s_summary_is_taken_or_refused_in_one_line(output, dataset, da
 @given(data=st.data())
 def test_a_record_of_a_task_that_was_changed_counts_as_not_written(tmp_path, data):
     task = Task(3, "all", (), ())
-    entry = {"key": "k", "files": [["a.png", 3, "5a"]], "record": {"n": [0.1, None]}, "index": [],
-             "left_out": {}, "held": {}, "unheld": {}, "narrowed": {}, "faults": [],
-             "statistics": {"x": 1e-300},
-             "tally": {"seen": 1, "kept": 1, "rejected": {}}}  # fmt: skip
+    entry = TaskRecord(
+        key="k", files=(("a.png", 3, "5a"),), record={"n": [0.1, None]}, index=(),
+        left_out={}, held={}, unheld={}, narrowed={}, faults=(),
+        statistics={"x": 1e-300}, tally=Tally(1, 1, {}),
+    )  # fmt: skip
     write_record(tmp_path, task, entry)
     assert read_record(tmp_path, task) == entry
     path = record_path(tmp_path, task)
@@ -286,25 +287,6 @@ def test_what_is_wrong_in_a_manifest_is_said_with_its_place(tmp_path, text, word
         find_batches(tmp_path / "out")
     assert words in str(caught.value)
     assert str(tmp_path / "out" / "manifest.json") in str(caught.value)
-
-
-def test_shapes_are_as_they_are_written():
-    shape = {"a": [natural], "b?": (None, {"c": float}), "d": Each([float, str]), "e?b": bool}
-    require_shape({"a": [], "d": {"x": [1, "y"]}, "more": 1}, shape, FrameError, "f")
-    require_shape({"a": [0], "b": None, "d": {}, "e": True}, shape, FrameError, "f")
-    wrong = {
-        "/a/1: expected a whole number from 0, not -1": {"a": [0, -1], "d": {}},
-        "/b/c: expected a finite number, not NaN": {"a": [], "b": {"c": float("nan")}, "d": {}},
-        "/d/x: expected 2 values, not 1": {"a": [], "d": {"x": [1.0]}},
-        "/d/~0~1: expected a list, not 3": {"a": [], "d": {"~/": 3}},
-        '/: the key "d" is missing': {"a": []},
-        '/: the key "e" is missing': {"a": [], "b": None, "d": {}},
-        "/: expected an object, not null": None,
-    }
-    for message, value in wrong.items():
-        with pytest.raises(FrameError) as caught:
-            require_shape(value, shape, FrameError, "f")
-        assert str(caught.value) == f"f: {message}"
 
 
 @pytest.mark.parametrize("command", ["view", "sheet", "export", "scan", "render"])
