@@ -20,7 +20,7 @@ from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.report import BatchReport
 from scenec.schemas.strays import cut_short, stray_line, stray_scans, strays
-from scenec.schemas.units import Executor, Keeper, LocalExecutor, Outcome, Unit, run_all
+from scenec.schemas.units import Executor, Keeper, LocalExecutor, Outcome, Say, Unit, run_all
 
 Tell = Callable[[str, tuple[int, int] | None], None]
 #: What to do about a batch that cannot be built.
@@ -225,7 +225,7 @@ def _require_room(
     spec: Spec,
     unit: CompileBatch,
     batches: int | None,
-    say: Callable[[str], None],
+    say: Say,
     room: tuple[int, int] | None = None,
 ) -> None:
     """Refuses a batch that does not fit into memory; tells of one that will be tight, or long.

@@ -17,7 +17,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -49,7 +49,7 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.plugins import blaming
-from scenec.schemas.units import Executor, run_all
+from scenec.schemas.units import Executor, Progress, Say, run_all
 from scenec.schemas.update import finish_update, reading, replace_files
 
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
@@ -58,9 +58,6 @@ INDEX = "frames.csv"
 STATISTICS = "statistics.json"
 CARD = "README.md"
 
-#: ``progress(done, total, text)``, called after each task.
-Progress = Callable[[int, int, str], None]
-Say = Callable[[str], None]
 
 #: More of them are counted, not listed.
 _LISTED_FAULTS = 1000

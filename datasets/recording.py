@@ -16,7 +16,6 @@ Rerun's class ids have 16 bits: labels beyond are an error.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ from scenec.datasets.formats.encode import file_bytes, picture_png
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic, check_output
+from scenec.schemas.units import Progress, Say
 from scenec.schemas.versions import optional
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ def log_frames(
     backend: str | None = None,
     save: Path | None = None,
     faults: str = "skip",
-    progress: Callable[[int, int, str], None] = lambda done, total, text: None,
-    warn: Callable[[str], None] = lambda line: None,
+    progress: Progress = lambda done, total, text: None,
+    warn: Say = lambda line: None,
 ) -> Recording:
     """Logs all frames of one backend.
 
@@ -109,8 +109,8 @@ def _log_all(
     source: Source,
     names: dict[str, dict[int, str]],
     faults: str,
-    progress: Callable[[int, int, str], None],
-    warn: Callable[[str], None],
+    progress: Progress,
+    warn: Say,
     report: Recording,
 ) -> None:
     stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,8 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
 from scenec.schemas.native import native_reading
+from scenec.schemas.units import Say
 from scenec.schemas.update import finish_update
-
-Say = Callable[[str], None]
 
 #: Weight of the mean in relMSE's denominator, as in ``scenec check --backends``.
 _EPSILON = 0.01

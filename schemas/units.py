@@ -22,6 +22,10 @@ from scenec.schemas.memory import available
 from scenec.schemas.plugins import blaming
 
 T = TypeVar("T")
+#: Called with a line worth showing.
+type Say = Callable[[str], None]
+#: Called as ``progress(done, total, text)`` after each step.
+type Progress = Callable[[int, int, str], None]
 
 #: Seconds between two looks at what another process is making.
 _LOOK_S = 0.1
@@ -35,9 +39,7 @@ class Keeper:
         step: Told when a step of a unit begins; None: nobody listens.
     """
 
-    def __init__(
-        self, say: Callable[[str], None] | None = None, step: Callable[[str], None] | None = None
-    ) -> None:
+    def __init__(self, say: Say | None = None, step: Say | None = None) -> None:
         self._name: Hashable = None
         self._kept: Any = None
         self._notes: list[str] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -31,11 +31,11 @@ from scenec.schemas.frames import ANNOTATION_NAMES, Frame, frame_stem, read_fram
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.passes import AMODAL
 from scenec.schemas.scratch import scratch_folder
+from scenec.schemas.units import Say
 
 #: Where pictures of differences go, in the output folder.
 PICTURES = "check"
 
-Say = Callable[[str], None]
 #: Sample, number of the camera, camera.
 Place = tuple[int, int, Camera]
 

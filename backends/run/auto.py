@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -16,12 +16,10 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfBackend
 from scenec.schemas.errors import BackendError, PluginError
 from scenec.schemas.records import BackendChoice
-from scenec.schemas.units import Executor
+from scenec.schemas.units import Executor, Say
 
 #: What ``scenec converge`` measured, in the output folder.
 MEASURED = Path("converge", "converge.json")
-
-Say = Callable[[str], None]
 
 
 def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) -> BackendChoice:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,11 +22,7 @@ from scenec.schemas.errors import CameraRefusedError, PluginError, StageError
 from scenec.schemas.files import sweep
 from scenec.schemas.manifest import Batch
 from scenec.schemas.strays import Stray, stray_line
-from scenec.schemas.units import Executor, Outcome, Schedule, Unit
-
-#: ``progress(done, total, text)``, called after each file.
-Progress = Callable[[int, int, str], None]
-Say = Callable[[str], None]
+from scenec.schemas.units import Executor, Outcome, Progress, Say, Schedule, Unit
 
 
 @dataclass

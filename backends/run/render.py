@@ -12,7 +12,7 @@ from typing import Any
 from scenec.backends.picture import brightness
 from scenec.backends.registry import AUTO
 from scenec.backends.run.auto import choose
-from scenec.backends.run.batches import BatchRun, OpenBatch, Progress, Say, WorkReport
+from scenec.backends.run.batches import BatchRun, OpenBatch, WorkReport
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.frames import frames_of, may_lose, not_requested, opening_of
 from scenec.backends.run.plan import RenderPlan
@@ -24,7 +24,7 @@ from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_mani
 from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays
-from scenec.schemas.units import Executor, Unit
+from scenec.schemas.units import Executor, Progress, Say, Unit
 from scenec.schemas.update import reading
 
 

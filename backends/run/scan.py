@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.backends.annotation.lidar import scan
-from scenec.backends.run.batches import BatchRun, Progress, WorkReport
+from scenec.backends.run.batches import BatchRun, WorkReport
 from scenec.backends.run.executors import make_executor
 from scenec.backends.run.facts import label_names, rows, time_of
 from scenec.backends.run.frames import require_samples
@@ -24,7 +24,7 @@ from scenec.schemas.records import NOT_WRITTEN, LidarNoise, ScanRecord
 from scenec.schemas.scans import SCANS, is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest
 from scenec.schemas.strays import stray_scans
-from scenec.schemas.units import Executor, Keeper, Unit
+from scenec.schemas.units import Executor, Keeper, Progress, Unit
 from scenec.schemas.update import reading
 from scenec.schemas.versions import version_of
 

@@ -13,7 +13,7 @@ import logging
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from scenec.compiler.cache.entry import DamagedError, Packed, read_entry, write_
 from scenec.compiler.cache.structure import NotPlainError
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, inside, make_private_folder, refused_folder
+from scenec.schemas.units import Say
 
 #: Environment variables: the folder (empty: none), and the most that it may hold.
 FOLDER_VARIABLE, MOST_VARIABLE = "SCENEC_CACHE", "SCENEC_CACHE_MAX"
@@ -50,9 +51,7 @@ class Store:
         refused: Whether others can write to the folder: nothing is read, nothing is written.
     """
 
-    def __init__(
-        self, folder: Path, most_bytes: int | None = None, say: Callable[[str], None] | None = None
-    ) -> None:
+    def __init__(self, folder: Path, most_bytes: int | None = None, say: Say | None = None) -> None:
         """Takes a folder, which need not be there.
 
         Args:

@@ -15,7 +15,6 @@ between the least and the greatest depth, and the prediction is finite and above
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +25,7 @@ from scenec.datasets.evaluate.evaluation import Cell, Evaluation, Table
 from scenec.datasets.evaluate.predictions import predicted, read_depth, unrendered
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
-
-Progress = Callable[[int, int, str], None]
+from scenec.schemas.units import Progress
 
 MEASURES = ("abs_rel", "sq_rel", "rmse", "rmse_log", "delta_1", "delta_2", "delta_3")
 UNITS = {"sq_rel": "m", "rmse": "m"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,7 @@ from scenec.datasets.evaluate.predictions import predicted, read_labels, unrende
 from scenec.datasets.source import Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.spelling import nearest
-
-Progress = Callable[[int, int, str], None]
+from scenec.schemas.units import Progress
 
 _NONE = "(none)"
 Counts = NDArray[np.int64]

@@ -22,7 +22,7 @@ from scenec.datasets.view.space import space_text, three
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic, check_output
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
-from scenec.schemas.units import Executor
+from scenec.schemas.units import Executor, Progress, Say
 from scenec.schemas.versions import version_of
 
 _SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "space",
@@ -81,8 +81,8 @@ def write_view(
     ground: Callable[[Batch], Ground | None] | None = None,
     watched: str = "",
     executor: Executor | None = None,
-    progress: Callable[[int, int, str], None] = lambda done, total, text: None,
-    warn: Callable[[str], None] = lambda line: None,
+    progress: Progress = lambda done, total, text: None,
+    warn: Say = lambda line: None,
 ) -> ViewReport:
     """Writes one HTML page that shows all frames of an output.
 
@@ -176,8 +176,8 @@ class _Book:
         budget: int,
         faults: str,
         watched: str,
-        progress: Callable[[int, int, str], None],
-        warn: Callable[[str], None],
+        progress: Progress,
+        warn: Say,
     ) -> None:
         self.report = ViewReport(out, fineness=fineness)
         self.report.missing = sum(len(source.missing) for source in sources)

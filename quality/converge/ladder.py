@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,7 @@ from scenec.schemas.files import write_json
 from scenec.schemas.frames import Frame, is_done, read_frame
 from scenec.schemas.manifest import Batch
 from scenec.schemas.scratch import scratch_folder
-from scenec.schemas.units import Executor, Unit, run_all
-
-Say = Callable[[str], None]
+from scenec.schemas.units import Executor, Say, Unit, run_all
 
 #: Beside ``rgb`` in the first of a backend's references.
 ANNOTATION = ("label", "instance", "depth")

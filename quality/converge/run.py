@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,12 @@ from scenec.schemas.errors import BackendError
 from scenec.schemas.files import check_writable
 from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches
+from scenec.schemas.units import Say
 
 #: In the output folder.
 FOLDER = "converge"
 #: Half of a 95 % interval, in standard errors.
 NORMAL_95 = 1.96
-Say = Callable[[str], None]
 
 
 def converge(

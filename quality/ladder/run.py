@@ -19,6 +19,7 @@ from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import CfgError, OutputError, ScenecError
 from scenec.schemas.manifest import CFG, MANIFEST, CfgEntry, find_batches, read_manifest
 from scenec.schemas.spelling import closest, shown
+from scenec.schemas.units import Say
 
 #: Fewest and most rungs of a ladder.
 FEWEST, MOST = 2, 12
@@ -40,7 +41,7 @@ def climb(
     cfg: Path | str | None = None,
     rungs: int = 5,
     only: Sequence[str] | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Say | None = None,
 ) -> LadderReport:
     """Error against cost of the approximations of a compiled scene, one varied at a time.
 
@@ -76,9 +77,7 @@ def climb(
     return climb_base(base, chosen, rungs, say)
 
 
-def climb_base(
-    base: Base, only: Sequence[str], rungs: int, say: Callable[[str], None] | None = None
-) -> LadderReport:
+def climb_base(base: Base, only: Sequence[str], rungs: int, say: Say | None = None) -> LadderReport:
     """The ladders of a scene that no output holds; arguments as of ``climb``."""
     ladders: list[Ladder] = []
     absent: dict[str, str] = {}
