@@ -5,7 +5,8 @@ definition that annotation has, so a pixel that shows an instance is always in i
 ways lead there, and which one is taken changes the time alone:
 
 * *Rays*: each pixel of the window around a row walks the tree of the row's mesh until something is
-  hit. Good for small pictures of meshes with many triangles.
+  hit. Good for small pictures of meshes with many triangles, and for what reaches behind the camera:
+  a triangle that does has no rectangle.
 * *Triangles*: each triangle is tested at the pixels of the rectangle around its picture, but those
   that lie beside it by more than rounding could be wrong (``_SURE``). Most have no pixel's center
   in their rectangle.
@@ -423,7 +424,13 @@ def _outline(g, members, n, view, ray_cost, window, mask, scratch):  # type: ign
             continue
         # A tree that holds nothing back makes each ray test all triangles.
         walkable = g.pad[row, 0, 0] < _WITHOUT_END
-        if walkable and unknown * ray_cost < g.row_faces[row]:
+        # As of what reaches behind the camera (``frame_rows``).
+        everywhere = (
+            part[1] - part[0] == (2 * MARGIN + 1) * view.width
+            and part[3] - part[2] == (2 * MARGIN + 1) * view.height
+        )
+        least = ray_cost if everywhere else unknown * ray_cost
+        if walkable and least < g.row_faces[row]:
             _cast_window(g, row, part, view, window, mask, scratch)
         else:
             _fill_rows(g, row, part, members.bases[r], view, window, mask, scratch)
