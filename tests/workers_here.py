@@ -1,7 +1,7 @@
 """Renders without a process of their own, for tests of what is in a frame and not of who made it.
 
 A worker process costs seconds to start: Python, the libraries, every kernel. With
-``SCENEC_WORKERS=0`` units run in the process that asks (``backends.run.executors.Here``). Limits,
+``SCENEC_WORKERS=0`` units run in the process that asks (``schemas.units.LocalExecutor``). Limits,
 deaths and replacements are those of a process; what is said of them is tested with one
 (``test_worker.py``, ``test_worker_faults.py``, ``test_commands.py``).
 

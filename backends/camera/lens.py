@@ -3,7 +3,7 @@
 Radiance takes rays anywhere in a pixel. Which ones is a lens's matter; its formulas are solved on
 a lattice, at the pixels' corners at least, and between them rays are bilinear. What that is off by
 is measured at the lattice's middles, in pixels, and where it is too much the lattice is refined.
-Annotation has none of this: its rays are exact (``backends.rays``).
+Annotation has none of this: its rays are exact (``camera.rays``).
 """
 
 from __future__ import annotations

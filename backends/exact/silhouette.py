@@ -5,8 +5,8 @@ definition that annotation has, so a pixel that shows an instance is always in i
 ways lead there, and which one is taken changes the time alone:
 
 * *Rays*: each pixel of the window around a row walks the tree of the row's mesh until something is
-  hit. Good for small pictures of meshes with many triangles, and for what reaches behind the camera:
-  a triangle that does has no rectangle.
+  hit. Good for small pictures of meshes with many triangles, and for what reaches behind the
+  camera: a triangle that does has no rectangle.
 * *Triangles*: each triangle is tested at the pixels of the rectangle around its picture, but those
   that lie beside it by more than rounding could be wrong (``_SURE``). Most have no pixel's center
   in their rectangle.

@@ -48,7 +48,7 @@ class Memo:
 
         Args:
             store: The entries.
-            hold: See ``Known``.
+            hold: See ``Digests``.
         """
         self.made: Counter[str] = Counter()
         self.taken: Counter[str] = Counter()
@@ -113,7 +113,7 @@ class Memo:
         self._store.put(key, kept)
 
     def changed(self) -> list[str]:
-        """Arrays of steps that were changed after all: see ``Known.changed``."""
+        """Arrays of steps that were changed after all: see ``Digests.changed``."""
         return self._digests.changed()
 
 
