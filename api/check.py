@@ -47,6 +47,7 @@ class CheckReport:
         agreement: Of the backends that were asked for; None: of none, or there are errors.
         exact: Of the frames there are with the exact ray caster, where that was asked for.
         compared: With another dataset or output, where that was asked for.
+        is_dataset: Whether a dataset was checked, or annotation compared: there are no findings.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -54,6 +55,7 @@ class CheckReport:
     agreement: Agreement | None = None
     exact: Agreement | None = None
     compared: Comparison | None = None
+    is_dataset: bool = False
 
     @property
     def errors(self) -> int:
@@ -69,6 +71,10 @@ class CheckReport:
 
     def as_json(self) -> dict[str, Any]:
         """For scripts."""
+        if self.is_dataset:
+            other = self.compared
+            compared = None if other is None else {"same": other.same, **asdict(other)}
+            return {"flaws": [asdict(flaw) for flaw in self.flaws], "against": compared}
         return {
             "findings": [asdict(f) for f in self.findings],
             "agreement": None if self.agreement is None else agreement_json(self.agreement),
@@ -93,7 +99,7 @@ def check(out: Path | str, options: CheckOptions) -> CheckReport:
         ScenecError: What is asked for makes no sense, or cannot be read at all.
     """
     out = Path(out)
-    if is_dataset_check(out, options):
+    if options.against is not None or (out / EXPORT).is_file():
         return _check_dataset(out, options)
     for name in options.backends:
         require_name(name)
@@ -117,11 +123,6 @@ def check(out: Path | str, options: CheckOptions) -> CheckReport:
     return CheckReport(tuple(findings), agreement=agreement, exact=exact)
 
 
-def is_dataset_check(out: Path, options: CheckOptions) -> bool:
-    """Whether it is a dataset that is checked, or annotation that is compared."""
-    return options.against is not None or (out / EXPORT).is_file()
-
-
 def _check_dataset(out: Path, options: CheckOptions) -> CheckReport:
     if options.backends or options.exact:
         raise ScenecError(
@@ -142,7 +143,7 @@ def _check_dataset(out: Path, options: CheckOptions) -> CheckReport:
     compared = None
     if options.against is not None:
         compared = compare(out, Path(options.against), options.listener.say)
-    return CheckReport(flaws=tuple(flaws), compared=compared)
+    return CheckReport(flaws=tuple(flaws), compared=compared, is_dataset=True)
 
 
 def _opened(folder: Path, listener: Listener) -> list[Flaw]:

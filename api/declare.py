@@ -39,7 +39,7 @@ def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
 
 @dataclass(frozen=True, kw_only=True)
 class CallOptions:
-    """CallOptions of a call.
+    """Holds what every call takes, and checks it.
 
     Attributes:
         listener: Who hears what is done; the default keeps silent.
@@ -57,13 +57,13 @@ class CallOptions:
             choices = each.metadata.get("choices")
             if choices and value is not None and value not in choices:
                 raise ScenecError(f"{name}: {value!r}: expected one of {', '.join(choices)}")
-            if form is None or value is None or value == each.default:
+            if each.metadata.get("many") and isinstance(value, str):
+                object.__setattr__(self, name, (value,))
+            several = isinstance(value, Iterable) and not isinstance(value, str)
+            if form is None or value is None or several:
                 continue
             try:
-                if isinstance(value, str):
-                    object.__setattr__(self, name, form(value))
-                elif not isinstance(value, Iterable):
-                    form(str(value))
+                object.__setattr__(self, name, form(str(value)))
             except ScenecError as error:
                 raise ScenecError(f"{name}: {error}") from error
 
@@ -91,15 +91,20 @@ class Spread[**P, T: CallOptions]:
     def _spread(self, function: Callable[..., Any]) -> Callable[..., Any]:
         record: Callable[..., T] = self._record
 
-        @wraps(function)
-        def call(*args: Any, **options: Any) -> Any:
-            return function(*args, record(**options))
-
         before = list(inspect.signature(function).parameters.values())[:-1]
         after = inspect.signature(record).parameters.values()
-        call.__signature__ = inspect.signature(function).replace(  # type: ignore[attr-defined]
+        signature = inspect.signature(function).replace(
             parameters=[*(p.replace(kind=p.POSITIONAL_ONLY) for p in before), *after]
         )
+
+        @wraps(function)
+        def call(*args: Any, **options: Any) -> Any:
+            if len(args) != len(before):
+                # Python would speak of the record, which nobody gave.
+                signature.bind(*args, **options)
+            return function(*args, record(**options))
+
+        call.__signature__ = signature  # type: ignore[attr-defined]
         call.__doc__ = re.sub(r"(?m)^( +)options: .*$", self._option_help, function.__doc__ or "")
         return call
 

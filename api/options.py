@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.api import forms
 from scenec.api.declare import CallOptions, option
+from scenec.schemas.errors import ScenecError
 from scenec.schemas.passes import PASSES
 
 if TYPE_CHECKING:
@@ -88,6 +89,17 @@ class StageOptions(WorkOptions):
         choices=FAULTS,
     )
     batches: range | None = _span("only batches A to B-1")
+
+    def __post_init__(self) -> None:
+        """Holds batches to be a range, too: they are compiled in order.
+
+        Raises:
+            ScenecError: They are none.
+        """
+        super().__post_init__()
+        batches: object = self.batches
+        if not isinstance(batches, range | None):
+            raise ScenecError(f"batches: {batches!r}: expected a range, A:B, or one number")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +209,7 @@ class RenderOptions(PictureOptions):
         "or passes (default: that is an error; frames that hold more passes count as made)",
     )
     allow_missing: bool = option(False, _ALLOW_MISSING)
-    folder: Path | None = None
+    folder: Path | str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -160,6 +160,8 @@ def plan_of(options: PictureOptions, batches: Collection[int] | None = None) -> 
 
     names = {field.name for field in fields(RenderPlan)}
     asked = {name: value for name, value in vars(options).items() if name in names}
+    if isinstance(asked.get("folder"), str):
+        asked["folder"] = Path(asked["folder"])
     return RenderPlan(**asked if batches is None else {**asked, "batches": batches})
 
 

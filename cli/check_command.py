@@ -6,13 +6,13 @@ import argparse
 import math
 from pathlib import Path
 
-from scenec.api.check import check, is_dataset_check
+from scenec.api.check import check
 from scenec.api.options import CheckOptions
 from scenec.api.text import table
 from scenec.backends.check.compare import Agreement
 from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.witness import HAIR_PIXELS
-from scenec.cli.arguments import chosen, given
+from scenec.cli.arguments import chosen
 from scenec.cli.output import print_json, say_next
 from scenec.cli.terminal import Terminal
 
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     """Checks; 1 if something is wrong."""
     out = Path(options.out)
     found = check(out, **chosen(CheckOptions, options), listener=Terminal())
-    if is_dataset_check(out, given(CheckOptions, options)):
+    if found.is_dataset:
         from scenec.cli import check_dataset
 
         return check_dataset.tell(out, found, as_json=options.json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from scenec.api.check import CheckReport
@@ -16,14 +15,7 @@ def tell(folder: Path, report: CheckReport, *, as_json: bool) -> int:
     """Prints what was found; 1 if something is wrong, or not the same."""
     compared = report.compared
     if as_json:
-        print_json(
-            {
-                "flaws": [asdict(flaw) for flaw in report.flaws],
-                "against": None
-                if compared is None
-                else {"same": compared.same, **asdict(compared)},
-            }
-        )
+        print_json(report.as_json())
         return 0 if report.sound else 1
     for flaw in report.flaws:
         print(flaw)

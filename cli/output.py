@@ -133,7 +133,7 @@ class Progress(StepProgress):
             self._bar(done, total, rate, left, text, last=False)
 
     def _rate(self, done: int) -> float:
-        """StepProgress a second over the last reports."""
+        """Steps a second over the last reports."""
         if len(self._reports) == 1 and done > 1:
             # Whatever was finished before the first report cost none of our time.
             self._reports[0] = (self._reports[0][0], done - 1)

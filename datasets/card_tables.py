@@ -9,7 +9,6 @@ from typing import Any
 
 _BAR = 24
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
-_COMPASS = ("N", "E", "S", "W")
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], right: str = "") -> str:

@@ -163,7 +163,7 @@ def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
 
     Raises:
         OutputError: No manifest.
-        StageError: A batch that is asked for is not there.
+        StageError: A batch that is asked for is not there, or none is asked for.
     """
     if out.suffix.lower() in STAGE_SUFFIXES and not out.is_dir():
         if not out.is_file():
@@ -174,7 +174,9 @@ def find_batches(out: Path, batches: Collection[int] | None = None) -> list[Batc
         entry.index: Batch(entry.index, entry.path, out / entry.stage, out / entry.path)
         for entry in manifest.batches
     }
-    missing = [index for index in batches or () if index not in found]
+    if batches is not None and len(batches) == 0:
+        raise StageError(f"{out}: no batch is asked for")
+    missing = [index for index in (found if batches is None else batches) if index not in found]
     if missing or not found:
         there = ", ".join(map(str, found)) or "none"
         wanted = f"batch {missing[0]}" if missing else "a batch"

@@ -1,8 +1,8 @@
 """Renders without a process of their own, for tests of what is in a frame and not of who made it.
 
 A worker process costs seconds to start: Python, the libraries, every kernel. With
-``SCENEC_WORKERS=0`` units run in the process that asks (``schemas.units.LocalExecutor``). Limits,
-deaths and replacements are those of a process; what is said of them is tested with one
+``SCENEC_WORKERS=0`` units run in the process that asks (``units.LocalExecutor``). Limits, deaths
+and replacements are those of a process; what is said of them is tested with one
 (``test_worker.py``, ``test_worker_faults.py``, ``test_commands.py``).
 
 A test asks for it with ``pytest.mark.usefixtures("worker_here")``, a module whose fixtures render

@@ -111,7 +111,8 @@ def require_samples(batch: Batch, samples: Collection[int] | None, count: int) -
     Raises:
         StageError: There is one.
     """
-    beyond = [sample for sample in samples or () if not 0 <= sample < count]
+    given = () if samples is None else samples
+    beyond = [sample for sample in given if not 0 <= sample < count]
     if beyond:
         raise StageError(f"{batch.stage}: has samples 0 to {count - 1}, not {beyond[0]}")
 

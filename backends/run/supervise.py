@@ -293,6 +293,8 @@ class Supervisor:
         with suppress(ValueError):
             self._log.seek(0, 2)
             self._log.seek(max(0, self._log.tell() - 4096))
-            lines = self._log.read().decode(errors="replace").strip().splitlines()
-            cause = f"{cause}: {lines[-1].strip()}" if lines else cause
+            log = self._log.read().decode(errors="replace")
+            # In a frame of # USD says which settings the environment overrides.
+            lines = [s for line in log.splitlines() if (s := line.strip()) and s[0] != "#"]
+            cause = f"{cause}: {lines[-1]}" if lines else cause
         return cause

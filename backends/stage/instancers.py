@@ -33,7 +33,7 @@ _NO_PART = -1
 
 @dataclass(frozen=True)
 class Expanded:
-    """Rows to be: arrays as in ``scene.Rows``, matrices in stage units.
+    """Rows to be: arrays as in ``stage.scene.Rows``, matrices in stage units.
 
     Attributes:
         instance_id: Frame ids; of labeled prims (``labeled_instances``) the number below 0, until

@@ -329,7 +329,7 @@ class Camera:
         shutter: Where it is while the shutter is open; None: still. ``camera_to_world`` is where it
             is in the middle of the middle row's exposure.
         focus: What is sharp; None: everything.
-        exposure_per: What ``picture.exposure`` finds one for, "batch" or "sample"; None: given.
+        exposure_per: What ``picture.exposure`` finds one for: "batch" or "sample"; None: given.
         effects: What other packages do to its pictures (``scenec.backends.imaging.effects``).
     """
 

@@ -69,7 +69,7 @@ def load_map(
         path: The picture.
         kind: "base_color", "emission" (linear Rec.709), "roughness", "metallic", "height" (raw, in
             [0, 1]) or "normal" (unit vectors, x along +u, y along +v).
-        flip_green: See ``scene.Maps``.
+        flip_green: See ``stage.scene.Maps``.
         reading: How its numbers are meant.
 
     Raises:

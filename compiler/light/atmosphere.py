@@ -258,7 +258,7 @@ def _ground(sun_sine, low, high, skylight, arriving, sizes, spectra, weights):  
         sun_sine: Of the sun's elevation over the ground that is seen.
         low, high, skylight: Light of the sky over that sine, evenly from low to high.
         arriving: Transmission of the air between.
-        sizes, spectra: As in ``atmosphere_multiple.Air``.
+        sizes, spectra: As in ``_Air``.
         weights: Of the wavelengths, [wavelengths, 3].
     """
     place = 0.0

@@ -96,7 +96,7 @@ def _sample_layers(
     strict: bool,
     samples: Samples,
 ) -> Iterator[_SampledLayer]:
-    """``lay``, and what there is at all samples; noises where a coverage is asked for."""
+    """``fit_merges``, and what there is at all samples; noises where a coverage is asked for."""
     quantities = Quantities(field.grid, field.height)
     for i, (merge, part) in enumerate(zip(merges, coverage, strict=True), start=1):
         values = [condition.value_on(quantities, samples) for condition in merge.where]

@@ -5,7 +5,7 @@ materials that nothing is any more. What stays keeps its arrays bit by bit, and 
 stays if
 
 1. it is seen: at any sample its ball meets a view's volume (``frustum``) and is not behind the
-   ground (``horizon``); both are conservative, so every pixel's first hit stays, and annotation
+   ground (``occlusion``); both are conservative, so every pixel's first hit stays, and annotation
    with it;
 2. with color, its shadow, swept away from the lights, meets what is seen; or
 3. with color, it is near enough and large enough as seen from what is seen (``illumination``), or

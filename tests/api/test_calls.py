@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import scenec
@@ -16,7 +18,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.cli.main import main, parser
 from scenec.compiler.compile import FAULTS
 from scenec.compiler.views.needed import Keep
-from scenec.schemas.errors import ScenecError
+from scenec.schemas.errors import ScenecError, StageError
 from scenec.testing.small import small_cfg, write_cfg
 
 RECORDS = {
@@ -91,6 +93,31 @@ def test_an_option_that_is_a_text_is_read_as_the_command_line_reads_it():
         options.CompileOptions(keep="sen")
 
 
+def test_one_value_stands_for_a_list_of_one():
+    asked = options.RunOptions(settings="a.b=1", samples=3)  # type: ignore[arg-type]
+    assert (asked.settings, asked.samples) == (("a.b=1",), range(3, 4))
+    assert options.ExportOptions(keep="area>=40").keep == ("area>=40",)
+
+
+def test_an_array_of_samples_is_taken_as_it_is():
+    samples = np.arange(3)
+    assert options.RenderOptions(samples=samples).samples is samples  # type: ignore[arg-type]
+
+
+def test_batches_that_are_compiled_are_a_range():
+    with pytest.raises(ScenecError, match=r"batches: \[0, 2\]: expected a range, A:B"):
+        options.CompileOptions(batches=[0, 2])  # type: ignore[arg-type]
+
+
+def test_arguments_that_are_missing_are_named():
+    with pytest.raises(TypeError, match="'out'"):
+        scenec.compile("cfg.json")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="'out'"):
+        scenec.render(out="OUT")  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="unexpected keyword argument 'sed'"):
+        scenec.compile("cfg.json", "OUT", sed=1)  # type: ignore[call-arg]
+
+
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calls")
@@ -119,7 +146,8 @@ def test_frames_are_read_when_they_are_looked_at(out):
     assert ["loaded" in vars(frame) for frame in frames] == [False, True]
 
 
-def test_answers_print_and_show_what_the_command_prints(out, capsys):
+def test_answers_print_and_show_what_the_command_prints(out, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
     assert main(["explain", str(out), "--why", "rocks/1"]) == 0
     answer = scenec.why(out, "rocks/1")
     assert str(answer) == capsys.readouterr().out.strip()
@@ -130,6 +158,20 @@ def test_answers_print_and_show_what_the_command_prints(out, capsys):
     assert "left out" in found._repr_html_()
 
 
+def test_no_batch_is_no_stage_to_render(out):
+    with pytest.raises(StageError, match="no batch is asked for"):
+        scenec.render(out, backend="annotation", batches=[], workers=0)
+
+
+def test_frames_go_to_a_folder_that_is_named_by_a_text(out, tmp_path):
+    made = scenec.render(
+        out, backend="annotation", samples=np.arange(2), folder=str(tmp_path), workers=0
+    )
+    assert made.rendered is not None
+    assert made.rendered.rendered == 2
+    assert len(list(tmp_path.glob("frames/annotation/*/*.exr"))) == 2
+
+
 def test_a_check_tells_a_sound_output_from_a_damaged_one(out, tmp_path):
     cfg = small_cfg(samples=1, outputs=["depth"])
     made = Path(scenec.compile(cfg, tmp_path / "out").path)
@@ -138,6 +180,17 @@ def test_a_check_tells_a_sound_output_from_a_damaged_one(out, tmp_path):
     damaged = scenec.check(made)
     assert damaged.errors > 0
     assert not damaged.sound
+
+
+def test_a_check_of_a_dataset_tells_its_flaws(out, tmp_path, capsys):
+    folder = tmp_path / "coco"
+    scenec.export(out, "coco", folder=folder, workers=0)
+    assert scenec.check(folder, against=folder).as_json()["against"]["same"]
+    next(iter(folder.rglob("*.json"))).write_text("{}")
+    found = scenec.check(folder)
+    assert found.as_json()["flaws"]
+    assert main(["check", str(folder), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == found.as_json()
 
 
 def test_a_listener_hears_what_is_done(tmp_path):

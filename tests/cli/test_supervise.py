@@ -96,7 +96,8 @@ def test_a_crash_over_a_stage_is_one_line_and_exit_status_2(command, output, tmp
     done = scenec(command[0], out, *command[1:], env=with_site(tmp_path, CRASH))
     assert done.returncode == 2
     told = f"scenec: {out}/batch_0000/stage.usda: the library that reads it crashed, the "
-    told += "process died (signal SIGSEGV): a file of it is damaged, or memory ran out"
+    died = "worker process" if command == ["view"] else "process"
+    told += f"{died} died (signal SIGSEGV): a file of it is damaged, or memory ran out"
     assert done.stderr.splitlines()[-1] == told
     assert "Traceback" not in done.stderr
 

@@ -67,7 +67,7 @@ def differences(got: NDArray, made: RenderScene) -> tuple[float, float, int]:
 def everything(folder: Path) -> RenderScene:
     """Four layers of all kinds, two of whose merges heed heights.
 
-    No normals from three sides: ``test_mitsuba_projections`` has them.
+    No normals from three sides: ``test_projections`` of the conformance suite has them.
     """
     colors, normals = (looks.write_picture(folder, kind) for kind in ("base_color", "normal"))
     rough, metal = gray_picture(folder, "rough"), gray_picture(folder, "metallic")
