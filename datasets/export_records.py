@@ -29,7 +29,7 @@ TASKS, SCRATCH, DATA = "tasks", "scratch", "data"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Digests:
+class ExportDigests:
     """Digests over all frames' annotation, and over their pictures."""
 
     annotation: str
@@ -37,14 +37,14 @@ class Digests:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
+class ExportRecord:
     """Records what is relied on in ``export.json``; ``settings`` are all others."""
 
     export: Natural
     key: str
     frames: Natural
     splits: dict[str, Natural]
-    digest: Digests
+    digest: ExportDigests
     instances: Tally
     left_out: dict[str, Natural]
     held: dict[str, Natural] = field(default_factory=dict)
@@ -71,7 +71,7 @@ class TaskRecord:
     statistics: Mapping[str, Any]
 
 
-def read_export(path: Path) -> Export:
+def read_export(path: Path) -> ExportRecord:
     """Reads a dataset's ``export.json``.
 
     Raises:
@@ -85,7 +85,7 @@ def read_export(path: Path) -> Export:
         raise OutputError(
             f"{path}: is of version {version}, and this scenec knows {EXPORT_VERSION}"
         )
-    return decode(found, Export, OutputError, f"{path}: is no {what}")
+    return decode(found, ExportRecord, OutputError, f"{path}: is no {what}")
 
 
 def record_path(partial: Path, task: Task) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.datasets.evaluate.coco_files import ANNOTATIONS
-from scenec.datasets.export_records import Export
+from scenec.datasets.export_records import ExportRecord
 from scenec.datasets.formats.registry import find_format
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import read_json
@@ -17,7 +17,7 @@ from scenec.schemas.spelling import shown
 _NUMBERS = ("id", "image_id", "category_id")
 
 
-def setting_differences(first: Export, second: Export) -> Iterator[str]:
+def setting_differences(first: ExportRecord, second: ExportRecord) -> Iterator[str]:
     """Yields a line for each setting by which two datasets hold other things.
 
     Args:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.export import CARD, INDEX, STATISTICS
-from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, Export, read_export
+from scenec.datasets.export_records import EXPORT, INDEX_COLUMNS, ExportRecord, read_export
 from scenec.datasets.holdings import coco_differences, setting_differences
 from scenec.datasets.source import Source
 from scenec.datasets.sums import SUMS, read_sums
@@ -208,7 +208,7 @@ def _differences(name: str, one: ComparedFrame, two: ComparedFrame) -> Iterator[
         yield f"{name}: in the split {one.split} against {two.split}"
 
 
-def _summary(folder: Path) -> Export:
+def _summary(folder: Path) -> ExportRecord:
     finish_update(folder)
     path = folder / EXPORT
     try:
@@ -252,7 +252,7 @@ def _index(folder: Path) -> list[dict[str, str]]:
     return [{name: unguarded(line[name]) for name in INDEX_COLUMNS} for line in lines]
 
 
-def _contradictions(folder: Path, summary: Export) -> Iterator[Flaw]:
+def _contradictions(folder: Path, summary: ExportRecord) -> Iterator[Flaw]:
     """Yields contradictions between index, summary and statistics."""
     try:
         lines = _index(folder)
