@@ -76,7 +76,7 @@ class GlbBuffer:
         self.accessors.append(entry)
         return len(self.accessors) - 1
 
-    def chunks(self, document: dict[str, Any]) -> tuple[bytes, ...]:
+    def chunks(self, document: dict[str, Any]) -> tuple[bytes | bytearray, ...]:
         """Returns a file's bytes, in parts, of a document, which receives what is here.
 
         Raises:
@@ -95,7 +95,7 @@ class GlbBuffer:
             struct.pack("<III", _MAGIC, 2, size),
             struct.pack("<II", len(text), _JSON) + text,
             struct.pack("<II", len(self.data), _BINARY),
-            bytes(self.data),
+            self.data,
         )
 
 

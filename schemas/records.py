@@ -7,7 +7,7 @@ field says by default is then not known.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from scenec.schemas.codec import JSON, UNSET, Natural, Unset, is_number, omitted
@@ -264,13 +264,13 @@ class BackendChoice:
 
     Attributes:
         backend: Name.
-        order: Names in the order of preference, and what that stands on.
+        order: Names in the order of preference, and what that stands on; before 0.9 there was none.
         left_out: Those before it that do not work here for what is asked, and why.
     """
 
     backend: str
-    order: str
-    left_out: Mapping[str, str]
+    order: str = ""
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
-from scenec.backends.run.executors import make_executor
+from scenec.backends.run.executors import one_worker
 from scenec.backends.run.frames import opening_of
 from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfSession
@@ -124,8 +124,8 @@ def ask(
         )
         for sample, camera in places
     )
-    # One worker: what it sees comes in order.
-    with make_executor() as executor:
+    # One: what it sees comes in order.
+    with one_worker() as executor:
         for _, outcome in run_all(executor, units):
             yield outcome.result()
 

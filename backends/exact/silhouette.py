@@ -5,7 +5,8 @@ definition that annotation has, so a pixel that shows an instance is always in i
 ways lead there, and which one is taken changes the time alone:
 
 * *Rays*: each pixel of the window around a row walks the tree of the row's mesh until something is
-  hit. Good for small pictures of meshes with many triangles.
+  hit. Good for small pictures of meshes with many triangles, and for what reaches behind the
+  camera: a triangle that does has no rectangle.
 * *Triangles*: each triangle is tested at the pixels of the rectangle around its picture, but those
   that lie beside it by more than rounding could be wrong (``_SURE``). Most have no pixel's center
   in their rectangle.
@@ -139,6 +140,23 @@ def _projected(view, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _sides(view, x, y, z):  # type: ignore[no-untyped-def]
+    """How far a point relative to the eye is within each side of the continued picture, by depth.
+
+    Linear in the point: where it is negative at all corners of a box, nothing of the box that is
+    before the camera is within that side, wherever the rest is.
+    """
+    k, inverse = view.k, view.inverse
+    a = inverse[0, 0] * x + inverse[0, 1] * y + inverse[0, 2] * z
+    b = inverse[1, 0] * x + inverse[1, 1] * y + inverse[1, 2] * z
+    depth = inverse[2, 0] * x + inverse[2, 1] * y + inverse[2, 2] * z
+    u = k[0, 0] * a + k[0, 1] * b + k[0, 2] * depth
+    v = k[1, 1] * b + k[1, 2] * depth
+    wide, tall = view.width * depth, view.height * depth
+    return u + MARGIN * wide, (MARGIN + 1) * wide - u, v + MARGIN * tall, (MARGIN + 1) * tall - v
+
+
+@kernel
 def _norm(inverse):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(3):
@@ -200,8 +218,11 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
         complete: Receives whether the row lies in the continued picture (``_all_inside``), or has
             no surface, bool [r].
     """
-    rows, windows, at = members.rows, members.parts, view.eye
+    rows, windows, at, k = members.rows, members.parts, view.eye, view.k
     norm = _norm(view.inverse)
+    # Of the errors of ``_sides``.
+    scale = abs(k[0, 0]) + abs(k[0, 1]) + abs(k[0, 2]) + abs(k[1, 1]) + abs(k[1, 2])
+    scale += (MARGIN + 1) * (view.width + view.height)
     left, right = -MARGIN * view.width, (MARGIN + 1) * view.width
     top, bottom = -MARGIN * view.height, (MARGIN + 1) * view.height
     eye = abs(at[0]) + abs(at[1]) + abs(at[2])
@@ -220,6 +241,7 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
         least_u = least_v = nearest = math.inf
         most_u = most_v = farthest = -math.inf
         slack = 0.0
+        west = east = north = south = -math.inf
         for corner in range(8):
             p0 = boxes[n, corner & 1, 0]
             p1 = boxes[n, corner >> 1 & 1, 1]
@@ -230,9 +252,13 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
             least_v, most_v = min(least_v, v), max(most_v, v)
             nearest, farthest = min(nearest, depth), max(farthest, depth)
             slack = max(slack, off)
+            within = _sides(view, x, y, z)
+            west, east = max(west, within[0]), max(east, within[1])
+            north, south = max(north, within[2]), max(south, within[3])
         tolerance = _SURE * size * norm
         slack *= tolerance
-        if farthest < -tolerance:
+        beside = min(min(west, east), min(north, south)) < -tolerance * scale
+        if farthest < -tolerance or (beside and nearest <= tolerance):
             complete[n] = False
             continue
         if nearest > tolerance:
@@ -423,7 +449,13 @@ def _outline(g, members, n, view, ray_cost, window, mask, scratch):  # type: ign
             continue
         # A tree that holds nothing back makes each ray test all triangles.
         walkable = g.pad[row, 0, 0] < _WITHOUT_END
-        if walkable and unknown * ray_cost < g.row_faces[row]:
+        # As of what reaches behind the camera (``frame_rows``).
+        everywhere = (
+            part[1] - part[0] == (2 * MARGIN + 1) * view.width
+            and part[3] - part[2] == (2 * MARGIN + 1) * view.height
+        )
+        least = ray_cost if everywhere else unknown * ray_cost
+        if walkable and least < g.row_faces[row]:
             _cast_window(g, row, part, view, window, mask, scratch)
         else:
             _fill_rows(g, row, part, members.bases[r], view, window, mask, scratch)

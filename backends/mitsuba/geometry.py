@@ -2,7 +2,7 @@
 
 Mitsuba's ``instance`` shape is traced as one call target per instance in its JIT variants and does
 not scale (1,000 instances take 22 times as long as 10, measured), so instances are written out;
-where they are too many for that, ``kept`` renders them.
+where they are too many for that, ``instanced`` renders them.
 """
 
 from __future__ import annotations

@@ -297,6 +297,7 @@ class BatchRun(ABC):
     def _finish(self, work: OpenBatch) -> None:
         if not work.left:
             self.finish(work)
+            work.made.clear()
 
 
 def _is_of(unit: Unit, sensor: str) -> bool:

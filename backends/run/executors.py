@@ -103,6 +103,11 @@ def make_executor(
     return Processes(workers, limits) if workers else LocalExecutor()
 
 
+def one_worker() -> Executor:
+    """Returns one worker process; with ``$SCENEC_WORKERS`` 0 this one works."""
+    return make_executor(None if os.environ.get(WORKERS) == "0" else 1)
+
+
 def ask(unit: Unit, executor: Executor | None = None) -> Any:
     """Run one unit; returns what it returns.
 
@@ -114,7 +119,7 @@ def ask(unit: Unit, executor: Executor | None = None) -> Any:
         ScenecError: What it raises, or that workers died over it.
     """
     if executor is None:
-        with make_executor(None if os.environ.get(WORKERS) == "0" else 1) as own:
+        with one_worker() as own:
             return ask(unit, own)
     ((_, outcome),) = run_all(executor, [unit])
     return outcome.result()

@@ -125,8 +125,9 @@ def scan_output(
         executor = executor or stack.enter_context(make_executor())
         executor.prepare(found[0].folder)
         check_writable(*(batch.folder for batch in found))
+        # No frame is made: what is wrong with a camera's passes costs no scan.
         openings = {
-            Opening(os.path.abspath(of.stage), ANNOTATION, allow_missing=allow_missing): of
+            Opening(os.path.abspath(of.stage), ANNOTATION, "auto", (), allow_missing): of
             for of in found
         }
         run = _Scan(openings, report, progress)

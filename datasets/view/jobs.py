@@ -98,7 +98,7 @@ class Pool:
             BackendError: Processes died over one, again and again.
         """
         units = [_Apply(self._names, name(item), function, item) for item in items]
-        ahead = _AHEAD * self._executor.room(max(1, len(units)))[1]
+        ahead = _AHEAD * max(1, self._executor.room(max(1, len(units)))[1])
         with closing(run_all(self._executor, units, in_order=True, ahead=ahead)) as ended:
             for _, outcome in ended:
                 yield outcome.result()

@@ -79,7 +79,10 @@ def test_a_fault_has_its_pointer_and_says_what_was_expected(message, value):
 
 
 def test_a_sidecar_of_an_earlier_version_is_read(tmp_path):
-    """1.3 to 1.6: who annotated had a name, a resolver counted, haze had one number."""
+    """1.3 to 1.6: who annotated had a name, a resolver counted, haze had one number.
+
+    In 0.7 and 0.8 ``auto`` chose by expected errors.
+    """
     make_output(tmp_path / "out", batches=1, cameras=("a",), samples=1)
     (path,) = tmp_path.rglob("000000.json")
     values = json.loads(path.read_text(encoding="utf-8"))
@@ -87,12 +90,17 @@ def test_a_sidecar_of_an_earlier_version_is_read(tmp_path):
         "annotation": {"backend": "mitsuba", "version": "3.5"},
         "resolver": {"pixels": 9, "suspects": 1, "changed": 0, "changed_rows": 0},
         "haze": {"subsampled_pixels": 3},
-    }
+        "choice": {
+            "backend": "mitsuba", "reason": "least error", "asked": "64 spp",
+            "source": "converge.json", "candidates": [], "left_out": {},
+        },
+    }  # fmt: skip
     path.write_text(json.dumps(values), encoding="utf-8")
     record = read_sidecar(path)
     assert record.haze.subsampled_pixels == 3
     assert record.haze.changing_pixels is None
     assert record.sun is UNSET
+    assert record.choice.backend == "mitsuba"
 
 
 def reads_by_string(code: str) -> Iterator[str]:

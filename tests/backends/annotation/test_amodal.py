@@ -22,7 +22,7 @@ from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.testing import scenes
 from scenec.testing.examples import examples
 
-#: Costs of a ray that leave all to rays, to spans, and to either.
+#: Costs of a ray that leave all to rays, to triangles, and to either.
 WAYS = (0, 1 << 40, RAY_COST)
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import moving_stages as ms
 import numpy as np
 import pytest
+import third_passes
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, UsdRender
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
@@ -248,6 +250,19 @@ def test_scans_of_a_cfg_are_written_read_and_not_made_twice(tmp_path):
     np.testing.assert_allclose(pose[:3, 3] - camera[:3, 3], -0.4 * camera[:3, 1], atol=1e-12)
     again = compiled(tmp_path, with_lidar())
     assert scan_output(again, ply=True).made == 0, "compiling the same again keeps scans"
+
+
+def test_a_pass_that_cannot_be_imported_keeps_no_lidar_from_scanning(tmp_path, monkeypatch):
+    third_passes.install(tmp_path, monkeypatch, {"broken": "raise ImportError('no')"})
+    shutil.copytree(compiled(tmp_path, with_lidar()) / "batch_0000", tmp_path / "alone")
+    path = tmp_path / "alone" / "stage.usda"
+    stage = Usd.Stage.Open(str(path))
+    for prim in stage.Traverse():
+        if prim.IsA(UsdRender.Var):
+            UsdRender.Var(prim).GetSourceNameAttr().Set("broken")
+    stage.Save()
+    assert read_stage(path).cameras[0][0].outputs == ("broken",)
+    assert scan_output(path).made == 2
 
 
 def test_a_damaged_scan_is_told_and_made_anew(tmp_path):
