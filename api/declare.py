@@ -54,7 +54,7 @@ class CallOptions:
     Attributes:
         listener: Who hears what is done; the default keeps silent.
 
-    None stands for the default of each field.
+    None, too, means a field's default.
 
     Raises:
         ScenecError: One has a value that it cannot have.
