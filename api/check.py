@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenec.api.check_text import agreement_lines, comparison_lines
 from scenec.api.declare import Spread
 from scenec.api.listener import Listener
 from scenec.api.options import CheckOptions
@@ -84,7 +85,11 @@ class CheckReport:
     def __str__(self) -> str:
         lines = [str(one) for one in (*self.findings, *self.flaws)]
         warnings = len(self.findings) + len(self.flaws) - self.errors
-        return "\n".join([*lines, f"{self.errors} errors, {warnings} warnings"])
+        lines.append(f"{self.errors} errors, {warnings} warnings")
+        for agreement in (self.agreement, self.exact):
+            lines += () if agreement is None else agreement_lines(agreement)
+        lines += () if self.compared is None else comparison_lines(self.compared)
+        return "\n".join(lines)
 
 
 @Spread(CheckOptions).one

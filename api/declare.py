@@ -23,7 +23,17 @@ def option(default: Any, help: str, **facts: Any) -> Any:
             it is another than the name; ``many``: whether it may be given several times;
             ``const``: whether it is true where it is given, though its default is not false.
     """
-    return field(default=default, metadata={"help": help, **facts})
+    return held(default, help=help, **facts)
+
+
+def held(default: Any, **facts: Any) -> Any:
+    """Declares a field that is held to what is said of it, and is no option without a help.
+
+    Args:
+        default: As of ``option``.
+        facts: As of ``option``.
+    """
+    return field(default=default, metadata=facts)
 
 
 def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
@@ -44,6 +54,8 @@ class CallOptions:
     Attributes:
         listener: Who hears what is done; the default keeps silent.
 
+    None, too, means a field's default.
+
     Raises:
         ScenecError: One has a value that it cannot have.
     """
@@ -52,14 +64,18 @@ class CallOptions:
 
     def __post_init__(self) -> None:
         """Holds values to their forms, and reads those that are given as texts."""
-        for name, each in declared(type(self)).items():
-            value, form = getattr(self, name), each.metadata.get("form")
-            choices = each.metadata.get("choices")
+        for each in fields(self):
+            name, default, form = each.name, each.default, each.metadata.get("form")
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
+            value, choices = getattr(self, name), each.metadata.get("choices")
+            if isinstance(default, str | Listener) and not isinstance(value, type(default)):
+                raise ScenecError(f"{name}: {value!r}: expected a {type(default).__name__}")
             if choices and value is not None and value not in choices:
                 raise ScenecError(f"{name}: {value!r}: expected one of {', '.join(choices)}")
-            if each.metadata.get("many") and isinstance(value, str):
-                object.__setattr__(self, name, (value,))
             several = isinstance(value, Iterable) and not isinstance(value, str)
+            if each.metadata.get("many") and not several:
+                object.__setattr__(self, name, (str(value),))
             if form is None or value is None or several:
                 continue
             try:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.api import forms
-from scenec.api.declare import CallOptions, option
+from scenec.api.declare import CallOptions, held, option
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.passes import PASSES
 
@@ -184,7 +184,7 @@ class PictureOptions(WorkOptions):
         form=forms.amount,
         metavar="GB",
     )
-    cameras: Sequence[str] | None = None
+    cameras: Sequence[str] | None = held(None, form=forms.names)
 
 
 #: Of ``render``, ``scan`` and ``check`` alike.
@@ -253,6 +253,22 @@ class SweepOptions(StageOptions, PictureOptions):
     )
     compile_only: bool = option(False, "make the stages alone: render and scan nothing")
 
+    def __post_init__(self) -> None:
+        """Holds each seed to be one, too, of whatever type.
+
+        Raises:
+            ScenecError: One is none.
+        """
+        super().__post_init__()
+        seeds = self.seeds
+        try:
+            # Of a range its ends tell, however long it is.
+            given = [*seeds[:1], *seeds[-1:]] if isinstance(seeds, range) else seeds
+            read = [forms.seed(str(one)) for one in given]
+            object.__setattr__(self, "seeds", seeds if isinstance(seeds, range) else read)
+        except ScenecError as error:
+            raise ScenecError(f"seeds: {error}") from error
+
 
 @dataclass(frozen=True, kw_only=True)
 class PreviewOptions(CallOptions):
@@ -265,8 +281,8 @@ class PreviewOptions(CallOptions):
     backend: str = option("pyrender", "who draws (default: pyrender, the quickest)")
     spp: int = option(8, "samples a pixel (default: 8)", form=forms.positive)
     width: int = option(480, "of pictures (default: 480)", form=forms.positive, metavar="PX")
-    settings: Sequence[str] = ()
-    seed: int = 0
+    settings: Sequence[str] = held((), many=True)
+    seed: int = held(0, form=forms.seed)
     cache: bool | Path | str = True
 
 

@@ -52,23 +52,18 @@ class OutputFolder:
 
         return [StageView(batch) for batch in find_batches(Path(self.path))]
 
-    def render(self, backend: str = "auto", *, workers: int = 0, **options: Any) -> OutputFolder:
-        """Render what is not rendered yet; returns the output.
+    def render(self, backend: str = RenderOptions.backend, **options: Any) -> OutputFolder:
+        """Render what is not rendered yet, as ``scenec.render`` does; returns the output.
 
         Args:
             backend: Name of a backend; ``annotation`` makes all but pictures.
-            workers: Processes that render; 0: one of its own.
             options: Of ``scenec.render``: ``spp``, ``passes``, …
 
         Raises:
             StageError, BackendError, OutputError: As of ``scenec.render``.
-            FrameError: A frame could not be made.
         """
-        asked = RenderOptions(backend=backend, workers=workers or None, **options)
-        report = render_output(self.path, asked)
-        if report.failed:
-            raise FrameError("; ".join(report.failed))
-        return replace(self, rendered=report)
+        asked = RenderOptions(backend=backend, **options)
+        return replace(self, rendered=render_output(self.path, asked))
 
     def frames(self, backend: str | None = None) -> list[FrameView]:
         """Frames that are there; as of ``open_frames``."""

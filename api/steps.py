@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.api.options import PictureOptions, ScanOptions, StageOptions, WorkOptions
+from scenec.schemas.errors import ScenecError
 
 if TYPE_CHECKING:
     from scenec.backends.run.plan import RenderPlan
@@ -39,13 +40,31 @@ def read_cfg(cfg: AnyCfg, settings: Sequence[str] = ()) -> Spec:
 
     Raises:
         CfgError: With all of its faults; said of no file they have JSON pointers.
+        ScenecError: It is none, or holds what JSON does not.
     """
     from scenec.compiler.cfg.load import load
 
+    path, text = source_of(cfg)
+    return load(path, settings, text)
+
+
+def source_of(cfg: AnyCfg) -> tuple[Path | str, bytes | None]:
+    """Returns a cfg's file, and the text in place of its content, where it is no file.
+
+    Raises:
+        ScenecError: As of ``read_cfg``.
+    """
     if isinstance(cfg, Path | str):
-        return load(cfg, settings)
-    text = json.dumps(cfg) if isinstance(cfg, Mapping) else cfg.text()
-    return load(Path("cfg"), settings, text.encode())
+        return cfg, None
+    from scenec.compiler.cfg.builder import CompleteCfg
+
+    if not isinstance(cfg, Mapping | CompleteCfg):
+        raise ScenecError(f"cfg: {cfg!r:.60}: expected a file, a dict, or a Cfg of the builder")
+    try:
+        text = json.dumps(cfg) if isinstance(cfg, Mapping) else cfg.text()
+    except (TypeError, ValueError) as error:
+        raise ScenecError(f"cfg: {error}") from error
+    return Path("cfg"), text.encode()
 
 
 def compile_spec(spec: Spec, out: Folder, options: StageOptions, seed: int) -> CompileReport:

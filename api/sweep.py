@@ -6,7 +6,7 @@ import csv
 import html
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +16,14 @@ from scenec.api.declare import Spread
 from scenec.api.listener import Listener
 from scenec.api.options import SweepOptions
 from scenec.api.steps import (
+    AnyCfg,
     Folder,
     cache_folder,
     hire,
     refuse_early,
     render_output,
     scan_output,
+    source_of,
 )
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, SweepPoint, points, read_all
@@ -51,13 +53,13 @@ class _PointList:
 
 
 @Spread(SweepOptions).two
-def sweep(cfg: Path | str, out: Folder, options: SweepOptions) -> SweepTable:
+def sweep(cfg: AnyCfg, out: Folder, options: SweepOptions) -> SweepTable:
     """Compiles all points side by side, then renders and scans them, one after the other.
 
     Points that are there already are not made again. A point that cannot be made costs no other.
 
     Args:
-        cfg: The cfg's file.
+        cfg: As of ``compile``.
         out: A folder of outputs, one a point.
         options: As fields of ``SweepOptions``.
 
@@ -70,7 +72,8 @@ def sweep(cfg: Path | str, out: Folder, options: SweepOptions) -> SweepTable:
     """
     listener = options.listener
     swept = points(_lists(options.values), options.seeds, in_step=options.in_step)
-    specs = read_all(cfg, swept)
+    path, text = source_of(cfg)
+    specs = read_all(path, swept, text)
     for line in dict.fromkeys(str(line) for spec in specs for line in spec.warnings):
         listener.warn(line)
     table = SweepTable(Path(out), swept, specs)
@@ -89,7 +92,14 @@ def _lists(values: Mapping[str, Sequence[object]] | Sequence[str]) -> list[str]:
     """Values as the command line has them."""
     if not isinstance(values, Mapping):
         return list(values)
-    return [f"{path}={','.join(map(json.dumps, given))}" for path, given in values.items()]
+    texts = []
+    for path, given in values.items():
+        several = isinstance(given, Iterable) and not isinstance(given, str | Mapping)
+        try:
+            texts.append(f"{path}={','.join(map(json.dumps, given if several else [given]))}")
+        except (TypeError, ValueError) as error:
+            raise ScenecError(f"values: {path}: {error}") from error
+    return texts
 
 
 class SweepTable:

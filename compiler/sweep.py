@@ -151,8 +151,13 @@ def _short(name: str) -> str:
     return f"{name[:_LONGEST_NAME]}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
-def read_all(cfg: Path | str, swept: Sequence[SweepPoint]) -> list[Spec]:
+def read_all(cfg: Path | str, swept: Sequence[SweepPoint], text: bytes | None = None) -> list[Spec]:
     """The cfg of every point.
+
+    Args:
+        cfg: The file.
+        swept: The points.
+        text: As of ``load``.
 
     Raises:
         CfgError: Some have faults; each fault is told once.
@@ -162,7 +167,7 @@ def read_all(cfg: Path | str, swept: Sequence[SweepPoint]) -> list[Spec]:
     for point in swept:
         if point.settings not in specs:
             try:
-                specs[point.settings] = _absolute(load(cfg, point.settings))
+                specs[point.settings] = _absolute(load(cfg, point.settings, text))
             except CfgError as error:
                 faults |= dict.fromkeys(error.faults)
     if faults:

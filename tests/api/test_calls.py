@@ -5,19 +5,26 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import re
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import scenec
-from scenec.api import options
+from scenec.api import options, outputs
+from scenec.api.check import CheckReport
 from scenec.api.declare import declared
+from scenec.api.sweep import _lists
+from scenec.backends.check.compare import Agreement, Comparison
 from scenec.backends.run.plan import RenderPlan
 from scenec.cli.main import main, parser
+from scenec.compiler.cfg import builder
 from scenec.compiler.compile import FAULTS
 from scenec.compiler.views.needed import Keep
+from scenec.datasets import verify
 from scenec.schemas.errors import ScenecError, StageError
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -104,6 +111,51 @@ def test_an_array_of_samples_is_taken_as_it_is():
     assert options.RenderOptions(samples=samples).samples is samples  # type: ignore[arg-type]
 
 
+def test_fields_that_are_no_option_are_read_as_texts_too():
+    assert options.RenderOptions(cameras="eye").cameras == ["eye"]
+    preview = options.PreviewOptions(settings="a.b=1", seed="7")  # type: ignore[arg-type]
+    assert (preview.settings, preview.seed) == (("a.b=1",), 7)
+    with pytest.raises(ScenecError, match="seed: '-1': expected a whole number"):
+        options.PreviewOptions(seed=-1)
+
+
+@pytest.mark.parametrize("record", RECORDS.values())
+def test_none_stands_for_the_default_of_any_field(record):
+    usual = record()
+    assert vars(record(**dict.fromkeys(vars(usual)))) == vars(usual)
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "expected"),
+    [
+        (options.RenderOptions, "backend", "expected a str"),
+        (options.RenderOptions, "listener", "expected a Listener"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_by_its_name(record, name, expected):
+    with pytest.raises(ScenecError, match=f"{name}: 3: {expected}"):
+        record(**{name: 3})
+
+
+@pytest.mark.parametrize(
+    ("cfg", "why"),
+    [(3, "3: expected a file, a dict"), (None, "None: expected"), ({"a": {1}}, "set")],
+)
+def test_what_is_no_cfg_is_refused_by_its_name(cfg, why, tmp_path):
+    for call in (scenec.compile, scenec.run, scenec.sweep):
+        with pytest.raises(ScenecError, match=f"^cfg: .*{why}"):
+            call(cfg, tmp_path / "out")
+    with pytest.raises(ScenecError, match=f"^cfg: .*{why}"):
+        scenec.preview(cfg)
+
+
+def test_seeds_of_an_array_are_seeds():
+    assert json.dumps(options.SweepOptions(seeds=np.arange(2)).seeds) == "[0, 1]"  # type: ignore[arg-type]
+    for seeds, wrong in (([0.5], "0.5"), (range(-1, 3), "-1")):
+        with pytest.raises(ScenecError, match=f"seeds: '{wrong}': expected a whole number"):
+            options.SweepOptions(seeds=seeds)  # type: ignore[arg-type]
+
+
 def test_batches_that_are_compiled_are_a_range():
     with pytest.raises(ScenecError, match=r"batches: \[0, 2\]: expected a range, A:B"):
         options.CompileOptions(batches=[0, 2])  # type: ignore[arg-type]
@@ -182,6 +234,36 @@ def test_a_check_tells_a_sound_output_from_a_damaged_one(out, tmp_path):
     assert not damaged.sound
 
 
+def test_an_output_renders_itself_as_the_call_does(out, monkeypatch):
+    asked, lost = [], SimpleNamespace(failed=["batch_0000/eye/000000: out of memory"])
+
+    def note(_: object, options: object) -> object:
+        asked.append(options)
+        return lost
+
+    monkeypatch.setattr(outputs, "render_output", note)
+    assert scenec.OutputFolder(out).render().rendered is lost
+    scenec.OutputFolder(out).render("annotation", workers=0)
+    assert asked == [
+        options.RenderOptions(),
+        options.RenderOptions(backend="annotation", workers=0),
+    ]
+
+
+def test_a_check_that_is_not_sound_says_why(out, capsys):
+    exact = Agreement((Comparison("depth", "mitsuba", 64, 3),), (), {}, 2)
+    found = CheckReport(exact=exact)
+    assert not found.sound
+    assert "annotation of 2 frames" in str(found)
+    assert re.search(r"mitsuba +depth +3 +64$", str(found), re.MULTILINE)
+    other = CheckReport(compared=verify.Comparison(2, ["batch_0000/eye/000000"]), is_dataset=True)
+    assert not other.sound
+    assert str(other).endswith("\nnot the same dataset")
+    assert main(["check", str(out), "--exact"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(str(scenec.check(out, exact=True)) + "\n")
+
+
 def test_a_check_of_a_dataset_tells_its_flaws(out, tmp_path, capsys):
     folder = tmp_path / "coco"
     scenec.export(out, "coco", folder=folder, workers=0)
@@ -226,3 +308,13 @@ def test_a_sweep_of_values_is_that_of_their_texts(tmp_path):
     assert [made.name for made in table.made] == ["count=3", "count=4"]
     assert (tmp_path / "a/sweep.csv").read_bytes() == (tmp_path / "b/sweep.csv").read_bytes()
     assert table._repr_html_().count("<tr>") == 3
+    for i, given in enumerate((cfg, builder.read(path))):
+        scenec.sweep(given, tmp_path / f"{i}", values=words[3], compile_only=True)
+        assert (tmp_path / f"{i}/sweep.csv").read_bytes() == (tmp_path / "a/sweep.csv").read_bytes()
+
+
+def test_values_of_a_sweep_are_json_and_one_stands_for_a_list_of_one():
+    lists = _lists({"a": "low", "b": 3, "c": np.linspace(0, 1, 3), "d": [[1, 2]]})
+    assert lists == ['a="low"', "b=3", "c=0.0,0.5,1.0", "d=[1, 2]"]
+    with pytest.raises(ScenecError, match=r"values: a: .*set"):
+        _lists({"a": [{1}]})

@@ -76,7 +76,7 @@ FLOORS = {
     ),
     "api": (
         ("forms", "listener", "text"),
-        ("declare",),
+        ("check_text", "declare"),
         ("options",),
         ("explain", "shown", "steps"),
         ("outputs", "models"),
