@@ -51,6 +51,8 @@ class ExportRecord:
     passes_left_out: dict[str, Natural] = field(default_factory=dict)
     faults: tuple[FrameFault, ...]
     backend: str | None = None
+    format: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = rest()
 
 

@@ -28,12 +28,11 @@ def setting_differences(first: ExportRecord, second: ExportRecord) -> Iterator[s
     if any(first.instances.rejected.values()) or any(second.instances.rejected.values()):
         keys += ["keep", "rejected"]
     one, two = first.settings, second.settings
-    if one["format"] == two["format"]:
+    if first.format == second.format:
         keys.append("level")
-        neutral = _neutral(str(one["format"]))
-        options = [settings.get("options", {}) for settings in (one, two)]
-        for name in sorted({*options[0], *options[1]} - neutral):
-            a, b = (given.get(name, "its default") for given in options)
+        neutral = _neutral(first.format)
+        for name in sorted({*first.options, *second.options} - neutral):
+            a, b = (given.options.get(name, "its default") for given in (first, second))
             if a != b:
                 yield f"option {name}: {a} against {b}"
     for key in keys:

@@ -146,7 +146,7 @@ def opened(folder: Path) -> list[Flaw]:
     Raises:
         OutputError: pycocotools is not installed.
     """
-    if _summary(folder).settings["format"] != "coco":
+    if _summary(folder).format != "coco":
         return []
     # Imported here: pycocotools is needed for this alone.
     from scenec.datasets.evaluate.coco_files import ANNOTATIONS, flaws_of
@@ -193,9 +193,8 @@ def compare(first: Path, second: Path, say: Say | None = None) -> Comparison:
     if all(map(is_dataset, (first, second))):
         summaries = [_summary(folder) for folder in (first, second)]
         found.held += setting_differences(*summaries)
-        settings = [one.settings for one in summaries]
-        if [one["format"] for one in settings] == ["coco", "coco"]:
-            kinds = {one["options"].get("segmentation", "rle") for one in settings}
+        if [one.format for one in summaries] == ["coco", "coco"]:
+            kinds = {one.options.get("segmentation", "rle") for one in summaries}
             found.held += coco_differences(first, second, len(kinds) == 1)
     return found
 
