@@ -38,7 +38,7 @@ def test_uses_what_numpy_calls_invalid():
 def test_what_warns_fails_under_make_audit(workers, tmp_path):
     (tmp_path / "test_of_an_audit.py").write_text(TESTS, encoding="utf-8")
     # A module without tests, beside the configuration of all of them.
-    paths = f"testing/small.py {tmp_path / 'test_of_an_audit.py'} -p no:cacheprovider"
+    paths = f"tests/elsewhere.py {tmp_path / 'test_of_an_audit.py'} -p no:cacheprovider"
     # Nor what the run of tests or the make that this one is part of was told.
     told = ("PYTEST_", "MAKE", "MFLAGS")
     environment = {key: os.environ[key] for key in os.environ if not key.startswith(told)}
