@@ -308,7 +308,8 @@ def run_all(
         executor: Who runs them; None: this process.
         units: In the order in which they are given out.
         in_order: Whether to yield them in that order, not as they end.
-        ahead: In order, how many may be given out and not yet yielded; None: any number.
+        ahead: In order, how many may be given out and not yet yielded; None: any number. Such units
+            all hold the same, as others are not given out in their order.
         ended: Called with each as it ends.
 
     Yields:
@@ -318,6 +319,7 @@ def run_all(
         ScenecError: Workers cannot be had.
     """
     units = list(units)
+    assert ahead is None or len({unit.holds for unit in units}) <= 1
     schedule = Schedule(units, ahead)
     ready: dict[int, Outcome] = {}
     following = 0
