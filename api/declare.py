@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import Field, dataclass, field, fields
@@ -74,6 +75,11 @@ class CallOptions:
             if choices and value is not None and value not in choices:
                 raise ScenecError(f"{name}: {value!r}: expected one of {', '.join(choices)}")
             several = isinstance(value, Iterable) and not isinstance(value, str)
+            if several and not _takes_several(each.type):
+                raise ScenecError(f"{name}: {value!r:.60}: expected one value")
+            path = isinstance(value, bool | str | os.PathLike | None)
+            if "Path" in str(each.type) and not (path or several):
+                raise ScenecError(f"{name}: {value!r}: expected a path")
             if each.metadata.get("many") and not several:
                 object.__setattr__(self, name, (str(value),))
             if form is None or value is None or several:
@@ -82,6 +88,12 @@ class CallOptions:
                 object.__setattr__(self, name, form(str(value)))
             except ScenecError as error:
                 raise ScenecError(f"{name}: {error}") from error
+
+
+def _takes_several(annotation: object) -> bool:
+    """Tells whether a field's annotation, as written, names a container."""
+    containers = ("Sequence", "Collection", "Iterable", "Mapping", "range")
+    return any(word in str(annotation) for word in containers)
 
 
 class Spread[**P, T: CallOptions]:

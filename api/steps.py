@@ -61,10 +61,17 @@ def source_of(cfg: AnyCfg) -> tuple[Path | str, bytes | None]:
     if not isinstance(cfg, Mapping | CompleteCfg):
         raise ScenecError(f"cfg: {cfg!r:.60}: expected a file, a dict, or a Cfg of the builder")
     try:
-        text = json.dumps(cfg) if isinstance(cfg, Mapping) else cfg.text()
+        text = json.dumps(cfg, default=plain) if isinstance(cfg, Mapping) else cfg.text()
     except (TypeError, ValueError) as error:
         raise ScenecError(f"cfg: {error}") from error
     return Path("cfg"), text.encode()
+
+
+def plain(value: Any) -> Any:
+    """Returns NumPy's numbers and arrays as JSON has them."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{value!r:.60}: a {type(value).__name__} is no value of a cfg")
 
 
 def compile_spec(spec: Spec, out: Folder, options: StageOptions, seed: int) -> CompileReport:

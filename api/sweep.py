@@ -20,6 +20,7 @@ from scenec.api.steps import (
     Folder,
     cache_folder,
     hire,
+    plain,
     refuse_early,
     render_output,
     scan_output,
@@ -96,7 +97,8 @@ def _lists(values: Mapping[str, Sequence[object]] | Sequence[str]) -> list[str]:
     for path, given in values.items():
         several = isinstance(given, Iterable) and not isinstance(given, str | Mapping)
         try:
-            texts.append(f"{path}={','.join(map(json.dumps, given if several else [given]))}")
+            each = (json.dumps(one, default=plain) for one in (given if several else [given]))
+            texts.append(f"{path}={','.join(each)}")
         except (TypeError, ValueError) as error:
             raise ScenecError(f"values: {path}: {error}") from error
     return texts

@@ -9,6 +9,7 @@ each pixel's center? ``scenec check --backends`` holds it against the annotation
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -128,7 +129,7 @@ def _triangles(scene: RenderScene) -> tuple[int, int]:
     return int(faces.sum()), int(faces[scene.rows.mesh].sum())
 
 
-class Backend:
+class Backend(ABC):
     """A renderer with a scene loaded. Made by ``scenec.backends.registry.open_backend``.
 
     A subclass takes one keyword, ``device``: one of its ``devices``, or "auto" for the fastest one
@@ -168,12 +169,12 @@ class Backend:
     continues: bool = False
     load_cost: LoadCost | None = None
 
-    def __init__(self, device: str = "auto") -> None:
+    def __init__(self, device: str = "auto") -> None:  # noqa: B027 (what needs no device needs none)
         """Starts the renderer."""
 
+    @abstractmethod
     def version(self) -> str:
         """Returns name and version of renderer and variant, for sidecars and resume keys."""
-        raise NotImplementedError
 
     def warning(self) -> str | None:
         """Returns a line that the user should see before rendering, or None."""
@@ -186,10 +187,11 @@ class Backend:
         """
         return ()
 
+    @abstractmethod
     def load(self, scene: RenderScene) -> None:
         """Builds the renderer's own scene, once per batch."""
-        raise NotImplementedError
 
+    @abstractmethod
     def radiance(
         self, camera: Camera, sample: int, spp: int, seed: int, denoise: bool = False
     ) -> Radiance:
@@ -202,7 +204,6 @@ class Backend:
             seed: Of the noise, 32 bits.
             denoise: Whether to fill ``Radiance.denoised``; only asked of backends with a denoiser.
         """
-        raise NotImplementedError
 
     def witness(self, rays: Rays, sample: int, camera: Camera | None = None) -> Visibility | None:
         """Returns first hits as this renderer itself finds them.

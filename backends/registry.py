@@ -112,11 +112,18 @@ def backend_class(name: str, device: str = "auto") -> type[Backend]:
         if name in BUILT_IN and not isinstance(error, ImportError | AttributeError):
             raise
         raise _not_imported(name, error, mend) from error
+    if not isinstance(backend, type) or not hasattr(backend, "devices"):
+        raise BackendError(f"backend {name}: {origin(GROUP, name)} offers no class with devices")
     if device not in ("auto", *backend.devices):
         raise BackendError(
             f"backend {name} has no device {device!r}; it has auto, {', '.join(backend.devices)}"
         )
-    return completed(backend)
+    kind = completed(backend)
+    if lacks := sorted(kind.__abstractmethods__):
+        raise BackendError(
+            f"backend {name}: its class {backend.__name__} has no {' and no '.join(lacks)}"
+        )
+    return kind
 
 
 def open_backend(name: str, device: str = "auto") -> Backend:

@@ -155,17 +155,20 @@ def _sky_labels_below(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:
 
 
 def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
-    """World bounds at all samples: of the corners of each row's local bounds, a little generous."""
-    if not len(rows.mesh):
-        return np.zeros((2, 3))
+    """Bounds faces at all samples, by the corners of each row's local bounds: a little generous."""
     local = np.zeros((len(meshes), 2, 3))
-    for index, mesh in enumerate(meshes):
-        if len(mesh.points):
-            local[index] = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    boxes = [_world_box(rows.to_world, rows.mesh, local)]
+    filled = np.array([bool(len(mesh.faces) and len(mesh.points)) for mesh in meshes], bool)
+    for index in np.flatnonzero(filled).tolist():
+        points = meshes[index].points
+        local[index] = points.min(axis=0), points.max(axis=0)
+    there = filled[rows.mesh]
+    if not there.any():
+        return np.zeros((2, 3))
+    boxes = [_world_box(rows.to_world[there], rows.mesh[there], local)]
     if rows.motion is not None:
         mesh_of = rows.mesh[rows.motion.rows]
-        boxes += [_world_box(at, mesh_of, local) for at in rows.motion.to_world]
+        there = filled[mesh_of]
+        boxes += [_world_box(at[there], mesh_of[there], local) for at in rows.motion.to_world]
     return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
 

@@ -156,6 +156,29 @@ def test_seeds_of_an_array_are_seeds():
             options.SweepOptions(seeds=seeds)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("record", "wrong", "why"),
+    [
+        (options.RenderOptions, {"spp": [1, 2]}, r"spp: \[1, 2\]: expected one value"),
+        (options.RenderOptions, {"backend": ["mitsuba"]}, "backend: .*: expected a str"),
+        (options.CompileOptions, {"cache": 3}, "cache: 3: expected a path"),
+    ],
+)
+def test_one_value_is_no_list_and_a_path_no_number(record, wrong, why):
+    with pytest.raises(ScenecError, match=why):
+        record(**wrong)
+
+
+def test_numbers_and_arrays_of_numpy_are_values_of_a_cfg(tmp_path):
+    cfg = small_cfg(samples=1, outputs=["depth"])
+    scenec.compile(cfg, tmp_path / "plain", seed=1)
+    size = np.array(cfg["terrain"]["size_m"])
+    of_numpy = {**cfg, "samples": np.int64(1), "terrain": {**cfg["terrain"], "size_m": size}}
+    scenec.compile(of_numpy, tmp_path / "numpy", seed=1)
+    stage = "batch_0000/stage.usda"
+    assert (tmp_path / "numpy" / stage).read_bytes() == (tmp_path / "plain" / stage).read_bytes()
+
+
 def test_batches_that_are_compiled_are_a_range():
     with pytest.raises(ScenecError, match=r"batches: \[0, 2\]: expected a range, A:B"):
         options.CompileOptions(batches=[0, 2])  # type: ignore[arg-type]

@@ -170,3 +170,27 @@ def test_a_folder_of_frames_that_cannot_be_made_is_one_line_and_one_try(stage):
     (stage.parent / "frames" / "annotation").write_text("a file lies here")
     with pytest.raises(OutputError, match=r"annotation.*: cannot be made: Not a directory"):
         run(stage, passes=["depth"])
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            "class Odd:\n    devices = ()\n",
+            "its class Odd has no load and no radiance and no version",
+        ),
+        ("def Odd(device): ...\n", "offers no class with devices"),
+    ],
+)
+def test_a_package_whose_backend_is_none_is_told_before_anything_starts(
+    text, why, tmp_path, monkeypatch
+):
+    module = f"odd_{text.split()[0]}"
+    (tmp_path / f"{module}.py").write_text(text)
+    info = tmp_path / "odd_backend-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd-backend\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(f"[scenec.backends]\nodd = {module}:Odd\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(BackendError, match=f"backend odd: .*{why}"):
+        open_backend("odd")

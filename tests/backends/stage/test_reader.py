@@ -410,3 +410,12 @@ def test_an_instancer_inside_of_its_own_prototypes_is_refused(tmp_path):
 def test_units_of_no_length_are_refused(tmp_path, unit):
     with pytest.raises(StageError, match="metersPerUnit"):
         opened(tmp_path, lambda stage: square(stage, "/Root/mesh"), unit=unit)
+
+
+def test_bounds_are_those_of_faces(tmp_path):
+    def build(stage):
+        square(stage, "/Root/square")
+        polygons(stage, "/Root/far", [(1e6, 0, 0), (2e6, 0, 0)], [], [])
+
+    bounds = opened(tmp_path, build).bounds
+    np.testing.assert_allclose(bounds, [[0, 0, 0], [1, 1, 0]], atol=1e-5)
