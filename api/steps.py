@@ -6,14 +6,14 @@ What takes long to import is imported where it is used: a command says what it r
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import fields
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.api.options import PictureOptions, ScanOptions, StageOptions, WorkOptions
-from scenec.schemas.errors import ScenecError
+from scenec.schemas.errors import CfgError, ScenecError
 
 if TYPE_CHECKING:
     from scenec.backends.run.plan import RenderPlan
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 #: Files that the latter two name are relative to the working directory.
 type AnyCfg = Path | str | Mapping[str, Any] | CompleteCfg
 type Folder = Path | str
+#: Names a cfg that is in no file, in faults.
+_PYTHON = "cfg"
 
 
 def read_cfg(cfg: AnyCfg, settings: Sequence[str] = ()) -> Spec:
@@ -45,7 +47,20 @@ def read_cfg(cfg: AnyCfg, settings: Sequence[str] = ()) -> Spec:
     from scenec.compiler.cfg.load import load
 
     path, text = source_of(cfg)
-    return load(path, settings, text)
+    with placed(text is None):
+        return load(path, settings, text)
+
+
+@contextmanager
+def placed(in_file: bool) -> Iterator[None]:
+    """Takes line and column from faults of a cfg that is in no file: nobody has seen its text."""
+    try:
+        yield
+    except CfgError as error:
+        if in_file:
+            raise
+        faults = [f if f.file != _PYTHON else replace(f, line=0, column=0) for f in error.faults]
+        raise CfgError(faults) from None
 
 
 def source_of(cfg: AnyCfg) -> tuple[Path | str, bytes | None]:
@@ -64,7 +79,7 @@ def source_of(cfg: AnyCfg) -> tuple[Path | str, bytes | None]:
         text = json.dumps(cfg, default=plain) if isinstance(cfg, Mapping) else cfg.text()
     except (TypeError, ValueError) as error:
         raise ScenecError(f"cfg: {error}") from error
-    return Path("cfg"), text.encode()
+    return Path(_PYTHON), text.encode()
 
 
 def plain(value: Any) -> Any:

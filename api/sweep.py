@@ -20,6 +20,7 @@ from scenec.api.steps import (
     Folder,
     cache_folder,
     hire,
+    placed,
     plain,
     refuse_early,
     render_output,
@@ -74,7 +75,8 @@ def sweep(cfg: AnyCfg, out: Folder, options: SweepOptions) -> SweepTable:
     listener = options.listener
     swept = points(_lists(options.values), options.seeds, in_step=options.in_step)
     path, text = source_of(cfg)
-    specs = read_all(path, swept, text)
+    with placed(text is None):
+        specs = read_all(path, swept, text)
     for line in dict.fromkeys(str(line) for spec in specs for line in spec.warnings):
         listener.warn(line)
     table = SweepTable(Path(out), swept, specs)

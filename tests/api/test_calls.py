@@ -169,6 +169,15 @@ def test_one_value_is_no_list_and_a_path_no_number(record, wrong, why):
         record(**wrong)
 
 
+def test_faults_of_a_cfg_in_no_file_have_no_lines(tmp_path):
+    cfg = small_cfg(samples=1)
+    cfg["terrain"]["spacng_m"] = 1
+    with pytest.raises(ScenecError, match=r"^cfg: /terrain/spacng_m: unknown key"):
+        scenec.compile(cfg, tmp_path / "out")
+    with pytest.raises(ScenecError, match=r"^cfg: /terrain/spacng_m: unknown key"):
+        scenec.sweep(cfg, tmp_path / "sweep", seeds=[1, 2])
+
+
 def test_numbers_and_arrays_of_numpy_are_values_of_a_cfg(tmp_path):
     cfg = small_cfg(samples=1, outputs=["depth"])
     scenec.compile(cfg, tmp_path / "plain", seed=1)
