@@ -287,6 +287,22 @@ def test_ties_go_to_the_lowest_row_then_to_the_lowest_face():
     assert t.tolist() == [2.0, 2.0, 2.0]
 
 
+def test_ties_in_a_picture_go_to_the_lowest_row_and_face():
+    corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    sheet = scenes.mesh(corners, [(0, 1, 2), (0, 2, 3), (2, 1, 0), (0, 3, 2)])
+    middles = 0.25 * np.random.default_rng(4).permutation(40)
+    rows = [(0, scenes.affine(1.0, (x, 0.0, 4.0))) for x in middles]
+    x, y = np.arange(24) / 8.0 + 1 / 32, np.arange(16) / 64.0
+    grid = np.stack([*np.meshgrid(x / 4.0, y / 4.0), np.ones((16, 24))], axis=-1).reshape(-1, 3)
+    rays = Rays(np.zeros_like(grid), grid, (16, 24))
+    stack = scenes.scene([sheet], rows)
+    row, face, t = ExactCaster(stack).cast(rays)
+    lowest = [int(np.argmax(abs(4.0 * d - middles) <= 1.0)) for d in grid[:, 0]]
+    np.testing.assert_array_equal(row, lowest)
+    np.testing.assert_array_equal(face, brute_force(stack, rays)[1])
+    assert (t == 4.0).all()
+
+
 def test_hits_are_two_sided_and_need_a_positive_parameter():
     triangle = scenes.scene(
         [scenes.mesh([(-1, -1, 0), (1, -1, 0), (0, 1, 0)], [0, 1, 2])], [(0, scenes.affine())]
