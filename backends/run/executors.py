@@ -12,7 +12,7 @@ from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once, default_limit
 from scenec.backends.run.slots import fill
 from scenec.backends.run.supervise import Supervisor
-from scenec.schemas.budget import thread_budget
+from scenec.schemas.budget import thread_budget, usable_cores
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import available
 from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, run_all
@@ -38,7 +38,7 @@ class Processes:
     ) -> None:
         limits, workers = limits or Limits(), at_once(workers)
         if threads is None and workers > 1:
-            threads = max(1, (thread_budget() or os.process_cpu_count() or 1) // workers)
+            threads = max(1, (thread_budget() or usable_cores()) // workers)
         self._slots = [Supervisor(limits, threads, self._count) for _ in range(workers)]
         self._threads = ThreadPoolExecutor(workers)
 
