@@ -1,7 +1,8 @@
 #!/bin/sh
 # Makes .venv: finds Python 3.12, 3.13 or 3.14, installs requirements.lock and
 # requirements-nodeps.lock by hash, installs scenec editable. Does nothing when .venv already
-# answers to the same lock files, pyproject.toml and place.
+# answers to the same lock files, pyproject.toml and place. With names of extras it installs what
+# these need and no more; what is there stays.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -36,8 +37,8 @@ find_python() {
 
 wanted="$(pwd) $(cat requirements.lock requirements-nodeps.lock pyproject.toml | cksum)"
 stamp=.venv/scenec.stamp
-if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && fits .venv/bin/python; then
-  exit 0
+if [ -f "$stamp" ] && fits .venv/bin/python; then
+  case "$(cat "$stamp")" in "$wanted" | "$wanted for $*") exit 0 ;; esac
 fi
 
 # A venv does not survive a move: its scripts and the editable install name their folder.
@@ -45,7 +46,7 @@ if [ -e .venv ]; then
   if ! fits .venv/bin/python; then
     say "Removing .venv: its Python does not run, or is none of $versions"
     rm -rf .venv
-  elif [ -f "$stamp" ] && [ "$(sed 's/ [0-9]* [0-9]*$//' "$stamp")" != "$(pwd)" ]; then
+  elif [ -f "$stamp" ] && [ "$(sed 's/ [0-9]* [0-9]*\( for .*\)\{0,1\}$//' "$stamp")" != "$(pwd)" ]; then
     say "Removing .venv: it was made in another folder"
     rm -rf .venv
   fi
@@ -89,9 +90,9 @@ install() {
   fi
 }
 
-say "Installing the packages of requirements.lock, each checked against its hash (about 1 GB, once)"
+say "Installing packages of requirements.lock, each checked against its hash (once)"
 # First what compiles kernels: that is done while the rest, most of it renderers, arrives.
-.venv/bin/python tools/core_requirements.py >.venv/core.txt
+.venv/bin/python tools/locked.py >.venv/core.txt
 install .venv/core.txt
 say "Installing scenec itself, editable"
 .venv/bin/python -m pip install --disable-pip-version-check --quiet --no-index --no-deps \
@@ -100,8 +101,14 @@ say "Compiling the kernels beside the other downloads"
 .venv/bin/python tools/warm_kernels.py &
 warming=$!
 trap 'kill $warming 2>/dev/null || true' EXIT
-install requirements.lock
-install requirements-nodeps.lock
+if [ $# -gt 0 ]; then
+  .venv/bin/python tools/locked.py "$@" >.venv/extras.txt
+  install .venv/extras.txt
+  wanted="$wanted for $*"
+else
+  install requirements.lock
+  install requirements-nodeps.lock
+fi
 .venv/bin/python -m tools.cfg_stub >/dev/null
 say "Waiting for the kernels"
 wait $warming || true
