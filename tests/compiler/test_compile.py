@@ -48,10 +48,13 @@ def reference(tmp_path_factory) -> Path:
 #: All in one run, which loads or compiles every kernel: what fails here is taken apart by
 #: ``make thorough``.
 TOGETHER = {"all at once": ALL_AT_ONCE}
-ANNOTATED = COMPILE + """
+ANNOTATED = (
+    COMPILE
+    + """
 from scenec.backends.run.render import render
 assert render(sys.argv[2], "annotation").rendered
 """
+)
 
 
 @pytest.mark.parametrize(

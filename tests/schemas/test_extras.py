@@ -23,7 +23,11 @@ def served(extra: str) -> tuple[tuple[int, int], ...]:
 
     def has_all(version: tuple[int, int]) -> bool:
         name = f"{version[0]}.{version[1]}"
-        where = {**default_environment(), "python_version": name, "python_full_version": f"{name}.1"}
+        where = {
+            **default_environment(),
+            "python_version": name,
+            "python_full_version": f"{name}.1",
+        }
         return all(need.marker is None or need.marker.evaluate(where) for need in needs)
 
     return tuple(version for version in ALL if has_all(version))
