@@ -1,7 +1,4 @@
-"""Prints the part of the lock that scenec and some extras need: ``python tools/locked.py [EXTRA...]``.
-
-With what installing scenec itself needs.
-"""
+"""Prints the lock of what scenec and some extras need: ``python tools/locked.py [EXTRA...]``."""
 
 from __future__ import annotations
 

@@ -110,14 +110,14 @@ def test_the_lock_holds_every_declared_dependency_at_an_allowed_version():
     declared = list(table["project"]["dependencies"]) + list(table["dependency-groups"]["dev"])
     for name, extra in table["project"]["optional-dependencies"].items():
         declared += [] if name in TOO_LARGE else extra
-    entries = locked()
+    here = locked()
     requirements = [Requirement(text) for text in declared]
     for requirement in requirements:
         if requirement.name == "scenec" or not (
             requirement.marker is None or requirement.marker.evaluate()
         ):
             continue
-        version = entries[canonicalize_name(requirement.name)].split("==")[1].split()[0]
+        version = here[canonicalize_name(requirement.name)].split("==")[1].split()[0]
         assert requirement.specifier.contains(version), (requirement, version)
 
 
