@@ -66,14 +66,17 @@ class Processes:
         """See ``Executor``."""
         return fill(take, lambda: self._slots, self._submit, self._stop)
 
-    def _submit(self, unit: Unit, slot: Supervisor) -> Future[Outcome]:
-        return self._threads.submit(slot.do, unit)
+    def _submit(self, unit: Unit | None, slot: Supervisor) -> Future[list[tuple[Unit, Outcome]]]:
+        return self._threads.submit(slot.step, unit)
 
-    def _stop(self, futures: Collection[Future[Outcome]]) -> None:
+    def _stop(self, futures: Collection[Future[Any]]) -> None:
         while not all(future.done() for future in futures):
             for slot in self._slots:
                 slot.stop()
             wait(futures, timeout=0.05)
+        for slot in self._slots:
+            if slot.pending:
+                slot.abandon()
 
 
 def make_executor(
