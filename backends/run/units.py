@@ -346,62 +346,61 @@ class RenderFrame(MakeFile):
                     camera, sample, key.spp, self.seed, key.denoise, target, seconds
                 )
             complete = partial(session.complete, camera, sample, key.passes, drawn, ready, seconds)
-            if drawn is None:
-                # The cast takes as long as pictures do: beside it the last one is written.
-                complete = partial(lambda made: made, complete())
-            rest = partial(
-                self._finish, claim.pop_all(), session, camera, exposure, metering, complete
-            )
-            return keeper.finish(partial(rest, memory.peak()))
+            # The cast takes as long as pictures do: beside it the last one is written.
+            made = complete() if drawn is None else None
+            held, peak = claim.pop_all(), memory.peak()
+
+        def rest() -> UnitResult:
+            with held:
+                result = complete() if made is None else made
+                return self._finish(session, camera, result, exposure, metering, peak)
+
+        return keeper.finish(rest)
 
     def _finish(
         self,
-        claim: ExitStack,
         session: Session,
         camera: Camera,
+        result: FrameResult,
         exposure: ExposureRecord | None,
         metering: dict[str, float],
-        complete: Callable[[], FrameResult],
         peak: int | None,
     ) -> UnitResult:
-        """Completes and writes a frame that has been drawn, and lets go of its claim.
+        """Writes a frame that is complete.
 
         Args:
-            claim: Of who makes it.
             session, camera: What shows it.
+            result: The frame.
             exposure: Where the camera's comes from; None without ``rgb``.
             metering: Seconds by step before it was drawn.
-            complete: Gives the frame.
-            peak: Bytes of this process so far.
+            peak: Bytes of this process until then.
         """
         from scenec.backends.run import memory
         from scenec.backends.run.session import timed
         from scenec.backends.run.writer import write_frame
 
-        with claim:
-            result = complete()
-            seconds = dict(result.record.seconds or {})
-            for step, took in metering.items():
-                seconds[step] = seconds.get(step, 0.0) + took
-            peak = max(filter(None, (peak, memory.peak())), default=None)
-            taken = None
-            if camera.imaging is not None and "rgb" in result.arrays:
-                # Imported here: few cameras have any.
-                from scenec.backends.imaging.camera import take
+        seconds = dict(result.record.seconds or {})
+        for step, took in metering.items():
+            seconds[step] = seconds.get(step, 0.0) + took
+        peak = max(filter(None, (peak, memory.peak())), default=None)
+        taken = None
+        if camera.imaging is not None and "rgb" in result.arrays:
+            # Imported here: few cameras have any.
+            from scenec.backends.imaging.camera import take
 
-                with timed(seconds, "imaging"):
-                    taken = take(result.arrays["rgb"], camera, camera.imaging, self.sample)
-            record = replace(
-                result.record,
-                exposure=exposure,
-                peak_memory_gb=None if peak is None else round(peak / GB, 3),
-                choice=self.choice,
-                seconds=dict(seconds),
-            )
-            with timed(seconds, "write"):
-                result = replace(result, record=record)
-                record = write_frame(self.stem, result, self.key, session.scene, camera, taken)
-            record = replace(record, seconds=seconds)
+            with timed(seconds, "imaging"):
+                taken = take(result.arrays["rgb"], camera, camera.imaging, self.sample)
+        record = replace(
+            result.record,
+            exposure=exposure,
+            peak_memory_gb=None if peak is None else round(peak / GB, 3),
+            choice=self.choice,
+            seconds=dict(seconds),
+        )
+        with timed(seconds, "write"):
+            result = replace(result, record=record)
+            record = write_frame(self.stem, result, self.key, session.scene, camera, taken)
+        record = replace(record, seconds=seconds)
         return UnitResult(
             now=True,
             seconds=dict(record.seconds or {}),

@@ -1,4 +1,4 @@
-"""A worker draws a frame while it finishes the one before; what goes wrong then costs its own frame.
+"""A worker draws a frame while it finishes the last one; what goes wrong costs its own frame.
 
 The renderer here notes when it begins to draw; a pass, which is made when a frame has been drawn,
 waits until the next one is being drawn. Nothing is proven by time: without overlap it would wait
@@ -158,7 +158,7 @@ def test_what_cannot_be_drawn_beside_another_frame_costs_its_own_alone(stage, mo
 
 def test_a_pass_that_fails_beside_another_frame_ends_the_render_as_ever(stage, monkeypatch):
     monkeypatch.setenv("NOTED_FAULT", "raise@mark1 1")
-    with pytest.raises(BackendError, match='pass "mark" .*no such luck'):
+    with pytest.raises(BackendError, match=r'pass "mark" .*no such luck'):
         run(stage)
     assert not list(stage.parent.rglob(".scenec-*"))
     assert stage.parent.joinpath("frames/noted/left/000000.json").is_file()
