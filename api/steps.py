@@ -228,7 +228,7 @@ def hire(
     Raises:
         BackendError: The cluster cannot be reached or used.
     """
-    from scenec.backends.run.executors import make_executor, workers_asked
+    from scenec.backends.run.executors import make_executor, read_workers
     from scenec.backends.run.limits import Limits
     from scenec.schemas.memory import GB
 
@@ -236,7 +236,7 @@ def hire(
     if executor is not None:
         return nullcontext(executor)
     may_choose = isinstance(options, RenderOptions | RunOptions)
-    workers = workers_asked(options.workers, forms.AUTO if may_choose else None)
+    workers = read_workers(options.workers, forms.AUTO if may_choose else None)
     if not (limited and isinstance(options, PictureOptions)):
         return make_executor(1 if workers is None else workers, options.cluster)
     most = None if options.memory_limit is None else round(options.memory_limit * GB)

@@ -33,7 +33,7 @@ _LOOK_S = 0.1
 
 @dataclass(frozen=True)
 class Rest[T]:
-    """What remains of a unit when it needs no more of what its worker holds alone.
+    """Holds what remains of a unit when it needs no more of what its worker holds alone.
 
     Attributes:
         do: Does it, and returns what the unit would; called once, in whichever thread.

@@ -81,8 +81,8 @@ class Processes:
                 slot.abandon()
 
 
-def workers_asked(workers: int | str | None, default: str | None = None) -> int | None:
-    """The number of workers that is asked for; None: it is to be chosen.
+def read_workers(workers: int | str | None, default: str | None = None) -> int | None:
+    """Returns the number of workers that was requested; None: it is to be chosen.
 
     Args:
         workers: A number or "auto"; None: ``$SCENEC_WORKERS``.
@@ -115,7 +115,7 @@ def make_executor(
     Raises:
         BackendError: The cluster cannot be reached or used; says what to mend.
     """
-    workers = workers_asked(workers)
+    workers = read_workers(workers)
     assert workers is not None
     if cluster is not None:
         # Imported here: dask takes half a second.

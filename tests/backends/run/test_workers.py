@@ -10,7 +10,7 @@ from third_party import install, square_stage
 import scenec
 from scenec.api.listener import Listener
 from scenec.backends.run import executors, workers
-from scenec.backends.run.executors import WORKERS, Processes, workers_asked
+from scenec.backends.run.executors import WORKERS, Processes, read_workers
 from scenec.backends.run.workers import Machine, choose_workers, workers_for
 from scenec.schemas.errors import BackendError, ScenecError
 
@@ -100,17 +100,17 @@ def test_free_memory_is_the_fullest_gpus(said, free, tmp_path, monkeypatch):
 
 def test_a_number_is_asked_for_by_option_or_environment(monkeypatch):
     monkeypatch.delenv(WORKERS, raising=False)
-    assert (workers_asked(None), workers_asked(3), workers_asked(0)) == (1, 3, 0)
-    assert workers_asked(None, "auto") is None
-    assert workers_asked("auto") is None
+    assert (read_workers(None), read_workers(3), read_workers(0)) == (1, 3, 0)
+    assert read_workers(None, "auto") is None
+    assert read_workers("auto") is None
     monkeypatch.setenv(WORKERS, "2")
-    assert workers_asked(None, "auto") == 2
+    assert read_workers(None, "auto") == 2
     monkeypatch.setenv(WORKERS, "auto")
     # Of what does not choose it is one, as without.
-    assert (workers_asked(None), workers_asked(None, "auto")) == (1, None)
+    assert (read_workers(None), read_workers(None, "auto")) == (1, None)
     monkeypatch.setenv(WORKERS, "many")
     with pytest.raises(BackendError, match="SCENEC_WORKERS: expected a whole number"):
-        workers_asked(None)
+        read_workers(None)
 
 
 class Listened(Listener):
