@@ -21,6 +21,8 @@ from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, r
 WORKERS = "SCENEC_WORKERS"
 #: As on the command line.
 MOST_WORKERS = 1024
+#: That the number is chosen (``workers``).
+AUTO = "auto"
 
 
 class Processes:
@@ -66,14 +68,37 @@ class Processes:
         """See ``Executor``."""
         return fill(take, lambda: self._slots, self._submit, self._stop)
 
-    def _submit(self, unit: Unit, slot: Supervisor) -> Future[Outcome]:
-        return self._threads.submit(slot.do, unit)
+    def _submit(self, unit: Unit | None, slot: Supervisor) -> Future[list[tuple[Unit, Outcome]]]:
+        return self._threads.submit(slot.step, unit)
 
-    def _stop(self, futures: Collection[Future[Outcome]]) -> None:
+    def _stop(self, futures: Collection[Future[Any]]) -> None:
         while not all(future.done() for future in futures):
             for slot in self._slots:
                 slot.stop()
             wait(futures, timeout=0.05)
+        for slot in self._slots:
+            if slot.pending:
+                slot.abandon()
+
+
+def read_workers(workers: int | str | None, default: str | None = None) -> int | None:
+    """Returns the number of workers that was requested; None: it is to be chosen.
+
+    Args:
+        workers: A number or "auto"; None: ``$SCENEC_WORKERS``.
+        default: Where that is not set; None: 1, and nobody chooses.
+
+    Raises:
+        BackendError: ``$SCENEC_WORKERS`` is neither.
+    """
+    if workers is not None:
+        return None if workers == AUTO else int(workers)
+    text = os.environ.get(WORKERS, "") or default or "1"
+    if text == AUTO:
+        return None if default else 1
+    if not text.isdecimal() or int(text) > MOST_WORKERS:
+        raise BackendError(f"{WORKERS}: expected a whole number of processes, not {text!r}")
+    return int(text)
 
 
 def make_executor(
@@ -90,11 +115,8 @@ def make_executor(
     Raises:
         BackendError: The cluster cannot be reached or used; says what to mend.
     """
-    if workers is None:
-        text = os.environ.get(WORKERS, "") or "1"
-        if not text.isdecimal() or int(text) > MOST_WORKERS:
-            raise BackendError(f"{WORKERS}: expected a whole number of processes, not {text!r}")
-        workers = int(text)
+    workers = read_workers(workers)
+    assert workers is not None
     if cluster is not None:
         # Imported here: dask takes half a second.
         from scenec.backends.run.cluster import Cluster
