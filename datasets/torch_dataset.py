@@ -186,19 +186,11 @@ class FrameDataset:
             IndexError: There is none of this number.
         """
         frame = self.load(index)
-        sample: Sample = {name: self._array(frame, name) for name in self.passes}
-        sample["K"] = frame.intrinsics
-        sample["camera_to_world"] = frame.camera_to_world
-        sample["time_s"] = np.array(frame.time_s, np.float64)
-        if self._target:
-            sample["target"] = self._make_target(frame, range(len(self))[index])
-        if not self._as_numpy:
-            sample = _as_tensors(sample)
-        sample |= frame.optics
-        sample["frame"] = frame.ref.name
-        sample["batch"] = frame.ref.batch
-        sample["camera"] = frame.ref.camera
-        sample["sample"] = frame.ref.sample
+        arrays = {name: frame.passes[name] for name in self.passes}
+        if "rgb" in arrays and self._rgb == "srgb":
+            arrays["rgb"] = pictures.picture(frame).astype(np.float32) / np.float32(255.0)
+        target = self._make_target(frame, range(len(self))[index]) if self._target else None
+        sample = make_sample(frame, arrays, target, as_numpy=self._as_numpy)
         return sample if self._transform is None else self._transform(sample)
 
     def load(self, index: int) -> LoadedFrame:
@@ -212,17 +204,6 @@ class FrameDataset:
         self._remap.apply(frame)
         self._filters.apply(frame)
         return frame
-
-    def _array(self, frame: LoadedFrame, name: str) -> NDArray[Any]:
-        if name == "rgb" and self._rgb == "srgb":
-            picture = pictures.picture(frame).astype(np.float32) / np.float32(255.0)
-            return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
-        array = frame.passes[name]
-        if array.dtype.kind == "u":
-            return array.astype(np.int64)
-        if array.ndim == 3:
-            array = np.moveaxis(array, -1, 0)
-        return np.ascontiguousarray(array, np.float32)
 
     def _make_target(self, frame: LoadedFrame, number: int) -> dict[str, NDArray[Any]]:
         table = frame.table
@@ -242,6 +223,49 @@ class FrameDataset:
             shown = frame.passes["instance"].astype(np.int64)
             target["masks"] = (shown[None] == ids[:, None, None]).astype(np.uint8)
         return target
+
+
+def make_sample(
+    frame: LoadedFrame,
+    arrays: Mapping[str, NDArray[Any]],
+    target: Mapping[str, NDArray[Any]] | None = None,
+    *,
+    as_numpy: bool = False,
+) -> Sample:
+    """Makes a sample as ``FrameDataset`` describes it.
+
+    Args:
+        frame: Whose it is.
+        arrays: Its passes by name, [h, w] or [h, w, channels].
+        target: As of ``FrameDataset``; None for none.
+        as_numpy: Whether it holds arrays, not tensors.
+
+    Raises:
+        OutputError: Tensors are asked for, and PyTorch is not installed.
+    """
+    sample: Sample = {name: _channels_first(array) for name, array in arrays.items()}
+    sample["K"] = frame.intrinsics
+    sample["camera_to_world"] = frame.camera_to_world
+    sample["time_s"] = np.array(frame.time_s, np.float64)
+    if target is not None:
+        sample["target"] = target
+    if not as_numpy:
+        sample = _as_tensors(sample)
+    sample |= frame.optics
+    sample["frame"] = frame.ref.name
+    sample["batch"] = frame.ref.batch
+    sample["camera"] = frame.ref.camera
+    sample["sample"] = frame.ref.sample
+    return sample
+
+
+def _channels_first(array: NDArray[Any]) -> NDArray[Any]:
+    is_picture = array.dtype == np.uint8 and array.ndim == 3
+    if array.dtype.kind == "u" and not is_picture:
+        return array.astype(np.int64)
+    if array.ndim == 3:
+        array = np.moveaxis(array, -1, 0)
+    return np.ascontiguousarray(array, np.uint8 if is_picture else np.float32)
 
 
 def collate(samples: Sequence[Sample]) -> Sample:

@@ -19,6 +19,7 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from scenec.schemas.errors import OutputError
@@ -29,6 +30,9 @@ from scenec.schemas.lock import LOCK, Lock
 UPDATE = ".scenec-update"
 #: In it: names of the files that go.
 _REMOVED = ".scenec-removed"
+
+#: Whether what is written is to outlast a failure of power.
+_lasting = ContextVar("lasting", default=True)
 
 _log = logging.getLogger("scenec.output")
 
@@ -68,6 +72,16 @@ def replace_files(new: Path, root: Path, removed: Iterable[str] = ()) -> None:
             raise
     except OSError as error:
         raise OutputError(f"{root}: cannot be replaced: {error.strerror or error}") from error
+
+
+@contextmanager
+def short_lived() -> Iterator[None]:
+    """Waits for no disk in the block: what is written in it is removed soon."""
+    token = _lasting.set(False)
+    try:
+        yield
+    finally:
+        _lasting.reset(token)
 
 
 def finish_update(root: Path) -> None:
@@ -122,6 +136,8 @@ def _write_through(folder: Path) -> None:
 
 
 def _sync(path: Path) -> None:
+    if not _lasting.get():
+        return
     file = os.open(path, os.O_RDONLY)
     try:
         os.fsync(file)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import GB, available, limit
-from scenec.schemas.notice import tell
+from scenec.schemas.notice import is_supervised, tell
 
 if TYPE_CHECKING:
     from scenec.backends.contract import LoadCost
@@ -73,7 +73,9 @@ def require_room(name: str, cost: LoadCost | None, scene: RenderScene) -> None:
         else "fewer objects need less"
     )
     # What a worker that is killed has said last is told of it.
-    print(f"{name}: loading {what}: about {size / GB:.2g} GB; {help_}", file=sys.stderr, flush=True)
+    if is_supervised():
+        line = f"{name}: loading {what}: about {size / GB:.2g} GB; {help_}"
+        print(line, file=sys.stderr, flush=True)
     if size > MARGIN * free:
         raise BackendError(
             f"{name}: loading {what} takes about {size / GB:.2g} GB, {free / GB:.2g} GB are "

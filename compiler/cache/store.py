@@ -155,9 +155,25 @@ class Store:
 
     def _files(self) -> Iterator[tuple[Path, os.stat_result]]:
         """Ours: nothing else in the folder is ever touched, nor what links in it lead to."""
-        for path in sorted((self.folder / _STEPS).glob(f"??/*{_SUFFIX}")):
-            with suppress(OSError, OutputError):
-                yield inside(self.folder, path.relative_to(self.folder).as_posix()), path.stat()
+        steps = self.folder / _STEPS
+        if steps.is_symlink():
+            return
+        # Not by pathlib, which takes ten times as long.
+        for group in _scanned(steps):
+            if len(group.name) == 2 and group.is_dir(follow_symlinks=False):
+                for file in _scanned(group.path):
+                    if file.name.endswith(_SUFFIX) and file.is_file(follow_symlinks=False):
+                        with suppress(OSError):
+                            yield Path(file.path), file.stat()
+
+
+def _scanned(folder: Path | str) -> list[os.DirEntry[str]]:
+    """What is in a folder; nothing of one that went, or cannot be read."""
+    try:
+        with os.scandir(folder) as found:
+            return [*found]
+    except OSError:
+        return []
 
 
 def default_folder() -> Path | None:

@@ -148,7 +148,8 @@ def _plain(value: Any) -> Any:
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
-    return value
+    # NumPy's numbers and arrays.
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _parsed(of: Any, value: Any) -> Any:

@@ -18,13 +18,15 @@ if TYPE_CHECKING:
     from scenec.api.outputs import OutputFolder, open_frames
     from scenec.api.preview import preview
     from scenec.api.shown import FrameView, StageView
+    from scenec.api.stream import StreamFrame, stream
     from scenec.api.sweep import sweep
     from scenec.api.view import view
     from scenec.api.work import compile, render, run, scan
 
 __all__ = [
-    "FrameView", "Listener", "OutputFolder", "StageView", "check", "compile", "evaluate", "explain",
-    "export", "open_frames", "preview", "render", "run", "scan", "sweep", "view", "why",
+    "FrameView", "Listener", "OutputFolder", "StageView", "StreamFrame", "check", "compile",
+    "evaluate", "explain", "export", "open_frames", "preview", "render", "run", "scan", "stream",
+    "sweep", "view", "why",
 ]  # fmt: skip
 #: Public name -> the module of ``scenec.api`` that has it, where that is named otherwise.
 _HOMES = {name: name for name in __all__} | {
@@ -32,6 +34,7 @@ _HOMES = {name: name for name in __all__} | {
     **dict.fromkeys(("OutputFolder", "open_frames"), "outputs"),
     **dict.fromkeys(("compile", "render", "run", "scan"), "work"),
     "Listener": "listener",
+    "StreamFrame": "stream",
     "explain": "explain.explanation",
     "why": "explain.why",
 }

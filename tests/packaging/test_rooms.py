@@ -80,7 +80,8 @@ FLOORS = {
         ("options",),
         ("explain", "shown", "steps"),
         ("outputs", "models"),
-        ("check", "evaluate", "export", "preview", "sweep", "view", "work"),
+        ("check", "evaluate", "export", "preview", "stream", "sweep", "view", "work"),
+        ("torch_stream",),
     ),
     "quality": (("converge", "ladder"),),
     "lab": (
