@@ -24,6 +24,7 @@ from scenec.backends.picture import tiles
 from scenec.backends.picture.adaptive import Denoise, Draw, Rounds, Target, collect
 from scenec.backends.picture.compose import Picture, compose
 from scenec.backends.picture.exposure import Meter
+from scenec.backends.picture.exposure_store import ExposureStore
 from scenec.backends.registry import open_backend
 from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
@@ -39,12 +40,15 @@ from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.manifest import FRAMES
 from scenec.schemas.records import (
+    ExposureRecord,
     FrameRecord,
     HazePixels,
     LensRadiance,
     SkyPixels,
 )
+from scenec.schemas.units import Say
 from scenec.schemas.versions import version_of
 
 if TYPE_CHECKING:
@@ -87,8 +91,7 @@ class Session:
         self.backend = backend
         self._caster: ExactCaster | None = None
         self._loaded = False
-        #: Of its cameras' exposures.
-        self.meter = Meter(scene)
+        self._meter = Meter(scene)
         #: Where frames of it go, as far as they have been made ready.
         self.folders: set[Path] = set()
 
@@ -235,6 +238,29 @@ class Session:
             None if found is None else found.seen,
             None if radiance is None else radiance.coverage > 0.0,
         )
+
+    def exposed(
+        self, camera: Camera, sample: int, folder: Path, seconds: dict[str, float], say: Say
+    ) -> tuple[Camera, ExposureRecord]:
+        """Returns a camera with its exposure, and where that comes from (``Meter.exposed``).
+
+        Args:
+            camera: The camera at the sample.
+            sample: Time code.
+            folder: Of the batch's frames, which keeps what was metered.
+            seconds: What it took is added.
+            say: Told what a user should see.
+        """
+        # What is rendered elsewhere has what was metered beside the stage.
+        beside = self.scene.source.absolute().parent / FRAMES
+        store = ExposureStore(
+            folder, self.scene.digest, (beside,), say, lambda: self._renderer(seconds)
+        )
+        loaded = seconds.get("load", 0.0)
+        with timed(seconds, "exposure"):
+            found = self._meter.exposed(camera, sample, lambda: self.caster(seconds), store)
+        seconds["exposure"] -= seconds.get("load", 0.0) - loaded
+        return found
 
     def write_instances(self, folder: Path) -> None:
         """Write the batch's table of instances, unless it is there.

@@ -329,11 +329,9 @@ class RenderFrame(MakeFile):
             target = None if once else Target(key.error, key.seconds, key.spp)
             exposure, metering = None, dict[str, float]()
             if "rgb" in key.passes:
-                with timed(metering, "exposure"):
-                    camera, exposure = session.meter.exposed(
-                        camera, sample, lambda: session.caster(metering)
-                    )
-                metering["exposure"] -= metering.get("load", 0.0)
+                camera, exposure = session.exposed(
+                    camera, sample, self.stem.parents[2], metering, keeper.say
+                )
             result = session.render(
                 camera, sample, key.passes, key.spp, self.seed, key.denoise, target, ready
             )
