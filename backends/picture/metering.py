@@ -108,7 +108,7 @@ def _spread(camera: Camera, rays: int, sample: int) -> Rays:
     return rays_at(camera, u.ravel(), v.ravel())
 
 
-class _Layer(NamedTuple):
+class _LayerHits(NamedTuple):
     """Hits of one layer of a surface.
 
     Attributes:
@@ -129,16 +129,16 @@ class _Layer(NamedTuple):
     uv: NDArray[np.float64] | None
 
 
-def _joined(layers: list[_Layer]) -> list[_Layer]:
+def _joined(layers: list[_LayerHits]) -> list[_LayerHits]:
     """Joins layers of one surface on all meshes; from the top down, as they are on each mesh."""
-    groups: dict[tuple[int, int, bool], list[_Layer]] = {}
+    groups: dict[tuple[int, int, bool], list[_LayerHits]] = {}
     for one in layers:
         groups.setdefault((-one.number, id(one.surface), one.uv is None), []).append(one)
     joined = []
     for _, alike in sorted(groups.items()):
         number, surface, *columns = zip(*alike, strict=True)
         arrays: list[Any] = [None if of[0] is None else np.concatenate(of) for of in columns]
-        joined.append(_Layer(number[0], surface[0], *arrays))
+        joined.append(_LayerHits(number[0], surface[0], *arrays))
     return joined
 
 
@@ -323,7 +323,7 @@ class _Paths:
         diffuse, through, emission = np.zeros((3, *at.shape))
         lift = (_LIFT * distance)[:, None]
         out = _Points(at, np.empty_like(at), -way, lift, diffuse, through, emission)
-        mesh_of, layers = self._rows.mesh[row], list[_Layer]()
+        mesh_of, layers = self._rows.mesh[row], list[_LayerHits]()
         for number in np.unique(mesh_of):
             mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
             there = row[index], face[index]
@@ -346,7 +346,7 @@ class _Paths:
         row: NDArray[np.int32],
         face: NDArray[np.int32],
         corners: NDArray[np.float64],
-    ) -> Iterator[_Layer]:
+    ) -> Iterator[_LayerHits]:
         surfaces = [self._scene.surfaces[i] for i in mesh.layers] or [DEFAULT_SURFACE]
         vertices = mesh.faces[face]
         own, of_row = np.zeros(len(index)), self._rows.variation[row]
@@ -360,10 +360,10 @@ class _Paths:
             if layer:
                 weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
                 share, left = left * weight, left * (1.0 - weight)
-            yield _Layer(layer, surfaces[layer], index, share[:, None], own, of_row, uv)
+            yield _LayerHits(layer, surfaces[layer], index, share[:, None], own, of_row, uv)
 
 
-def _add_layer(out: _Points, layer: _Layer) -> None:
+def _add_layer(out: _Points, layer: _LayerHits) -> None:
     surface, index, part = layer.surface, layer.which, layer.share
     at, normal = out.at[index], out.normal[index]
     picture = {"base_color": _map(surface, "base_color", at, normal, layer.uv)}
