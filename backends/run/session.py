@@ -73,7 +73,7 @@ class SurfaceLight:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnFrame:
     """Holds what a renderer drew of a frame: light from surfaces, and how it came to be."""
 
     light: SurfaceLight
@@ -218,7 +218,7 @@ class Session:
         denoise: bool,
         target: Target | None,
         seconds: dict[str, float],
-    ) -> Drawn:
+    ) -> DrawnFrame:
         """Has the renderer draw a frame; the arguments are those of ``render``.
 
         Args:
@@ -238,14 +238,14 @@ class Session:
                     radiance, rounds = collect(
                         light.draw, seed, target, continues=light.continues, denoise=light.denoise
                     )
-        return Drawn(light, radiance, rounds)
+        return DrawnFrame(light, radiance, rounds)
 
     def complete(
         self,
         camera: Camera,
         sample: int,
         passes: Sequence[str],
-        drawn: Drawn | None,
+        drawn: DrawnFrame | None,
         ready: Annotation | None,
         seconds: dict[str, float],
     ) -> FrameResult:
@@ -417,7 +417,7 @@ class Session:
     def _describe_light(
         self,
         record: FrameRecord,
-        drawn: Drawn,
+        drawn: DrawnFrame,
         picture: Picture,
         veil: Veil | None,
     ) -> FrameRecord:
