@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec
     from scenec.datasets.source import LoadedFrame
     from scenec.schemas.records import FrameRecord
-    from scenec.schemas.units import Executor
+    from scenec.schemas.units import Executor, Outcome
 
 #: Scenes a worker that are begun and not yet given: one that it draws, one that it compiles
 #: meanwhile, one that waits for another worker's.
@@ -65,6 +65,16 @@ class StreamOptions(StageOptions, PictureOptions):
     cache: bool | Path | str = option(
         False, "as of ``compile``; of scenes that are new little can be taken (default: none)"
     )
+
+    def __post_init__(self) -> None:
+        """Holds seeds to be several; each is read when it is its turn.
+
+        Raises:
+            ScenecError: They are not.
+        """
+        super().__post_init__()
+        if not isinstance(self.seeds, Iterable) or isinstance(self.seeds, str):
+            raise ScenecError(f"seeds: {self.seeds!r}: expected seeds, such as range(100)")
 
 
 @dataclass(frozen=True)
@@ -181,7 +191,7 @@ def _make(
     """
     workers = executor.room(_MANY)[1]
     given, compiled = deque[Scene](), deque[DrawScene]()
-    made: dict[tuple[int, range], tuple[str, list[str]]] = {}
+    made: dict[tuple[int, range], Outcome] = {}
     compiling = 0
 
     def take(_holds: object) -> Unit | None:
@@ -197,16 +207,18 @@ def _make(
     with closing(executor.work(take)) as outcomes:
         for unit, outcome in outcomes:
             assert isinstance(unit, CompileScene | DrawScene)
-            told = [*outcome.warnings, *outcome.notes]
+            scene = unit.scene
             if isinstance(unit, CompileScene):
                 compiling -= 1
-            done: Done = outcome.result()
-            if isinstance(unit, CompileScene) and done.batches:
-                compiled.append(DrawScene(unit.scene, done.batches))
-                continue
-            made[unit.scene.index, unit.scene.batches] = done.backend, [*told, *done.lines]
+                if outcome.error is None and outcome.value.batches:
+                    compiled.append(DrawScene(scene, outcome.value.batches))
+                    continue
+            made[scene.index, scene.batches] = outcome
             while given and (key := (given[0].index, given[0].batches)) in made:
-                yield given.popleft(), *made.pop(key)
+                # An error, too, comes after the scenes before it.
+                ended = made.pop(key)
+                done: Done = ended.result()
+                yield given.popleft(), done.backend, [*ended.warnings, *ended.notes, *done.lines]
 
 
 def _scenes(spec: Spec, options: StreamOptions, folder: Path) -> Iterator[Scene]:
@@ -322,7 +334,9 @@ class SceneStep:
     @property
     def what(self) -> str:
         """In messages."""
-        return f"scene {self.scene.index} (seed {self.scene.seed})"
+        scene = self.scene
+        batch = f", batch {scene.batches.start}" if len(scene.batches) == 1 else ""
+        return f"scene {scene.index} (seed {scene.seed}{batch})"
 
     @property
     def holds(self) -> str:
