@@ -29,8 +29,8 @@ from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
 from scenec.schemas.errors import BackendError
 
-#: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).
-MAX_WAVEFRONT = 1 << 25
+#: Samples in flight at once; above it a half is rendered in several passes (160 bytes a sample).
+MAX_WAVEFRONT = 1 << 22
 #: Where instances are kept: 150 bytes a sample.
 MAX_KEPT = 1 << 21
 #: Samples per pixel of what guides the denoiser.
@@ -113,6 +113,7 @@ class Mitsuba(Backend):
         parts |= self._emitters(scene)
         # Merging equal meshes would renumber the faces that the witness names.
         self._scene = mi.load_dict(parts, optimize=False)
+        # Of surfaces that give off light, which ``paths`` does not look for.
         self._integrator = mi.load_dict(
             {
                 "type": "path",
@@ -253,8 +254,13 @@ class Mitsuba(Backend):
         ray, sampler = self._rays(camera, first, spp, seed)
         if self._kept is not None:
             light, valid = self._kept.sample(self._emitter(), sampler, ray)
-        else:
+        elif self._glows:
             light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
+        else:
+            # Of the variant, as the sampler is.
+            from scenec.backends.mitsuba import paths
+
+            light, valid = paths.sample(self._scene, self._emitter(), sampler, ray, self._bounces)
         if self._glows:
             valid = self._scene.ray_intersect_preliminary(ray, coherent=True).is_valid()
         light &= valid
