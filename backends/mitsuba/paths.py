@@ -96,7 +96,10 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
         paths = tuple(dr.gather(type(values), values, left) for values in paths)
         paths, going, found = _follow(scene, light, sampler, paths, most)
         for channel in range(3):
-            dr.scatter_reduce(dr.ReduceOp.Add, total[channel], found[channel], paths[-1])
+            dr.scatter_reduce(
+                dr.ReduceOp.Add, total[channel], found[channel], paths[-1],
+                mode=dr.ReduceMode.NoConflicts,
+            )  # fmt: skip
         dr.eval(paths, going, total)
     return total, valid
 
