@@ -36,19 +36,19 @@ class Shaded(NamedTuple):
     leaving: Any
 
 
-def shade(light: Any, si: Any, bsdf: Any, sampler: Any, active: Any) -> Shaded:
+def shade(light: Any, si: Any, bsdf: Any, numbers: tuple[Any, Any, Any], active: Any) -> Shaded:
     """Draws light at hits, and the way on.
 
     Args:
         light: The scene's only emitter, of no geometry.
         si: The hits.
         bsdf: Of their surfaces.
-        sampler: Of which five numbers are taken.
+        numbers: Of the sampler: a point for the light, a number and a point for the way on.
         active: Which there are.
     """
-    ds, value = light.sample_direction(si, sampler.next_2d(), active)
+    ds, value = light.sample_direction(si, numbers[0], active)
     reflected, density, bs, weight = bsdf.eval_pdf_sample(
-        mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d()
+        mi.BSDFContext(), si, si.to_local(ds.d), *numbers[1:]
     )
     share = dr.select(ds.delta, 1.0, _balance(ds.pdf, density))
     direct = dr.select(active & (ds.pdf != 0.0), value * reflected * share, 0.0)
@@ -120,9 +120,10 @@ def _follow(
         hit.valid, hit.t, hit.prim_uv, hit.prim_index, hit.shape = active, t, uv, face, shape
         sampler.key = key
         si = hit.compute_surface_interaction(mi.Ray3f(o, d), mi.RayFlags.All, active)
-        shaded = shade(light, si, si.bsdf(), sampler, active)
+        numbers = sampler.next_2d(), sampler.next_1d(), sampler.next_2d()
         # The path integrator's of Russian roulette.
         sampler.next_1d()
+        shaded = shade(light, si, si.bsdf(), numbers, active)
         direct = weight * shaded.light
         lit = active & dr.any(direct != 0.0)
         lit &= ~scene.ray_test(si.spawn_ray_to(shaded.to_light.p), lit)
