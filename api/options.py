@@ -289,8 +289,10 @@ class PreviewOptions(CallOptions):
         settings, seed, cache: As of ``CompileOptions``.
     """
 
-    backend: str = option("pyrender", "who draws (default: pyrender, the quickest)")
-    spp: int = option(8, "samples a pixel (default: 8)", form=forms.positive)
+    backend: str = option("auto", "who draws (default: auto, the quickest that works here)")
+    spp: int | None = option(
+        None, "samples a pixel (default: 8, of a path tracer 4, denoised)", form=forms.positive
+    )
     width: int = option(480, "of pictures (default: 480)", form=forms.positive, metavar="PX")
     settings: Sequence[str] = held((), many=True)
     seed: int = held(0, form=forms.seed)
