@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from scenec.backends.annotation.registry import find_pass
@@ -62,10 +63,9 @@ def write_frame(
         from scenec.backends.imaging.effects import apply
 
         shown = apply(shown, camera.effects, record.sample)
-    _put(stem.with_suffix(".png"), shown, picture.write_png)
-    clean = _put(
-        extra_path(stem, "clean"), None if sensor is None else sensor.clean, picture.write_png
-    )
+    write_photo = partial(picture.write_png, level=picture.RENDERED)
+    _put(stem.with_suffix(".png"), shown, write_photo)
+    clean = _put(extra_path(stem, "clean"), None if sensor is None else sensor.clean, write_photo)
     raw = _put(extra_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png)
     seen = result.seen
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
