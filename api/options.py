@@ -180,6 +180,12 @@ class PictureOptions(WorkOptions):
         "denoise rgb, if the renderer has a denoiser; refused where a camera has an aperture "
         "or moves while its shutter is open",
     )
+    rgb: str = option(
+        "float",
+        "rgb in frames as float, or as half: a fourth of the bytes, 11 bits of each number, "
+        "65504 at most (default: float)",
+        choices=("float", "half"),
+    )
     timeout: float | None = option(
         None,
         "end and retry a frame that takes longer; a fresh process's first one may take 60 s "

@@ -152,6 +152,7 @@ def test_the_sidecar_says_what_a_user_needs_in_strict_json(tmp_path: Path):
         ("backend", "reference"),
         ("backend_version", "m 2"),
         ("denoise", True),
+        ("half", True),
     ],
 )
 def test_a_frame_is_done_only_for_the_very_key_it_was_made_with(tmp_path: Path, field, value):
