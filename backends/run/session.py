@@ -29,7 +29,6 @@ from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
 from scenec.backends.run.facts import (
     FrameResult,
-    RendererFacts,
     annotation_versions,
     describe_frame,
 )
@@ -43,6 +42,7 @@ from scenec.schemas.records import (
     FrameRecord,
     HazePixels,
     LensRadiance,
+    RendererFacts,
     SkyPixels,
 )
 from scenec.schemas.versions import version_of

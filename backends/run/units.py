@@ -17,7 +17,7 @@ from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_los
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.memory import GB
 from scenec.schemas.native import native_reading
-from scenec.schemas.records import BackendChoice, FrameRecord
+from scenec.schemas.records import BackendChoice, FrameRecord, RendererFacts
 from scenec.schemas.units import Keeper
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class Opened:
         cameras, lidars: Of each sample; names of lidars.
         losses: A line for each thing that is not read, or that ``rgb`` leaves out.
         read_s: Seconds that opening it took.
-        backend, version, device, denoiser, warning: Of who draws.
+        renderer: Who draws.
     """
 
     digest: str
@@ -92,11 +92,7 @@ class Opened:
     lidars: list[list[str]]
     losses: tuple[str, ...]
     read_s: float
-    backend: str
-    version: str
-    device: str
-    denoiser: str | None
-    warning: str | None
+    renderer: RendererFacts
 
 
 @dataclass(frozen=True)
@@ -171,7 +167,7 @@ class OpenStage:
             [[lidar.name for lidar in of] for of in scene.lidars],
             session.losses,
             time.perf_counter() - start,
-            **session.facts()._asdict(),
+            session.facts(),
         )
 
 
