@@ -90,17 +90,6 @@ class StageOptions(WorkOptions):
     )
     batches: range | None = _span("only batches A to B-1")
 
-    def __post_init__(self) -> None:
-        """Holds batches to be a range, too: they are compiled in order.
-
-        Raises:
-            ScenecError: They are none.
-        """
-        super().__post_init__()
-        batches: object = self.batches
-        if not isinstance(batches, range | None):
-            raise ScenecError(f"batches: {batches!r}: expected a range, A:B, or one number")
-
 
 @dataclass(frozen=True, kw_only=True)
 class CompileOptions(StageOptions):

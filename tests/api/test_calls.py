@@ -125,16 +125,27 @@ def test_none_stands_for_the_default_of_any_field(record):
     assert vars(record(**dict.fromkeys(vars(usual)))) == vars(usual)
 
 
-@pytest.mark.parametrize(
-    ("record", "name", "expected"),
-    [
-        (options.RenderOptions, "backend", "expected a str"),
-        (options.RenderOptions, "listener", "expected a Listener"),
-    ],
-)
-def test_a_value_of_another_type_is_refused_by_its_name(record, name, expected):
-    with pytest.raises(ScenecError, match=f"{name}: 3: {expected}"):
-        record(**{name: 3})
+CALLS = [name for name in scenec.__all__ if not inspect.isclass(getattr(scenec, name))]
+ARGUMENTS = [
+    (name, of) for name in CALLS for of in inspect.signature(getattr(scenec, name)).parameters
+]
+
+
+@pytest.mark.parametrize(("name", "argument"), ARGUMENTS)
+@pytest.mark.parametrize("wrong", [object(), b"3", [object()], 0.5j])
+def test_a_value_of_another_type_is_refused_by_its_name(name, argument, wrong):
+    call = getattr(scenec, name)
+    parameters = inspect.signature(call).parameters.values()
+    given = {p.name: "no_such" for p in parameters if p.default is p.empty} | {argument: wrong}
+    positional = [given.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY]
+    with pytest.raises(ScenecError, match=rf"^{argument}: .*expected"):
+        call(*positional, **given)
+
+
+@pytest.mark.parametrize("kind", [scenec.OutputFolder, scenec.StageView.of])
+def test_an_output_and_a_stage_are_named_by_paths(kind):
+    with pytest.raises(ScenecError, match=r"^path: 3: expected a path$"):
+        kind(3)
 
 
 @pytest.mark.parametrize(
@@ -151,17 +162,17 @@ def test_what_is_no_cfg_is_refused_by_its_name(cfg, why, tmp_path):
 
 def test_seeds_of_an_array_are_seeds():
     assert json.dumps(options.SweepOptions(seeds=np.arange(2)).seeds) == "[0, 1]"  # type: ignore[arg-type]
-    for seeds, wrong in (([0.5], "0.5"), (range(-1, 3), "-1")):
-        with pytest.raises(ScenecError, match=f"seeds: '{wrong}': expected a whole number"):
+    for seeds, wrong in (([0.5], "0.5"), (range(-1, 3), "'-1'")):
+        with pytest.raises(ScenecError, match=f"seeds: {wrong}: expected a whole number"):
             options.SweepOptions(seeds=seeds)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("record", "wrong", "why"),
     [
-        (options.RenderOptions, {"spp": [1, 2]}, r"spp: \[1, 2\]: expected one value"),
+        (options.RenderOptions, {"spp": [1, 2]}, r"spp: \[1, 2\]: expected a whole number"),
         (options.RenderOptions, {"backend": ["mitsuba"]}, "backend: .*: expected a str"),
-        (options.CompileOptions, {"cache": 3}, "cache: 3: expected a path"),
+        (options.CompileOptions, {"cache": 3}, "cache: 3: expected a bool or a path"),
     ],
 )
 def test_one_value_is_no_list_and_a_path_no_number(record, wrong, why):
