@@ -174,6 +174,12 @@ class Spread[**P, T: CallOptions]:
         """Decorates a function with two arguments before the record."""
         return self._spread(function)
 
+    def three[A, B, C, R](
+        self, function: Callable[[A, B, C, T], R]
+    ) -> Callable[Concatenate[A, B, C, P], R]:
+        """Decorates a function with three arguments before the record."""
+        return self._spread(function)
+
     def _spread(self, function: Callable[..., Any]) -> Callable[..., Any]:
         record: Callable[..., T] = self._record
 

@@ -177,7 +177,7 @@ class PictureOptions(WorkOptions):
 
 
 #: Of ``render``, ``scan`` and ``check`` alike.
-_ALLOW_MISSING = (
+ALLOW_MISSING = (
     "read what is there of a stage that lacks layers, prims or pictures, or whose files "
     "are not those of the manifest (default: that is an error)"
 )
@@ -197,7 +197,7 @@ class RenderOptions(PictureOptions):
         "render frames again that are there with other samples, target, noise seed, denoising "
         "or passes (default: that is an error; frames that hold more passes count as made)",
     )
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
     folder: Path | str | None = None
 
 
@@ -210,7 +210,7 @@ class ScanOptions(WorkOptions):
         None, "only these, by name: RIG_LIDAR", form=forms.listed, metavar="A,B,…"
     )
     ply: bool = option(False, "write clouds of points, too")
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
     batches: Collection[int] | None = _span("only batches A to B-1")
 
 
@@ -307,7 +307,7 @@ class CheckOptions(CallOptions):
         form=forms.counted,
         metavar="N",
     )
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
 
 
 @dataclass(frozen=True, kw_only=True)
