@@ -49,6 +49,11 @@ def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
     return {f.name: f for f in fields(record) if f.name in there and "help" in f.metadata}
 
 
+def flag_of(name: str, declaration: Field[Any]) -> str:
+    """Returns the option's flag on the command line."""
+    return str(declaration.metadata.get("flag", f"--{name.replace('_', '-')}"))
+
+
 @dataclass(frozen=True, kw_only=True)
 class CallOptions:
     """Holds what every call takes, and checks it.
@@ -196,11 +201,22 @@ class Spread[**P, T: CallOptions]:
                 signature.bind(*args, **options)
             for parameter, value in zip(before, args, strict=True):
                 require(parameter.name, value, str(parameter.annotation))
-            return function(*args, record(**options))
+            made = record(**options)
+            try:
+                return function(*args, made)
+            except ScenecError as error:
+                if not made.listener.flags and error.args:
+                    error.args = (self._named(str(error)), *error.args[1:])
+                raise
 
         call.__signature__ = signature  # type: ignore[attr-defined]
         call.__doc__ = re.sub(r"(?m)^( +)options: .*$", self._option_help, function.__doc__ or "")
         return call
+
+    def _named(self, text: str) -> str:
+        """Names options as Python does, where a message has their flags."""
+        flags = {flag_of(name, f): name for name, f in declared(self._record).items()}  # type: ignore[arg-type]
+        return re.sub(r"--[a-z][a-z-]*", lambda found: flags.get(found[0], found[0]), text)
 
     def _option_help(self, line: re.Match[str]) -> str:
         told = {name: f.metadata["help"] for name, f in declared(self._record).items()}  # type: ignore[arg-type]

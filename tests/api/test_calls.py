@@ -258,6 +258,23 @@ def test_answers_print_and_show_what_the_command_prints(out, capsys, monkeypatch
     assert "left out" in found._repr_html_()
 
 
+def test_a_message_names_an_option_as_its_caller_does(out, tmp_path, capsys):
+    truth, given = tmp_path / "truth.txt", tmp_path / "given.txt"
+    truth.touch()
+    given.touch()
+    with pytest.raises(ScenecError, match=r"^max_detections: is about instances.*\(task\)$"):
+        scenec.evaluate(given, truth, max_detections=3)
+    words = ["evaluate", str(given), "--against", str(truth), "--max-detections", "3"]
+    assert main(words) == 2
+    assert "--max-detections: is about instances" in capsys.readouterr().err
+    scenec.render(out, backend="annotation", passes="depth", folder=tmp_path, workers=0)
+    again = {"backend": "annotation", "passes": "normal", "folder": tmp_path, "workers": 0}
+    with pytest.raises(ScenecError, match=r"; replace renders it again"):
+        scenec.render(out, **again)
+    with pytest.raises(ScenecError, match=r"^settings 'a': expected NAME=VALUE"):
+        scenec.export(out, "coco", settings="a", workers=0)
+
+
 def test_no_batch_is_no_stage_to_render(out):
     with pytest.raises(StageError, match="no batch is asked for"):
         scenec.render(out, backend="annotation", batches=[], workers=0)
