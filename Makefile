@@ -15,7 +15,7 @@ EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test thorough lint types unit audit browser format bench docs site pictures experiments lock gpu wheel clean distclean
+.PHONY: help setup pythons demo test thorough lint types unit audit browser format bench docs site pictures experiments lock gpu wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -23,7 +23,12 @@ help:  ## List the targets.
 setup:  ## Make .venv from requirements.lock and requirements-nodeps.lock.
 	@tools/bootstrap.sh
 
-demo: setup  ## Compile and render configs/jacksboro.json, end with a contact sheet.
+pythons: setup  ## Try the other Pythons found here: install scenec in .venv-3.x, without extras; same bytes?
+	@tools/pythons.sh
+	@.venv/bin/python -m pytest -n 0 -rs tests/compiler/test_compile.py -k other_pythons
+
+demo:  ## Compile and render configs/jacksboro.json, end with a contact sheet. Installs no more than that.
+	@tools/bootstrap.sh mitsuba demo
 	@echo "== Compiling configs/jacksboro.json and rendering it with Mitsuba, 16 samples a pixel"
 	@.venv/bin/scenec run configs/jacksboro.json --seed 1 -o $(DEMO) --backend mitsuba --spp 16
 	@echo "== Laying out the contact sheet"

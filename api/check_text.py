@@ -10,6 +10,7 @@ from scenec.api.text import table
 from scenec.backends.check.compare import Agreement
 from scenec.backends.check.radiance import RadianceComparison
 from scenec.backends.check.witness import HAIR_PIXELS
+from scenec.schemas.extras import install
 
 if TYPE_CHECKING:
     from scenec.datasets.verify import Comparison
@@ -46,7 +47,7 @@ def agreement_lines(agreement: Agreement) -> Iterator[str]:
         header = ["backends", "mean ratio R", "G", "B", "relMSE", "of it noise", "FLIP", "floor"]
         yield table([_radiance_row(r) for r in agreement.radiance], header)
         if any(math.isnan(v) for r in agreement.radiance for v in r.flip):
-            yield "FLIP is not installed; mend it with: pip install 'scenec[flip]'"
+            yield f"FLIP is not installed; mend it with: {install('flip')}"
     if agreement.pictures:
         yield (
             f"\nwhere they differ: {len(agreement.pictures)} pictures in "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from scenec.datasets.filters import make_filters
 from scenec.datasets.models import MODEL_FORMATS
 from scenec.datasets.remap import Remap, read_remap
 from scenec.datasets.splits import parse_splits
+from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError
 
 
@@ -34,7 +34,7 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
     """
     if format in MODEL_FORMATS:
         return export_models(Path(out), format, options)
-    workers = options.workers if options.workers is not None else os.process_cpu_count()
+    workers = options.workers if options.workers is not None else usable_cores()
     with hire(replace(options, workers=workers)) as executor:
         return export_frames(
             out,

@@ -39,6 +39,17 @@ positive = whole(1, 2**20, f"a whole number from 1 to {2**20}")
 #: A batch, a sample, an attempt: as many as a stage can number.
 counted = whole(0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
 workers = whole(0, 1024, "a whole number from 0 to 1024")
+#: That scenec chooses.
+AUTO = "auto"
+
+
+def workers_or_auto(text: str) -> int | str:
+    """Reads a number of workers, or that they are chosen."""
+    if text == AUTO:
+        return text
+    return whole(0, 1024, "a whole number from 0 to 1024, or auto")(text)
+
+
 port = whole(0, 65535, "a port from 1 to 65535, or 0 for a free one")
 
 

@@ -36,6 +36,16 @@ def _workers(default: str) -> Any:
     )
 
 
+def _workers_or_auto() -> Any:
+    return option(
+        None,
+        "processes that work side by side, each with its share of the cores; 0: none but this "
+        "one; auto: as many as cores, memory and GPU suggest (default: $SCENEC_WORKERS, or auto)",
+        form=forms.workers_or_auto,
+        metavar="N|auto",
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class WorkOptions(CallOptions):
     """Holds options of workers.
@@ -44,7 +54,7 @@ class WorkOptions(CallOptions):
         executor: Who works, in the place of ``workers`` and ``cluster``.
     """
 
-    workers: int | None = _workers("$SCENEC_WORKERS, or 1")
+    workers: int | str | None = _workers("$SCENEC_WORKERS, or 1")
     cluster: str | None = option(
         None,
         "workers of a dask cluster instead: its scheduler's address or file, or local "
@@ -104,7 +114,7 @@ class CompileOptions(StageOptions):
         metavar="PATH=VALUE",
     )
     seed: int = option(0, "whole number from 0 to 2^64 - 1 (default: 0)", form=forms.seed)
-    workers: int | None = _workers("0")
+    workers: int | str | None = _workers("0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +208,7 @@ class RenderOptions(PictureOptions):
         "or passes (default: that is an error; frames that hold more passes count as made)",
     )
     allow_missing: bool = option(False, ALLOW_MISSING)
+    workers: int | str | None = _workers_or_auto()
     folder: Path | str | None = None
 
 
@@ -218,7 +229,7 @@ class ScanOptions(WorkOptions):
 class RunOptions(CompileOptions, PictureOptions):
     """Holds options of ``run``, which compiles and renders."""
 
-    workers: int | None = _workers("$SCENEC_WORKERS, or 1")
+    workers: int | str | None = _workers_or_auto()
 
 
 @dataclass(frozen=True, kw_only=True)

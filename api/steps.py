@@ -12,7 +12,15 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.api.options import PictureOptions, ScanOptions, StageOptions, WorkOptions
+from scenec.api import forms
+from scenec.api.options import (
+    PictureOptions,
+    RenderOptions,
+    RunOptions,
+    ScanOptions,
+    StageOptions,
+    WorkOptions,
+)
 from scenec.schemas.errors import CfgError, ScenecError
 
 if TYPE_CHECKING:
@@ -107,7 +115,8 @@ def compile_spec(spec: Spec, out: Folder, options: StageOptions, seed: int) -> C
         else:
             steps.now(*place, text)
 
-    given = options.executor is not None or options.workers or options.cluster
+    chosen = options.workers not in (None, 0, forms.AUTO)
+    given = options.executor is not None or chosen or options.cluster
     with hire(options, limited=False) if given else nullcontext() as executor:
         report = compile_cfg(
             spec,
@@ -219,18 +228,32 @@ def hire(
     Raises:
         BackendError: The cluster cannot be reached or used.
     """
-    from scenec.backends.run.executors import make_executor
+    from scenec.backends.run.executors import make_executor, read_workers
     from scenec.backends.run.limits import Limits
     from scenec.schemas.memory import GB
 
     executor = executor or options.executor
     if executor is not None:
         return nullcontext(executor)
+    may_choose = isinstance(options, RenderOptions | RunOptions)
+    workers = read_workers(options.workers, forms.AUTO if may_choose else None)
     if not (limited and isinstance(options, PictureOptions)):
-        return make_executor(options.workers, options.cluster)
-    most = options.memory_limit
-    limits = Limits(options.timeout, memory_bytes=None if most is None else round(most * GB))
-    return make_executor(options.workers, options.cluster, limits)
+        return make_executor(1 if workers is None else workers, options.cluster)
+    most = None if options.memory_limit is None else round(options.memory_limit * GB)
+    if workers is None:
+        workers = _choose_workers(options, most) if options.cluster in (None, "local") else 1
+    return make_executor(workers, options.cluster, Limits(options.timeout, memory_bytes=most))
+
+
+def _choose_workers(options: PictureOptions, most: int | None) -> int:
+    """The number of workers for what is asked; says which, where it is not the usual one."""
+    from scenec.backends.run.workers import this_machine, workers_for
+
+    machine, asked = this_machine(), (options.backend, options.device, options.passes)
+    count, why = workers_for(machine, *asked, most)
+    if count > 1 or options.workers == forms.AUTO:
+        options.listener.say(f"auto: {count} worker{'' if count == 1 else 's'}: {why}")
+    return count
 
 
 def refuse_early(options: PictureOptions, cfg: Cfg, executor: Executor | None = None) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from scenec.backends.run.executors import make_executor
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
 from scenec.datasets.view.space import three
+from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.manifest import Batch, find_batches
 
@@ -68,7 +68,7 @@ def write_page(out: Path, options: ViewOptions, watched: str = "") -> ViewReport
     if not options.no_ground:
         rooms = rooms_of(out, options.budget_mb, listener)
         ground = partial(ground_of, rooms=rooms, listener=listener)
-    workers = options.workers or os.process_cpu_count() or 1
+    workers = options.workers or usable_cores()
     with make_executor(workers if workers > 1 else 0) as executor:
         return write_view(
             out,

@@ -16,6 +16,7 @@ from typing import Any
 
 from scenec.backends.contract import Backend, completed
 from scenec.schemas.errors import BackendError
+from scenec.schemas.extras import install
 from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.plugins import entry_points_of, error_line, load, names_of, offered, origin
 
@@ -149,8 +150,7 @@ def _target(name: str) -> tuple[Callable[[], Any], str]:
     if name in BUILT_IN:
         entry = BUILT_IN[name]
         module, _, attribute = entry.target.partition(":")
-        mend = f"pip install 'scenec[{entry.extra}]'"
-        return lambda: getattr(importlib.import_module(module), attribute), mend
+        return lambda: getattr(importlib.import_module(module), attribute), install(entry.extra)
     point = offered(GROUP, name, f"backend {name}", BackendError)
     package = point.dist.name if point.dist else name
     return partial(load, point), f"pip install --force-reinstall {package}"

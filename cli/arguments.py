@@ -11,6 +11,7 @@ from scenec.api.declare import CallOptions, declared, flag_of
 from scenec.api.options import (
     CompileOptions,
     PictureOptions,
+    RenderOptions,
     StageOptions,
 )
 from scenec.schemas.errors import ScenecError
@@ -86,15 +87,19 @@ def add_cfg(parser: argparse.ArgumentParser, *only: str) -> None:
         add(parser, CompileOptions, name)
 
 
-def add_render_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the options that ``run`` and ``render`` share."""
+def add_render_options(
+    parser: argparse.ArgumentParser, kind: type[PictureOptions] = RenderOptions
+) -> None:
+    """Adds the options that ``run``, ``render`` and ``sweep`` share, with workers as one has."""
     parser.epilog = (
         "A camera that the renderer cannot draw costs its own frames and no other's. Exit status: "
         "0 all frames are there; 1 some were given up or refused, and said; 2 it cannot be done."
     )
     own = list(declared(PictureOptions, own=True))
     last = own.index("timeout")
-    add(parser, PictureOptions, *own[:last], "workers", "cluster", *own[last:])
+    add(parser, PictureOptions, *own[:last])
+    add(parser, kind, "workers", "cluster")
+    add(parser, PictureOptions, *own[last:])
 
 
 def add_keep(parser: argparse.ArgumentParser) -> None:

@@ -21,7 +21,7 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     add_cfg(parser)
     add(parser, SweepOptions)
     parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
-    add_render_options(parser)
+    add_render_options(parser, SweepOptions)
     add_verbose(parser)
     add_keep(parser)
     add_cache(parser)

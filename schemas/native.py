@@ -11,6 +11,7 @@ import mmap
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,6 +45,9 @@ class Note:
 
 
 _own = [Note()]
+#: What threads of this process are reading.
+_read: list[str] = []
+_lock = threading.Lock()
 
 
 def share(file: int) -> None:
@@ -54,13 +58,17 @@ def share(file: int) -> None:
 @contextmanager
 def native_reading(path: Path) -> Iterator[None]:
     """Notes what a library of native code reads in the block."""
-    note = _own[0]
-    before = note.read()
-    note.write(str(path))
+    text = str(path)
+    with _lock:
+        _read.append(text)
+        _own[0].write(text)
     try:
         yield
     finally:
-        note.write(before)
+        with _lock:
+            # Another thread may have begun to read meanwhile, and end later.
+            _read.remove(text)
+            _own[0].write(_read[-1] if _read else "")
 
 
 def commentary(diagnostic: Any) -> str:

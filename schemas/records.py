@@ -296,7 +296,7 @@ class FrameRecord:
         instances: Prim path of each class, and the id before its first.
         device: Where ``rgb`` was rendered.
         denoised: What denoised it.
-        seconds: By step.
+        seconds: By step; some may have been another frame's, too, as two may overlap.
         annotation: What made it: versions of scenec, and of other packages by pass.
         height_above_surface_m: None where nothing is below; unset without annotation.
         choice: Why this backend, where none was named.

@@ -31,24 +31,43 @@ type Progress = Callable[[int, int, str], None]
 _LOOK_S = 0.1
 
 
+@dataclass(frozen=True)
+class Rest[T]:
+    """Holds what remains of a unit when it needs no more of what its worker holds alone.
+
+    Attributes:
+        do: Does it, and returns what the unit would; called once, in whichever thread.
+    """
+
+    do: Callable[[], T]
+
+
 class Keeper:
     """Holds one thing from one unit to the next in a worker, such as a stage that was read.
 
     Attributes:
         say: Told lines that a user should see.
         step: Told when a step of a unit begins; None: nobody listens.
+        overlaps: Whether a worker does the rest of a unit while it runs the next.
     """
 
-    def __init__(self, say: Say | None = None, step: Say | None = None) -> None:
+    def __init__(
+        self, say: Say | None = None, step: Say | None = None, overlaps: bool = False
+    ) -> None:
         self._name: Hashable = None
         self._kept: Any = None
         self._notes: list[str] = []
         self.say, self.step = say or self._notes.append, step
+        self.overlaps = overlaps
 
     def notes(self) -> list[str]:
         """Returns lines that were said since the last call, where nobody listens."""
         said, self._notes[:] = list(self._notes), []
         return said
+
+    def finish(self, rest: Callable[[], T]) -> T | Rest[T]:
+        """Does the rest of a unit, or returns it for a worker that does it beside the next."""
+        return Rest(rest) if self.overlaps else rest()
 
     def keep(self, name: Hashable, make: Callable[[], T]) -> T:
         """Returns what is held under a name, made if need be; what another name held is let go."""

@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from scenec.schemas.budget import usable_cores
+
 # No test reads or fills the user's cache; those of the cache name a folder of their own.
 os.environ["SCENEC_CACHE"] = ""
 # That bytes depend on no number of threads is seen where there is more than one.
-if os.process_cpu_count() == 1:
+if usable_cores() == 1:
     os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 # Byte code stays, whatever the environment says (an image of a container often forbids it): without
 # it each test process rewrites every test's assertions again, and each of the hundreds of processes

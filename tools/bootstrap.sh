@@ -1,47 +1,52 @@
 #!/bin/sh
-# Makes .venv: finds Python 3.13, installs requirements.lock and requirements-nodeps.lock by hash,
-# installs scenec editable. Does nothing when .venv already answers to the same lock files,
-# pyproject.toml and place.
+# Makes .venv: finds Python 3.12, 3.13 or 3.14, installs requirements.lock and
+# requirements-nodeps.lock by hash, installs scenec editable. Does nothing when .venv already
+# answers to the same lock files, pyproject.toml and place. With names of extras it installs what
+# these need and no more; what is there stays.
 set -eu
 cd "$(dirname "$0")/.."
 
 say() { printf '%s\n' "== $*"; }
 
-is_313() {
-  "$1" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 13))' >/dev/null 2>&1
+# All but Cycles works with each of these; Blender's wheel is for 3.13 alone, hence first.
+versions="3.13 3.14 3.12"
+
+fits() {
+  "$1" -c 'import sys; sys.exit("%d.%d" % sys.version_info[:2] not in sys.argv[1:])' $versions >/dev/null 2>&1
 }
 
-# Prints the first interpreter that really runs as Python 3.13. A pyenv shim may exist and fail, so
+# Prints the first interpreter that really runs as one of these. A pyenv shim may exist and fail, so
 # each is tried, not only looked up.
 find_python() {
-  for candidate in "${PYTHON:-}" python3.13 python3 python; do
-    [ -n "$candidate" ] || continue
-    if is_313 "$candidate"; then command -v "$candidate"; return 0; fi
-  done
-  if command -v pyenv >/dev/null 2>&1; then
-    for candidate in "$(pyenv root)"/versions/3.13*/bin/python3.13; do
-      if is_313 "$candidate"; then printf '%s\n' "$candidate"; return 0; fi
+  if [ -n "${PYTHON:-}" ]; then
+    if fits "$PYTHON"; then command -v "$PYTHON"; return 0; fi
+    say "PYTHON=$PYTHON does not run, or is none of $versions; looking for another" >&2
+  fi
+  for version in $versions; do
+    for candidate in "python$version" "$HOME/.local/bin/python$version" \
+      $(command -v pyenv >/dev/null 2>&1 && ls -d "$(pyenv root)/versions/$version"*/bin/"python$version" 2>/dev/null) \
+      $(command -v uv >/dev/null 2>&1 && UV_PYTHON_DOWNLOADS=never uv python find --no-project --system "$version" 2>/dev/null); do
+      if fits "$candidate"; then command -v "$candidate"; return 0; fi
     done
-  fi
-  if command -v uv >/dev/null 2>&1; then
-    candidate=$(UV_PYTHON_DOWNLOADS=never uv python find --no-project --system 3.13 2>/dev/null) || candidate=
-    if [ -n "$candidate" ] && is_313 "$candidate"; then printf '%s\n' "$candidate"; return 0; fi
-  fi
+  done
+  for candidate in python3 python; do
+    if fits "$candidate"; then command -v "$candidate"; return 0; fi
+  done
   return 1
 }
 
 wanted="$(pwd) $(cat requirements.lock requirements-nodeps.lock pyproject.toml | cksum)"
 stamp=.venv/scenec.stamp
-if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && is_313 .venv/bin/python; then
-  exit 0
+if [ -f "$stamp" ] && fits .venv/bin/python; then
+  case "$(cat "$stamp")" in "$wanted" | "$wanted for $*") exit 0 ;; esac
 fi
 
 # A venv does not survive a move: its scripts and the editable install name their folder.
 if [ -e .venv ]; then
-  if ! is_313 .venv/bin/python; then
-    say "Removing .venv: its Python does not run, or is not 3.13"
+  if ! fits .venv/bin/python; then
+    say "Removing .venv: its Python does not run, or is none of $versions"
     rm -rf .venv
-  elif [ -f "$stamp" ] && [ "$(sed 's/ [0-9]* [0-9]*$//' "$stamp")" != "$(pwd)" ]; then
+  elif [ -f "$stamp" ] && [ "$(sed 's/ [0-9]* [0-9]*\( for .*\)\{0,1\}$//' "$stamp")" != "$(pwd)" ]; then
     say "Removing .venv: it was made in another folder"
     rm -rf .venv
   fi
@@ -50,14 +55,14 @@ rm -f "$stamp"
 
 if [ ! -e .venv ]; then
   if ! python=$(find_python); then
-    cat >&2 <<'MESSAGE'
-scenec needs Python 3.13, and none was found as python3.13, python3, python, in pyenv or in uv.
-Install it in one of these ways, then run the same command again:
-  Debian, Ubuntu    apt install python3.13 python3.13-venv
-  macOS             brew install python@3.13
-  pyenv             pyenv install 3.13
-  uv                uv python install 3.13
-or name an interpreter:  make demo PYTHON=path/to/python3.13
+    bring="pip install uv && uv"
+    command -v pipx >/dev/null 2>&1 && bring="pipx run uv"
+    command -v uv >/dev/null 2>&1 && bring=uv
+    cat >&2 <<MESSAGE
+scenec needs Python 3.12, 3.13 or 3.14, and none was found by these names, in pyenv or in uv.
+This command brings one; then run the same command again:
+  $bring python install 3.13
+Or name an interpreter: make demo PYTHON=path/to/python3.13
 MESSAGE
     exit 1
   fi
@@ -66,7 +71,7 @@ MESSAGE
     rm -rf .venv
     if ! command -v uv >/dev/null 2>&1; then
       printf '%s\n' "$python cannot make a virtual environment: its venv module or pip is missing." \
-        "On Debian and Ubuntu: apt install python3.13-venv. Then run the same command again." >&2
+        "On Debian and Ubuntu: apt install the package of its venv module, such as python3.13-venv. Then run the same command again." >&2
       exit 1
     fi
     uv venv --quiet --seed --python "$python" .venv
@@ -85,9 +90,9 @@ install() {
   fi
 }
 
-say "Installing the packages of requirements.lock, each checked against its hash (about 1 GB, once)"
+say "Installing packages of requirements.lock, each checked against its hash (once)"
 # First what compiles kernels: that is done while the rest, most of it renderers, arrives.
-.venv/bin/python tools/core_requirements.py >.venv/core.txt
+.venv/bin/python tools/locked.py >.venv/core.txt
 install .venv/core.txt
 say "Installing scenec itself, editable"
 .venv/bin/python -m pip install --disable-pip-version-check --quiet --no-index --no-deps \
@@ -96,8 +101,14 @@ say "Compiling the kernels beside the other downloads"
 .venv/bin/python tools/warm_kernels.py &
 warming=$!
 trap 'kill $warming 2>/dev/null || true' EXIT
-install requirements.lock
-install requirements-nodeps.lock
+if [ $# -gt 0 ]; then
+  .venv/bin/python tools/locked.py "$@" >.venv/extras.txt
+  install .venv/extras.txt
+  wanted="$wanted for $*"
+else
+  install requirements.lock
+  install requirements-nodeps.lock
+fi
 .venv/bin/python -m tools.cfg_stub >/dev/null
 say "Waiting for the kernels"
 wait $warming || true

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from scenec.schemas.errors import BackendError
+from scenec.schemas.extras import install
 from scenec.schemas.notice import waiting_for
 from scenec.schemas.scratch import scratch_folder
 from scenec.schemas.system_libraries import OF_BLENDER, mend, missing
@@ -43,7 +44,7 @@ def load_bpy() -> Any:
                 f"this process has loaded {other}, and Blender's libraries have a newer TBB of "
                 "their own: load Blender before OpenCV, numba's parallel=True or whatever took it"
                 if other
-                else "mend it with: pip install 'scenec[cycles]'"
+                else f"mend it with: {install('cycles')}"
             )
             raise BackendError(f"Blender cannot be imported ({error}); {what}") from error
         bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -20,10 +20,11 @@ from typing import Any
 
 from scenec.backends.pyrender.egl import EglContext, EglDevice, egl_devices, library
 from scenec.schemas.errors import BackendError
+from scenec.schemas.extras import install
 
 #: Environment variable that names a platform, "egl" or "osmesa", for those who want that one.
 PLATFORM_VARIABLE = "SCENEC_PYRENDER_PLATFORM"
-MEND = "Mend it with: pip install 'scenec[osmesa]'"
+MEND = f"Mend it with: {install('osmesa')}"
 
 #: Software OpenGL in a wheel.
 _WHEEL = "lavavu-osmesa"

@@ -49,6 +49,8 @@ class _Slot:
 
     address: str
     holds: Hashable = None
+    takes: bool = True
+    pending: bool = False
 
 
 class Cluster:
@@ -149,7 +151,8 @@ class Cluster:
         self._refresh()
         return self._slots
 
-    def _submit(self, unit: Unit, slot: _Slot) -> Any:
+    def _submit(self, unit: Unit | None, slot: _Slot) -> Any:
+        assert unit is not None
         slot.holds = unit.holds
         return self._client.submit(
             hands.work,
@@ -175,17 +178,18 @@ class Cluster:
             while any(self._client.run(hands.stop, self._token).values()):
                 time.sleep(0.05)
 
-    def _result(self, unit: Unit, future: Any) -> Outcome:
+    def _result(self, unit: Unit | None, future: Any) -> list[tuple[Unit, Outcome]]:
         from distributed import KilledWorker
 
+        assert unit is not None
         try:
             outcome: Outcome = future.result()
         except KilledWorker as error:
             lost = FrameLostError(f"{unit.what}: given up: {error.args[0] if error.args else ''}")
-            return Outcome(error=lost, deaths=1)
+            return [(unit, Outcome(error=lost, deaths=1))]
         except Exception as error:
             raise self._lost(f"{unit.what}: {type(error).__name__}: {error}") from error
-        return outcome
+        return [(unit, outcome)]
 
     def _lost(self, why: str) -> BackendError:
         return BackendError(f"{self._name}: {why}; what has been made stays: run again")

@@ -12,7 +12,7 @@ from scenec.backends.run.limits import Limits
 from scenec.backends.run.memory import at_once, default_limit
 from scenec.backends.run.slots import fill
 from scenec.backends.run.supervise import Supervisor
-from scenec.schemas.budget import thread_budget
+from scenec.schemas.budget import thread_budget, usable_cores
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import available
 from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, run_all
@@ -21,6 +21,8 @@ from scenec.schemas.units import Executor, LocalExecutor, Outcome, Take, Unit, r
 WORKERS = "SCENEC_WORKERS"
 #: As on the command line.
 MOST_WORKERS = 1024
+#: That the number is chosen (``workers``).
+AUTO = "auto"
 
 
 class Processes:
@@ -38,7 +40,7 @@ class Processes:
     ) -> None:
         limits, workers = limits or Limits(), at_once(workers)
         if threads is None and workers > 1:
-            threads = max(1, (thread_budget() or os.process_cpu_count() or 1) // workers)
+            threads = max(1, (thread_budget() or usable_cores()) // workers)
         self._slots = [Supervisor(limits, threads, self._count) for _ in range(workers)]
         self._threads = ThreadPoolExecutor(workers)
 
@@ -66,14 +68,37 @@ class Processes:
         """See ``Executor``."""
         return fill(take, lambda: self._slots, self._submit, self._stop)
 
-    def _submit(self, unit: Unit, slot: Supervisor) -> Future[Outcome]:
-        return self._threads.submit(slot.do, unit)
+    def _submit(self, unit: Unit | None, slot: Supervisor) -> Future[list[tuple[Unit, Outcome]]]:
+        return self._threads.submit(slot.step, unit)
 
-    def _stop(self, futures: Collection[Future[Outcome]]) -> None:
+    def _stop(self, futures: Collection[Future[Any]]) -> None:
         while not all(future.done() for future in futures):
             for slot in self._slots:
                 slot.stop()
             wait(futures, timeout=0.05)
+        for slot in self._slots:
+            if slot.pending:
+                slot.abandon()
+
+
+def read_workers(workers: int | str | None, default: str | None = None) -> int | None:
+    """Returns the number of workers that was requested; None: it is to be chosen.
+
+    Args:
+        workers: A number or "auto"; None: ``$SCENEC_WORKERS``.
+        default: Where that is not set; None: 1, and nobody chooses.
+
+    Raises:
+        BackendError: ``$SCENEC_WORKERS`` is neither.
+    """
+    if workers is not None:
+        return None if workers == AUTO else int(workers)
+    text = os.environ.get(WORKERS, "") or default or "1"
+    if text == AUTO:
+        return None if default else 1
+    if not text.isdecimal() or int(text) > MOST_WORKERS:
+        raise BackendError(f"{WORKERS}: expected a whole number of processes, not {text!r}")
+    return int(text)
 
 
 def make_executor(
@@ -90,11 +115,8 @@ def make_executor(
     Raises:
         BackendError: The cluster cannot be reached or used; says what to mend.
     """
-    if workers is None:
-        text = os.environ.get(WORKERS, "") or "1"
-        if not text.isdecimal() or int(text) > MOST_WORKERS:
-            raise BackendError(f"{WORKERS}: expected a whole number of processes, not {text!r}")
-        workers = int(text)
+    workers = read_workers(workers)
+    assert workers is not None
     if cluster is not None:
         # Imported here: dask takes half a second.
         from scenec.backends.run.cluster import Cluster

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import BackendError
 from scenec.schemas.memory import GB, available, limit
 from scenec.schemas.notice import tell
@@ -38,7 +38,7 @@ def at_once(wanted: int) -> int:
 
     Says once where they are fewer. What each may hold (``Limits.memory_bytes``) is another matter.
     """
-    cores = os.process_cpu_count() or 1
+    cores = usable_cores()
     by_cores, by_memory = max(ON_FEW_CORES, PER_CORE * cores), max(1, default_limit() // LEAST)
     most = min(by_cores, by_memory)
     if wanted <= most:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -71,6 +72,15 @@ class SurfaceLight:
     blurred: Drawing | None
 
 
+@dataclass(frozen=True)
+class DrawnPicture:
+    """Holds what a renderer drew of a frame: light from surfaces, and how it came to be."""
+
+    light: SurfaceLight
+    radiance: Radiance
+    rounds: Rounds | None
+
+
 class Session:
     """A stage that has been read, and the backend that draws its pictures.
 
@@ -86,6 +96,9 @@ class Session:
         self.scene = scene
         self.backend = backend
         self._caster: ExactCaster | None = None
+        #: Held by who casts: the caster is posed at one sample, and one frame may be drawn while
+        #: another is annotated.
+        self.casting = threading.RLock()
         self._loaded = False
         #: Of its cameras' exposures.
         self.meter = Meter(scene)
@@ -175,7 +188,7 @@ class Session:
         target: Target | None = None,
         ready: Annotation | None = None,
     ) -> FrameResult:
-        """Render one frame.
+        """Render one frame: ``draw`` it if it has ``rgb``, and ``complete`` it.
 
         Args:
             camera: The camera at this sample.
@@ -191,10 +204,33 @@ class Session:
             BackendError: The renderer failed, or cannot do what is asked.
         """
         seconds: dict[str, float] = {}
-        arrays: dict[str, NDArray] = {}
-        radiance = rounds = None
+        drawn = None
         if "rgb" in passes:
+            drawn = self.draw(camera, sample, spp, seed, denoise, target, seconds)
+        return self.complete(camera, sample, passes, drawn, ready, seconds)
+
+    def draw(
+        self,
+        camera: Camera,
+        sample: int,
+        spp: int,
+        seed: int,
+        denoise: bool,
+        target: Target | None,
+        seconds: dict[str, float],
+    ) -> DrawnPicture:
+        """Has the renderer draw a frame; the arguments are those of ``render``.
+
+        Args:
+            seconds: By step; what it takes is added.
+
+        Raises:
+            BackendError: The renderer failed, or cannot do what is asked.
+        """
+        # Sub-frames are cast amid the drawing.
+        with self.casting if blurred_by(camera) else nullcontext():
             light = self._plan_light(camera, sample, denoise, target is not None, seconds)
+            rounds = None
             with timed(seconds, "radiance"):
                 if target is None:
                     radiance = light.draw(spp, seed)
@@ -202,6 +238,32 @@ class Session:
                     radiance, rounds = collect(
                         light.draw, seed, target, continues=light.continues, denoise=light.denoise
                     )
+        return DrawnPicture(light, radiance, rounds)
+
+    def complete(
+        self,
+        camera: Camera,
+        sample: int,
+        passes: Sequence[str],
+        drawn: DrawnPicture | None,
+        ready: Annotation | None,
+        seconds: dict[str, float],
+    ) -> FrameResult:
+        """Annotates a frame, and composes what was drawn of it; needs no renderer.
+
+        May run in another thread while the next frame is drawn.
+
+        Args:
+            camera, sample, passes, ready: As of ``render``.
+            drawn: Light from surfaces; None of a frame without ``rgb``.
+            seconds: By step; what it takes is added.
+
+        Raises:
+            BackendError: A pass failed.
+        """
+        arrays: dict[str, NDArray] = {}
+        radiance = None if drawn is None else drawn.radiance
+        if radiance is not None:
             # First of the passes, whatever is known of it only later.
             arrays["rgb"] = radiance.halves[0]
         record = describe_frame(self.scene, camera, sample, self.facts())
@@ -210,8 +272,9 @@ class Session:
         if annotation:
             if found is None:
                 listing = self.instances if "instance" in annotation else None
-                caster = self.caster(seconds)
-                found = annotate(self.scene, caster, camera, annotation, sample, listing)
+                with self.casting:
+                    caster = self.caster(seconds)
+                    found = annotate(self.scene, caster, camera, annotation, sample, listing)
                 for step, took in found.seconds.items():
                     seconds[step] = seconds.get(step, 0.0) + took
             arrays |= {name: found.arrays[name] for name in annotation if name in found.arrays}
@@ -222,13 +285,14 @@ class Session:
                 height_above_surface_m=found.height_m,
                 sky=None if sky is None else SkyPixels(pixels=sky[0], below_horizon=sky[1]),
             )
-        if radiance is not None:
+        if drawn is not None and radiance is not None:
             hits = None if found is None else found.hits
-            veil = self._veil(radiance, camera, sample, hits, seconds)
+            with self.casting:
+                veil = self._veil(radiance, camera, sample, hits, seconds)
             with timed(seconds, "compose"):
                 picture = compose(radiance, self.scene, camera, sample, veil)
             arrays["rgb"] = picture.rgb
-            record = self._describe_light(record, light, radiance, rounds, picture, veil)
+            record = self._describe_light(record, drawn, picture, veil)
         return FrameResult(
             arrays,
             replace(record, seconds=seconds),
@@ -353,13 +417,12 @@ class Session:
     def _describe_light(
         self,
         record: FrameRecord,
-        light: SurfaceLight,
-        radiance: Radiance,
-        rounds: Rounds | None,
+        drawn: DrawnPicture,
         picture: Picture,
         veil: Veil | None,
     ) -> FrameRecord:
         """Adds what there is to say of ``rgb``."""
+        light, radiance, rounds = drawn.light, drawn.radiance, drawn.rounds
         denoised = radiance.denoised is not None
         error = picture.denoised if denoised else picture.noise
         assert error is not None

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections import deque
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
@@ -21,6 +22,9 @@ from scenec.schemas.errors import BackendError, ScenecError, StageError
 from scenec.schemas.memory import GB
 from scenec.schemas.native import CRASHES, SIZE, Note, crashed
 from scenec.schemas.units import Outcome, Unit, clean
+
+#: Of a worker (``worker``): whether it went well, what came of it, peak memory, what was said.
+type _Answer = tuple[bool, Any, int | None, list[str]]
 
 
 def _tries(count: int) -> str:
@@ -50,6 +54,10 @@ class Supervisor:
     unit tried again; one that would grow too large is replaced before its next unit, and one that
     holds something else (another stage) is, too: memory goes back, whatever a renderer keeps.
 
+    A worker that does the rest of a unit beside the next one (``units.Rest``) is given that one
+    early. Which of the two a worker died over nobody knows: both are tried again, one after the
+    other, and so are all that this supervisor is given from then on.
+
     Args:
         limits: What the worker may take; its memory, where it is not said, is its share of all
             there is for workers.
@@ -74,6 +82,8 @@ class Supervisor:
         self._growth = Growth(None)
         self._note, self._notice = Note(), Note()
         self._holds: Hashable = None
+        self._given: deque[tuple[Unit, Outcome]] = deque()
+        self._overlaps, self._drawn = True, False
         self._done = 0
         self._peak = 0
         self._stopped = False
@@ -98,36 +108,136 @@ class Supervisor:
         """Process id of the worker that runs now."""
         return self._process.pid if self._process else None
 
+    @property
+    def pending(self) -> bool:
+        """Tells whether a unit that it was given has not ended."""
+        return bool(self._given)
+
+    @property
+    def takes(self) -> bool:
+        """Tells whether it may be given a unit now."""
+        return not self._given or (self._drawn and self._overlaps)
+
     def do(self, unit: Unit) -> Outcome:
         """Have a unit run; a dead worker is replaced and it is tried again.
 
         The outcome's error is what the unit raised; ``StageError`` where the worker crashed while
         it read a stage; ``FrameLostError`` where ``Limits.retries`` + 1 workers died over it.
         """
-        outcome = Outcome()
+        ended = self.step(unit)
+        while self._given:
+            ended += self.step(None)
+        ((_, outcome),) = ended
+        return outcome
+
+    def step(self, unit: Unit | None) -> list[tuple[Unit, Outcome]]:
+        """Gives the worker a unit, and waits until one has ended or it takes another.
+
+        Args:
+            unit: Only where it ``takes`` one; None: waits alone, for what is ``pending``.
+
+        Returns:
+            What has ended, in the order in which it was given; see ``do``.
+        """
+        ended: list[tuple[Unit, Outcome]] = []
+        if unit is not None:
+            outcome = Outcome()
+            reason = self._reason_to_replace()
+            while self._given and (reason or unit.holds != self._holds):
+                ended += self.step(None)
+            if not self._given:
+                self._make_ready(unit, reason, outcome)
+            self._given.append((unit, outcome))
+        try:
+            if unit is not None:
+                self._send(unit)
+            answer = self._receive()
+        except ScenecError as error:
+            answer = False, error, None, []
+        except WorkerDiedError as death:
+            return ended + self._try_again(death)
+        if answer is None:
+            self._drawn = True
+            return ended
+        of, outcome = self._given.popleft()
+        self._note_answer(outcome, *answer)
+        return [*ended, (of, outcome)]
+
+    def _make_ready(self, unit: Unit, reason: str | None, outcome: Outcome) -> None:
+        """Ends a worker that should not run this unit."""
         self._stopped = False
         if self._process is not None and unit.holds != self._holds:
             if self._holds is not None:
                 self.close()
             self._done = 0
-        self._replace_if_grown(outcome)
+        elif reason is not None:
+            self.close()
+            outcome.replaced += 1
+            outcome.notes.append(f"the worker process {reason}: replaced by a fresh one")
+
+    def _note_answer(
+        self, outcome: Outcome, fine: bool, value: Any, peak: int | None, said: list[str]
+    ) -> None:
+        outcome.notes += said
+        # The worker's own count misses nothing between two looks.
+        self._peak = peak or 0
+        if fine:
+            outcome.value = value
+            self._done += 1
+        else:
+            outcome.error = value
+
+    def _try_again(self, death: WorkerDiedError) -> list[tuple[Unit, Outcome]]:
+        """Has what a worker died over run by fresh ones, one after the other, to its end."""
+        given = list(self._given)
+        self._given.clear()
+        first: WorkerDiedError | None = death
+        if len(given) > 1:
+            # No try of either: tried alone they tell which it was.
+            first, self._overlaps = None, False
+            self.close()
+            names = " and ".join(unit.what for unit, _ in given)
+            given[0][1].deaths += 1
+            line = f"{names}: the worker process {death}; trying again, one after the other"
+            given[0][1].warnings += [] if self._stopped else [line]
+            for unit, _ in given:
+                clean(unit)
+        for unit, outcome in given:
+            self._do_alone(unit, outcome, first)
+        return given
+
+    def _do_alone(self, unit: Unit, outcome: Outcome, death: WorkerDiedError | None) -> None:
+        """Has a unit run while there is no other.
+
+        Args:
+            unit: The unit.
+            outcome: Filled.
+            death: Of the worker that ran it; None: it is to be tried.
+        """
+        deaths = 0
         while True:
-            try:
-                if self._process is None:
-                    self._start()
-                self._holds = unit.holds
-                outcome.value = self._exchange(unit, outcome.notes)
-                self._done += 1
-            except ScenecError as error:
-                outcome.error = error
-            except WorkerDiedError as death:
+            if death is not None:
+                deaths += 1
                 outcome.deaths += 1
-                outcome.error = self._verdict(unit, death, outcome.deaths)
-                if outcome.error is None:
-                    line = f"{unit.what}: the worker process {death}; trying again"
-                    outcome.warnings.append(line)
-                    continue
-            return outcome
+                outcome.error = self._verdict(unit, death, deaths)
+                if outcome.error is not None:
+                    return
+                line = f"{unit.what}: the worker process {death}; trying again"
+                outcome.warnings.append(line)
+            elif self._stopped:
+                outcome.error = BackendError(f"{unit.what}: stopped")
+                return
+            try:
+                self._send(unit)
+                while (answer := self._receive()) is None:
+                    pass
+            except ScenecError as error:
+                answer = False, error, None, []
+            except WorkerDiedError as another:
+                death = another
+                continue
+            self._note_answer(outcome, *answer)
+            return
 
     def _verdict(self, unit: Unit, death: WorkerDiedError, deaths: int) -> ScenecError | None:
         """Clears up after a worker; returns why its unit is given up, None if it is not."""
@@ -152,6 +262,11 @@ class Supervisor:
         self._stopped = True
         if self._watch is not None:
             self._watch.kill()
+
+    def abandon(self) -> None:
+        """Give up what is pending, where ``stop`` has ended the worker."""
+        self._given.clear()
+        self.close()
 
     def close(self) -> None:
         """End the worker; by force if it does not go by itself."""
@@ -213,36 +328,41 @@ class Supervisor:
         """Returns the bytes that the worker may use, given the present number of processes."""
         return self._limits.memory_bytes or self._room // max(1, self._among())
 
-    def _replace_if_grown(self, outcome: Outcome) -> None:
-        """Note what the last unit left behind; end a worker that should not run another."""
+    def _reason_to_replace(self) -> str | None:
+        """Note what the last unit left behind; why the worker should not run another, or None."""
         # The first one opens what the others work with.
         if self._process is None or self._watch is None or self._done < 2:
-            return
+            return None
         peak = max(self._watch.peak, self._peak)
         self._watch.measure()
         self._growth.add(self._watch.memory, peak)
         self._growth.most = self._most()
-        reason = self._growth.reason()
-        if reason is not None:
-            self.close()
-            outcome.replaced += 1
-            outcome.notes.append(f"the worker process {reason}: replaced by a fresh one")
+        return self._growth.reason()
 
-    def _exchange(self, unit: Unit, notes: list[str]) -> Any:
+    def _send(self, unit: Unit) -> None:
+        if self._process is None:
+            self._start()
+        pipe, watch = self._pipe, self._watch
+        assert pipe is not None
+        assert watch is not None
+        self._holds, self._drawn = unit.holds, False
+        watch.begin(fresh=self._done < 2)
+        # A worker that has ended is noticed by who waits for its answer.
+        with suppress(OSError):
+            pipe.send(unit)
+
+    def _receive(self) -> _Answer | None:
+        """Returns the next message: an answer; None: the rest is done beside the next unit.
+
+        Raises:
+            WorkerDiedError: There is none.
+        """
         process, watch, pipe = self._process, self._watch, self._pipe
         assert process is not None
         assert watch is not None
         assert pipe is not None
         try:
-            watch.begin(fresh=self._done < 2)
-            pipe.send(unit)
-            fine, value, peak, said = self._wait(pipe, watch)
-            notes += said
-            # The worker's own count misses nothing between two looks.
-            self._peak = peak or 0
-            if not fine:
-                raise value
-            return value
+            return self._wait(pipe, watch)
         except (EOFError, OSError, pickle.UnpicklingError):
             # One that sent what cannot be read may still be there.
             try:
@@ -257,7 +377,7 @@ class Supervisor:
             process.wait()
             raise
 
-    def _wait(self, pipe: Connection, watch: Watch) -> tuple[bool, Any, int | None, list[str]]:
+    def _wait(self, pipe: Connection, watch: Watch) -> _Answer | None:
         """The next message.
 
         Raises:
@@ -275,7 +395,7 @@ class Supervisor:
             if verdict is not None:
                 watch.kill()
                 raise WorkerDiedError(verdict)
-        message: tuple[bool, Any, int | None, list[str]] = pipe.recv()
+        message: _Answer | None = pipe.recv()
         return message
 
     def _cause(self, status: int, memory: int) -> str:

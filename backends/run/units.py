@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,12 @@ from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_los
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.memory import GB
 from scenec.schemas.native import native_reading
-from scenec.schemas.records import BackendChoice, FrameRecord, RendererFacts
-from scenec.schemas.units import Keeper
+from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord, RendererFacts
+from scenec.schemas.units import Keeper, Rest
 
 if TYPE_CHECKING:
+    from scenec.backends.exact import ExactCaster
+    from scenec.backends.run.facts import FrameResult
     from scenec.backends.run.session import Session
     from scenec.backends.stage.scene import Camera
 
@@ -226,7 +229,7 @@ class MakeFile(ABC):
         return self.stem.with_name(f"{LOCK}-{self.stem.name}")
 
     @abstractmethod
-    def run(self, keeper: Keeper) -> UnitResult:
+    def run(self, keeper: Keeper) -> UnitResult | Rest[UnitResult]:
         """Makes it.
 
         Raises:
@@ -293,8 +296,8 @@ class RenderFrame(MakeFile):
         """Describes what the frame that is there has of this stage, and this one would not have."""
         return None if self.replace else would_lose(self.stem, self.key)
 
-    def run(self, keeper: Keeper) -> UnitResult:
-        """Renders and writes it.
+    def run(self, keeper: Keeper) -> UnitResult | Rest[UnitResult]:
+        """Renders and writes it; a worker may write it beside the next one.
 
         Raises:
             ScenecError: See ``MakeFile``.
@@ -304,14 +307,14 @@ class RenderFrame(MakeFile):
         from scenec.backends.run import memory
         from scenec.backends.run.reuse import find_annotation
         from scenec.backends.run.session import timed
-        from scenec.backends.run.writer import write_frame
 
         session, key, sample = self.holds.session(keeper), self.key, self.sample
         scene = session.scene
         if not key.backend_version.startswith(session.facts().version):
             # A process that was replaced has imported it again.
             raise BackendError(f"backend {key.backend} has changed meanwhile; run again")
-        with self.claimed(session) as found:
+        with ExitStack() as claim:
+            found = claim.enter_context(self.claimed(session))
             if found is not None:
                 return found
             if key.stage_digest != scene.digest:
@@ -324,37 +327,76 @@ class RenderFrame(MakeFile):
             once = key.error is None and key.seconds is None
             target = None if once else Target(key.error, key.seconds, key.spp)
             exposure, metering = None, dict[str, float]()
+            seconds: dict[str, float] = {}
+            drawn = None
             if "rgb" in key.passes:
-                with timed(metering, "exposure"):
-                    camera, exposure = session.meter.exposed(
-                        camera, sample, lambda: session.caster(metering)
-                    )
-                metering["exposure"] -= metering.get("load", 0.0)
-            result = session.render(
-                camera, sample, key.passes, key.spp, self.seed, key.denoise, target, ready
-            )
-            seconds = dict(result.record.seconds or {})
-            for step, took in metering.items():
-                seconds[step] = seconds.get(step, 0.0) + took
-            peak = memory.peak()
-            taken = None
-            if camera.imaging is not None and "rgb" in result.arrays:
-                # Imported here: few cameras have any.
-                from scenec.backends.imaging.camera import take
+                with timed(metering, "exposure"), ExitStack() as casting:
 
-                with timed(seconds, "imaging"):
-                    taken = take(result.arrays["rgb"], camera, camera.imaging, sample)
-            record = replace(
-                result.record,
-                exposure=exposure,
-                peak_memory_gb=None if peak is None else round(peak / GB, 3),
-                choice=self.choice,
-                seconds=dict(seconds),
-            )
-            with timed(seconds, "write"):
-                result = replace(result, record=record)
-                record = write_frame(self.stem, result, key, scene, camera, taken)
-            record = replace(record, seconds=seconds)
+                    def caster() -> ExactCaster:
+                        casting.enter_context(session.casting)
+                        return session.caster(metering)
+
+                    camera, exposure = session.meter.exposed(camera, sample, caster)
+                metering["exposure"] -= metering.get("load", 0.0)
+                drawn = session.draw(
+                    camera, sample, key.spp, self.seed, key.denoise, target, seconds
+                )
+            complete = partial(session.complete, camera, sample, key.passes, drawn, ready, seconds)
+            # The cast takes as long as pictures do: beside it the last one is written.
+            made = complete() if drawn is None else None
+            held, peak = claim.pop_all(), memory.peak()
+
+        def rest() -> UnitResult:
+            with held:
+                result = complete() if made is None else made
+                return self._finish(session, camera, result, exposure, metering, peak)
+
+        return keeper.finish(rest)
+
+    def _finish(
+        self,
+        session: Session,
+        camera: Camera,
+        result: FrameResult,
+        exposure: ExposureRecord | None,
+        metering: dict[str, float],
+        peak: int | None,
+    ) -> UnitResult:
+        """Writes a frame that is complete.
+
+        Args:
+            session, camera: What shows it.
+            result: The frame.
+            exposure: Where the camera's comes from; None without ``rgb``.
+            metering: Seconds by step before it was drawn.
+            peak: Bytes of this process until then.
+        """
+        from scenec.backends.run import memory
+        from scenec.backends.run.session import timed
+        from scenec.backends.run.writer import write_frame
+
+        seconds = dict(result.record.seconds or {})
+        for step, took in metering.items():
+            seconds[step] = seconds.get(step, 0.0) + took
+        peak = max(filter(None, (peak, memory.peak())), default=None)
+        taken = None
+        if camera.imaging is not None and "rgb" in result.arrays:
+            # Imported here: few cameras have any.
+            from scenec.backends.imaging.camera import take
+
+            with timed(seconds, "imaging"):
+                taken = take(result.arrays["rgb"], camera, camera.imaging, self.sample)
+        record = replace(
+            result.record,
+            exposure=exposure,
+            peak_memory_gb=None if peak is None else round(peak / GB, 3),
+            choice=self.choice,
+            seconds=dict(seconds),
+        )
+        with timed(seconds, "write"):
+            result = replace(result, record=record)
+            record = write_frame(self.stem, result, self.key, session.scene, camera, taken)
+        record = replace(record, seconds=seconds)
         return UnitResult(
             now=True,
             seconds=dict(record.seconds or {}),

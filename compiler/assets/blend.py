@@ -26,6 +26,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, embedded
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.geometry import affine
+from scenec.schemas.extras import install
 from scenec.schemas.files import once_per_file
 from scenec.schemas.scratch import scratch_folder
 
@@ -48,7 +49,7 @@ def read_blend(file: Path, looks: bool) -> ParsedModel:
         if not stream.read(7).startswith(_MAGIC):
             raise MeshFileError("not a Blender file: it does not begin with 'BLENDER'")
     if importlib.util.find_spec("bpy") is None:
-        raise MeshFileError("reading .blend needs the extra 'cycles': pip install 'scenec[cycles]'")
+        raise MeshFileError(f"reading .blend needs the extra 'cycles': {install('cycles')}")
     document, arrays = _evaluated(file.resolve())
     pictures: list[Path] = []
     notes = tuple(document["notes"])

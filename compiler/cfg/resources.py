@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from scenec.schemas.extras import install
 from scenec.schemas.spelling import closest, shown
 
 PREFIX = "package:"
@@ -127,7 +128,7 @@ def _how_to_install(name: str) -> str:
         required = re.match(r"[A-Za-z0-9._-]+", requirement)
         extra = re.search(r"extra == ['\"]([^'\"]+)['\"]", requirement)
         if required and extra and _canonical(required.group()) == _canonical(distribution):
-            return f"pip install 'scenec[{extra.group(1)}]'"
+            return install(extra.group(1))
     return f"pip install {distribution}"
 
 

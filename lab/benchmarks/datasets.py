@@ -42,6 +42,7 @@ from scenec.datasets.statistics import measure
 from scenec.lab.benchmarks.cfgs import rocks_on_hills
 from scenec.lab.runner import Cell, Study, apart, in_turns, run, times
 from scenec.schemas import rle
+from scenec.schemas.budget import usable_cores
 from scenec.schemas.exr import read_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.instances import read_frame_table
@@ -86,7 +87,7 @@ def export(out: Path, folder: Path, count: int, workers: int) -> None:
 def coco(study: Study) -> None:
     """Prints the tables of COCO."""
     count, out = 30 if study.fast else study.options.frames, study.scratch / "out"
-    workers = study.options.workers or os.process_cpu_count() or 1
+    workers = study.options.workers or usable_cores()
     study.say(f"{write_output(study, out, count)}; {workers} processes.\n")
 
     def exports() -> Iterator[list[Cell]]:

@@ -17,7 +17,6 @@ mean of a thousand that do nothing.
 from __future__ import annotations
 
 import json
-import os
 import statistics
 import tempfile
 import time
@@ -35,6 +34,7 @@ from scenec.backends.run.units import OfBackend, UnitResult
 from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.gpu import most_gib, watched
 from scenec.lab.runner import DEMO, Cell, Study, apart, run
+from scenec.schemas.budget import usable_cores
 from scenec.schemas.frames import ANNOTATION
 from scenec.schemas.units import Executor, Outcome, Take, Unit, run_all
 
@@ -172,7 +172,7 @@ def compiled(study: Study, samples: int) -> Path:
 def main(study: Study) -> None:
     """Prints the tables."""
     options = study.options
-    cores = os.process_cpu_count() or 1
+    cores = usable_cores()
     each = 2 if study.fast else options.frames
     numbers = [n for n in options.workers if n <= cores] or [1]
     numbers = numbers[:1] if study.fast else numbers

@@ -137,7 +137,7 @@ def _measured(frame: Frame, truth: References, against: str, shown: LadderFrame)
 
 
 @dataclass(frozen=True)
-class Difference:
+class ReferenceGap:
     """Records what differs between two backends' references of a batch, means over its frames.
 
     Attributes:
@@ -156,7 +156,7 @@ class Difference:
     flip: float | None
 
 
-def differences(climbed: Sequence[Climbed], references: References) -> list[Difference]:
+def differences(climbed: Sequence[Climbed], references: References) -> list[ReferenceGap]:
     """Compares backends' references, pair by pair: differences that more samples leave.
 
     The noise of both is subtracted.
@@ -182,7 +182,7 @@ def differences(climbed: Sequence[Climbed], references: References) -> list[Diff
                 )
                 flips += [] if map_ is None else [float(map_.mean())]
             found.append(
-                Difference(
+                ReferenceGap(
                     backend=judged.backend,
                     against=truth.backend,
                     relative_ms=float(np.mean(squares)),

@@ -12,6 +12,7 @@ from scenec.backends.check.radiance import flip, write_differences
 from scenec.quality.converge.ladder import Climbed
 from scenec.quality.converge.measure import References, Row
 from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.extras import install
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import Frame
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 CSV, JSON = "converge.csv", "converge.json"
 NO_PLOTS = "no plots without matplotlib; mend it with: pip install 'scenec[plots]'"
-NO_FLIP = "FLIP is not installed; mend it with: pip install 'scenec[flip]'"
+NO_FLIP = f"FLIP is not installed; mend it with: {install('flip')}"
 
 
 def write(folder: Path, report: ConvergeReport) -> None:

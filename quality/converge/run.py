@@ -56,7 +56,7 @@ def converge(
     _check(names, ladder)
     folder = (out if out.is_dir() else out.parent) / FOLDER
     found = ConvergeReport()
-    differences: dict[tuple[str, str], list[measure.Difference]] = defaultdict(list)
+    differences: dict[tuple[str, str], list[measure.ReferenceGap]] = defaultdict(list)
     check_writable(folder)
     for batch in find_batches(out, batches):
         aside = folder / "pictures" / batch.name
@@ -114,7 +114,7 @@ def _add(report: ConvergeReport, one: Climbed, truth: measure.References, ladder
     entry["reference_relative_rms"] = max(entry["reference_relative_rms"], worst)
 
 
-def _floor(each: Sequence[measure.Difference]) -> Floor:
+def _floor(each: Sequence[measure.ReferenceGap]) -> Floor:
     """Over batches; squares are averaged, and then roots are drawn."""
     square = float(np.mean([one.relative_ms for one in each]))
     reach = NORMAL_95 * math.sqrt(sum(one.relative_ms_error**2 for one in each)) / len(each)

@@ -48,6 +48,13 @@ def reference(tmp_path_factory) -> Path:
 #: All in one run, which loads or compiles every kernel: what fails here is taken apart by
 #: ``make thorough``.
 TOGETHER = {"all at once": ALL_AT_ONCE}
+ANNOTATED = (
+    COMPILE
+    + """
+from scenec.backends.run.render import render
+assert render(sys.argv[2], "annotation").rendered
+"""
+)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +74,27 @@ def test_the_same_cfg_and_seed_give_the_same_bytes_with(name, reference, tmp_pat
         capture_output=True,
     )
     assert hashes(out) == hashes(reference)
+
+
+OTHERS = sorted(Path(__file__).parents[2].glob(".venv-3.*/bin/python"))
+
+
+@pytest.mark.skipif(not OTHERS, reason="make pythons installs scenec with other Pythons")
+@pytest.mark.parametrize("python", OTHERS, ids=[path.parents[1].name for path in OTHERS])
+def test_other_pythons_give_the_same_bytes(python, tmp_path):
+    cfg = write_cfg(tmp_path, small_cfg(batches=2))
+    found = {}
+    for name, who in (("ours", sys.executable), ("theirs", python)):
+        out = tmp_path / name
+        subprocess.run([who, "-W", "ignore", "-c", ANNOTATED, cfg, out], check=True)
+        # Sidecars and timings have seconds.
+        found[name] = {
+            path: digest
+            for path, digest in hashes(out).items()
+            if Path(path).suffix != ".json" or Path(path).name == "manifest.json"
+        }
+    assert found["theirs"] == found["ours"]
+    assert {Path(path).suffix for path in found["ours"]} >= {".usdc", ".usda", ".exr", ".csv"}
 
 
 def test_another_seed_and_another_batch_give_other_scenes(reference, tmp_path):

@@ -115,7 +115,7 @@ def test_the_installed_wheel_works_outside_the_checkout(built, tmp_path):
     (wheel,) = built.glob("*.whl")
     venv = tmp_path / "venv"
     run(sys.executable, "-m", "venv", "--without-pip", venv, cwd=tmp_path)
-    site = venv / "lib" / "python3.13" / "site-packages"
+    site = next((venv / "lib").glob("python3*")) / "site-packages"
     install = ["-m", "pip", "--python", str(venv / "bin" / "python"), "install"]
     options = ["--quiet", "--no-deps", "--no-index"]
     run(sys.executable, *install, *options, wheel, cwd=tmp_path)

@@ -371,7 +371,7 @@ def test_no_more_processes_work_than_the_machine_can_hold(who, tmp_path, monkeyp
 @pytest.mark.parametrize(("cores", "most"), [(2, 16), (8, 32)])
 def test_no_more_processes_work_than_cores_can_be_shared_by(cores, most, monkeypatch, said):
     monkeypatch.setattr(memory, "default_limit", lambda: int(1e12))
-    monkeypatch.setattr(os, "process_cpu_count", lambda: cores)
+    monkeypatch.setattr(memory, "usable_cores", lambda: cores)
     assert [memory.at_once(asked) for asked in (1, most, most + 1, 1000)] == [1, *[most] * 3]
     assert said == [
         f"{most} processes work on this machine, of {asked} asked for: it has {cores} cores"

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,17 +38,16 @@ def run(stage: Path, **options):
 def assassin(monkeypatch: pytest.MonkeyPatch, sample: int, times: int) -> list[int]:
     """Kill the worker by SIGKILL once it has a render request for this sample, ``times`` times."""
     killed: list[int] = []
-    exchange = Supervisor._exchange
+    send = Supervisor._send
 
-    def deadly(self: Supervisor, unit: Unit, notes: list[str]) -> Any:
+    def deadly(self: Supervisor, unit: Unit) -> None:
+        send(self, unit)
         aimed = isinstance(unit, RenderFrame) and unit.sample == sample
-        if aimed and len(killed) < times and self._pipe is not None and self.pid is not None:
-            self._pipe.send(unit)
+        if aimed and len(killed) < times and self.pid is not None:
             os.kill(self.pid, signal.SIGKILL)
             killed.append(self.pid)
-        return exchange(self, unit, notes)
 
-    monkeypatch.setattr(Supervisor, "_exchange", deadly)
+    monkeypatch.setattr(Supervisor, "_send", deadly)
     return killed
 
 
@@ -71,7 +69,8 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
     killed = assassin(monkeypatch, sample=1, times=99)
     report = run(stage)
     # Two cameras see the sample; all that comes after it is rendered.
-    assert len(killed) == 2 * (RETRIES + 1)
+    # One more if another frame was being finished: that is a try of neither.
+    assert 0 <= len(killed) - 2 * (RETRIES + 1) <= 1
     assert report.rendered == 4
     assert len(report.failed) == 2
     assert all("000001" in line and "given up after 3 tries" in line for line in report.failed)

@@ -1,8 +1,9 @@
-"""Prints the part of requirements.lock that scenec needs without any extra, and to be installed."""
+"""Prints the lock of what scenec and some extras need: ``python tools/locked.py [EXTRA...]``."""
 
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 
@@ -23,7 +24,9 @@ def main() -> None:
         for name, entry in entries.items()
     }
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    needed = {"setuptools", *(plain(requirement) for requirement in project["dependencies"])}
+    extras = (project["optional-dependencies"][name] for name in sys.argv[1:])
+    listed = [*project["dependencies"], *(need for extra in extras for need in extra)]
+    needed = {"setuptools", *map(plain, listed)}
     before = 0
     while len(needed) > before:
         before = len(needed)
