@@ -84,7 +84,9 @@ def test_a_worker_that_hangs_or_dies_once_costs_nothing_but_time(
     # What one left half written, if no more, is removed.
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
     assert faults_so_far(tmp_path) == 1
-    assert (report.rendered, report.deaths, report.failed) == (6, 1, [])
+    assert (len(report.frames), report.deaths, report.failed) == (6, 1, [])
+    # A worker may die as the frame before has been written, and no answer of it been given.
+    assert report.rendered in (5, 6)
     said = [line for line in lines if "trying again" in line]
     assert len(said) == 1
     assert words in said[0]
