@@ -100,17 +100,6 @@ class StageOptions(WorkOptions):
     )
     batches: range | None = _span("only batches A to B-1")
 
-    def __post_init__(self) -> None:
-        """Holds batches to be a range, too: they are compiled in order.
-
-        Raises:
-            ScenecError: They are none.
-        """
-        super().__post_init__()
-        batches: object = self.batches
-        if not isinstance(batches, range | None):
-            raise ScenecError(f"batches: {batches!r}: expected a range, A:B, or one number")
-
 
 @dataclass(frozen=True, kw_only=True)
 class CompileOptions(StageOptions):
@@ -204,7 +193,7 @@ class PictureOptions(WorkOptions):
 
 
 #: Of ``render``, ``scan`` and ``check`` alike.
-_ALLOW_MISSING = (
+ALLOW_MISSING = (
     "read what is there of a stage that lacks layers, prims or pictures, or whose files "
     "are not those of the manifest (default: that is an error)"
 )
@@ -224,7 +213,7 @@ class RenderOptions(PictureOptions):
         "render frames again that are there with other samples, target, noise seed, denoising "
         "or passes (default: that is an error; frames that hold more passes count as made)",
     )
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
     workers: int | str | None = _workers_or_auto()
     folder: Path | str | None = None
 
@@ -238,7 +227,7 @@ class ScanOptions(WorkOptions):
         None, "only these, by name: RIG_LIDAR", form=forms.listed, metavar="A,B,…"
     )
     ply: bool = option(False, "write clouds of points, too")
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
     batches: Collection[int] | None = _span("only batches A to B-1")
 
 
@@ -337,7 +326,7 @@ class CheckOptions(CallOptions):
         form=forms.counted,
         metavar="N",
     )
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
 
 
 @dataclass(frozen=True, kw_only=True)

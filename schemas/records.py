@@ -286,6 +286,17 @@ class BackendChoice:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class RendererFacts:
+    """Identifies the renderer of pictures, for sidecars, resume keys and messages."""
+
+    backend: str
+    version: str
+    device: str
+    denoiser: str | None
+    warning: str | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameRecord:
     """Records the facts of a frame: ``conventions`` says what the values mean.
