@@ -68,7 +68,7 @@ class Packet(NamedTuple):
 
     Attributes:
         origin: Of all of them, float64 [3].
-        rays: Their numbers, int64 [64].
+        ray: Index of each, int64 [64].
         shear_x, shear_y, along: Of each ray's ``ray_frame``, float64 [64]; the last is its
             direction along the main axis.
         t, row, face: The hits, [64].
@@ -78,7 +78,7 @@ class Packet(NamedTuple):
     """
 
     origin: NDArray[np.float64]
-    rays: NDArray[np.int64]
+    ray: NDArray[np.int64]
     shear_x: NDArray[np.float64]
     shear_y: NDArray[np.float64]
     along: NDArray[np.float64]
@@ -261,7 +261,7 @@ def _trace_row(g, beams, row, frame, size, p, limit, stack):  # type: ignore[no-
                     frame[0], frame[1], frame[2], frame[3], frame[4], frame[5],
                     p.shear_x[k], p.shear_y[k], p.along[k],
                 )  # fmt: skip
-                ray = Ray(p.origin, beams.directions[p.rays[k]], alone, size)
+                ray = Ray(p.origin, beams.directions[p.ray[k]], alone, size)
                 p.t[k], p.row[k], p.face[k] = trace_row(
                     g, row, ray, (p.t[k], p.row[k], p.face[k]), stack
                 )
@@ -414,7 +414,7 @@ def _gather(beams, rest, count, p):  # type: ignore[no-untyped-def]
         same = same and own[2] == frame[2] and (own[8] < 0.0) == (frame[8] < 0.0)
         # The first is one of them even if it is not a number.
         if k == 0 or (same and abs(own[6]) <= 1.0 and abs(own[7]) <= 1.0):
-            p.rays[taken] = ray
+            p.ray[taken] = ray
             p.shear_x[taken], p.shear_y[taken], p.along[taken] = own[6], own[7], own[8]
             taken += 1
         else:
@@ -422,7 +422,7 @@ def _gather(beams, rest, count, p):  # type: ignore[no-untyped-def]
             left += 1
     # Loops of a fixed length are what compilers make fast: the last ray fills the packet.
     for k in range(taken, _RAYS):
-        p.rays[k] = p.rays[taken - 1]
+        p.ray[k] = p.ray[taken - 1]
         p.shear_x[k], p.shear_y[k] = p.shear_x[taken - 1], p.shear_y[taken - 1]
         p.along[k] = p.along[taken - 1]
     for k in range(_RAYS):
@@ -443,7 +443,7 @@ def _trace_rays(g, beams, rest, count, alone, world, p, stack, hits):  # type: i
             done = _trace_packet(g, beams, frame, world, p, stack)
             well = well and done
         for k in range(taken):
-            ray = p.rays[k]
+            ray = p.ray[k]
             hit = (p.t[k], p.row[k], p.face[k])
             if not done:
                 hit = trace(g, beams.origins[ray], beams.directions[ray], hit, stack)

@@ -22,7 +22,6 @@ from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord
 from scenec.schemas.units import Keeper, Rest
 
 if TYPE_CHECKING:
-    from scenec.backends.exact import ExactCaster
     from scenec.backends.run.facts import FrameResult
     from scenec.backends.run.session import Session
     from scenec.backends.stage.scene import Camera
@@ -309,8 +308,8 @@ class RenderFrame(MakeFile):
         # Imported here: who gives units out has no need of it.
         from scenec.backends.picture.adaptive import Target
         from scenec.backends.run import memory
+        from scenec.backends.run.exposures import exposed
         from scenec.backends.run.reuse import find_annotation
-        from scenec.backends.run.session import timed
 
         session, key, sample = self.holds.session(keeper), self.key, self.sample
         scene = session.scene
@@ -334,14 +333,9 @@ class RenderFrame(MakeFile):
             seconds: dict[str, float] = {}
             drawn = None
             if "rgb" in key.passes:
-                with timed(metering, "exposure"), ExitStack() as casting:
-
-                    def caster() -> ExactCaster:
-                        casting.enter_context(session.casting)
-                        return session.caster(metering)
-
-                    camera, exposure = session.meter.exposed(camera, sample, caster)
-                metering["exposure"] -= metering.get("load", 0.0)
+                camera, exposure = exposed(
+                    session, camera, sample, self.stem.parents[2], metering, keeper.say
+                )
                 drawn = session.draw(
                     camera, sample, key.spp, self.seed, key.denoise, target, seconds
                 )
