@@ -201,7 +201,7 @@ class Pyrender(Backend):
                 casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                 renderer.draw_shadow(layer, shadow, casters)
             light = renderer.shade(
-                "samples", near, points, selection, surfaces, rays, side, view.origin, sky, sun,
+                "samples", near, points, selection, surfaces, rays, view.origin, sky, sun,
                 shadows,
             )  # fmt: skip
             if total is None:
@@ -220,7 +220,7 @@ class Pyrender(Backend):
                     casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                     renderer.draw_shadow(layer, shadow, casters)
                 light = renderer.shade(
-                    "samples", near, points, selection, surfaces, rays, side, view.origin, DARK,
+                    "samples", near, points, selection, surfaces, rays, view.origin, DARK,
                     lamp, shadows,
                 )  # fmt: skip
                 total += light

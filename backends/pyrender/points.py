@@ -9,6 +9,7 @@ or a lamp is still looked up at each sample.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,12 @@ from scenec.schemas.threads import over_threads
 
 #: Faces whose normals lie closer than this angle are shaded as one where a pixel shows both.
 ALIKE_RAD = np.radians(30.0)
-#: Points in a row of the picture that they are handed over as.
+#: ShadingPoints in a row of the picture that they are handed over as.
 ROW = 1024
 
 
 @dataclass(frozen=True)
-class Points:
+class ShadingPoints:
     """Where a picture is shaded.
 
     Attributes:
@@ -34,11 +35,28 @@ class Points:
             256ths), uint32 [n, 4]; 0 in what fills the last row up.
         weight: Share of its pixel, float32 [n].
         pixel: The first point of each pixel, row by row, int64 [h w + 1].
+        side: Samples on a side of a pixel.
     """
 
     packed: NDArray[np.uint32]
     weight: NDArray[np.float32]
     pixel: NDArray[np.int64]
+    side: int
+
+
+class _Samples(NamedTuple):
+    """What tells which samples of a picture look alike.
+
+    Attributes:
+        ids, side, normals, firsts: As of ``find_points``.
+        like: Cosine of ``ALIKE_RAD``.
+    """
+
+    ids: NDArray[np.uint32]
+    side: int
+    normals: NDArray[np.float32]
+    firsts: NDArray[np.int64]
+    like: np.float32
 
 
 def face_normals(scene: RenderScene, geometry: Geometry) -> NDArray[np.float32]:
@@ -55,7 +73,7 @@ def find_points(
     side: int,
     normals: NDArray[np.float32],
     firsts: NDArray[np.int64],
-) -> Points:
+) -> ShadingPoints:
     """Finds the points of a picture.
 
     Args:
@@ -66,16 +84,16 @@ def find_points(
     """
     height, width = ids.shape[0] // side, ids.shape[1] // side
     counts = np.zeros(height * width + 1, np.int64)
-    like = np.float32(np.cos(ALIKE_RAD))
-    over_threads(_count, height, ids, side, normals, firsts, like, counts[1:])
+    samples = _Samples(ids, side, normals, firsts, np.float32(np.cos(ALIKE_RAD)))
+    over_threads(_count, height, samples, counts[1:])
     pixel = np.cumsum(counts)
     packed = np.zeros((-(-max(int(pixel[-1]), 1) // ROW) * ROW, 4), np.uint32)
     weight = np.zeros(len(packed), np.float32)
-    over_threads(_fill, height, ids, side, normals, firsts, like, pixel, packed, weight)
-    return Points(packed, weight, pixel)
+    over_threads(_fill, height, samples, pixel, packed, weight)
+    return ShadingPoints(packed, weight, pixel, side)
 
 
-def resolve(points: Points, light: NDArray[np.float32]) -> NDArray[np.float32]:
+def resolve(points: ShadingPoints, light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Returns means over the samples of pixels: light and coverage, float32 [h w, 4].
 
     Args:
@@ -100,8 +118,9 @@ def _normals(first, last, points, faces, out):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cluster(ids, y, x, side, normals, firsts, like, label, heads):  # type: ignore[no-untyped-def]
+def _cluster(samples, y, x, label, heads):  # type: ignore[no-untyped-def]
     """Puts the samples of a pixel together: labels from 0, -1 where nothing is; their number."""
+    ids, side, normals = samples.ids, samples.side, samples.normals
     found = 0
     for k in range(side * side):
         row, column = y * side + k // side, x * side + k % side
@@ -109,7 +128,7 @@ def _cluster(ids, y, x, side, normals, firsts, like, label, heads):  # type: ign
         label[k] = -1
         if slot == 0:
             continue
-        first = firsts[np.int64(slot) - 1]
+        first = samples.firsts[np.int64(slot) - 1]
         n = normals[first + np.int64(face)]
         for j in range(found):
             head_row, head_column = y * side + heads[j] // side, x * side + heads[j] % side
@@ -120,7 +139,7 @@ def _cluster(ids, y, x, side, normals, firsts, like, label, heads):  # type: ign
                 continue
             other = ids[head_row, head_column, 1]
             m = normals[first + np.int64(other)]
-            if other == face or n[0] * m[0] + n[1] * m[1] + n[2] * m[2] >= like:
+            if other == face or n[0] * m[0] + n[1] * m[1] + n[2] * m[2] >= samples.like:
                 label[k] = j
                 break
         if label[k] < 0:
@@ -131,21 +150,23 @@ def _cluster(ids, y, x, side, normals, firsts, like, label, heads):  # type: ign
 
 
 @kernel
-def _count(first, last, ids, side, normals, firsts, like, counts):  # type: ignore[no-untyped-def]
+def _count(first, last, samples, counts):  # type: ignore[no-untyped-def]
+    ids, side = samples.ids, samples.side
     label, heads = np.empty(side * side, np.int64), np.empty(side * side, np.int64)
     width = ids.shape[1] // side
     for y in range(first, last):
         for x in range(width):
-            counts[y * width + x] = _cluster(ids, y, x, side, normals, firsts, like, label, heads)
+            counts[y * width + x] = _cluster(samples, y, x, label, heads)
 
 
 @kernel
-def _fill(first, last, ids, side, normals, firsts, like, pixel, packed, weight):  # type: ignore[no-untyped-def]
+def _fill(first, last, samples, pixel, packed, weight):  # type: ignore[no-untyped-def]
+    ids, side = samples.ids, samples.side
     label, heads = np.empty(side * side, np.int64), np.empty(side * side, np.int64)
     width = ids.shape[1] // side
     for y in range(first, last):
         for x in range(width):
-            found = _cluster(ids, y, x, side, normals, firsts, like, label, heads)
+            found = _cluster(samples, y, x, label, heads)
             for j in range(found):
                 count, row, column = 0, 0.0, 0.0
                 mask = 0

@@ -29,7 +29,7 @@ from scenec.backends.pyrender.lighting import (
     ShadowMap,
     SmoothSky,
 )
-from scenec.backends.pyrender.points import ROW, Points
+from scenec.backends.pyrender.points import ROW, ShadingPoints
 from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.scene import Gobo, Lamp, RenderScene, Sun
@@ -232,11 +232,10 @@ class Renderer(pyrender.Renderer):
         self,
         name: str,
         near: float,
-        points: Points,
+        points: ShadingPoints,
         selection: Selection,
         surfaces: NDArray[np.float32],
         rays: NDArray[np.float64],
-        samples: int,
         origin: NDArray[np.float64],
         sky: SmoothSky,
         sun: Sun | Lamp,
@@ -251,7 +250,6 @@ class Renderer(pyrender.Renderer):
             selection: What was drawn.
             surfaces: ``tables.place_maps`` for this camera.
             rays: From (u, v, 1) in pixels to directions.
-            samples: On a side of a pixel.
             origin: The camera's position.
             sky: The sky; a dark one leaves out the ground's light too.
             sun: The sun, or a lamp, that only shines where its shadow maps reach.
@@ -294,7 +292,7 @@ class Renderer(pyrender.Renderer):
             program.set_uniform("canopy_offset", place)
             # The lowest direction of ``make_canopy`` rises by its height over nearly six of it.
             program.set_uniform("canopy_reach", 6.0 * float(self._canopy.size[2]))
-        program.set_uniform("samples", samples)
+        program.set_uniform("samples", points.side)
         program.set_uniform("near", float(near))
         program.set_uniform("rays", rays)
         program.set_uniform("ground_share", float(not sky.dark))
