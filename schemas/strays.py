@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby, islice
 from pathlib import Path
 
+from scenec.schemas.exposures import EXPOSURES, exposures_digest
 from scenec.schemas.instances import BATCH_TABLE, table_digest
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.scans import SCANS
@@ -84,9 +85,10 @@ def rendered_files(folder: Path, digest: str | None = None) -> Iterator[Path]:
     for stem, parts in groupby(files, lambda path: path.with_name(path.name.partition(".")[0])):
         if digest is None or _digest(stem.with_suffix(".json")) != digest:
             yield from parts
-    table = folder / FRAMES / BATCH_TABLE
-    if table.is_file() and (digest is None or table_digest(table) != digest):
-        yield table
+    for name, digest_of in ((BATCH_TABLE, table_digest), (EXPOSURES, exposures_digest)):
+        path = folder / FRAMES / name
+        if path.is_file() and (digest is None or digest_of(path) != digest):
+            yield path
 
 
 def count_rendered(folders: Iterable[Path]) -> tuple[int, int]:

@@ -18,17 +18,8 @@ from scenec.backends.camera.shutter import is_rolling
 from scenec.backends.contract import Rays
 from scenec.backends.exact import outline_rays
 from scenec.backends.exact.bvh import Geometry
-from scenec.backends.exact.silhouette import (
-    LANES,
-    RAY_COST,
-    Masks,
-    Members,
-    Pinhole,
-    frame_rows,
-    mark_visible,
-    outline_all,
-    runs,
-)
+from scenec.backends.exact.masks import LANES, Masks, mark_visible, runs
+from scenec.backends.exact.silhouette import RAY_COST, Members, Pinhole, frame_rows, outline_all
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.threads import over_threads
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,6 +14,7 @@ from scenec.backends.picture.brightness import FrameBrightness, brief, picture_w
 from scenec.schemas.codec import Unset
 from scenec.schemas.consistency import frame_faults
 from scenec.schemas.errors import FrameError
+from scenec.schemas.exposures import EXPOSURES, read_exposures
 from scenec.schemas.frames import read_frame
 from scenec.schemas.manifest import FRAMES, Batch
 from scenec.schemas.scans import SCANS, read_scan
@@ -52,6 +54,7 @@ def check_frames(
     check = _Check("frames", folder, digest, sensors or {})
     astray = {} if firing is None else dict(strays(folder, firing))
     yield from check_batch_table(frames, digest, check.name(frames))
+    yield from check.exposures(frames / EXPOSURES)
     yield from check.cut_short(frames.glob("*/*/*.exr"))
     backends = {path.name for path in frames.glob("*") if path.is_dir()}
     backends |= {name.removeprefix(f"{FRAMES}/") for name in check.found if name != SCANS}
@@ -154,6 +157,14 @@ class _Check:
                     f"{again} again"
                 )
                 yield Finding("missing", "error", self.name(folder / name), message)
+
+    def exposures(self, path: Path) -> Iterator[Finding]:
+        """Finds out whether a table is damaged: whoever renders makes up for that."""
+        with suppress(FileNotFoundError):
+            try:
+                read_exposures(path)
+            except FrameError as error:
+                yield self.finding(path, f"{error}; rendering meters again", "warning")
 
     def astray(self, path: Path, why: str) -> Finding:
         return self.finding(path, f"not of this stage: {why}: delete {path.stem}.*", "warning")

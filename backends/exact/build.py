@@ -31,6 +31,9 @@ _DEPTH_OF_HALVING = 48
 #: Entries a traversal's stack must hold: the depth of halving plus the halvings of 2**31 entries.
 STACK_SIZE = 96
 _BINS = 12
+#: So few entries take fewer bins: to clear and sweep them is most of the time.
+_FEW = 16
+_BINS_OF_FEW = 6
 
 
 def empty_nodes(count: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -109,7 +112,7 @@ def _bound(forest, start, stop, box):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill_bins(forest, start, stop, bins):  # type: ignore[no-untyped-def]
+def _fill_bins(forest, start, stop, count, bins):  # type: ignore[no-untyped-def]
     """Sort the middles of order[start:stop] into bins along each axis."""
     low, scale = bins.scale[0], bins.scale[1]
     for i in range(3):
@@ -122,10 +125,10 @@ def _fill_bins(forest, start, stop, bins):  # type: ignore[no-untyped-def]
             most = max(most, c)
         low[i] = least
         extent = most - least
-        scale[i] = np.float32(_BINS * 0.9999) / extent if extent > 0.0 else np.float32(0.0)
+        scale[i] = np.float32(count * 0.9999) / extent if extent > 0.0 else np.float32(0.0)
         if not math.isfinite(scale[i]):
             scale[i] = np.float32(0.0)
-        for j in range(_BINS):
+        for j in range(count):
             bins.counts[i, j] = 0
             _clear(bins.boxes[i * _BINS + j])
     for k in range(start, stop):
@@ -133,13 +136,13 @@ def _fill_bins(forest, start, stop, bins):  # type: ignore[no-untyped-def]
         for i in range(3):
             if scale[i] > 0.0:
                 c = box[i] + box[i + 3]
-                j = min(int((c - low[i]) * scale[i]), _BINS - 1)
+                j = min(int((c - low[i]) * scale[i]), count - 1)
                 bins.counts[i, j] += 1
                 _grow(bins.boxes[i * _BINS + j], box)
 
 
 @kernel
-def _cheapest(n, bins):  # type: ignore[no-untyped-def]
+def _cheapest(n, count, bins):  # type: ignore[no-untyped-def]
     """The cheapest split of n entries: cost, axis (-1: none), last bin of the first part."""
     best_cost, best_axis, best_bin = np.float32(math.inf), -1, 0
     left_box, right_box = bins.parts[0], bins.parts[1]
@@ -148,14 +151,14 @@ def _cheapest(n, bins):  # type: ignore[no-untyped-def]
             continue
         _clear(right_box)
         total = 0
-        for j in range(_BINS - 1, 0, -1):
+        for j in range(count - 1, 0, -1):
             if bins.counts[i, j] > 0:
                 total += bins.counts[i, j]
                 _grow(right_box, bins.boxes[i * _BINS + j])
             bins.costs[i, j] = total * _half_area(right_box) if total > 0 else 0.0
         _clear(left_box)
         left = 0
-        for j in range(_BINS - 1):
+        for j in range(count - 1):
             if bins.counts[i, j] > 0:
                 left += bins.counts[i, j]
                 _grow(left_box, bins.boxes[i * _BINS + j])
@@ -177,10 +180,11 @@ def _split(forest, start, stop, depth, bins):  # type: ignore[no-untyped-def]
         return start
     order = forest.order
     middle = start + n // 2
+    count = _BINS if n > _FEW else _BINS_OF_FEW
     cost, axis, last_bin = np.float32(math.inf), -1, 0
     if depth < _DEPTH_OF_HALVING:
-        _fill_bins(forest, start, stop, bins)
-        cost, axis, last_bin = _cheapest(n, bins)
+        _fill_bins(forest, start, stop, count, bins)
+        cost, axis, last_bin = _cheapest(n, count, bins)
     if axis >= 0:
         _bound(forest, start, stop, bins.parts[0])
         area = _half_area(bins.parts[0])
@@ -193,7 +197,7 @@ def _split(forest, start, stop, depth, bins):  # type: ignore[no-untyped-def]
         while left <= right:
             entry = order[left]
             c = forest.boxes[entry, axis] + forest.boxes[entry, axis + 3]
-            if min(int((c - low) * scale), _BINS - 1) <= last_bin:
+            if min(int((c - low) * scale), count - 1) <= last_bin:
                 left += 1
             else:
                 order[left] = order[right]

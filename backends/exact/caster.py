@@ -11,6 +11,7 @@ from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact.bvh import Geometry, build_geometry
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
+from scenec.backends.exact.packets import trace_picture
 from scenec.backends.exact.trace import Beams, BestHits, trace_all
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import kernel
@@ -27,6 +28,12 @@ def _test_all(first, last, g, beams, index, hits):  # type: ignore[no-untyped-de
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
             corners = g.faces[g.row_face[row] + face]
             hits.t[k] = hit_parameter(g.points, corners, matrix, frame)
+
+
+def _nothing(count: int) -> BestHits:
+    return BestHits(
+        np.full(count, NO_ROW, np.int32), np.zeros(count, np.int32), np.full(count, np.inf)
+    )
 
 
 @dataclass(frozen=True)
@@ -93,25 +100,20 @@ class ExactCaster:
             (row int32 [k], face int32 [k], t float64 [k]): NO_ROW, 0 and +inf where nothing is hit;
             t is in units of the direction's length.
         """
-        which = np.arange(len(rays.origins)) if index is None else index
-        count = len(which)
-        found = BestHits(
-            np.full(count, NO_ROW, np.int32), np.zeros(count, np.int32), np.full(count, np.inf)
-        )
         beams = Beams(rays.origins, rays.directions)
-        trace_all(self.geometry, beams, which.astype(np.int64), found)
+        found = _nothing(len(rays.origins) if index is None else len(index))
+        if index is None:
+            trace_picture(self.geometry, beams, rays.shape, None, found)
+        else:
+            trace_all(self.geometry, beams, index.astype(np.int64), found)
         return found
 
     def hits(self, rays: Rays) -> Hits:
         """First hits of all rays; pixels without a ray (``Rays.known``) hit nothing."""
-        if rays.known is None:
-            return Hits(*self.cast(rays), self.geometry)
-        known = np.flatnonzero(rays.known)
-        row = np.full(len(rays.origins), NO_ROW, np.int32)
-        face = np.zeros(len(row), np.int32)
-        t = np.full(len(row), np.inf)
-        row[known], face[known], t[known] = self.cast(rays, known)
-        return Hits(row, face, t, self.geometry)
+        found = _nothing(len(rays.origins))
+        beams = Beams(rays.origins, rays.directions)
+        trace_picture(self.geometry, beams, rays.shape, rays.known, found)
+        return Hits(*found, self.geometry)
 
     def test(
         self,

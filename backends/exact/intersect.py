@@ -101,14 +101,22 @@ def row_matrix(to_world, row, kx, ky, kz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _project(point, matrix, frame):  # type: ignore[no-untyped-def]
-    """One local point in the ray's sheared frame: (x, y) across the ray, z along axis kz."""
+def translated(point, matrix, frame):  # type: ignore[no-untyped-def]
+    """One local point relative to the ray's origin, in the ray's axis order."""
     x = float(point[0])
     y = float(point[1])
     z = float(point[2])
-    px = ((matrix[0] * x + matrix[1] * y) + matrix[2] * z) + matrix[3] - frame[3]
-    py = ((matrix[4] * x + matrix[5] * y) + matrix[6] * z) + matrix[7] - frame[4]
-    pz = ((matrix[8] * x + matrix[9] * y) + matrix[10] * z) + matrix[11] - frame[5]
+    return (
+        ((matrix[0] * x + matrix[1] * y) + matrix[2] * z) + matrix[3] - frame[3],
+        ((matrix[4] * x + matrix[5] * y) + matrix[6] * z) + matrix[7] - frame[4],
+        ((matrix[8] * x + matrix[9] * y) + matrix[10] * z) + matrix[11] - frame[5],
+    )
+
+
+@kernel
+def _project(point, matrix, frame):  # type: ignore[no-untyped-def]
+    """One local point in the ray's sheared frame: (x, y) across the ray, z along axis kz."""
+    px, py, pz = translated(point, matrix, frame)
     return px - frame[6] * pz, py - frame[7] * pz, pz
 
 
@@ -150,8 +158,14 @@ def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     a = _project(points[face[0]], matrix, frame)
     b = _project(points[face[1]], matrix, frame)
     c = _project(points[face[2]], matrix, frame)
+    return parameter_of(a, b, c, frame[8])
+
+
+@kernel
+def parameter_of(a, b, c, dz):  # type: ignore[no-untyped-def]
+    """``hit_parameter`` of a triangle in the ray's sheared frame; ``dz`` is ``frame[8]``."""
     u, v, w = _edges(a, b, c)
-    return _parameter(a, b, c, u, v, w, frame[8])
+    return _parameter(a, b, c, u, v, w, dz)
 
 
 @kernel

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scenec.backends.contract import Rays
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import Geometry
-from scenec.backends.exact.silhouette import LANES, _meets
+from scenec.backends.exact.masks import LANES
+from scenec.backends.exact.silhouette import meets
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -189,6 +190,7 @@ def _outline_lane(g, members, order, masks, view, bounded, stack, axis):  # type
             own = _sphere_cone(view.spheres[row], view.middle, axis)
             least = math.cos(own) - _SLACK if own < math.pi else -2.0
             whole = whole and own < 0.5 * math.pi
+            met = g.row_face[row]
             for y in range(part[2], part[3]):
                 for x in range(part[0], part[1]):
                     pixel = y * view.width + x
@@ -200,8 +202,10 @@ def _outline_lane(g, members, order, masks, view, bounded, stack, axis):  # type
                         whole = False
                     mark = (y - window[2]) * across + x - window[0]
                     new = mask[mark] == 0 and view.known[pixel]
-                    if new and _meets(g, row, view.origins[pixel], d, stack):
-                        mask[mark] = 1
+                    if new:
+                        face = meets(g, row, view.origins[pixel], d, met, stack)
+                        if face >= 0:
+                            mask[mark], met = 1, face
         inside = 0
         for mark in range(mask.shape[0]):
             inside += mask[mark]

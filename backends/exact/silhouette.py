@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
+from scenec.backends.exact.masks import LANES
 from scenec.backends.exact.trace import Ray, _enter, in_row, largest
 from scenec.backends.stage.scene import Camera
 from scenec.schemas.affine import inverses
@@ -36,8 +37,6 @@ _SURE = 2.0**-36
 RAY_COST = 8
 #: Padding of boxes beyond this is that of rows whose tree holds nothing back (``moving``).
 _WITHOUT_END = 1e100
-#: Instances are dealt out to so many lanes, whatever the number of threads.
-LANES = 64
 
 
 class Pinhole(NamedTuple):
@@ -82,22 +81,6 @@ class Members(NamedTuple):
     parts: NDArray[np.int64]
     bases: NDArray[np.int64]
     firsts: NDArray[np.int64]
-
-
-class Masks(NamedTuple):
-    """Pixels of instances, each in a window of its own.
-
-    Attributes:
-        windows: First column, end, first row, end, int64 [n, 4].
-        starts: Where each begins in ``marks``, -1 for those that are not held, int64 [n].
-        marks: 1 where a pixel is known to be inside, uint8, line by line.
-        areas: Pixels within the picture and within the window, int64 [n, 2].
-    """
-
-    windows: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    marks: NDArray[np.uint8]
-    areas: NDArray[np.int64]
 
 
 class Scratch(NamedTuple):
@@ -279,35 +262,22 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
         complete[n] = inside or _all_inside(g, row, view)
 
 
-@kernel
-def mark_visible(first, last, row, slot_of_row, mask_of_slot, width, masks):  # type: ignore[no-untyped-def]
-    """Mark the pixels that show an instance.
+@inlined
+def meets(g, row, origin, direction, guess, stack):  # type: ignore[no-untyped-def]
+    """A triangle of a row that a ray meets, as an index into ``g.faces``; -1: it meets none.
 
     Args:
-        first, last: Which lines of the picture.
-        row: Row that each pixel shows, int32 [h * w].
-        slot_of_row: Instance of each row, -1 for none, int32.
-        mask_of_slot: Index of an instance into ``masks``, -1 where it has none, int64.
-        width: Of the picture.
-        masks: ``Masks``, in place.
+        g: ``bvh.Geometry``.
+        row: The row; its mesh has faces.
+        origin, direction: Of the ray, float64 [3].
+        guess: One of its triangles, which is tested first.
+        stack: Scratch, int32 [2 * STACK_SIZE].
     """
-    for y in range(first, last):
-        for x in range(width):
-            r = row[y * width + x]
-            if r < 0 or slot_of_row[r] < 0:
-                continue
-            seen = mask_of_slot[slot_of_row[r]]
-            if seen >= 0 and masks.starts[seen] >= 0:
-                window = masks.windows[seen]
-                across = window[1] - window[0]
-                masks.marks[masks.starts[seen] + (y - window[2]) * across + x - window[0]] = 1
-
-
-@kernel
-def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
-    """Whether a ray meets any triangle of a row; ``stack`` is scratch, int32 [2 * STACK_SIZE]."""
     ray = Ray(origin, direction, ray_frame(origin, direction), largest(origin))
-    s, matrix = in_row(g, row, ray)
+    matrix = row_matrix(g.to_world, row, ray.frame[0], ray.frame[1], ray.frame[2])
+    if hit_parameter(g.points, g.faces[guess], matrix, ray.frame) < math.inf:
+        return guess
+    s, _ = in_row(g, row, ray)
     stack[0] = g.row_root[row]
     top = 1
     while top > 0:
@@ -323,26 +293,29 @@ def _meets(g, row, origin, direction, stack):  # type: ignore[no-untyped-def]
                 stack[top] = first
                 top += 1
             for entry in range(first, first + count):
-                face = g.faces[g.face_order[entry]]
-                if hit_parameter(g.points, face, matrix, ray.frame) < math.inf:
-                    return True
-    return False
+                face = g.face_order[entry]
+                if hit_parameter(g.points, g.faces[face], matrix, ray.frame) < math.inf:
+                    return face
+    return np.int32(-1)
 
 
 @kernel
 def _cast_window(g, row, part, view, window, mask, scratch):  # type: ignore[no-untyped-def]
     """Mark what rays through the pixels of a window meet of a row."""
     direction = scratch.direction
+    met = g.row_face[row]
     for y in range(part[2], part[3]):
         line = (y - window[2]) * (window[1] - window[0]) - window[0]
         for x in range(part[0], part[1]):
             if mask[line + x] == 0:
                 set_direction(view, x, y, direction)
-                if _meets(g, row, view.eye, direction, scratch.stack):
-                    mask[line + x] = 1
+                # What the last ray met, most likely.
+                face = meets(g, row, view.eye, direction, met, scratch.stack)
+                if face >= 0:
+                    mask[line + x], met = 1, face
 
 
-@kernel
+@inlined
 def _is_hit(g, row, face, view, x, y, direction):  # type: ignore[no-untyped-def]
     """Whether the ray of a pixel meets a triangle.
 
@@ -501,46 +474,3 @@ def outline_all(first, last, g, members, order, masks, view, ray_cost):  # type:
     scratch = Scratch(np.empty((most, 4)), np.empty(3), np.empty(2 * STACK_SIZE, np.int32))
     for lane in range(first, last):
         _outline_lane(g, members, order[lane::LANES], masks, view, ray_cost, scratch)
-
-
-@kernel
-def runs(first, last, order, masks, shape, sizes, begins, counts):  # type: ignore[no-untyped-def]
-    """Run lengths of masks within the picture, along columns, zeros first (``schemas.rle``).
-
-    Args:
-        first, last: Of the lanes, as for ``outline_all``.
-        order: Instances, int64 [m].
-        masks: ``Masks``.
-        shape: Height and width of the picture.
-        sizes: Receives the number of runs, int64 [n].
-        begins: Where an instance's runs go, int64 [n].
-        counts: Receives run lengths, uint32; empty: the sizes alone are told.
-    """
-    height, width = shape
-    fill = counts.shape[0] > 0
-    windows, starts, marks = masks.windows, masks.starts, masks.marks
-    for lane in range(first, last):
-        for at in range(lane, order.shape[0], LANES):
-            n = order[at]
-            window = windows[n]
-            across = window[1] - window[0]
-            top, bottom = max(window[2], 0), min(window[3], height)
-            # Where the window has all of a column, runs go on from one into the next.
-            through = top == 0 and bottom == height
-            size, before, end = 0, 0, 0
-            for x in range(max(window[0], 0), min(window[1], width)):
-                for y in range(top, bottom):
-                    inside = marks[starts[n] + (y - window[2]) * across + x - window[0]]
-                    if inside != before:
-                        if fill:
-                            counts[begins[n] + size] = x * height + y - end
-                        size, before, end = size + 1, inside, x * height + y
-                if before and (not through or x + 1 == min(window[1], width)):
-                    if fill:
-                        counts[begins[n] + size] = x * height + bottom - end
-                    size, before, end = size + 1, 0, x * height + bottom
-            if end < width * height:
-                if fill:
-                    counts[begins[n] + size] = width * height - end
-                size += 1
-            sizes[n] = size

@@ -18,6 +18,8 @@ from scenec.schemas.threads import over_threads
 _CHUNK = 512
 #: Stands in for 1/0: far beyond any box, yet 0 times it is 0 and not NaN.
 _HUGE = 1e280
+#: The least component of a direction that has a reciprocal of its own.
+TINY = 1.0 / _HUGE
 
 
 class Beams(NamedTuple):
@@ -75,7 +77,7 @@ class Stack(NamedTuple):
 
 @kernel
 def _reciprocal(x: float) -> float:
-    if abs(x) < 1.0 / _HUGE:
+    if abs(x) < TINY:
         return math.copysign(_HUGE, x)
     return 1.0 / x
 
@@ -116,7 +118,8 @@ def _enter(box, base, s, limit):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
+def local_ray(m, origin, direction):  # type: ignore[no-untyped-def]
+    """Origin and direction of a ray in the frame that ``m``, float64 [3, 4], leads to."""
     o = (
         ((m[0, 0] * origin[0] + m[0, 1] * origin[1]) + m[0, 2] * origin[2]) + m[0, 3],
         ((m[1, 0] * origin[0] + m[1, 1] * origin[1]) + m[1, 2] * origin[2]) + m[1, 3],
@@ -139,7 +142,7 @@ def largest(point):  # type: ignore[no-untyped-def]
 @inlined
 def in_row(g, row, ray):  # type: ignore[no-untyped-def]
     """Prepares a ray for a row's boxes (``_slabs``), and returns the row's ``row_matrix``."""
-    o, d = _local_ray(g.to_local[row], ray.origin, ray.direction)
+    o, d = local_ray(g.to_local[row], ray.origin, ray.direction)
     pad, size = g.pad[row], ray.size
     s = _slabs(
         o, d,
@@ -166,7 +169,7 @@ def _test_leaf(g, link, side, row, matrix, frame, hit):  # type: ignore[no-untyp
 
 
 @inlined
-def _trace_row(g, row, ray, hit, stack):  # type: ignore[no-untyped-def]
+def trace_row(g, row, ray, hit, stack):  # type: ignore[no-untyped-def]
     """Improve the best hit (t, row, face) by the triangles of one row."""
     t, best_row, best_face = hit
     s, matrix = in_row(g, row, ray)
@@ -251,7 +254,7 @@ def trace(g, origin, direction, hit, stack):  # type: ignore[no-untyped-def]
         if node < 0:
             entry = ~node >> 2
             for k in range(entry, entry + (~node & 3)):
-                t, best_row, best_face = _trace_row(
+                t, best_row, best_face = trace_row(
                     g, g.row_order[k], ray, (t, best_row, best_face), stack
                 )
             continue

@@ -23,16 +23,18 @@ and the same ground has the same color in all its frames, which feature trackers
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.caster import ExactCaster
+from scenec.backends.picture.exposure_store import ExposureStore
 from scenec.backends.picture.haze import Hazy
 from scenec.backends.picture.metering import Metering, look
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas import imaging as formulas
+from scenec.schemas.exposures import Exposure
 from scenec.schemas.records import ExposureRecord
 
 #: Display-linear value that the mean luminance is shown as.
@@ -55,27 +57,6 @@ _STEPS = 64.0
 _MOST_EV = 512.0
 
 
-@dataclass(frozen=True)
-class Exposure:
-    """Holds a light meter's result.
-
-    Attributes:
-        ev: Pictures show radiance * 2**ev.
-        level: Luminance that is shown as ``GRAY`` unless highlights bind, W/(m^2 sr).
-        highlight: ``PERCENTILE`` of luminance.
-        glare: ``GLARE_PERCENTILE`` of that of surfaces and sky.
-        of: "surfaces", "sky" where none is seen, or "nothing" where no light comes from either.
-        samples: How many were metered.
-    """
-
-    ev: float
-    level: float
-    highlight: float
-    glare: float
-    of: str
-    samples: int
-
-
 class Meter:
     """Finds exposures of a stage's cameras, each once.
 
@@ -89,7 +70,11 @@ class Meter:
         self._hazy: Hazy | None = None
 
     def exposed(
-        self, camera: Camera, sample: int, caster: Callable[[], ExactCaster]
+        self,
+        camera: Camera,
+        sample: int,
+        caster: Callable[[], ExactCaster],
+        store: ExposureStore | None = None,
     ) -> tuple[Camera, ExposureRecord]:
         """A camera with its exposure, and what sidecars say of where that comes from.
 
@@ -97,6 +82,7 @@ class Meter:
             camera: The camera at the sample.
             sample: Time code.
             caster: Gives the stage's, if it is needed; it is left posed as at any sample.
+            store: Where exposures are found and kept; None: nowhere but here.
         """
         # A sensor with a time and a speed, or one that meters each picture, has its own.
         if camera.imaging is not None and camera.imaging.rule != "metered":
@@ -107,7 +93,11 @@ class Meter:
         alone = sample if camera.exposure_per == "sample" else None
         place = camera.path, alone
         if place not in self._found:
-            self._found[place] = self._meter(camera.path, alone, caster())
+
+            def meter() -> Exposure:
+                return self._meter(camera.path, alone, caster())
+
+            self._found[place] = meter() if store is None else store.find_or_meter(*place, meter)
         found = self._found[place]
         record = ExposureRecord(
             rule="auto",

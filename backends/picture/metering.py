@@ -17,7 +17,9 @@ pictures of renderers is measured in ``docs/sensors.md``.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +106,40 @@ def _spread(camera: Camera, rays: int, sample: int) -> Rays:
     u = (np.arange(cells.width) + jitter[0]) * (camera.width / cells.width)
     v = (np.arange(cells.height)[:, None] + jitter[1]) * (camera.height / cells.height)
     return rays_at(camera, u.ravel(), v.ravel())
+
+
+class _LayerHits(NamedTuple):
+    """Hits of one layer of a surface.
+
+    Attributes:
+        number: From the bottom up.
+        surface: The surface.
+        which: Hits, int64 [n].
+        share: Of what is seen, float64 [n, 1].
+        own, of_row: Variations of the vertices and of the row, floating [n].
+        uv: Float64 [n, 2], or None.
+    """
+
+    number: int
+    surface: Surface
+    which: NDArray[np.int64]
+    share: NDArray[np.float64]
+    own: NDArray[np.float64]
+    of_row: NDArray[np.floating]
+    uv: NDArray[np.float64] | None
+
+
+def _joined(layers: list[_LayerHits]) -> list[_LayerHits]:
+    """Joins layers of one surface on all meshes; from the top down, as they are on each mesh."""
+    groups: dict[tuple[int, int, bool], list[_LayerHits]] = {}
+    for one in layers:
+        groups.setdefault((-one.number, id(one.surface), one.uv is None), []).append(one)
+    joined = []
+    for _, alike in sorted(groups.items()):
+        number, surface, *columns = zip(*alike, strict=True)
+        arrays: list[Any] = [None if of[0] is None else np.concatenate(of) for of in columns]
+        joined.append(_LayerHits(number[0], surface[0], *arrays))
+    return joined
 
 
 @dataclass
@@ -287,7 +323,7 @@ class _Paths:
         diffuse, through, emission = np.zeros((3, *at.shape))
         lift = (_LIFT * distance)[:, None]
         out = _Points(at, np.empty_like(at), -way, lift, diffuse, through, emission)
-        mesh_of = self._rows.mesh[row]
+        mesh_of, layers = self._rows.mesh[row], list[_LayerHits]()
         for number in np.unique(mesh_of):
             mesh, index = self._scene.meshes[number], np.flatnonzero(mesh_of == number)
             there = row[index], face[index]
@@ -297,48 +333,54 @@ class _Paths:
             # A sliver whose area underflows has no normal of its own.
             flat = (normal == 0.0).all(axis=1, keepdims=True)
             out.normal[index] = np.where(flat, to_viewer, np.where(facing < 0.0, -normal, normal))
-            self._add_layers(out, mesh, index, *there, corners)
+            layers += self._layers(mesh, index, *there, corners)
+        for layer in _joined(layers):
+            _add_layer(out, layer)
         out.at += out.lift * out.normal
         return out
 
-    def _add_layers(
+    def _layers(
         self,
-        out: _Points,
         mesh: Mesh,
         index: NDArray[np.int64],
         row: NDArray[np.int32],
         face: NDArray[np.int32],
         corners: NDArray[np.float64],
-    ) -> None:
+    ) -> Iterator[_LayerHits]:
         surfaces = [self._scene.surfaces[i] for i in mesh.layers] or [DEFAULT_SURFACE]
         vertices = mesh.faces[face]
-        own = np.zeros(len(index))
+        own, of_row = np.zeros(len(index)), self._rows.variation[row]
         if mesh.variation is not None:
             own = (corners * mesh.variation[vertices]).sum(axis=1)
         uv = None if mesh.uv is None else (corners[..., None] * mesh.uv[face]).sum(axis=1)
         # From the top down: what a merge leaves is for those below.
         left = np.ones(len(index))
         for layer in range(len(surfaces) - 1, -1, -1):
-            surface, share = surfaces[layer], left
+            share = left
             if layer:
                 weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
                 share, left = left * weight, left * (1.0 - weight)
-            at, normal = out.at[index], out.normal[index]
-            picture = {"base_color": _map(surface, "base_color", at, normal, uv)}
-            numbers = lobes.numbers_of(FLOAT64, surface)
-            found = lobes.lobes_of(FLOAT64, numbers, picture, (own, self._rows.variation[row]))
-            color, dull, part = found.color.T, found.dull, share[:, None]
-            if found.through is not None:
-                out.through[index] += part * np.reshape(found.through, (-1, 1)) * color
-            gloss = found.white + found.tinted * color
-            if surface.reflectance is None and not facets.deviation(surface):
-                gloss = gloss + dull * color
-            else:
-                out.laws.append((surface, index, part * dull, color))
-            out.diffuse[index] += part * gloss
-            if surface.emits:
-                glow = np.array(surface.emission) * _map(surface, "emission", at, normal, uv).T
-                out.emission[index] += part * glow
+            yield _LayerHits(layer, surfaces[layer], index, share[:, None], own, of_row, uv)
+
+
+def _add_layer(out: _Points, layer: _LayerHits) -> None:
+    surface, index, part = layer.surface, layer.which, layer.share
+    at, normal = out.at[index], out.normal[index]
+    picture = {"base_color": _map(surface, "base_color", at, normal, layer.uv)}
+    numbers = lobes.numbers_of(FLOAT64, surface)
+    found = lobes.lobes_of(FLOAT64, numbers, picture, (layer.own, layer.of_row))
+    color, dull = found.color.T, found.dull
+    if found.through is not None:
+        out.through[index] += part * np.reshape(found.through, (-1, 1)) * color
+    gloss = found.white + found.tinted * color
+    if surface.reflectance is None and not facets.deviation(surface):
+        gloss = gloss + dull * color
+    else:
+        out.laws.append((surface, index, part * dull, color))
+    out.diffuse[index] += part * gloss
+    if surface.emits:
+        glow = np.array(surface.emission) * _map(surface, "emission", at, normal, layer.uv).T
+        out.emission[index] += part * glow
 
 
 def _corner_shares(

@@ -30,7 +30,6 @@ from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
 from scenec.backends.run.facts import (
     FrameResult,
-    RendererFacts,
     annotation_versions,
     describe_frame,
 )
@@ -44,6 +43,7 @@ from scenec.schemas.records import (
     FrameRecord,
     HazePixels,
     LensRadiance,
+    RendererFacts,
     SkyPixels,
 )
 from scenec.schemas.versions import version_of
@@ -73,7 +73,7 @@ class SurfaceLight:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnPicture:
     """Holds what a renderer drew of a frame: light from surfaces, and how it came to be."""
 
     light: SurfaceLight
@@ -218,7 +218,7 @@ class Session:
         denoise: bool,
         target: Target | None,
         seconds: dict[str, float],
-    ) -> Drawn:
+    ) -> DrawnPicture:
         """Has the renderer draw a frame; the arguments are those of ``render``.
 
         Args:
@@ -238,14 +238,14 @@ class Session:
                     radiance, rounds = collect(
                         light.draw, seed, target, continues=light.continues, denoise=light.denoise
                     )
-        return Drawn(light, radiance, rounds)
+        return DrawnPicture(light, radiance, rounds)
 
     def complete(
         self,
         camera: Camera,
         sample: int,
         passes: Sequence[str],
-        drawn: Drawn | None,
+        drawn: DrawnPicture | None,
         ready: Annotation | None,
         seconds: dict[str, float],
     ) -> FrameResult:
@@ -323,7 +323,7 @@ class Session:
             BackendError: There is no such camera or sample, or the renderer failed.
         """
         camera = self.camera(camera_index, sample)
-        backend = self._renderer({})
+        backend = self.renderer({})
         plain = camera.lens is None and not is_rolling(camera)
         return witness(
             lambda rays, part: backend.witness(rays, sample, part if plain else None), camera
@@ -333,7 +333,7 @@ class Session:
         self, camera: Camera, sample: int, denoise: bool, rounds: bool, seconds: dict[str, float]
     ) -> SurfaceLight:
         """Plans how light from surfaces is drawn: by whom, and what comes after."""
-        backend = self._renderer(seconds)
+        backend = self.renderer(seconds)
         views = lens = None
         if camera.lens is not None:
             # Imported here: few cameras have a lens.
@@ -385,7 +385,7 @@ class Session:
             found = blur.measure(camera, caster)
         if found is None:
             return None
-        return subframes.Drawing(found, self._renderer(seconds), self.scene, sample, caster)
+        return subframes.Drawing(found, self.renderer(seconds), self.scene, sample, caster)
 
     def _veil(
         self,
@@ -417,7 +417,7 @@ class Session:
     def _describe_light(
         self,
         record: FrameRecord,
-        drawn: Drawn,
+        drawn: DrawnPicture,
         picture: Picture,
         veil: Veil | None,
     ) -> FrameRecord:
@@ -460,7 +460,7 @@ class Session:
 
         return Hazy(self.scene, self.caster())
 
-    def _renderer(self, seconds: dict[str, float]) -> Backend:
+    def renderer(self, seconds: dict[str, float]) -> Backend:
         """The backend, its own scene built.
 
         Raises:

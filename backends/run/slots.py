@@ -13,7 +13,7 @@ from scenec.schemas.units import Outcome, Take, Unit, clean
 LOOK_S = 2.0
 
 
-class Slot(Protocol):
+class WorkerSlot(Protocol):
     """Runs units.
 
     Attributes:
@@ -30,7 +30,7 @@ class Slot(Protocol):
     def pending(self) -> bool: ...  # noqa: D102
 
 
-def fill[S: Slot](
+def fill[S: WorkerSlot](
     take: Take,
     slots: Callable[[], Sequence[S]],
     submit: Callable[[Unit | None, S], Any],

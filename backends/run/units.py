@@ -18,11 +18,10 @@ from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_los
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.memory import GB
 from scenec.schemas.native import native_reading
-from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord
+from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord, RendererFacts
 from scenec.schemas.units import Keeper, Rest
 
 if TYPE_CHECKING:
-    from scenec.backends.exact import ExactCaster
     from scenec.backends.run.facts import FrameResult
     from scenec.backends.run.session import Session
     from scenec.backends.stage.scene import Camera
@@ -87,7 +86,7 @@ class Opened:
         cameras, lidars: Of each sample; names of lidars.
         losses: A line for each thing that is not read, or that ``rgb`` leaves out.
         read_s: Seconds that opening it took.
-        backend, version, device, denoiser, warning: Of who draws.
+        renderer: Who draws.
     """
 
     digest: str
@@ -95,11 +94,7 @@ class Opened:
     lidars: list[list[str]]
     losses: tuple[str, ...]
     read_s: float
-    backend: str
-    version: str
-    device: str
-    denoiser: str | None
-    warning: str | None
+    renderer: RendererFacts
 
 
 @dataclass(frozen=True)
@@ -174,7 +169,7 @@ class OpenStage:
             [[lidar.name for lidar in of] for of in scene.lidars],
             session.losses,
             time.perf_counter() - start,
-            **session.facts()._asdict(),
+            session.facts(),
         )
 
 
@@ -309,8 +304,8 @@ class RenderFrame(MakeFile):
         # Imported here: who gives units out has no need of it.
         from scenec.backends.picture.adaptive import Target
         from scenec.backends.run import memory
+        from scenec.backends.run.exposures import exposed
         from scenec.backends.run.reuse import find_annotation
-        from scenec.backends.run.session import timed
 
         session, key, sample = self.holds.session(keeper), self.key, self.sample
         scene = session.scene
@@ -334,14 +329,9 @@ class RenderFrame(MakeFile):
             seconds: dict[str, float] = {}
             drawn = None
             if "rgb" in key.passes:
-                with timed(metering, "exposure"), ExitStack() as casting:
-
-                    def caster() -> ExactCaster:
-                        casting.enter_context(session.casting)
-                        return session.caster(metering)
-
-                    camera, exposure = session.meter.exposed(camera, sample, caster)
-                metering["exposure"] -= metering.get("load", 0.0)
+                camera, exposure = exposed(
+                    session, camera, sample, self.stem.parents[2], metering, keeper.say
+                )
                 drawn = session.draw(
                     camera, sample, key.spp, self.seed, key.denoise, target, seconds
                 )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scenec.backends.camera.rays import camera_rays
@@ -18,6 +19,7 @@ from scenec.schemas.errors import BackendError
 from scenec.schemas.threads import at_most
 from scenec.testing import scenes
 from scenec.testing.examples import examples
+from scenec.testing.lens_scenes import FISHEYE, with_lens
 
 
 def table(origins, directions) -> Rays:
@@ -101,6 +103,73 @@ def test_caster_agrees_with_brute_force_to_the_bit(case):
     np.testing.assert_array_equal(row, expected_row)
     np.testing.assert_array_equal(face, expected_face)
     np.testing.assert_array_equal(t, expected_t)
+
+
+@st.composite
+def looks(draw):
+    """A soup, and a small picture of one of its corners, or of a point on an edge, from one eye."""
+    scene, rays = draw(soups())
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    which = int(rng.integers(6, 60))
+    eye, way = rays.origins[which], rays.directions[which]
+    if draw(st.booleans()):
+        # Along an axis, or between two: rays go both ways across, or have two main axes.
+        way = np.eye(3)[rng.integers(3)] + np.eye(3)[rng.integers(3)] * rng.integers(-1, 2)
+        if draw(st.booleans()):
+            eye = rays.origins[which] + rays.directions[which] - way * rng.integers(1, 4)
+    assume((way != 0.0).any())
+    side = np.cross(way, np.eye(3)[np.argmin(np.abs(way))])
+    up = np.cross(side, way) / np.sqrt((way**2).sum())
+    step = 10.0 ** draw(st.floats(-9.0, -1.0))
+    x, y = (np.arange(n) - n // 2 for n in (11, 9))
+    grid = way + step * (x[None, :, None] * side + y[:, None, None] * up)
+    return scene, Rays(np.tile(eye, (99, 1)), grid.reshape(99, 3), (9, 11))
+
+
+@examples(25)
+@given(looks())
+def test_pictures_agree_with_brute_force_to_the_bit(case):
+    scene, rays = case
+    found = ExactCaster(scene).cast(rays)
+    for one, expected in zip(found, brute_force(scene, rays), strict=True):
+        np.testing.assert_array_equal(one, expected)
+
+
+def bent(rays: Rays, turn: float) -> Rays:
+    """Another eye for each line, as of a rolling shutter."""
+    origins = rays.origins + turn * np.repeat(np.arange(rays.shape[0]), rays.shape[1])[:, None]
+    return dataclasses.replace(rays, origins=origins)
+
+
+@pytest.mark.parametrize(
+    "rays",
+    [
+        camera_rays(scenes.camera(100, 75, 65.0, (0.0, 0.0, 9.0), (20.0, 20.0, 0.0))),
+        # Two main axes in a tile; tiles too wide for a packet; eyes that differ; a fisheye, whose
+        # tiles at the border have few rays; and one tile that shows thousands of triangles.
+        camera_rays(scenes.camera(80, 60, 90.0, (0.0, 0.0, 9.0), (1.0, 1.0, 8.9))),
+        camera_rays(scenes.camera(20, 15, 120.0, (0.0, 0.0, 9.0), (1.0, 0.0, 8.5))),
+        bent(camera_rays(scenes.camera(64, 48, 50.0, (0.0, 0.0, 9.0), (9.0, 2.0, 0.0))), 1e-3),
+        camera_rays(with_lens(FISHEYE, 96, 72, 24.0)),
+        camera_rays(scenes.camera(8, 8, 10.0, (-45.0, 0.0, 25.0), (20.0, 0.0, 0.0))),
+    ],
+)
+def test_rays_that_go_together_meet_what_each_meets_alone(rays, rocks):
+    together = rocks.hits(rays)
+    known = np.arange(len(rays.origins)) if rays.known is None else np.flatnonzero(rays.known)
+    row, face, t = rocks.cast(rays, known)
+    np.testing.assert_array_equal(together.row[known], row)
+    np.testing.assert_array_equal(together.face[known], face)
+    np.testing.assert_array_equal(together.t[known], t)
+    assert len(np.unique(face)) > 30
+    unknown = np.setdiff1d(np.arange(len(rays.origins)), known)
+    assert (together.row[unknown] == NO_ROW).all()
+    assert np.isinf(together.t[unknown]).all()
+
+
+@pytest.fixture(scope="module")
+def rocks() -> ExactCaster:
+    return ExactCaster(scenes.rocky(3000, 200, subdivisions=2))
 
 
 def test_trees_over_many_faces_lose_none_of_them():
@@ -216,6 +285,22 @@ def test_ties_go_to_the_lowest_row_then_to_the_lowest_face():
     assert row.tolist() == [0, 0, 0]
     assert face.tolist() == [1, 0, 0]
     assert t.tolist() == [2.0, 2.0, 2.0]
+
+
+def test_ties_in_a_picture_go_to_the_lowest_row_and_face():
+    corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    sheet = scenes.mesh(corners, [(0, 1, 2), (0, 2, 3), (2, 1, 0), (0, 3, 2)])
+    middles = 0.25 * np.random.default_rng(4).permutation(40)
+    rows = [(0, scenes.affine(1.0, (x, 0.0, 4.0))) for x in middles]
+    x, y = np.arange(24) / 8.0 + 1 / 32, np.arange(16) / 64.0
+    grid = np.stack([*np.meshgrid(x / 4.0, y / 4.0), np.ones((16, 24))], axis=-1).reshape(-1, 3)
+    rays = Rays(np.zeros_like(grid), grid, (16, 24))
+    stack = scenes.scene([sheet], rows)
+    row, face, t = ExactCaster(stack).cast(rays)
+    lowest = [int(np.argmax(abs(4.0 * d - middles) <= 1.0)) for d in grid[:, 0]]
+    np.testing.assert_array_equal(row, lowest)
+    np.testing.assert_array_equal(face, brute_force(stack, rays)[1])
+    assert (t == 4.0).all()
 
 
 def test_hits_are_two_sided_and_need_a_positive_parameter():
