@@ -3,7 +3,10 @@
 In one kernel a path is a lane of a packet, which goes on as long as any of its lanes does: outdoors
 most paths leave for the sky after a bounce, and the few others keep nearly all packets busy. So the
 first bounce is a launch of its own, and all further ones are another, over the paths that are left.
-Both are one kernel, which takes the number of bounces.
+Both are one kernel, for any size of picture, number of bounces and number of paths that go on.
+
+Tracing a launch in Python takes 0.025 CPU s. ``dr.freeze`` of Dr.Jit 1.5.0 cannot record it: its
+first call ends the process, and later ones it refuses for their virtual calls.
 
 The estimator and the order of the sampler's numbers are those of Mitsuba's path integrator.
 
@@ -18,8 +21,8 @@ import drjit as dr
 import mitsuba as mi
 
 
-class Shaded(NamedTuple):
-    """Holds one step of paths.
+class PathStep(NamedTuple):
+    """Holds one step of paths, of Dr.Jit's arrays.
 
     Attributes:
         to_light: Direction sample of the light that was drawn.
@@ -36,7 +39,7 @@ class Shaded(NamedTuple):
     leaving: Any
 
 
-def shade(light: Any, si: Any, bsdf: Any, numbers: tuple[Any, Any, Any], active: Any) -> Shaded:
+def shade(light: Any, si: Any, bsdf: Any, numbers: tuple[Any, Any, Any], active: Any) -> PathStep:
     """Draws light at hits, and the way on.
 
     Args:
@@ -58,7 +61,7 @@ def shade(light: Any, si: Any, bsdf: Any, numbers: tuple[Any, Any, Any], active:
     toward = dr.zeros(mi.DirectionSample3f)
     toward.d = onward
     leaving = light.eval(sky) * _balance(bs.pdf, light.pdf_direction(si, toward))
-    return Shaded(ds, direct, onward, weight, leaving)
+    return PathStep(ds, direct, onward, weight, leaving)
 
 
 def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tuple[Any, Any]:
@@ -94,10 +97,10 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
         if not most or not dr.width(left):
             break
         paths = tuple(dr.gather(type(values), values, left) for values in paths)
-        paths, going, found = _follow(scene, light, sampler, paths, most)
+        paths, going, radiance = _follow(scene, light, sampler, paths, most)
         for channel in range(3):
             dr.scatter_reduce(
-                dr.ReduceOp.Add, total[channel], found[channel], paths[-1],
+                dr.ReduceOp.Add, total[channel], radiance[channel], paths[-1],
                 mode=dr.ReduceMode.NoConflicts,
             )  # fmt: skip
         dr.eval(paths, going, total)
@@ -113,7 +116,7 @@ def _follow(
     count = dr.width(lane)
 
     def step(
-        active: Any, left: Any, found: Any, _: Any, o: Any, d: Any, t: Any, uv: Any, face: Any,
+        active: Any, left: Any, radiance: Any, _: Any, o: Any, d: Any, t: Any, uv: Any, face: Any,
         shape: Any, weight: Any, key: Any,
     ) -> tuple[Any, ...]:  # fmt: skip
         hit = dr.zeros(mi.PreliminaryIntersection3f, count)
@@ -127,23 +130,23 @@ def _follow(
         direct = weight * shaded.light
         lit = active & dr.any(direct != 0.0)
         lit &= ~scene.ray_test(si.spawn_ray_to(shaded.to_light.p), lit)
-        found = found + (direct & lit)
+        radiance = radiance + (direct & lit)
         weight = weight * shaded.weight
         active = active & dr.any(weight != 0.0)
         ray = si.spawn_ray(shaded.direction)
         hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
         met = active & hit.is_valid()
-        found = found + (weight * shaded.leaving & active & ~met)
+        radiance = radiance + (weight * shaded.leaving & active & ~met)
         left = left - 1
         return (
-            met & (left > 0), left, found, met, ray.o, ray.d, hit.t, hit.prim_uv, hit.prim_index,
+            met & (left > 0), left, radiance, met, ray.o, ray.d, hit.t, hit.prim_uv, hit.prim_index,
             hit.shape, weight, sampler.key,
         )  # fmt: skip
 
     active, left = dr.full(mi.Bool, True, count), dr.opaque(mi.UInt32, most)
     start = (mi.Bool(active), left, dr.zeros(mi.Color3f, count), mi.Bool(active), *state)
-    _, _, found, going, *state = dr.while_loop(start, lambda active, *_: active, step)
-    return (*state, order, lane), going, found
+    _, _, radiance, going, *state = dr.while_loop(start, lambda active, *_: active, step)
+    return (*state, order, lane), going, radiance
 
 
 def _balance(a: Any, b: Any) -> Any:
