@@ -91,9 +91,7 @@ def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray
     return out
 
 
-def develop_exactly(
-    radiance: NDArray[np.floating], exposure_ev: float = 0.0
-) -> NDArray[np.uint8]:
+def develop_exactly(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.uint8]:
     """Computes ``develop`` by its definition (``DESCRIPTION``), for floats of any type."""
     out = np.empty(np.shape(radiance), np.uint8)
     # Part by part: what is made on the way is eight times as large as the picture.
@@ -184,9 +182,7 @@ def fault(tallies: Sequence[PictureRecord]) -> str | None:
     return "burnt out" if burnt > BURNT_SHARE * surfaces else None
 
 
-def write_png(
-    path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], level: int = 6
-) -> None:
+def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], level: int = 6) -> None:
     """Write [h, w, 3] of 8 bits, or [h, w] of 8 or 16, as PNG, by atomic rename.
 
     Args:
