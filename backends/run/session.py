@@ -30,7 +30,6 @@ from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
 from scenec.backends.run.facts import (
     FrameResult,
-    RendererFacts,
     annotation_versions,
     describe_frame,
 )
@@ -44,6 +43,7 @@ from scenec.schemas.records import (
     FrameRecord,
     HazePixels,
     LensRadiance,
+    RendererFacts,
     SkyPixels,
 )
 from scenec.schemas.versions import version_of
@@ -73,7 +73,7 @@ class SurfaceLight:
 
 
 @dataclass(frozen=True)
-class DrawnFrame:
+class DrawnPicture:
     """Holds what a renderer drew of a frame: light from surfaces, and how it came to be."""
 
     light: SurfaceLight
@@ -218,7 +218,7 @@ class Session:
         denoise: bool,
         target: Target | None,
         seconds: dict[str, float],
-    ) -> DrawnFrame:
+    ) -> DrawnPicture:
         """Has the renderer draw a frame; the arguments are those of ``render``.
 
         Args:
@@ -238,14 +238,14 @@ class Session:
                     radiance, rounds = collect(
                         light.draw, seed, target, continues=light.continues, denoise=light.denoise
                     )
-        return DrawnFrame(light, radiance, rounds)
+        return DrawnPicture(light, radiance, rounds)
 
     def complete(
         self,
         camera: Camera,
         sample: int,
         passes: Sequence[str],
-        drawn: DrawnFrame | None,
+        drawn: DrawnPicture | None,
         ready: Annotation | None,
         seconds: dict[str, float],
     ) -> FrameResult:
@@ -417,7 +417,7 @@ class Session:
     def _describe_light(
         self,
         record: FrameRecord,
-        drawn: DrawnFrame,
+        drawn: DrawnPicture,
         picture: Picture,
         veil: Veil | None,
     ) -> FrameRecord:

@@ -20,7 +20,7 @@ from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.memory import GB
 from scenec.schemas.native import native_reading
 from scenec.schemas.passes import ANNOTATION_NAMES
-from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord
+from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord, RendererFacts
 from scenec.schemas.units import Keeper, Rest
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Opened:
         cameras, lidars: Of each sample; names of lidars.
         losses: A line for each thing that is not read, or that ``rgb`` leaves out.
         read_s: Seconds that opening it took.
-        backend, version, device, denoiser, warning: Of who draws.
+        renderer: Who draws.
     """
 
     digest: str
@@ -96,11 +96,7 @@ class Opened:
     lidars: list[list[str]]
     losses: tuple[str, ...]
     read_s: float
-    backend: str
-    version: str
-    device: str
-    denoiser: str | None
-    warning: str | None
+    renderer: RendererFacts
 
 
 @dataclass(frozen=True)
@@ -175,7 +171,7 @@ class OpenStage:
             [[lidar.name for lidar in of] for of in scene.lidars],
             session.losses,
             time.perf_counter() - start,
-            **session.facts()._asdict(),
+            session.facts(),
         )
 
 

@@ -25,7 +25,6 @@ import threading
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -53,13 +52,6 @@ def main() -> None:
     for module in sys.argv[3:]:
         importlib.import_module(module)
 
-    def attempt(what: str, work: Callable[[], Any]) -> tuple[bool, Any]:
-        try:
-            with blaming(what):
-                return True, work()
-        except ScenecError as error:
-            return False, error
-
     def send(answer: tuple[bool, Any]) -> None:
         # A parent that is gone: the listener ends this process.
         with contextlib.suppress(BrokenPipeError):
@@ -67,7 +59,12 @@ def main() -> None:
 
     def finish(what: str, work: Callable[[], Any]) -> None:
         try:
-            send(attempt(what, work))
+            try:
+                with blaming(what):
+                    answer: tuple[bool, Any] = True, work()
+            except ScenecError as error:
+                answer = False, error
+            send(answer)
         except BaseException:  # noqa: BLE001 (ends this process, as it would in the main thread)
             traceback.print_exc()
             sys.stderr.flush()
@@ -78,7 +75,12 @@ def main() -> None:
         while True:
             unit = pickle.loads(units.get())  # noqa: S301 (from the parent's pipe)
             memory.reset_peak()
-            answer = attempt(unit.what, partial(unit.run, keeper))
+            answer: tuple[bool, Any]
+            try:
+                with blaming(unit.what):
+                    answer = True, unit.run(keeper)
+            except ScenecError as error:
+                answer = False, error
             if last is not None:
                 last.result()
                 last = None

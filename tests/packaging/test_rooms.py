@@ -80,7 +80,7 @@ FLOORS = {
         ("options",),
         ("explain", "shown", "steps"),
         ("outputs", "models"),
-        ("check", "evaluate", "export", "preview", "sweep", "view", "work"),
+        ("check", "evaluate", "export", "make", "measure", "preview", "sweep", "view", "work"),
     ),
     "quality": (("converge", "ladder"),),
     "lab": (
