@@ -28,7 +28,7 @@ from scenec.schemas.exposures import EXPOSURES
 from scenec.schemas.manifest import FRAMES
 
 #: What is done once, in this order.
-_STEPS = ("load", "exposure", "radiance", "annotate", "compose", "write")
+_STEPS = ("load", "exposure", "radiance", "annotate", "compose")
 _STAGE = Path("batch_0000", "stage.usda")
 
 
