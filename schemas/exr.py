@@ -169,8 +169,8 @@ def _read_passes(path: Path, unused: Collection[str]) -> dict[str, NDArray]:
             if pixels.dtype.name not in types:
                 raise FrameError(f"{path}: channel {channel!r} has type {pixels.dtype}")
             types = {pixels.dtype.name}
-            planes.append(np.float32(pixels) if pixels.dtype == np.float16 else pixels)
             planes.append(pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels)
+        passes[name] = planes[0] if len(planes) == 1 else np.stack(planes, axis=-1)
     return passes
 
 

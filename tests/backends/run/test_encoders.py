@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from scenec.backends.mitsuba.variant import load_mitsuba
 from scenec.schemas.exr import as_half, read_exr, write_exr
 from scenec.schemas.picture import RENDERED, write_png
 
@@ -23,10 +24,7 @@ PLAIN = np.full((H, W, 3), 0.25, np.float32)
 
 def by_mitsuba(path: Path) -> NDArray:
     """A frame's first part as Mitsuba's own copy of the library reads it."""
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
-    return np.array(mi.Bitmap(str(path)))
+    return np.array(load_mitsuba("cpu").Bitmap(str(path)))
 
 
 @pytest.mark.parametrize("rgb", [NOISE, PLAIN, NOISE.astype(np.float16)])
