@@ -29,10 +29,6 @@ from scenec.schemas.records import FileDigest, FrameRecord, ImagingRecord, Round
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.versions import version_of
 
-#: In place of a backend's name: annotation alone, which needs no renderer; and its spellings.
-ANNOTATION = "annotation"
-ANNOTATION_NAMES = (ANNOTATION, "reference")
-
 #: Version of the sidecar's shape.
 FRAME_VERSION = "1.7"
 

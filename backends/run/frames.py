@@ -11,8 +11,9 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
 from scenec.schemas.errors import BackendError, FrameError, StageError
 from scenec.schemas.files import inside
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem
+from scenec.schemas.frames import frame_stem
 from scenec.schemas.manifest import FRAMES, Batch, Manifest, stage_digest
+from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest

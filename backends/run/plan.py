@@ -10,7 +10,8 @@ from pathlib import Path
 from scenec.backends.picture.adaptive import MOST_SPP
 from scenec.backends.registry import AUTO, backend_class, backend_names, require_name
 from scenec.schemas.errors import BackendError
-from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, quality
+from scenec.schemas.frames import FrameKey, quality
+from scenec.schemas.passes import ANNOTATION_NAMES
 
 #: Samples per pixel where a user says nothing.
 USUAL_SPP = 64

@@ -19,8 +19,8 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfSession, Opened, Opening, RenderFrame
 from scenec.schemas.errors import FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
+from scenec.schemas.passes import ANNOTATION_NAMES
 from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays

@@ -37,8 +37,8 @@ from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.records import (
     FrameRecord,
     HazePixels,
@@ -449,7 +449,8 @@ class Session:
         """The exact caster, of the scene as it was posed last; what building it takes is added."""
         with timed({} if seconds is None else seconds, "load"):
             if self._caster is None:
-                self._caster = ExactCaster(self.scene)
+                with self.casting:
+                    self._caster = self._caster or ExactCaster(self.scene)
         return self._caster
 
     @cached_property
@@ -458,7 +459,8 @@ class Session:
         # Imported here: few scenes have any.
         from scenec.backends.picture.haze import Hazy
 
-        return Hazy(self.scene, self.caster())
+        with self.casting:
+            return Hazy(self.scene, self.caster())
 
     def renderer(self, seconds: dict[str, float]) -> Backend:
         """The backend, its own scene built.

@@ -1,5 +1,6 @@
-"""A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE``, two descriptors.
+"""A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE [MODULE ...]``.
 
+``PIPE`` and ``NOTE`` are descriptors; modules are imported before the first unit.
 Units come pickled over the pipe, and for each one message goes back: ``(True, what it returned,
 peak, notes)``, or ``(False, the ScenecError it raised, peak, notes)``, with the highest memory of
 this process meanwhile, bytes or None, and what the unit said. Any other error ends the process; the
@@ -14,6 +15,7 @@ order of units, and no more than two are under way.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import pickle
 import queue
@@ -47,6 +49,8 @@ def main() -> None:
     native.share(int(sys.argv[2]))
     notice.share(int(sys.argv[2]))
     keeper = Keeper(overlaps=True)
+    for module in sys.argv[3:]:
+        importlib.import_module(module)
 
     def send(answer: tuple[bool, Any]) -> None:
         # A parent that is gone: the listener ends this process.

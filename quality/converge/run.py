@@ -19,8 +19,8 @@ from scenec.quality.converge.metrics import root
 from scenec.quality.converge.series import ConvergeReport, Floor, Series, Step
 from scenec.schemas.errors import BackendError
 from scenec.schemas.files import check_writable
-from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches
+from scenec.schemas.passes import ANNOTATION_NAMES
 from scenec.schemas.units import Say
 
 #: In the output folder.
