@@ -10,7 +10,7 @@ MARKED := -m "not slow or invariant"
 EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation cold datasets estimate exposure foliage growth imaging \
-  incremental optics prune throughput
+  incremental optics preview prune throughput
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
 

@@ -26,8 +26,8 @@ from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
 from scenec.schemas.errors import OutputError, ScenecError, StageError
-from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches, read_manifest
+from scenec.schemas.passes import ANNOTATION_NAMES
 
 if TYPE_CHECKING:
     from scenec.datasets.verify import Comparison, Flaw

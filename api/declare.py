@@ -5,9 +5,10 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
 from functools import wraps
+from numbers import Integral, Real
 from typing import Any, Concatenate
 
 from scenec.api.listener import Listener
@@ -48,6 +49,11 @@ def declared(record: type, own: bool = False) -> dict[str, Field[Any]]:
     return {f.name: f for f in fields(record) if f.name in there and "help" in f.metadata}
 
 
+def flag_of(name: str, declaration: Field[Any]) -> str:
+    """Returns the option's flag on the command line."""
+    return str(declaration.metadata.get("flag", f"--{name.replace('_', '-')}"))
+
+
 @dataclass(frozen=True, kw_only=True)
 class CallOptions:
     """Holds what every call takes, and checks it.
@@ -69,31 +75,88 @@ class CallOptions:
             name, default, form = each.name, each.default, each.metadata.get("form")
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default)
-            value, choices = getattr(self, name), each.metadata.get("choices")
-            if isinstance(default, str | Listener) and not isinstance(value, type(default)):
-                raise ScenecError(f"{name}: {value!r}: expected a {type(default).__name__}")
+            value, choices = _plain(getattr(self, name)), each.metadata.get("choices")
             if choices and value is not None and value not in choices:
                 raise ScenecError(f"{name}: {value!r}: expected one of {', '.join(choices)}")
-            several = isinstance(value, Iterable) and not isinstance(value, str)
-            if several and not _takes_several(each.type):
-                raise ScenecError(f"{name}: {value!r:.60}: expected one value")
-            path = isinstance(value, bool | str | os.PathLike | None)
-            if "Path" in str(each.type) and not (path or several):
-                raise ScenecError(f"{name}: {value!r}: expected a path")
-            if each.metadata.get("many") and not several:
-                object.__setattr__(self, name, (str(value),))
-            if form is None or value is None or several:
-                continue
-            try:
-                object.__setattr__(self, name, form(str(value)))
-            except ScenecError as error:
-                raise ScenecError(f"{name}: {error}") from error
+            if each.metadata.get("many") and isinstance(value, str):
+                value = (value,)
+            read = isinstance(value, str) or "str" not in str(each.type)
+            if form is not None and value is not None and read and not _is_several(value):
+                try:
+                    value = form(str(value))
+                except ScenecError as error:
+                    raise ScenecError(f"{name}: {error}") from error
+            require(name, value, str(each.type))
+            object.__setattr__(self, name, value)
 
 
-def _takes_several(annotation: object) -> bool:
-    """Tells whether a field's annotation, as written, names a container."""
-    containers = ("Sequence", "Collection", "Iterable", "Mapping", "range")
-    return any(word in str(annotation) for word in containers)
+#: Which values a word of an annotation takes, and how a message says it.
+_TYPES: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "None": (lambda value: value is None, ""),
+    "bool": (lambda value: isinstance(value, bool), "a bool"),
+    "str": (lambda value: isinstance(value, str), "a str"),
+    # True is a number for Python, and nobody means it.
+    "int": (lambda one: isinstance(one, Integral) and not isinstance(one, bool), "a whole number"),
+    "float": (lambda one: isinstance(one, Real) and not isinstance(one, bool), "a number"),
+    "range": (lambda value: isinstance(value, range), "a range, A:B, or one number"),
+    "Path": (lambda value: isinstance(value, os.PathLike), "a path"),
+    "Folder": (lambda value: isinstance(value, str | os.PathLike), "a path"),
+    "Listener": (lambda value: isinstance(value, Listener), "a Listener"),
+    "Executor": (lambda value: hasattr(value, "work"), "an Executor"),
+}
+
+
+def require(name: str, value: object, annotation: str) -> None:
+    """Holds a value to its argument's annotation.
+
+    Args:
+        name: Of the argument.
+        value: What was given.
+        annotation: As it is written: words of ``_TYPES``, and lists of them, between ``|``. What
+            has other words is not held to them; whoever reads the value does that.
+
+    Raises:
+        ScenecError: It is something else; names the argument, the value and what is expected.
+    """
+    words = annotation.split(" | ")
+    lists = [word.partition("[")[2].removesuffix("]") for word in words if "[" in word]
+    if isinstance(value, Mapping) and "Mapping[" in annotation:
+        return
+    if _is_several(value) and lists:
+        for one in value[:1] if isinstance(value, range) else value:  # type: ignore[attr-defined]
+            require(name, one, lists[-1])
+        return
+    known = [_TYPES[word] for word in words if word in _TYPES]
+    if len(known) + len(lists) < len(words) or any(takes(value) for takes, _ in known):
+        return
+    # A path may be a text, and is still called one.
+    besides = {"", "a str"} if "Path" in words else {""}
+    expected = [said for _, said in known if said not in besides] + ["a list"] * bool(lists)
+    raise ScenecError(f"{name}: {value!r:.60}: expected {' or '.join(expected)}")
+
+
+def _is_several(value: object) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, str | bytes | os.PathLike)
+
+
+def _plain(value: Any) -> Any:
+    """Returns a scalar of NumPy as Python's, what can be read once as a tuple, else the value."""
+    if getattr(value, "shape", None) == ():
+        return value.item()
+    return tuple(value) if isinstance(value, Iterator) else value
+
+
+def held_to_types[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Decorates a function so that it holds its arguments to their annotations."""
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: P.args, **options: P.kwargs) -> R:
+        for name, value in signature.bind(*args, **options).arguments.items():
+            require(name, _plain(value), str(signature.parameters[name].annotation))
+        return function(*args, **options)
+
+    return call
 
 
 class Spread[**P, T: CallOptions]:
@@ -116,6 +179,12 @@ class Spread[**P, T: CallOptions]:
         """Decorates a function with two arguments before the record."""
         return self._spread(function)
 
+    def three[A, B, C, R](
+        self, function: Callable[[A, B, C, T], R]
+    ) -> Callable[Concatenate[A, B, C, P], R]:
+        """Decorates a function with three arguments before the record."""
+        return self._spread(function)
+
     def _spread(self, function: Callable[..., Any]) -> Callable[..., Any]:
         record: Callable[..., T] = self._record
 
@@ -130,11 +199,24 @@ class Spread[**P, T: CallOptions]:
             if len(args) != len(before):
                 # Python would speak of the record, which nobody gave.
                 signature.bind(*args, **options)
-            return function(*args, record(**options))
+            for parameter, value in zip(before, args, strict=True):
+                require(parameter.name, value, str(parameter.annotation))
+            made = record(**options)
+            try:
+                return function(*args, made)
+            except ScenecError as error:
+                if not made.listener.flags and error.args:
+                    error.args = (self._named(str(error)), *error.args[1:])
+                raise
 
         call.__signature__ = signature  # type: ignore[attr-defined]
         call.__doc__ = re.sub(r"(?m)^( +)options: .*$", self._option_help, function.__doc__ or "")
         return call
+
+    def _named(self, text: str) -> str:
+        """Names options as Python does, where a message has their flags."""
+        flags = {flag_of(name, f): name for name, f in declared(self._record).items()}  # type: ignore[arg-type]
+        return re.sub(r"--[a-z][a-z-]*", lambda found: flags.get(found[0], found[0]), text)
 
     def _option_help(self, line: re.Match[str]) -> str:
         told = {name: f.metadata["help"] for name, f in declared(self._record).items()}  # type: ignore[arg-type]

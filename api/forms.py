@@ -6,7 +6,7 @@ same form, so that both refuse the same with the same words.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.passes import is_pass, pass_names
@@ -82,6 +82,35 @@ def amount(text: str) -> float:
         most = f", at most {_MOST:g}" if value > _MOST else ""
         raise ScenecError(f"{text!r}: expected a number above 0{most}")
     return value
+
+
+def number(text: str) -> float:
+    """Parses a number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ScenecError(f"{text!r}: expected a number") from None
+
+
+def ascending[T: (int, float)](one: Callable[[str], T]) -> Callable[[str], tuple[T, ...]]:
+    """Returns a parser of several, such as ``4,16,64``: ascending, each once."""
+
+    def read(text: str) -> tuple[T, ...]:
+        return tuple(sorted({one(part) for part in names(text) or [""]}))
+
+    return read
+
+
+def some_of(known: Sequence[str]) -> Callable[[str], tuple[str, ...]]:
+    """Returns a parser of some of these names."""
+
+    def read(text: str) -> tuple[str, ...]:
+        for name in names(text):
+            if name not in known:
+                raise ScenecError(f"{name!r}: expected some of {','.join(known)}")
+        return tuple(names(text))
+
+    return read
 
 
 def passes(text: str) -> tuple[str, ...]:

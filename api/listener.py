@@ -24,6 +24,9 @@ class StepProgress:
 class Listener:
     """Is told what long work does; this one keeps it to itself. Derive from it to show some."""
 
+    #: Whether messages shall name options by their flags, as on the command line.
+    flags = False
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}()"
 

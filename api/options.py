@@ -100,17 +100,6 @@ class StageOptions(WorkOptions):
     )
     batches: range | None = _span("only batches A to B-1")
 
-    def __post_init__(self) -> None:
-        """Holds batches to be a range, too: they are compiled in order.
-
-        Raises:
-            ScenecError: They are none.
-        """
-        super().__post_init__()
-        batches: object = self.batches
-        if not isinstance(batches, range | None):
-            raise ScenecError(f"batches: {batches!r}: expected a range, A:B, or one number")
-
 
 @dataclass(frozen=True, kw_only=True)
 class CompileOptions(StageOptions):
@@ -180,6 +169,12 @@ class PictureOptions(WorkOptions):
         "denoise rgb, if the renderer has a denoiser; refused where a camera has an aperture "
         "or moves while its shutter is open",
     )
+    rgb: str = option(
+        "float",
+        "rgb in frames as float, or as half: a fourth of the bytes, 11 bits of each number, "
+        "65504 at most (default: float)",
+        choices=("float", "half"),
+    )
     timeout: float | None = option(
         None,
         "end and retry a frame that takes longer; a fresh process's first one may take 60 s "
@@ -198,7 +193,7 @@ class PictureOptions(WorkOptions):
 
 
 #: Of ``render``, ``scan`` and ``check`` alike.
-_ALLOW_MISSING = (
+ALLOW_MISSING = (
     "read what is there of a stage that lacks layers, prims or pictures, or whose files "
     "are not those of the manifest (default: that is an error)"
 )
@@ -218,7 +213,7 @@ class RenderOptions(PictureOptions):
         "render frames again that are there with other samples, target, noise seed, denoising "
         "or passes (default: that is an error; frames that hold more passes count as made)",
     )
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
     workers: int | str | None = _workers_or_auto()
     folder: Path | str | None = None
 
@@ -232,7 +227,7 @@ class ScanOptions(WorkOptions):
         None, "only these, by name: RIG_LIDAR", form=forms.listed, metavar="A,B,…"
     )
     ply: bool = option(False, "write clouds of points, too")
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
     batches: Collection[int] | None = _span("only batches A to B-1")
 
 
@@ -289,8 +284,10 @@ class PreviewOptions(CallOptions):
         settings, seed, cache: As of ``CompileOptions``.
     """
 
-    backend: str = option("pyrender", "who draws (default: pyrender, the quickest)")
-    spp: int = option(8, "samples a pixel (default: 8)", form=forms.positive)
+    backend: str = option("auto", "who draws (default: auto, the quickest that works here)")
+    spp: int | None = option(
+        None, "samples a pixel (default: 8, of a path tracer 4, denoised)", form=forms.positive
+    )
     width: int = option(480, "of pictures (default: 480)", form=forms.positive, metavar="PX")
     settings: Sequence[str] = held((), many=True)
     seed: int = held(0, form=forms.seed)
@@ -329,7 +326,7 @@ class CheckOptions(CallOptions):
         form=forms.counted,
         metavar="N",
     )
-    allow_missing: bool = option(False, _ALLOW_MISSING)
+    allow_missing: bool = option(False, ALLOW_MISSING)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenec.api.declare import held_to_types, require
 from scenec.api.options import RenderOptions
 from scenec.api.steps import render_output
 from scenec.schemas.codec import UNSET
@@ -37,6 +38,7 @@ class OutputFolder:
     scanned: ScanReport | None = None
 
     def __post_init__(self) -> None:
+        require("path", self.path, "Path | str")
         object.__setattr__(self, "path", Path(self.path))
         if self._is_folder:
             read_manifest(Path(self.path))
@@ -96,6 +98,7 @@ class OutputFolder:
         return table_html(rows) + shown
 
 
+@held_to_types
 def open_frames(out: Path | str, backend: str | None = None) -> list[FrameView]:
     """Frames of an output that are there, by batch, camera and sample.
 

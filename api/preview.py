@@ -13,7 +13,7 @@ import shutil
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from pathlib import Path
@@ -30,6 +30,7 @@ from scenec.schemas.files import Stamp, atomic, check_output, stamp
 from scenec.schemas.scratch import scratch_folder
 
 if TYPE_CHECKING:
+    from scenec.backends.run.auto import Quickest
     from scenec.compiler.cfg.load import Spec
     from scenec.schemas.units import Executor
 
@@ -110,8 +111,26 @@ def live_preview(
 def _previewing(cfg: str, options: PreviewOptions) -> Iterator[Preview]:
     from scenec.backends.run.executors import make_executor
 
+    quick = how_to_draw(options)
     with scratch_folder() as folder, make_executor(1) as executor:
-        yield Preview(cfg, options, Path(folder), executor)
+        yield Preview(cfg, options, quick, Path(folder), executor)
+
+
+def how_to_draw(options: PreviewOptions) -> Quickest:
+    """Completes what the options leave open of backend and samples, and says it in a line.
+
+    Raises:
+        BackendError: No renderer works here.
+    """
+    from scenec.backends.registry import AUTO
+    from scenec.backends.run.auto import Quickest, quickest, works_here
+
+    if options.backend == AUTO:
+        quick = quickest(works_here)
+        options.listener.say(f"preview: {quick.backend} draws: {quick.why}")
+    else:
+        quick = Quickest(options.backend, 8, False, "asked for")
+    return quick if options.spp is None else replace(quick, spp=options.spp)
 
 
 class PreviewState:
@@ -141,9 +160,17 @@ class PreviewState:
 class Preview:
     """Compiles coarsely and draws, again and again."""
 
-    def __init__(self, cfg: str, options: PreviewOptions, folder: Path, executor: Executor) -> None:
+    def __init__(
+        self,
+        cfg: str,
+        options: PreviewOptions,
+        quick: Quickest,
+        folder: Path,
+        executor: Executor,
+    ) -> None:
         self.state = PreviewState()
         self._cfg, self._options, self._say = cfg, options, options.listener.say
+        self._quick = quick
         self._folder, self._executor = folder, executor
         self._made, self._out = 0, folder / "0"
         self._files: tuple[str, ...] = (cfg,)
@@ -200,6 +227,10 @@ class Preview:
         from scenec.schemas.manifest import find_batches
 
         put = self.state.set
+        # Path tracers denoise no picture with an aperture.
+        rigs = spec.cfg["rigs"].values()
+        if any("focus" in sensor for rig in rigs for sensor in rig["sensors"].values()):
+            self._quick = replace(self._quick, denoise=False)
         # Workers may still hold what lay in the last one.
         shutil.rmtree(self._out, ignore_errors=True)
         self._made += 1
@@ -223,7 +254,7 @@ class Preview:
             {"name": name, "sample": 0, "sketch": True, "png": _png(stage.sketch(i))}
             for i, name in enumerate(cameras)
         ]
-        put(pictures=sketches, doing=f"drawing with {self._options.backend}", **facts)
+        put(pictures=sketches, doing=f"drawing with {self._quick.backend}", **facts)
         drawn: list[dict[str, Any]] = []
         for sample in _spread(len(stage.scene.cameras)):
             if stale():
@@ -237,10 +268,10 @@ class Preview:
         """Pictures of all cameras at a sample."""
         from scenec.backends.run.render import render
 
-        options = self._options
+        quick = self._quick
         report = render(
-            self._out, options.backend, samples=[sample], spp=options.spp, passes=("rgb",),
-            executor=self._executor,
+            self._out, quick.backend, samples=[sample], spp=quick.spp, denoise=quick.denoise,
+            passes=("rgb",), executor=self._executor,
         )  # fmt: skip
         if report.failed:
             raise ScenecError("; ".join(report.failed))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from scenec.api.declare import require
 from scenec.backends.annotation.annotate import annotate
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
@@ -43,6 +44,7 @@ class StageView:
     @classmethod
     def of(cls, path: Path | str) -> StageView:
         """A stage by its root layer."""
+        require("path", path, "Path | str")
         return cls(find_batches(Path(path))[0])
 
     @cached_property

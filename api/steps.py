@@ -157,10 +157,12 @@ def render_output(
         executor: Who works; None: who the options say.
         batches: Only these; None: those that the options say.
     """
-    from scenec.backends.run.render import render as render_stages
-
-    plan, listener = plan_of(options, batches), options.listener
+    listener = options.listener
     with hire(options, executor) as worker:
+        # Imported here: beside the start of a worker.
+        from scenec.backends.run.render import render as render_stages
+
+        plan = plan_of(options, batches)
         report = render_stages(
             out,
             plan,
@@ -242,7 +244,10 @@ def hire(
     most = None if options.memory_limit is None else round(options.memory_limit * GB)
     if workers is None:
         workers = _choose_workers(options, most) if options.cluster in (None, "local") else 1
-    return make_executor(workers, options.cluster, Limits(options.timeout, memory_bytes=most))
+    # What is to be rendered is read while the worker imports; that of ``run`` has time enough.
+    modules = ["scenec.backends.run.session"] if isinstance(options, RenderOptions) else []
+    limits = Limits(options.timeout, memory_bytes=most)
+    return make_executor(workers, options.cluster, limits, modules)
 
 
 def _choose_workers(options: PictureOptions, most: int | None) -> int:
@@ -271,7 +276,7 @@ def refuse_early(options: PictureOptions, cfg: Cfg, executor: Executor | None = 
         BackendError: The backend cannot render what is asked for.
     """
     from scenec.backends.run.auto import check_backend
-    from scenec.schemas.frames import ANNOTATION_NAMES
+    from scenec.schemas.passes import ANNOTATION_NAMES
 
     wanted = options.passes
     rigs = cfg["rigs"]

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from scenec.schemas.records import FrameRecord
     from scenec.schemas.units import Executor, Outcome
 
+#: One after the other, or each with its index. Not looked through beforehand: they may be an
+#: iterator.
+type Seeds = Iterable[int] | Iterable[tuple[int, int]]
 #: Scenes a worker that are begun and not yet given: one that it draws, one that it compiles
 #: meanwhile, one that waits for another worker's.
 _AHEAD = 3
@@ -44,13 +47,13 @@ class StreamOptions(StageOptions, PictureOptions):
         settings: As of ``CompileOptions``.
     """
 
-    seeds: Iterable[int] | Iterable[tuple[int, int]] = option(
+    seeds: Seeds = option(
         range(2**64),
         "of the scenes, one after the other; or pairs (index, seed), of a part of them "
         "(default: 0, 1, … without end)",
     )
     start: int = option(0, "index of the first scene (default: 0)", form=forms.counted)
-    rgb: str = option(
+    color: str = option(
         "srgb8",
         "what ``frame.rgb`` is: srgb8, the picture, uint8 [h, w, 3] (default); srgb, the same as "
         "float32 in [0, 1]; radiance, linear, float32",
@@ -61,7 +64,7 @@ class StreamOptions(StageOptions, PictureOptions):
         "folder that keeps the output of each seed, SEED as ``run`` makes it, of which nothing is "
         "made twice (default: a temporary one, each scene removed once its frames were given)",
     )
-    settings: Iterable[str] = held((), many=True)
+    settings: Sequence[str] = held((), many=True)
     cache: bool | Path | str = option(
         False, "as of ``compile``; of scenes that are new little can be taken (default: none)"
     )
@@ -155,7 +158,7 @@ def stream(cfg: AnyCfg, options: StreamOptions) -> Iterator[StreamFrame]:
         SceneError: A scene cannot be built; ``faults`` says whether others then follow.
         BackendError, OutputError, StageError: As of ``render``; also where it gives up a frame.
     """
-    spec = read_cfg(cfg, tuple(options.settings))
+    spec = read_cfg(cfg, options.settings)
     for line in spec.warnings:
         options.listener.warn(str(line))
     return _frames(spec, options)
@@ -178,7 +181,7 @@ def _frames(spec: Spec, options: StreamOptions) -> Iterator[StreamFrame]:
                     heard.add(line)
                     options.listener.warn(line)
             if backend:
-                yield from _read(scene, backend, options.rgb)
+                yield from _read(scene, backend, options.color)
             scene.remove()
 
 
@@ -409,7 +412,7 @@ class DrawScene(SceneStep):
         return Done(self.batches, report.backend, lines)
 
 
-def _read(scene: Scene, backend: str, rgb: str) -> Iterator[StreamFrame]:
+def _read(scene: Scene, backend: str, color: str) -> Iterator[StreamFrame]:
     """Reads the frames of a scene."""
     import numpy as np
 
@@ -424,8 +427,8 @@ def _read(scene: Scene, backend: str, rgb: str) -> Iterator[StreamFrame]:
     for ref in source.frames:
         loaded = source.load(ref)
         shown: NDArray[Any] | None = loaded.passes.get("rgb")
-        if shown is not None and rgb != "radiance":
+        if shown is not None and color != "radiance":
             shown = picture(loaded)
-            if rgb == "srgb":
+            if color == "srgb":
                 shown = shown.astype(np.float32) / np.float32(255.0)
         yield StreamFrame(scene.index, scene.seed, shown, loaded)

@@ -25,7 +25,7 @@ class Stream(IterableDataset):
     """Frames of new scenes, for ``torch.utils.data.DataLoader``.
 
     Samples are those of a ``FrameDataset``, with ``index`` and ``seed`` of their scene, and with
-    ``rgb`` float32 [3, h, w], sRGB in [0, 1], unless ``rgb`` asks for ``srgb8`` (uint8) or
+    ``rgb`` float32 [3, h, w], sRGB in [0, 1], unless ``color`` asks for ``srgb8`` (uint8) or
     ``radiance`` (linear). Without ``passes`` they have those of the cfg.
 
     Workers of the loader, and processes of ``torch.distributed``, share the scenes out: of n, each
@@ -47,7 +47,7 @@ class Stream(IterableDataset):
         self, cfg: AnyCfg, *, rank: int | None = None, world: int | None = None, **options: Any
     ) -> None:
         self.cfg, self.rank, self.world = cfg, rank, world
-        self.options = {"workers": 0, "rgb": "srgb"} | options
+        self.options: dict[str, Any] = {"workers": 0, "color": "srgb", **options}
         # Refused here, not in a worker of the loader.
         StreamOptions(**self.options)
 

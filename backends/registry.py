@@ -17,7 +17,7 @@ from typing import Any
 from scenec.backends.contract import Backend, completed
 from scenec.schemas.errors import BackendError
 from scenec.schemas.extras import install
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
+from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.plugins import entry_points_of, error_line, load, names_of, offered, origin
 
 GROUP = "scenec.backends"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from scenec.api import forms
-from scenec.api.declare import CallOptions, declared
+from scenec.api.declare import CallOptions, declared, flag_of
 from scenec.api.options import (
     CompileOptions,
     PictureOptions,
@@ -46,7 +46,8 @@ def add(parser: argparse._ActionsContainer, record: type[CallOptions], *only: st
     for name in only or there:
         facts: dict[str, Any] = dict(there[name].metadata)
         help_ = facts.pop("help")
-        flag = facts.pop("flag", f"--{name.replace('_', '-')}")
+        flag = flag_of(name, there[name])
+        facts.pop("flag", None)
         form, many, default = facts.pop("form", None), facts.pop("many", False), there[name].default
         if facts.pop("const", False) or (default is False and "metavar" not in facts):
             parser.add_argument(flag, dest=name, action="store_true", default=default, help=help_)

@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from scenec.api.measure import ConvergeOptions, converge
 from scenec.api.text import table
-from scenec.cli.output import print_json, say, say_next
-from scenec.quality.converge import ConvergeReport, Ladder, converge
+from scenec.cli.arguments import chosen
+from scenec.cli.output import print_json, say_next
+from scenec.cli.terminal import Terminal
+from scenec.quality.converge import ConvergeReport
 from scenec.quality.converge.series import FLOOR_HEADER, STEP_HEADER, floor_cells, step_cells
 
 
 def run(options: argparse.Namespace) -> int:
     """Renders ladders, and says how they converge."""
-    spp = options.spp
-    if spp is None:
-        spp = () if options.seconds else Ladder().spp
-    ladder = Ladder(
-        spp=spp,
-        seconds=options.seconds or (),
-        repeats=options.repeats,
-        reference_spp=options.reference,
-        denoise=options.denoise,
-        samples=options.samples,
-        cameras=None if options.cameras is None else tuple(options.cameras),
-        device=options.device,
-        allow_missing=options.allow_missing,
-    )
-    found = converge(Path(options.out), options.backends, ladder, batches=options.batches, say=say)
+    found = converge(options.out, **chosen(ConvergeOptions, options), listener=Terminal())
     if options.json:
         print_json({**found.as_json(), "files": [path.as_posix() for path in found.files]})
     else:

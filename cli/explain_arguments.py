@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from scenec.api import forms
-from scenec.cli.arguments import add_json, counted, names, read_by
-
-_RUNGS = read_by(forms.whole(2, 12, "a whole number from 2 to 12"))
+from scenec.api.measure import LadderOptions
+from scenec.cli.arguments import add, add_json, counted
 
 
 def add_explain_options(parser: argparse.ArgumentParser) -> None:
@@ -33,17 +31,6 @@ def add_explain_options(parser: argparse.ArgumentParser) -> None:
         "seconds, bytes; builds the scene again and writes nothing to OUT",
     )
     group = parser.add_argument_group("with --ladder")
-    group.add_argument(
-        "--cfg", metavar="CFG", help="the cfg, where files that it names are not found beside OUT's"
-    )
-    group.add_argument(
-        "--rungs", type=_RUNGS, default=5, metavar="K", help="of each ladder, 2 to 12 (default: 5)"
-    )
-    group.add_argument(
-        "--only",
-        type=names,
-        metavar="A,B,…",
-        help="of tessellation,lod,sky,smoothing,craters,textures",
-    )
+    add(group, LadderOptions)
     group.add_argument("--csv", metavar="FILE", help="write the rungs as a table, too")
     group.add_argument("--plot", metavar="FILE.png", help="draw errors over seconds and bytes")

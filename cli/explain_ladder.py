@@ -6,9 +6,12 @@ import argparse
 import textwrap
 from pathlib import Path
 
+from scenec.api.measure import LadderOptions, ladder
 from scenec.api.text import table
-from scenec.cli.output import print_json, say
-from scenec.quality.ladder import Ladder, LadderReport, climb
+from scenec.cli.arguments import chosen
+from scenec.cli.output import print_json
+from scenec.cli.terminal import Terminal
+from scenec.quality.ladder import Ladder, LadderReport
 from scenec.quality.ladder.plots import draw
 from scenec.quality.ladder.results import cells, units
 from scenec.quality.ladder.slopes import slope_text
@@ -23,14 +26,7 @@ def run(options: argparse.Namespace) -> int:
     for file in (options.csv, options.plot):
         if file:
             check_output(Path(file))
-    report = climb(
-        options.out,
-        batch=options.batch,
-        cfg=options.cfg,
-        rungs=options.rungs,
-        only=options.only,
-        say=say,
-    )
+    report = ladder(options.out, **chosen(LadderOptions, options), listener=Terminal())
     if options.csv:
         with atomic(Path(options.csv)) as temporary:
             temporary.write_text(report.as_csv(), encoding="utf-8")
@@ -46,12 +42,12 @@ def run(options: argparse.Namespace) -> int:
 def print_report(report: LadderReport) -> None:
     """Tables of at most 100 columns: a rung a row, the cfg's own marked."""
     print(f"{report.scene}, seed {report.seed}, batch {report.batch}; * is the cfg's value")
-    for ladder in report.ladders:
-        print(f"\n{ladder.name}: {ladder.what}; errors in {units(ladder)}")
-        header, rows = cells(ladder)
+    for one in report.ladders:
+        print(f"\n{one.name}: {one.what}; errors in {units(one)}")
+        header, rows = cells(one)
         print(table(rows, header))
-        lines = [f"against: {ladder.reference}", f"claim: {ladder.claim}", *slope_lines(ladder)]
-        for line in [*lines, *ladder.notes]:
+        lines = [f"against: {one.reference}", f"claim: {one.claim}", *slope_lines(one)]
+        for line in [*lines, *one.notes]:
             print(textwrap.fill(line, _WIDTH, initial_indent="  ", subsequent_indent="    "))
     for name, why in report.absent.items():
         print(f"\n{name}: no ladder: {why}")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from scenec.api.make import ImportOptions, import_scene
+from scenec.cli.arguments import chosen
 from scenec.cli.output import print_json, say, say_next
-from scenec.importers.oaisys.read import import_oaisys
-from scenec.importers.output import Imported, check_free, write
+from scenec.cli.terminal import Terminal
 from scenec.importers.report import Report
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, write_json
@@ -21,37 +22,22 @@ def run(options: argparse.Namespace) -> int:
         OutputError: The cfg is there already, or cannot be written.
     """
     out, report = Path(options.output), Path(options.report) if options.report else None
-    check_free(out)
     if report is not None and report.exists():
         raise OutputError(f"{report}: is there already; choose another name by --report")
-    imported = _imported(options, Path(options.source), out)
-    warnings = write(imported)
+    imported = import_scene(
+        options.format, options.source, out, **chosen(ImportOptions, options), listener=Terminal()
+    )
     if report is not None:
         _write_report(report, imported.report)
     if options.json:
         print_json({"cfg": str(out), **imported.report.as_json()})
     elif report is None:
         print(imported.report.text())
-    for warning in warnings:
-        say(f"warning: {warning}")
     counts = ", ".join(f"{n} {fate}" for fate, n in imported.report.counts().items())
     say(f"{out} written: {counts}")
     words = " ".join(["run", *imported.options, "-o OUT"])
     say_next((words, out))
     return 0
-
-
-def _imported(options: argparse.Namespace, source: Path, out: Path) -> Imported:
-    folders = [Path(folder) for folder in options.assets]
-    if options.format == "usd":
-        from scenec.importers.usd.read import import_usd
-
-        return import_usd(source, out, ground=options.ground, keep=options.keep)
-    if options.format == "blenderproc":
-        from scenec.importers.blenderproc.read import import_blenderproc
-
-        return import_blenderproc(source, out, folders=folders, stand_ins=options.stand_ins)
-    return import_oaisys(source, out, folders=folders, stand_ins=options.stand_ins)
 
 
 def _write_report(file: Path, report: Report) -> None:

@@ -46,5 +46,5 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"file": str(file), "about": about[options.template]})
     else:
-        print(f"{file} written; next: scenec run {file} -o OUT")
+        print(f"{file} written; next: scenec run {file} -o OUT, or scenec preview {file}")
     return 0

@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from scenec.api import forms
+from scenec.api.make import SettleOptions
+from scenec.api.measure import ConvergeOptions
 from scenec.api.options import (
     CheckOptions,
     CompileOptions,
@@ -37,13 +39,11 @@ from scenec.cli.arguments import (
     read_by,
 )
 from scenec.cli.completion import complete
-from scenec.cli.converge_arguments import add_converge_options
 from scenec.cli.evaluate_arguments import add_evaluate_options
 from scenec.cli.explain_arguments import add_explain_options
 from scenec.cli.export_arguments import add_export_options
 from scenec.cli.import_arguments import add_import_options
 from scenec.cli.output import clear_bar, tell
-from scenec.cli.settle_arguments import add_settle_options
 from scenec.cli.supervise import supervised
 from scenec.cli.sweep_arguments import add_sweep_options
 from scenec.cli.view_arguments import add_view_options
@@ -240,7 +240,7 @@ def parser() -> argparse.ArgumentParser:
     settle = _command(commands, "settle", "drop chosen objects by physics, into a table of poses")
     add_cfg(settle, "settings", "seed")
     settle.add_argument("-o", "--out", metavar="CSV", required=True, help="table of poses")
-    add_settle_options(settle)
+    add(settle, SettleOptions)
     add_json(settle)
 
     render = _command(commands, "render", "render what was compiled, or any USD stage")
@@ -292,9 +292,10 @@ def parser() -> argparse.ArgumentParser:
         _command(commands, "evaluate", "how good predictions are: AP, IoU, depth, tracks")
     )
 
-    add_converge_options(
-        _command(commands, "converge", "error against run time, for each renderer")
-    )
+    converge = _command(commands, "converge", "error against run time, for each renderer")
+    converge.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
+    add(converge, ConvergeOptions)
+    add_json(converge)
 
     add_explain_options(
         _command(commands, "explain", "what each pass cost and erred, what was left out, and why")

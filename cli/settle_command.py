@@ -5,30 +5,17 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 
-from scenec.cli.output import print_json, say, warn
-from scenec.compiler.cfg.load import load
-from scenec.settle.settle import SettleReport, settle
-from scenec.settle.world import Options
+from scenec.api.make import SettleOptions, settle_objects
+from scenec.cli.arguments import chosen
+from scenec.cli.output import print_json, say
+from scenec.cli.terminal import Terminal
+from scenec.settle.settle import SettleReport
 
 
 def run(options: argparse.Namespace) -> int:
     """Settles, and says what came of it."""
-    report = settle(
-        warn(load(options.cfg, options.settings)),
-        seed=options.seed,
-        objects=options.objects,
-        out=options.out,
-        batch=options.batch,
-        attempt=options.attempt,
-        among=options.among,
-        options=Options(
-            drop_m=options.drop,
-            friction=options.friction,
-            restitution=options.restitution,
-            cells=options.cells,
-            max_steps=options.max_steps,
-        ),
-        progress=say,
+    report = settle_objects(
+        options.cfg, options.out, **chosen(SettleOptions, options), listener=Terminal()
     )
     if options.json:
         print_json({**asdict(report), "files": {n: str(f) for n, f in report.files.items()}})

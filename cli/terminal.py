@@ -31,6 +31,8 @@ class Terminal(Listener):
         made: What was done so far, for scripts, by command.
     """
 
+    flags = True
+
     def __init__(self, verbose: bool = False) -> None:
         self._verbose = verbose
         self.made: dict[str, Any] = {}

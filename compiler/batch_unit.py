@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -123,7 +125,12 @@ class CompileBatch:
             log = BuildLog(seconds={}, tell=step)
             memo = None if store is None else Memo(store)
             try:
-                with blaming(kind=SceneError), memoizing(memo):
+                # OpenUSD is read meanwhile.
+                with (
+                    _imported("scenec.compiler.emit.batch"),
+                    blaming(kind=SceneError),
+                    memoizing(memo),
+                ):
                     with log.timed("draw"):
                         plans = [draw(spec, self.seed, self.batch, attempt)]
                     # Handed over, so that it can let go of what it has built.
@@ -167,6 +174,14 @@ class CompileBatch:
         if log.record is not None:
             write_left_out(folder, log.record)
         return decode(encode(log.facts), BatchReport, OutputError, str(folder / REPORT))
+
+
+@contextmanager
+def _imported(module: str) -> Iterator[None]:
+    """Imports a module beside the block, which waits for it at its end."""
+    with ThreadPoolExecutor(1, "import") as pool:
+        pool.submit(import_module, module)
+        yield
 
 
 def _write(folder: Path, scene: Scene) -> None:

@@ -3,18 +3,21 @@
 A step reads values by its parameters' names, and gives some, which later steps read in place of
 earlier ones of the same name. What is given does not change, so the list is a graph, too: a step
 depends on those that gave last what it reads, and on nothing else but two context variables, the
-cache (``cache.memo``) and how many threads a step takes (``schemas.threads``). ``noises`` keep what
-is computed of them, which changes no result; ``timed`` knows of time alone.
+cache (``cache.memo``) and how many threads a step takes (``schemas.threads``). So steps run on
+threads, each once what it reads is there. ``noises`` keep what is computed of them, which changes
+no result; ``timed`` knows of time alone.
 """
 
 from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -26,7 +29,12 @@ from scenec.compiler.light.build import SceneLight, expose_rigs, light_lamps, li
 from scenec.compiler.materials.build import finish_materials, prune_scene, select_outputs
 from scenec.compiler.mesh import build as mesh
 from scenec.compiler.mesh.precision import find_precision
-from scenec.compiler.objects.build import build_objects, place_obstacles
+from scenec.compiler.objects.build import (
+    build_objects,
+    place_filleted,
+    place_obstacles,
+    shape_objects,
+)
 from scenec.compiler.plan import Plan, fine_everywhere, needs_of_plan
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import Lamp
@@ -38,6 +46,7 @@ from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.views.needed import Keep, Needs
 from scenec.schemas.left_out import Facts, Record
 from scenec.schemas.memory import keep_freed
+from scenec.schemas.threads import run_graph
 
 #: Values by name, of the types that the parameters of steps have.
 State = Mapping[str, Any]
@@ -49,7 +58,7 @@ class BuildLog:
 
     Attributes:
         facts: For report.json.
-        seconds: For timings.json.
+        seconds: For timings.json; of steps that run beside each other, each counts.
         tell: Called with the name of each step that begins.
         record: Why each instance is in the Scene or is not; None where none is missing.
     """
@@ -58,6 +67,7 @@ class BuildLog:
     seconds: dict[str, float] = field(default_factory=dict)
     tell: Callable[[str], None] | None = None
     record: Record | None = None
+    _lock: Lock = field(default_factory=Lock, init=False, repr=False, compare=False)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -66,7 +76,8 @@ class BuildLog:
             self.tell(name)
         start = time.perf_counter()
         yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        with self._lock:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     def join(self, facts: Facts) -> None:
         """Adds a step's facts; what several say of a thing is one object, or one list."""
@@ -99,15 +110,12 @@ class BuildStep:
         """Names of the values that it reads."""
         return tuple(inspect.signature(self.function).parameters)
 
-    def run(self, state: State, log: BuildLog) -> State:
-        """Returns the state with what it gives, and adds its facts to the log."""
-        if self.color and not state["needs"].color:
-            return state
+    def run(self, given: State, log: BuildLog) -> tuple[dict[str, Any], Facts]:
+        """Returns what it gives, by name, and its facts."""
         with log.timed(self.name) if self.name else nullcontext():
-            found = self.function(**{name: state[name] for name in self.reads})
-        *given, facts = found if isinstance(found, tuple) else (found,)
-        log.join(facts or {})
-        return {**state, **dict(zip(self.gives, given, strict=True))}
+            found = self.function(**given)
+        *values, facts = found if isinstance(found, tuple) else (found,)
+        return dict(zip(self.gives, values, strict=True)), facts or {}
 
 
 def assemble(
@@ -165,7 +173,9 @@ STEPS = (
     BuildStep("cameras", expose_rigs, ("rigs",), color=True),
     BuildStep("ground", mesh.see_ground, ("views", "near", "color_views")),
     BuildStep("ground", mesh.build_land, ("land",)),
-    BuildStep("", build_objects, ("objects", "surface", "material_plans", "errors_m", "filleted")),
+    BuildStep("", shape_objects, ("shaped", "material_plans")),
+    BuildStep("", place_filleted, ("placing", "surface", "filleted")),
+    BuildStep("", build_objects, ("objects", "errors_m")),
     BuildStep("ground", mesh.build_ground, ("ground", "ground_error_m", "reached_px")),
     BuildStep("cameras", require_open),
     BuildStep("outputs", select_outputs, ("material_plans", "ground", "objects", "lamps")),
@@ -191,15 +201,52 @@ def build(plan: Plan, log: BuildLog, keep: Keep = Keep.SEEN) -> Scene:
     keep_freed()
     state = _drawn(plan, log, keep)
     del plan
-    last = {name: step for step in STEPS for name in step.reads}
-    for step in STEPS:
-        state = step.run(state, log)
-        # Of millions of objects what was drawn for them takes more than what became of it.
-        gone = {name for name in step.reads if last[name] is step}.difference(step.gives)
-        state = {name: value for name, value in state.items() if name not in gone}
-    log.record = state["record"]
-    scene: Scene = state["scene"]
+    done = _run(STEPS, state, log, ("scene", "record"))
+    log.record = done["record"]
+    scene: Scene = done["scene"]
     return scene
+
+
+def _run(
+    steps: Sequence[BuildStep], state: dict[str, Any], log: BuildLog, kept: Collection[str]
+) -> State:
+    """Runs steps as a graph; returns what there is of some names after all of them.
+
+    Args:
+        steps: In an order in which they could run.
+        state: What there is before them; it is emptied.
+        log: Receives facts, in the steps' order.
+        kept: The names; anything else is let go of after the last that reads it. Of millions of
+            objects what was drawn for them takes more than what became of it.
+    """
+    steps = [step for step in steps if state["needs"].color or not step.color]
+    giver = dict.fromkeys(state, -1)
+    # Each value is known by who gave it (-1: nobody did) and its name.
+    reads: list[dict[str, tuple[int, str]]] = []
+    for number, step in enumerate(steps):
+        reads.append({name: (giver[name], name) for name in step.reads})
+        giver |= dict.fromkeys(step.gives, number)
+    last = {name: (giver[name], name) for name in kept if name in giver}
+    readers = Counter(value for of in (*reads, last) for value in of.values())
+    known = {(-1, name): value for name, value in state.items() if (-1, name) in readers}
+    state.clear()
+    facts: dict[int, Facts] = {}
+
+    def run(number: int) -> tuple[dict[str, Any], Facts]:
+        return steps[number].run({name: known[of] for name, of in reads[number].items()}, log)
+
+    def take(number: int, result: tuple[dict[str, Any], Facts]) -> None:
+        given, facts[number] = result
+        known.update(((number, name), value) for name, value in given.items())
+        for value in [*reads[number].values(), *((number, name) for name in given)]:
+            readers[value] -= value[0] != number
+            if not readers[value]:
+                del known[value]
+
+    run_graph([{by for by, _ in of.values()} - {-1} for of in reads], run, take)
+    for number in sorted(facts):
+        log.join(facts[number])
+    return {name: known[value] for name, value in last.items()}
 
 
 def build_to(function: Callable[..., Any], plan: Plan, **given: Any) -> State:
@@ -214,19 +261,17 @@ def build_to(function: Callable[..., Any], plan: Plan, **given: Any) -> State:
         SceneError: The cfg is valid, but what it asks for cannot be built.
     """
     log = given.pop("log", None) or BuildLog()
-    state: State = {**_drawn(plan, log, Keep.SEEN), "needs": Needs(False, False, False), **given}
+    state = {**_drawn(plan, log, Keep.SEEN), "needs": Needs(False, False, False), **given}
     steps: list[BuildStep] = []
     wanted: set[str] = set()
     for step in reversed(STEPS):
         if step.function is function or wanted.intersection(step.gives):
             steps.insert(0, step)
             wanted = wanted.difference(step.gives).union(step.reads) - given.keys()
-    for step in steps:
-        state = step.run(state, log)
-    return state
+    return _run(steps, state, log, {*state}.union(*(step.gives for step in steps)))
 
 
-def _drawn(plan: Plan, log: BuildLog, keep: Keep) -> State:
+def _drawn(plan: Plan, log: BuildLog, keep: Keep) -> dict[str, Any]:
     """Returns the values before the first step: ``drawn_…`` for each part of a plan."""
     if keep is Keep.ALL:
         plan = fine_everywhere(plan)

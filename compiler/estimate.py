@@ -2,7 +2,7 @@
 
 Bytes and seconds are those of what grows without bound with a key: instances, height samples,
 pictures of skies, vertices of prototypes, samples, classes. They were measured at the peak of a
-compilation on two cores (``docs/numbers.md`` holds the table): memory within 25 %, time within a
+compilation on two cores (``docs/numbers.md`` holds the table): memory within 35 %, time within a
 factor of 3, which depends on the machine. What has a bound of its own is in ``BASE_BYTES``.
 """
 

@@ -263,6 +263,7 @@ def _again(summary: dict[str, Any], statistics: dict[str, Any], cfg: str | None)
             words += ["--noise-seed", str(how["noise_seed"])]
         words += ["--passes", ",".join(_requested_passes(how["passes"] or ()))]
         words += ["--denoise"] if how["denoised"] else []
+        words += ["--rgb", how["rgb"]] if "rgb" in how else []
         words += _span("--samples", asked["samples"])
         lines.append(shlex.join(words))
     words = ["scenec", "export", out, "--format", summary["format"], "-o", "AGAIN"]

@@ -25,7 +25,7 @@ from scenec.schemas.codec import encode
 from scenec.schemas.consistency import frame_faults, table_faults
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import sha256
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, Frame, frame_stem, read_frame
+from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
     FRAME_COLUMNS,
@@ -41,6 +41,7 @@ from scenec.schemas.manifest import (
     read_manifest,
     stage_digest,
 )
+from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.records import FileDigest, FrameRecord
 from scenec.schemas.sidecars import lens_of, read_sidecar
 from scenec.schemas.spelling import nearest

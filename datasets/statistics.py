@@ -291,6 +291,7 @@ def _rendering(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
         "noise_seed": record.noise_seed,
         "denoised": record.denoised,
         "passes": record.passes,
+        **({} if record.half is None else {"rgb": "half"}),
     }
     shutter = record.shutter
     camera = {

@@ -29,10 +29,6 @@ from scenec.schemas.records import FileDigest, FrameRecord, ImagingRecord, Round
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.versions import version_of
 
-#: In place of a backend's name: annotation alone, which needs no renderer; and its spellings.
-ANNOTATION = "annotation"
-ANNOTATION_NAMES = (ANNOTATION, "reference")
-
 #: Version of the sidecar's shape.
 FRAME_VERSION = "1.7"
 
@@ -119,6 +115,7 @@ class FrameKey:
         error: Relative rms error that ``rgb`` is rendered to; ``spp`` is then the most. None for no
             such target.
         seconds: Seconds that its light may take, likewise.
+        half: Whether ``rgb`` is written as half floats.
     """
 
     stage_digest: str
@@ -130,6 +127,7 @@ class FrameKey:
     denoise: bool = False
     error: float | None = None
     seconds: float | None = None
+    half: bool = False
 
     def digest(self) -> str:
         """The resume key: sha256, hex."""
@@ -207,6 +205,8 @@ def would_lose(stem: Path, key: FrameKey) -> str | None:
             parts.append(f"of noise seed {was.noise_seed}, not {key.noise_seed}")
         if was.denoise != key.denoise:
             parts.append("denoised" if was.denoise else "not denoised")
+        if was.half != key.half:
+            parts.append("with rgb as half floats" if was.half else "with rgb as floats")
     return ", ".join(parts) or None
 
 
@@ -225,6 +225,7 @@ def _with_rgb_of(record: FrameRecord, key: FrameKey) -> FrameKey:
         denoise=record.denoised is not None,
         error=rounds.target_relative_rms,
         seconds=rounds.target_seconds,
+        half=record.half is not None,
     )
 
 

@@ -13,20 +13,23 @@ GB = 1e9
 
 _CGROUPS = Path("/sys/fs/cgroup")
 _OWN = Path("/proc/self/cgroup")
-#: Of glibc's malloc.h: what is free at the heap's end and stays there; what is mapped alone; bytes.
+#: Of glibc's malloc.h: what is free at the heap's end and stays there; what is mapped alone; bytes;
+#: heaps.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = (-1, 128 << 20), (-3, 32 << 20)
+_M_ARENA_MAX = (-8, 1)
 
 
 @cache
 def keep_freed() -> None:
     """Makes the C library give arrays the memory of earlier ones, where it is glibc.
 
-    By itself it returns that to the system, which clears every page again that it hands out.
+    By itself it returns that to the system, which clears every page again that it hands out; and a
+    heap for each thread would keep what no other thread can take.
     """
     if sys.platform == "linux":
         # Other libraries have no such function, or take no notice.
         set_option = getattr(ctypes.CDLL(None), "mallopt", None)
-        for option in (_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD):
+        for option in (_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX):
             if set_option is not None:
                 set_option(*option)
 

@@ -16,6 +16,10 @@ from scenec.schemas.depth_camera import MEASURED
 #: Entry points of other packages.
 GROUP = "scenec.passes"
 
+#: In place of a backend's name: annotation alone, which needs no renderer; and its spellings.
+ANNOTATION = "annotation"
+ANNOTATION_NAMES = (ANNOTATION, "reference")
+
 #: The pass that is a file of its own (``scenec.schemas.amodal``), and the one of each label level.
 AMODAL, LABEL = "amodal", "label"
 

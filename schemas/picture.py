@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.files import atomic
+from scenec.schemas.kernels import kernel
 from scenec.schemas.records import PictureRecord
+from scenec.schemas.threads import over_threads
 
 #: The curve is linear below this and rolls off to 1 above it.
 SHOULDER = 0.6
+#: Level of ``write_png`` for renderings.
+RENDERED = 2
 #: Numbers that are developed at once.
 _AT_ONCE = 1 << 22
+#: Bits of an infinite float32; how many lower bits of one the table of codes goes without; stops up
+#: to which no finite one becomes infinite.
+_INFINITY, _DROPPED, _MOST_EV = 0x7F800000, 16, 800.0
 
 #: A pixel is black if no channel reaches the code ``BLACK``, and burnt out if none is below
 #: ``BURNT``. Pictures are, if more than these shares of all pixels that show surfaces are.
@@ -69,7 +77,22 @@ def srgb_bytes(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.uint8]:
-    """An 8-bit sRGB picture of linear radiance, the same shape."""
+    """An 8-bit sRGB picture of linear radiance, the same shape.
+
+    Of float32, codes are looked up: they ascend with radiance, so 255 bounds that are found by
+    bisection of the definition (``develop_exactly``) give the same codes in a seventh of the time.
+    """
+    if np.asarray(radiance).dtype != np.float32 or abs(exposure_ev) > _MOST_EV:
+        return develop_exactly(radiance, exposure_ev)
+    out = np.empty(np.shape(radiance), np.uint8)
+    values, pixels = np.ravel(radiance), out.reshape(-1)
+    lowest, codes = _bounds(float(exposure_ev))
+    over_threads(_look_up, len(values), values.view(np.int32), lowest, codes, pixels, least=1 << 16)
+    return out
+
+
+def develop_exactly(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.uint8]:
+    """Computes ``develop`` by its definition (``DESCRIPTION``), for floats of any type."""
     out = np.empty(np.shape(radiance), np.uint8)
     # Part by part: what is made on the way is eight times as large as the picture.
     values, pixels = np.ravel(radiance), out.reshape(-1)
@@ -78,6 +101,37 @@ def develop(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray
         shown = srgb_encode(tone_map(values[part], exposure_ev))
         pixels[part] = np.rint(255.0 * shown)
     return out
+
+
+@lru_cache(maxsize=8)
+def _bounds(exposure_ev: float) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+    """The bits of the least float32 of each code, int32 [257], and codes by the highest bits.
+
+    Bits of floats that are not negative ascend as the floats do.
+    """
+    codes = np.arange(1, 256)
+    below, reaches = np.zeros(255, np.int64), np.full(255, _INFINITY, np.int64)
+    while (open_ := reaches - below > 1).any():
+        middle = np.where(open_, (below + reaches) // 2, reaches)
+        finite = middle < _INFINITY
+        floats = middle.astype(np.int32).view(np.float32)
+        enough = ~finite | (develop_exactly(floats, exposure_ev) >= codes)
+        reaches, below = np.where(enough, middle, reaches), np.where(enough, below, middle)
+    lowest = np.concatenate([[0], reaches, [_INFINITY]]).astype(np.int32)
+    starts = np.arange(1 << (31 - _DROPPED)) << _DROPPED
+    return lowest, (np.searchsorted(lowest[:256], starts, side="right") - 1).astype(np.uint8)
+
+
+@kernel
+def _look_up(first, last, bits, lowest, codes, pixels):  # type: ignore[no-untyped-def]
+    for i in range(first, last):
+        value = bits[i]
+        code = 0
+        if 0 <= value < _INFINITY:
+            code = codes[value >> _DROPPED]
+            while value >= lowest[code + 1]:
+                code += 1
+        pixels[i] = code
 
 
 def tally(
@@ -90,14 +144,30 @@ def tally(
         radiance: What it is of, [h, w, 3].
         surfaces: Where it shows any, [h, w].
     """
-    seen = pixels[surfaces]
-    level = luminance(radiance[surfaces].astype(np.float64))
+    rows = len(pixels)
+    counts, sums = np.zeros((rows, 3), np.int64), np.zeros(rows)
+    over_threads(_tally_rows, rows, pixels, radiance, surfaces, counts, sums, least=64)
+    number, black, burnt = map(int, counts.sum(axis=0))
     return PictureRecord(
-        surfaces=len(seen),
-        black=int((seen < BLACK).all(axis=1).sum()),
-        burnt=int((seen >= BURNT).all(axis=1).sum()),
-        mean_luminance=float(level.mean()) if len(seen) else 0.0,
+        surfaces=number,
+        black=black,
+        burnt=burnt,
+        mean_luminance=float(sums.sum()) / number if number else 0.0,
     )
+
+
+@kernel
+def _tally_rows(first, last, pixels, radiance, surfaces, counts, sums):  # type: ignore[no-untyped-def]
+    for row in range(first, last):
+        for column in range(pixels.shape[1]):
+            if not surfaces[row, column]:
+                continue
+            r, g, b = pixels[row, column]
+            counts[row, 0] += 1
+            counts[row, 1] += max(r, g, b) < BLACK
+            counts[row, 2] += min(r, g, b) >= BURNT
+            for channel in range(3):
+                sums[row] += LUMINANCE[channel] * np.float64(radiance[row, column, channel])
 
 
 def fault(tallies: Sequence[PictureRecord]) -> str | None:
@@ -112,8 +182,14 @@ def fault(tallies: Sequence[PictureRecord]) -> str | None:
     return "burnt out" if burnt > BURNT_SHARE * surfaces else None
 
 
-def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], level: int = 6) -> None:
     """Write [h, w, 3] of 8 bits, or [h, w] of 8 or 16, as PNG, by atomic rename.
+
+    Args:
+        path: The file.
+        pixels: The picture.
+        level: Of zlib, 1 to 9. ``RENDERED`` takes a third of the time of the usual one, and of
+            what is rendered with noise no more bytes.
 
     Raises:
         OutputError: The file cannot be written.
@@ -121,4 +197,4 @@ def write_png(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> Non
     from PIL import Image
 
     with atomic(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
+        Image.fromarray(pixels).save(temporary, format="PNG", compress_level=level)

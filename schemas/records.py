@@ -197,6 +197,19 @@ class HazePixels:
     changing_pixels: int | None = omitted()
 
 
+@dataclass(frozen=True, kw_only=True)
+class HalfRecord:
+    """Counts values of ``rgb`` that half floats do not hold to 11 bits.
+
+    Attributes:
+        clamped: Finite ones beyond 65504, written as that.
+        subnormal: Those below 2^-14 that are not 0, written to the next multiple of 2^-24.
+    """
+
+    clamped: Natural
+    subnormal: Natural
+
+
 @dataclass(frozen=True)
 class ErrorEstimate:
     """Estimates of a picture's Monte Carlo error; None where it is unknown.
@@ -273,6 +286,17 @@ class BackendChoice:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class RendererFacts:
+    """Identifies the renderer of pictures, for sidecars, resume keys and messages."""
+
+    backend: str
+    version: str
+    device: str
+    denoiser: str | None
+    warning: str | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameRecord:
     """Records the facts of a frame: ``conventions`` says what the values mean.
@@ -282,6 +306,7 @@ class FrameRecord:
             without one.
         sun: None without a sun.
         png: Whether there is a picture.
+        half: Where ``rgb`` is written as half floats.
         instances: Prim path of each class, and the id before its first.
         device: Where ``rgb`` was rendered.
         denoised: What denoised it.
@@ -320,6 +345,7 @@ class FrameRecord:
     exr: FileDigest
     png: bool = False
     picture: PictureRecord | None = None
+    half: HalfRecord | None = omitted()
     instance_table: FileDigest | None = None
     amodal: FileDigest | None = None
     imaging: ImagingRecord | None = omitted()

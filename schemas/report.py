@@ -79,6 +79,7 @@ class FinerFacts:
     surface_error_found_px: float | None = omitted(
         needed=lambda given: "surface_error_max_px" not in given
     )
+    surface_error_found_m: float = 0.0
 
     @property
     def found_px(self) -> float:
@@ -97,6 +98,7 @@ class MeshFacts:
     tolerance_reached_px: float
     budget_bound: bool
     height_error_max_px: float
+    height_error_max_m: float = 0.0
     label_error_max_px: float | None = omitted()
     finer: FinerFacts | None = None
 
@@ -195,6 +197,14 @@ class SkyFacts:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CloudFacts:
+    """Clouds: the share of the sun's light that they leave at the origin, at each sample."""
+
+    sun_transmittance: tuple[float, ...]
+    facts: Mapping[str, JSON] = rest()
+
+
+@dataclass(frozen=True, kw_only=True)
 class PictureFacts:
     """A picture of a material: what of its texels was kept, and what that lost."""
 
@@ -265,6 +275,7 @@ class BatchReport:
     object_budget: BudgetFacts | None = None
     precision: PrecisionFacts | None = omitted()
     sky: SkyFacts = field(default_factory=SkyFacts)
+    clouds: CloudFacts | None = omitted()
     surfaces: Mapping[str, SurfaceFacts] = field(default_factory=dict)
     motion: Mapping[str, Mapping[str, JSON]] = field(default_factory=dict)
     prune: PruneFacts | None = None

@@ -11,6 +11,8 @@ from collections.abc import Iterable
 
 #: Name of a library: its package in Debian and Ubuntu, and in Fedora.
 _PACKAGES = {
+    "libatomic.so.1": ("libatomic1", "libatomic"),
+    "libz.so.1": ("zlib1g", "zlib-ng-compat"),
     "libEGL.so.1": ("libegl1", "libglvnd-egl"),
     "libGL.so.1": ("libgl1", "libglvnd-glx"),
     "libOpenGL.so.0": ("libopengl0", "libglvnd-opengl"),
@@ -29,6 +31,8 @@ OF_BLENDER = (
     "libX11.so.6", "libXrender.so.1", "libXfixes.so.3", "libXi.so.6", "libXext.so.6", "libXt.so.6",
     "libSM.so.6", "libICE.so.6", "libxkbcommon.so.0", "libGL.so.1",
 )  # fmt: skip
+#: What Mitsuba's and Dr.Jit's wheels need and do not bring.
+OF_MITSUBA = ("libatomic.so.1", "libz.so.1")
 #: What draws without a window: EGL, and OpenGL, which either of two libraries gives.
 OF_EGL = ("libEGL.so.1", "libOpenGL.so.0")
 

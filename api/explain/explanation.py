@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from scenec.api.declare import held_to_types
 from scenec.api.explain.data import BatchData, read_batches
 from scenec.api.explain.left_out import as_json, left_out_of, left_out_text, parts_of, rates_of
 from scenec.api.explain.passes import frames_text, passes_text, rows_of
@@ -96,6 +97,7 @@ class Explanation:
         return f"<pre>{html.escape(self.text())}</pre>"
 
 
+@held_to_types
 def explain(out: Path | str, batch: int | None = None) -> Explanation:
     """Explains each pass's time and error, what was left out, and what that spared.
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from scenec.api.declare import held_to_types
 from scenec.api.explain.data import BatchData, read_batches
 from scenec.api.explain.sight import Sight, nearest_camera
 from scenec.api.explain.stage import ClassContents, StageContents, read_contents
@@ -109,6 +110,7 @@ class Why:
         return found
 
 
+@held_to_types
 def why(out: Path | str, question: str, batch: int | None = None) -> Why:
     """Why something is in a stage, or why it is not.
 

@@ -27,9 +27,9 @@ from scenec.backends.run.render import render
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, FrameError
-from scenec.schemas.frames import ANNOTATION_NAMES, Frame, frame_stem, read_frame
+from scenec.schemas.frames import Frame, frame_stem, read_frame
 from scenec.schemas.manifest import FRAMES, Batch, find_batches
-from scenec.schemas.passes import AMODAL
+from scenec.schemas.passes import AMODAL, ANNOTATION_NAMES
 from scenec.schemas.scratch import scratch_folder
 from scenec.schemas.units import Say
 

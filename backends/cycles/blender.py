@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -38,7 +39,7 @@ def load_bpy() -> Any:
             bpy = importlib.import_module("bpy")
         except ImportError as error:
             other, absent = _foreign_tbb(), missing(OF_BLENDER)
-            if absent and not other:
+            if absent and not other and importlib.util.find_spec("bpy"):
                 raise BackendError(f"Blender cannot be imported: {mend(absent)}") from error
             what = (
                 f"this process has loaded {other}, and Blender's libraries have a newer TBB of "

@@ -433,9 +433,9 @@ def _gather(beams, rest, count, p):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _trace_rays(g, beams, rest, count, alone, world, p, stack, hits):  # type: ignore[no-untyped-def]
+def _trace_rays(g, beams, rest, alone, world, p, stack, hits):  # type: ignore[no-untyped-def]
     """Finds the hits of a tile's rays, ``rest``, by packets, or one by one; False: they had to."""
-    well = True
+    well, count = True, rest.shape[0]
     while count > 0:
         frame, taken, count = _gather(beams, rest, count, p)
         done = False
@@ -472,7 +472,7 @@ def _trace_tiles(first, last, g, beams, shape, known, world, hits):  # type: ign
                     rest[count] = y * width + x
                     count += 1
         wait -= 1
-        if not _trace_rays(g, beams, rest, count, wait >= 0, world, p, stack, hits):
+        if not _trace_rays(g, beams, rest[:count], wait >= 0, world, p, stack, hits):
             wait, pause = pause, min(2 * pause, _LONGEST_PAUSE)
         elif wait < 0:
             pause = _PAUSE

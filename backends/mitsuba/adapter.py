@@ -31,6 +31,8 @@ from scenec.schemas.errors import BackendError
 
 #: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).
 MAX_WAVEFRONT = 1 << 25
+#: Where paths are gathered: 160 bytes a sample.
+MAX_GATHERED = 1 << 22
 #: Where instances are kept: 150 bytes a sample.
 MAX_KEPT = 1 << 21
 #: Samples per pixel of what guides the denoiser.
@@ -113,6 +115,7 @@ class Mitsuba(Backend):
         parts |= self._emitters(scene)
         # Merging equal meshes would renumber the faces that the witness names.
         self._scene = mi.load_dict(parts, optimize=False)
+        # For a GPU, and for surfaces that give off light: ``paths`` does not look for them.
         self._integrator = mi.load_dict(
             {
                 "type": "path",
@@ -139,6 +142,10 @@ class Mitsuba(Backend):
             self._lamps.around = self._light
         self._set_light(Lighting((), ()))
         return {"light": self._emitter()}
+
+    def _gathers(self) -> bool:
+        """Whether paths are gathered after a bounce: not on a GPU, where nobody has tried it."""
+        return self.device == "cpu" and not self._glows
 
     def _emitter(self) -> Any:
         return self._light if self._lamps is None else self._lamps
@@ -234,7 +241,8 @@ class Mitsuba(Backend):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         light = np.zeros((camera.height, camera.width, 3))
         alpha = np.zeros((camera.height, camera.width))
-        most = MAX_WAVEFRONT if self._kept is None else MAX_KEPT
+        most = MAX_GATHERED if self._gathers() else MAX_WAVEFRONT
+        most = most if self._kept is None else MAX_KEPT
         for count in split_samples(spp, camera.width * camera.height, most):
             light_sum, alpha_sum = self._pass(camera, first, count, seed)
             light += light_sum
@@ -253,6 +261,11 @@ class Mitsuba(Backend):
         ray, sampler = self._rays(camera, first, spp, seed)
         if self._kept is not None:
             light, valid = self._kept.sample(self._emitter(), sampler, ray)
+        elif self._gathers():
+            # Of the variant, as the sampler is.
+            from scenec.backends.mitsuba import paths
+
+            light, valid = paths.sample(self._scene, self._emitter(), sampler, ray, self._bounces)
         else:
             light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
         if self._glows:

@@ -237,24 +237,17 @@ class InstancedScene:
         """One step of the path integrator: light that is drawn, and the way on."""
         import drjit as dr
 
+        # Of the variant, which is set by now.
+        from scenec.backends.mitsuba import paths
+
         mi = self._mi
         count = len(hit.row)
         si, bsdf = self._interaction(hit)
         numbers = [mi.Float(values) for values in aligned_columns(drawn)]
 
-        ds, value = light.sample_direction(si, mi.Point2f(*numbers[:2]), mi.Bool(True))
-        reflected, density, bs, weight = bsdf.eval_pdf_sample(
-            mi.BSDFContext(), si, si.to_local(ds.d), numbers[2], mi.Point2f(*numbers[3:])
-        )
-        share = dr.select(ds.delta, 1.0, _balance(ds.pdf, density))
-        direct = dr.select(ds.pdf != 0.0, value * reflected * share, 0.0)
-        onward = si.to_world(bs.wo)
-        sky = dr.zeros(mi.SurfaceInteraction3f)
-        sky.wi = -onward
-        toward = dr.zeros(mi.DirectionSample3f)
-        toward.d = onward
-        leaving = light.eval(sky) * _balance(bs.pdf, light.pdf_direction(si, toward))
-        dr.eval(ds.d, ds.dist, direct, onward, weight, leaving)
+        points = mi.Point2f(*numbers[:2]), numbers[2], mi.Point2f(*numbers[3:])
+        shaded = paths.shade(light, si, bsdf, points, mi.Bool(True))
+        dr.eval(shaded.to_light.d, shaded.to_light.dist, *shaded[1:])
 
         def rows(values: Any, kind: Any = np.float32) -> Any:
             # Channel by channel: all at once is another kernel for each number of hits.
@@ -264,12 +257,12 @@ class InstancedScene:
             return found
 
         return _Shaded(
-            rows(ds.d, np.float64),
-            np.broadcast_to(np.array(ds.dist, np.float64), count),
-            rows(direct),
-            rows(onward, np.float64),
-            rows(weight),
-            rows(leaving),
+            rows(shaded.to_light.d, np.float64),
+            np.broadcast_to(np.array(shaded.to_light.dist, np.float64), count),
+            rows(shaded.light),
+            rows(shaded.direction, np.float64),
+            rows(shaded.weight),
+            rows(shaded.leaving),
         )
 
 
@@ -338,15 +331,6 @@ def _number(mi: Any, bsdf: Any) -> int:
     import drjit as dr
 
     return int(np.array(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf)))[0])
-
-
-def _balance(a: Any, b: Any) -> Any:
-    """Weight of a sample of density a that could have been drawn with density b, too."""
-    import drjit as dr
-
-    a, b = dr.square(a), dr.square(b)
-    weight = a / (a + b)
-    return dr.select(dr.isfinite(weight), weight, 0.0)
 
 
 def _tables(scene: RenderScene) -> _Tables:

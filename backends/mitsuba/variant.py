@@ -5,12 +5,15 @@ from __future__ import annotations
 import ctypes.util
 import importlib
 import importlib.metadata
+import importlib.util
 import os
 from pathlib import Path
 from typing import Any
 
+from scenec.schemas import system_libraries
 from scenec.schemas.budget import thread_budget
 from scenec.schemas.errors import BackendError
+from scenec.schemas.extras import install
 
 #: Environment variable that names a variant, for those who want another one.
 VARIANT_VARIABLE = "SCENEC_MITSUBA_VARIANT"
@@ -56,9 +59,13 @@ def load_mitsuba(device: str = "auto") -> Any:
             os.environ[LLVM_VARIABLE] = str(library)
     try:
         mi = importlib.import_module("mitsuba")
-    except ImportError as error:
+    # Dr.Jit's own words for a library that is missing end in a NameError.
+    except (ImportError, NameError) as error:
+        absent = system_libraries.missing(system_libraries.OF_MITSUBA)
         raise BackendError(
-            f"Mitsuba cannot be imported ({error}). Mend it with: pip install 'scenec[mitsuba]'"
+            f"Mitsuba cannot be imported: {system_libraries.mend(absent)}"
+            if absent and importlib.util.find_spec("mitsuba")
+            else f"Mitsuba cannot be imported ({error}). Mend it with: {install('mitsuba')}"
         ) from error
     wanted = os.environ.get(VARIANT_VARIABLE)
     if mi.variant() is not None:

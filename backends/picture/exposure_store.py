@@ -53,8 +53,6 @@ class ExposureStore:
         digest: Of the stage.
         others: Folders where exposures of the stage may be, too.
         say: Told if a file is damaged.
-        meanwhile: Called, at most once, before waiting for another process: what has to be done
-            anyway.
         said: Damaged files that were told of.
     """
 
@@ -62,7 +60,6 @@ class ExposureStore:
     digest: str
     others: Sequence[Path] = ()
     say: Say = lambda _line: None
-    meanwhile: Callable[[], object] = lambda: None
     said: set[Path] = field(default_factory=set)
 
     def find_or_meter(
@@ -79,7 +76,6 @@ class ExposureStore:
             found = self._find(folder, camera, sample)
             if found is not None:
                 return found
-        waits = False
         while True:
             try:
                 with Lock(self.folder / f"{LOCK}-exposure", what=self.folder / EXPOSURES):
@@ -87,9 +83,6 @@ class ExposureStore:
                     found = self._find(self.folder, camera, sample)
                     return found or self._keep(CameraExposure(camera, sample, meter()))
             except BusyError:
-                if not waits:
-                    self.meanwhile()
-                waits = True
                 time.sleep(_LOOK_S)
             except OutputError:
                 # Nobody can write here.

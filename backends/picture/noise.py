@@ -169,8 +169,12 @@ def _factor(total: float, squared: float) -> float:
     """By the sums of the pixels' estimates and of their squares."""
     if squared == 0.0:
         return 1.0
-    # Imported here: it takes 0.2 s.
+    freedom = max(1.0, 3.0 * total**2 / squared - 2.0)
+    return float(quantile_of_f()(freedom, freedom, QUANTILE))
+
+
+def quantile_of_f() -> Callable[[float, float, float], float]:
+    """Returns the inverse of the F distribution; the first call imports it, which takes 0.2 s."""
     from scipy.special import fdtri
 
-    freedom = max(1.0, 3.0 * total**2 / squared - 2.0)
-    return float(fdtri(freedom, freedom, QUANTILE))
+    return fdtri

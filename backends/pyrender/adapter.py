@@ -25,6 +25,7 @@ from scenec.backends.pyrender.canopy import make_canopy
 from scenec.backends.pyrender.detail import add_levels
 from scenec.backends.pyrender.lamps import lamp_shadow_maps
 from scenec.backends.pyrender.lighting import CASCADES, DARK, fit_shadow_maps, losses, smooth_sky
+from scenec.backends.pyrender.points import face_normals, find_points, resolve
 from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
 from scenec.backends.pyrender.tiles import without_glow
 from scenec.backends.stage import posing
@@ -68,6 +69,7 @@ class Pyrender(Backend):
         self._renderer: Renderer | None = None
         self._posed = 0
         self._tables: Tables | None = None
+        self._normals = np.zeros((0, 3), np.float32)
         self._ground: Ground | None = None
         self._ambience: tuple[int, Ambience] | None = None
 
@@ -124,6 +126,7 @@ class Pyrender(Backend):
     ) -> Radiance:
         """Surface light of n x n samples a pixel on a grid, n = sqrt(spp) rounded, at most 4.
 
+        They see and are shadowed each for itself; what looks alike in half a pixel is shaded once.
         Nothing in it is random: both halves are the same, and the error is unknown.
 
         Raises:
@@ -139,6 +142,7 @@ class Pyrender(Backend):
             if self._tables is None:
                 # Only now, so that annotation alone never pays for it.
                 self._use(scene, add_levels(scene, self._geometry))
+                self._normals = face_normals(scene, self._geometry)
                 renderer, _ = self._loaded()
                 self._tables = make_tables(scene, self._geometry)
                 renderer.set_tables(self._tables)
@@ -184,6 +188,9 @@ class Pyrender(Backend):
             renderer.set_ground(self._ground, self._ambience[1], view.origin)
         suns = [sun for sun in lighting.suns if np.any(np.asarray(sun.irradiance) > 0.0)]
         depth = renderer.read_depth("samples") if suns else np.zeros((1, 1), np.float32)
+        points = find_points(
+            renderer.read_ids("samples"), side, self._normals, self._first_faces(selection)
+        )
         total: NDArray[np.float32] | None = None
         # Each further sun adds a picture of its own light alone.
         for sun in suns or [Sun(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)]:
@@ -194,12 +201,13 @@ class Pyrender(Backend):
                 casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                 renderer.draw_shadow(layer, shadow, casters)
             light = renderer.shade(
-                "samples", selection, surfaces, rays, side, view.origin, sky, sun, shadows
-            )
+                "samples", near, points, selection, surfaces, rays, view.origin, sky, sun,
+                shadows,
+            )  # fmt: skip
             if total is None:
                 total = light
             else:
-                total[..., :3] += light[..., :3]
+                total += light
             sky = DARK
             surfaces = without_glow(tables.all_surfaces, surfaces)
         assert total is not None
@@ -212,10 +220,11 @@ class Pyrender(Backend):
                     casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                     renderer.draw_shadow(layer, shadow, casters)
                 light = renderer.shade(
-                    "samples", selection, surfaces, rays, side, view.origin, DARK, lamp, shadows
-                )
-                total[..., :3] += light[..., :3]
-        return total
+                    "samples", near, points, selection, surfaces, rays, view.origin, DARK,
+                    lamp, shadows,
+                )  # fmt: skip
+                total += light
+        return resolve(points, total).reshape(rows, camera.width, 4)
 
     def _find_ground(self, renderer: Renderer, tables: Tables) -> Ground | None:
         """The scene's height field, if it is ground with things on it; without what moves."""
@@ -252,13 +261,17 @@ class Pyrender(Backend):
 
     def _visibility(self, ids: NDArray[np.uint32], selection: geometry.Selection) -> Visibility:
         """From slots and drawn faces, [h, w, 2], to rows and faces."""
-        items = self._geometry.items
-        rows = items.row[selection.items]
-        firsts = self._geometry.first_face[items.group_mesh[items.group[selection.items]]]
+        rows = self._geometry.items.row[selection.items]
+        firsts = self._first_faces(selection)
         row = np.empty(ids.shape[0] * ids.shape[1], np.int32)
         face = np.empty_like(row)
         _decode(ids.reshape(-1, 2), rows, firsts, self._geometry.order, row, face)
         return Visibility(row, face)
+
+    def _first_faces(self, selection: geometry.Selection) -> NDArray[np.int64]:
+        """Returns the first face of each slot's mesh among all drawn faces, int64 [slots]."""
+        items = self._geometry.items
+        return self._geometry.first_face[items.group_mesh[items.group[selection.items]]]
 
     def _reach(self, camera: Camera) -> float:
         """A distance that nothing lies beyond, meters."""

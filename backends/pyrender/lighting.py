@@ -115,7 +115,7 @@ def losses(scene: RenderScene) -> tuple[str, ...]:
         lines.append(
             "pyrender's sky is smooth (second order); small things hide nothing of it"
             + (
-                " but leaves a share, on a coarse lattice, and nothing where OpenGL has no 17 "
+                " but leaves a share, on a coarse lattice, and nothing where OpenGL has no 18 "
                 "texture units"
                 if any(surface.transmits for surface in surfaces)
                 else ""

@@ -29,6 +29,7 @@ from scenec.backends.pyrender.lighting import (
     ShadowMap,
     SmoothSky,
 )
+from scenec.backends.pyrender.points import ROW, ShadingPoints
 from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.scene import Gobo, Lamp, RenderScene, Sun
@@ -40,9 +41,9 @@ from scenec.schemas.errors import BackendError
 SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
 UNITS = (
-    "ids", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
+    "points", "poses", "faces", "vertices", "normals", "weights", "meshes", "layers", "surfaces",
     "laws", "maps", "shadows", "ground_sky", "ground_light", "uvs", "gobo",
-    "canopy",
+    "depth", "canopy",
 )  # fmt: skip
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
@@ -93,6 +94,12 @@ class Renderer(pyrender.Renderer):
                 f"pyrender: this OpenGL is of version {found[0]}.{found[1]}, it takes 4.2 and "
                 "ARB_clip_control (part of 4.5); update the graphics driver, or use --device cpu"
             )
+        units = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_IMAGE_UNITS))
+        if units <= UNITS.index("depth"):
+            raise BackendError(
+                f"pyrender: this OpenGL has {units} texture units, it takes "
+                f"{UNITS.index('depth') + 1}; use --device cpu"
+            )
         self.largest = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
         self._program_cache = _PROGRAMS
         self._defines: dict[str, int] = {}
@@ -104,6 +111,7 @@ class Renderer(pyrender.Renderer):
         self._tables["poses"] = resources.Table()
         # OpenGL draws nothing without one, even where there are no attributes.
         self._no_attributes = int(GL.glGenVertexArrays(1))
+        self._points = int(GL.glGenTextures(1))
 
     def delete(self) -> None:
         """Free everything that OpenGL holds for it."""
@@ -119,6 +127,7 @@ class Renderer(pyrender.Renderer):
         for target in self._targets.values():
             target.delete()
         GL.glDeleteVertexArrays(1, [self._no_attributes])
+        GL.glDeleteTextures(1, [self._points])
         if self._pictures:
             GL.glDeleteTextures(len(self._pictures), list(self._pictures.values()))
         self._tables, self._targets, self._pictures, self._gobo = {}, {}, {}, None
@@ -222,35 +231,35 @@ class Renderer(pyrender.Renderer):
     def shade(
         self,
         name: str,
+        near: float,
+        points: ShadingPoints,
         selection: Selection,
         surfaces: NDArray[np.float32],
         rays: NDArray[np.float64],
-        samples: int,
         origin: NDArray[np.float64],
         sky: SmoothSky,
         sun: Sun | Lamp,
         shadows: Sequence[ShadowMap],
     ) -> NDArray[np.float32]:
-        """The light of what ``draw_ids`` drew, the mean over samples x samples of each pixel.
+        """The light of points of what ``draw_ids`` drew.
 
         Args:
             name: Of the target that was drawn into.
+            near: Over depth it is the planar distance.
+            points: Where.
             selection: What was drawn.
             surfaces: ``tables.place_maps`` for this camera.
             rays: From (u, v, 1) in pixels to directions.
-            samples: On a side of a pixel.
             origin: The camera's position.
             sky: The sky; a dark one leaves out the ground's light too.
             sun: The sun, or a lamp, that only shines where its shadow maps reach.
             shadows: What ``draw_shadow`` drew for it, by layer.
 
         Returns:
-            Light and coverage, float32 [h, w, 4].
+            Light of each point and nothing, float32 [n, 4].
         """
-        ids = self._targets[name]
-        target = self._target(
-            "light", ids.width // samples, ids.height // samples, GL.GL_RGBA32F, depth=False
-        )
+        rows = len(points.packed) // ROW
+        target = self._target("light", ROW, rows, GL.GL_RGBA32F, depth=False)
         # Made before the target is bound: making it binds it.
         shadow_maps = self._shadows().depth
         defines: dict[str, Any] = self._defines | (
@@ -265,7 +274,9 @@ class Renderer(pyrender.Renderer):
         self._tables["surfaces"].fill(surfaces, GL.GL_STREAM_DRAW)
         for unit, table in self._tables.items():
             _bind(unit, GL.GL_TEXTURE_BUFFER, table.texture)
-        _bind("ids", GL.GL_TEXTURE_2D, ids.color)
+        _bind("depth", GL.GL_TEXTURE_2D, self._targets[name].depth)
+        _bind("points", GL.GL_TEXTURE_2D, self._points)
+        resources.fill_integers(points.packed.reshape(rows, ROW, 4))
         _bind("maps", GL.GL_TEXTURE_2D_ARRAY, self._pictures["maps"])
         _bind("shadows", GL.GL_TEXTURE_2D_ARRAY, shadow_maps)
         if "laws" in self._pictures:
@@ -281,7 +292,8 @@ class Renderer(pyrender.Renderer):
             program.set_uniform("canopy_offset", place)
             # The lowest direction of ``make_canopy`` rises by its height over nearly six of it.
             program.set_uniform("canopy_reach", 6.0 * float(self._canopy.size[2]))
-        program.set_uniform("samples", samples)
+        program.set_uniform("samples", points.side)
+        program.set_uniform("near", float(near))
         program.set_uniform("rays", rays)
         program.set_uniform("ground_share", float(not sky.dark))
         if "WITH_FACETS" in self._defines:
@@ -307,7 +319,7 @@ class Renderer(pyrender.Renderer):
         GL.glDrawArrays(GL.GL_TRIANGLES, 0, 3)
         GL.glBindVertexArray(0)
         program._unbind()
-        out = np.empty((target.height, target.width, 4), np.float32)
+        out = np.empty((len(points.packed), 4), np.float32)
         target.read(GL.GL_RGBA, GL.GL_FLOAT, out)
         return out
 

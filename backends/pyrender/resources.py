@@ -192,6 +192,18 @@ def _texture(width: int, height: int, kind: int) -> int:
     return texture
 
 
+def fill_integers(values: NDArray[np.uint32]) -> None:
+    """Replaces the picture that is bound by a table of integers, uint32 [h, w, 4]."""
+    height, width = values.shape[:2]
+    kind = GL.GL_TEXTURE_2D
+    GL.glTexImage2D(
+        kind, 0, GL.GL_RGBA32UI, width, height, 0, GL.GL_RGBA_INTEGER, GL.GL_UNSIGNED_INT, values
+    )
+    # Integers are never mixed: without this the texture is not complete.
+    for name in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
+        GL.glTexParameteri(kind, name, GL.GL_NEAREST)
+
+
 def lookup_texture(values: NDArray[np.float32], mirrored: bool = False) -> int:
     """A table in two dimensions, linear between texel centers, constant beyond the last ones.
 

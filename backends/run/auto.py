@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -54,6 +55,61 @@ def choose(out: Path | None, plan: RenderPlan, say: Say = lambda _line: None) ->
         return BackendChoice(name, order, left_out)
     reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())
     raise BackendError(f"no backend works here for what is asked: {reasons}")
+
+
+@dataclass(frozen=True)
+class Quickest:
+    """Describes how pictures are drawn that someone waits for.
+
+    Attributes:
+        backend: Name.
+        spp: Samples a pixel.
+        denoise: Whether they are denoised.
+        why: What it was preferred for, a line.
+    """
+
+    backend: str
+    spp: int
+    denoise: bool
+    why: str
+
+
+def quickest(works: Callable[[str, bool], bool]) -> Quickest:
+    """Chooses what shows a scene soonest: the rasterizer, then path tracers with few samples.
+
+    On two cores pyrender draws a 640 x 480 picture of the demo in a third of the time that Mitsuba
+    takes for 4 samples and their denoising, and its load is a third; on a GPU both draw in tenths
+    of a second, and it is pyrender that starts sooner. So a GPU changes nothing in the order.
+
+    Args:
+        works: Whether a backend, by its name, starts here, and can denoise if that is asked.
+
+    Raises:
+        BackendError: None does.
+    """
+    if works("pyrender", False):
+        return Quickest("pyrender", 8, False, "a rasterizer starts and draws soonest")
+    tracers = [name for name in backend_names() if name != "pyrender"]
+    for name in tracers:
+        if works(name, True):
+            return Quickest(name, 4, True, "pyrender does not work here; 4 samples, denoised")
+        if works(name, False):
+            why = "pyrender does not work here, nor does a denoiser; 16 samples"
+            return Quickest(name, 16, False, why)
+    raise BackendError(
+        "no renderer works here; pip install 'scenec[pyrender]' brings the one that draws soonest"
+    )
+
+
+def works_here(name: str, denoise: bool) -> bool:
+    """Tells whether a backend starts here, and has a denoiser if one is asked for."""
+    try:
+        if denoise and backend_class(name).denoiser is None:
+            return False
+        ask(OfBackend(name, partial(start, "auto")))
+    except (BackendError, PluginError):
+        return False
+    return True
 
 
 def _costs(file: Path) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Generator
+from collections.abc import Collection, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, Self
@@ -33,16 +33,26 @@ class Processes:
         limits: What each may take; memory, where it is not said, is shared out evenly among those
             that have been started.
         threads: How many threads each works with; None shares the cores out.
+        modules: Imported by a first worker that is started at once; none: the first unit does that.
+
+    Raises:
+        BackendError: That worker cannot be started.
     """
 
     def __init__(
-        self, workers: int = 1, limits: Limits | None = None, threads: int | None = None
+        self,
+        workers: int = 1,
+        limits: Limits | None = None,
+        threads: int | None = None,
+        modules: Sequence[str] = (),
     ) -> None:
         limits, workers = limits or Limits(), at_once(workers)
         if threads is None and workers > 1:
             threads = max(1, (thread_budget() or usable_cores()) // workers)
         self._slots = [Supervisor(limits, threads, self._count) for _ in range(workers)]
         self._threads = ThreadPoolExecutor(workers)
+        if modules:
+            self._slots[0].start(modules)
 
     def _count(self) -> int:
         return sum(slot.is_there for slot in self._slots)
@@ -102,7 +112,10 @@ def read_workers(workers: int | str | None, default: str | None = None) -> int |
 
 
 def make_executor(
-    workers: int | None = None, cluster: str | None = None, limits: Limits | None = None
+    workers: int | None = None,
+    cluster: str | None = None,
+    limits: Limits | None = None,
+    modules: Sequence[str] = (),
 ) -> Executor:
     """The executor of a command's ``--workers`` and ``--cluster``.
 
@@ -111,6 +124,7 @@ def make_executor(
             it starts. None: ``$SCENEC_WORKERS``, or 1.
         cluster: Of a dask scheduler: its address, its file, or "local"; None: this machine.
         limits: What each worker may take.
+        modules: As of ``Processes``.
 
     Raises:
         BackendError: The cluster cannot be reached or used; says what to mend.
@@ -122,7 +136,7 @@ def make_executor(
         from scenec.backends.run.cluster import Cluster
 
         return Cluster(cluster, workers, limits)
-    return Processes(workers, limits) if workers else LocalExecutor()
+    return Processes(workers, limits, modules=modules) if workers else LocalExecutor()
 
 
 def one_worker() -> Executor:

@@ -1,4 +1,4 @@
-"""Gives a frame's camera its exposure, which one worker meters for all."""
+"""Does what a frame needs beside its renderer: its camera's exposure, and what annotates it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenec.backends.picture.exposure_store import ExposureStore
+from scenec.backends.picture.noise import quantile_of_f
 from scenec.backends.run.session import Session, timed
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.records import ExposureRecord
@@ -39,9 +40,19 @@ def exposed(
             casting.enter_context(session.casting)
             return session.caster(seconds)
 
-        store = ExposureStore(
-            folder, scene.digest, (beside,), say, lambda: session.renderer(seconds)
-        )
+        store = ExposureStore(folder, scene.digest, (beside,), say)
         found = session.meter.exposed(camera, sample, caster, store)
     seconds["exposure"] -= seconds.get("load", 0.0)
     return found
+
+
+def prepare(session: Session, seconds: dict[str, float] | None) -> None:
+    """Gets what completing a frame needs, so that it is there when the frame has been drawn.
+
+    Args:
+        session: Of its stage.
+        seconds: By step; what building the caster took is added. None: the frame casts nothing.
+    """
+    quantile_of_f()
+    if seconds is not None:
+        session.caster(seconds)

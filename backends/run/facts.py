@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,21 +26,12 @@ from scenec.schemas.records import (
     LensRecord,
     LightRecord,
     PictureRecord,
+    RendererFacts,
     ShutterRecord,
     SunLight,
     SunRecord,
 )
 from scenec.schemas.versions import version_of
-
-
-class RendererFacts(NamedTuple):
-    """Identifies the renderer of pictures, for sidecars, resume keys and messages."""
-
-    backend: str
-    version: str
-    device: str
-    denoiser: str | None
-    warning: str | None
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import CameraFacts, Opened, Opening, RenderFrame
 from scenec.schemas.errors import BackendError, FrameError, StageError
 from scenec.schemas.files import inside
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES, frame_stem
+from scenec.schemas.frames import frame_stem
 from scenec.schemas.manifest import FRAMES, Batch, Manifest, stage_digest
+from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.spelling import nearest
@@ -46,16 +47,17 @@ def frames_of(
         BackendError: A picture is to be denoised that cannot be.
     """
     require_samples(batch, plan.samples, len(opened.cameras))
+    who = opened.renderer
     seen = sorted({camera.name for cameras in opened.cameras for camera in cameras})
     unknown = [name for name in plan.cameras or () if name not in seen]
     if unknown:
         raise StageError(f"{batch.stage}: has no camera {unknown[0]!r}{nearest(unknown[0], seen)}")
     for name in seen if plan.cameras is None else plan.cameras:
         # The name is the stage's, and what lies there may be a link.
-        stem = frame_stem(batch.folder, opened.backend, name, 0)
+        stem = frame_stem(batch.folder, who.backend, name, 0)
         inside(batch.folder, stem.relative_to(batch.folder).as_posix(), batch.stage)
     holds = opening_of(batch, plan)
-    version = f"{opened.version}, {opened.denoiser}" if plan.denoise else opened.version
+    version = f"{who.version}, {who.denoiser}" if plan.denoise else who.version
     found = []
     for sample, number, camera in _wanted(plan, opened):
         made = tuple(camera.passes if passes is None else passes)
@@ -66,7 +68,7 @@ def frames_of(
             raise StageError(f"{batch.stage}: no passes asked for, and none in the stage")
         if plan.denoise and "rgb" in made and camera.undenoised:
             raise BackendError(camera.undenoised)
-        stem = frame_stem(batch.folder, opened.backend, camera.name, sample)
+        stem = frame_stem(batch.folder, who.backend, camera.name, sample)
         found.append(
             RenderFrame(
                 holds=holds,
@@ -75,7 +77,7 @@ def frames_of(
                 sensor=camera.name,
                 number=number,
                 sample=sample,
-                key=plan.key(opened.digest, made, opened.backend, version),
+                key=plan.key(opened.digest, made, who.backend, version),
                 seed=frame_seed(plan.noise_seed, batch.name, camera.name, sample),
                 choice=choice,
                 replace=plan.replace,

@@ -10,7 +10,8 @@ from pathlib import Path
 from scenec.backends.picture.adaptive import MOST_SPP
 from scenec.backends.registry import AUTO, backend_class, backend_names, require_name
 from scenec.schemas.errors import BackendError
-from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, quality
+from scenec.schemas.frames import FrameKey, quality
+from scenec.schemas.passes import ANNOTATION_NAMES
 
 #: Samples per pixel where a user says nothing.
 USUAL_SPP = 64
@@ -32,6 +33,7 @@ class RenderPlan:
         error: As of ``noise.estimate``.
         seconds: A frame's, without loading and annotation; one that is there still counts as made.
         denoise: Whether to; the error that remains is then unknown.
+        rgb: "float", or "half" for half floats in the frame's EXR.
         noise_seed: Renderings with different ones have independent noise.
         device: One of the backend's devices, or "auto".
         folder: Where frames go (``<folder>/frames``; for several batches, a folder each in it);
@@ -55,6 +57,7 @@ class RenderPlan:
     error: float | None = None
     seconds: float | None = None
     denoise: bool = False
+    rgb: str = "float"
     noise_seed: int = 0
     device: str = "auto"
     folder: Path | None = None
@@ -96,6 +99,8 @@ class RenderPlan:
             raise BackendError(
                 "there is nothing to denoise without rgb; ask for rgb, or do not denoise"
             )
+        if not rgb and self.rgb == "half":
+            raise BackendError("there is no rgb to write as half; ask for rgb, or leave half out")
         if not rgb and (self.error is not None or self.seconds is not None):
             raise BackendError(
                 "error and seconds are targets of rgb; ask for rgb, or leave the targets out"
@@ -127,6 +132,7 @@ class RenderPlan:
             backend=backend,
             backend_version=version,
             denoise=self.denoise and pictures,
+            half=self.rgb == "half" and pictures,
             error=self.error if pictures else None,
             seconds=self.seconds if pictures else None,
         )

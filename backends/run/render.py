@@ -19,8 +19,8 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.run.units import OfSession, Opened, Opening, RenderFrame
 from scenec.schemas.errors import FrameError, StageError
 from scenec.schemas.files import check_writable, sweep
-from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import FRAMES, Batch, find_batches, gaps, read_manifest
+from scenec.schemas.passes import ANNOTATION_NAMES
 from scenec.schemas.records import BackendChoice
 from scenec.schemas.sidecars import read_sidecar
 from scenec.schemas.strays import strays
@@ -163,19 +163,19 @@ class _Render(BatchRun):
 
     def begin(self, batch: Batch, opened: Opened, files: Sequence[RenderFrame]) -> Iterable[Unit]:
         """Tells what will render, and what it cannot; returns who writes the table of instances."""
-        plan, report = self._plan, self.report
+        plan, report, renderer = self._plan, self.report, opened.renderer
         rgb = any("rgb" in frame.key.passes for frame in files)
         plan.check_rgb(rgb=rgb)
         if not report.backend_version:
-            report.backend, report.backend_version = opened.backend, opened.version
-            report.device = opened.device
-            report.denoiser = opened.denoiser if plan.denoise else None
+            report.backend, report.backend_version = renderer.backend, renderer.version
+            report.device = renderer.device
+            report.denoiser = renderer.denoiser if plan.denoise else None
             parts = [f"rgb: {plan.quality}"] if rgb else []
             parts += [f"denoised by {report.denoiser}"] if report.denoiser else []
             more = f" ({', '.join(parts)})" if parts else ""
-            self.say(f"rendering with {opened.version} on {opened.device}{more}")
-        if opened.warning:
-            self.warn(opened.warning)
+            self.say(f"rendering with {renderer.version} on {renderer.device}{more}")
+        if renderer.warning:
+            self.warn(renderer.warning)
         self.warn(*not_requested(opened.cameras[0] if opened.cameras else []))
         report.losses += [line for line in opened.losses if line not in report.losses]
         self.warn(*opened.losses)
@@ -184,7 +184,7 @@ class _Render(BatchRun):
             firing = [[(camera.name, camera.fires) for camera in of] for of in opened.cameras]
             self.warn_of_strays(strays(batch.folder, firing))
         folder = batch.folder / FRAMES
-        sweep([folder, *sorted((folder / opened.backend).glob("*"))])
+        sweep([folder, *sorted((folder / renderer.backend).glob("*"))])
         if any("instance" in frame.key.passes for frame in files):
             table = methodcaller("write_instances", folder.absolute())
             return [OfSession(files[0].holds, "the table of instances", table)]

@@ -18,8 +18,8 @@ from scenec.backends.run.units import MakeFile, Opened, Opening, UnitResult
 from scenec.backends.stage.scene import Lidar, RenderScene
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import check_writable, inside, sweep
-from scenec.schemas.frames import ANNOTATION
 from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.passes import ANNOTATION
 from scenec.schemas.records import NOT_WRITTEN, LidarNoise, ScanRecord
 from scenec.schemas.scans import SCANS, is_scanned, scan_key, scan_stem, write_scan
 from scenec.schemas.spelling import nearest

@@ -30,7 +30,6 @@ from scenec.backends.registry import version_of as version_of_backend
 from scenec.backends.run import memory
 from scenec.backends.run.facts import (
     FrameResult,
-    RendererFacts,
     annotation_versions,
     describe_frame,
 )
@@ -38,12 +37,13 @@ from scenec.backends.stage.posing import sliding
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.schemas.errors import BackendError, CameraRefusedError
-from scenec.schemas.frames import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.instances import BATCH_TABLE, table_digest, write_table
+from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.records import (
     FrameRecord,
     HazePixels,
     LensRadiance,
+    RendererFacts,
     SkyPixels,
 )
 from scenec.schemas.versions import version_of
@@ -73,7 +73,7 @@ class SurfaceLight:
 
 
 @dataclass(frozen=True)
-class DrawnFrame:
+class DrawnPicture:
     """Holds what a renderer drew of a frame: light from surfaces, and how it came to be."""
 
     light: SurfaceLight
@@ -218,7 +218,7 @@ class Session:
         denoise: bool,
         target: Target | None,
         seconds: dict[str, float],
-    ) -> DrawnFrame:
+    ) -> DrawnPicture:
         """Has the renderer draw a frame; the arguments are those of ``render``.
 
         Args:
@@ -238,14 +238,14 @@ class Session:
                     radiance, rounds = collect(
                         light.draw, seed, target, continues=light.continues, denoise=light.denoise
                     )
-        return DrawnFrame(light, radiance, rounds)
+        return DrawnPicture(light, radiance, rounds)
 
     def complete(
         self,
         camera: Camera,
         sample: int,
         passes: Sequence[str],
-        drawn: DrawnFrame | None,
+        drawn: DrawnPicture | None,
         ready: Annotation | None,
         seconds: dict[str, float],
     ) -> FrameResult:
@@ -417,7 +417,7 @@ class Session:
     def _describe_light(
         self,
         record: FrameRecord,
-        drawn: DrawnFrame,
+        drawn: DrawnPicture,
         picture: Picture,
         veil: Veil | None,
     ) -> FrameRecord:
@@ -449,7 +449,8 @@ class Session:
         """The exact caster, of the scene as it was posed last; what building it takes is added."""
         with timed({} if seconds is None else seconds, "load"):
             if self._caster is None:
-                self._caster = ExactCaster(self.scene)
+                with self.casting:
+                    self._caster = self._caster or ExactCaster(self.scene)
         return self._caster
 
     @cached_property
@@ -458,7 +459,8 @@ class Session:
         # Imported here: few scenes have any.
         from scenec.backends.picture.haze import Hazy
 
-        return Hazy(self.scene, self.caster())
+        with self.casting:
+            return Hazy(self.scene, self.caster())
 
     def renderer(self, seconds: dict[str, float]) -> Backend:
         """The backend, its own scene built.

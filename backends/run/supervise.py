@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
@@ -289,9 +289,17 @@ class Supervisor:
         self._holds = None
         self._done = 0
 
-    def _start(self) -> None:
+    def start(self, modules: Sequence[str] = ()) -> None:
+        """Starts the worker, which else the first unit does.
+
+        Args:
+            modules: Imported by it while the caller finds out what there is to do.
+
+        Raises:
+            BackendError: It cannot be started.
+        """
         try:
-            self._begin()
+            self._begin(modules)
         except OSError as error:
             self.close()
             # Pipes have no name, and temporary files none that is there when it is read.
@@ -300,7 +308,7 @@ class Supervisor:
                 f"a worker process cannot be started: {error.strerror or error}{where}"
             ) from error
 
-    def _begin(self) -> None:
+    def _begin(self, modules: Sequence[str]) -> None:
         # Kept apart from our own output: shown only if the worker dies.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._pipe, theirs = Pipe()
@@ -313,7 +321,7 @@ class Supervisor:
             if self._threads is not None:
                 environment |= dict.fromkeys(THREADS, str(self._threads))
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "scenec.backends.run.worker", *map(str, shared)],
+                [sys.executable, "-m", "scenec.backends.run.worker", *map(str, shared), *modules],
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
@@ -341,7 +349,7 @@ class Supervisor:
 
     def _send(self, unit: Unit) -> None:
         if self._process is None:
-            self._start()
+            self.start()
         pipe, watch = self._pipe, self._watch
         assert pipe is not None
         assert watch is not None

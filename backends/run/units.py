@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 from scenec.backends.picture.brightness import FrameBrightness, brief
 from scenec.schemas.errors import BackendError, OutputError, StageError
 from scenec.schemas.files import sweep
-from scenec.schemas.frames import ANNOTATION_NAMES, FrameKey, is_done, would_lose
+from scenec.schemas.frames import FrameKey, is_done, would_lose
 from scenec.schemas.lock import LOCK, BusyError, Lock
 from scenec.schemas.memory import GB
 from scenec.schemas.native import native_reading
-from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord
+from scenec.schemas.passes import ANNOTATION_NAMES
+from scenec.schemas.records import BackendChoice, ExposureRecord, FrameRecord, RendererFacts
 from scenec.schemas.units import Keeper, Rest
 
 if TYPE_CHECKING:
@@ -86,7 +88,7 @@ class Opened:
         cameras, lidars: Of each sample; names of lidars.
         losses: A line for each thing that is not read, or that ``rgb`` leaves out.
         read_s: Seconds that opening it took.
-        backend, version, device, denoiser, warning: Of who draws.
+        renderer: Who draws.
     """
 
     digest: str
@@ -94,11 +96,7 @@ class Opened:
     lidars: list[list[str]]
     losses: tuple[str, ...]
     read_s: float
-    backend: str
-    version: str
-    device: str
-    denoiser: str | None
-    warning: str | None
+    renderer: RendererFacts
 
 
 @dataclass(frozen=True)
@@ -173,7 +171,7 @@ class OpenStage:
             [[lidar.name for lidar in of] for of in scene.lidars],
             session.losses,
             time.perf_counter() - start,
-            **session.facts()._asdict(),
+            session.facts(),
         )
 
 
@@ -308,7 +306,7 @@ class RenderFrame(MakeFile):
         # Imported here: who gives units out has no need of it.
         from scenec.backends.picture.adaptive import Target
         from scenec.backends.run import memory
-        from scenec.backends.run.exposures import exposed
+        from scenec.backends.run.exposures import exposed, prepare
         from scenec.backends.run.reuse import find_annotation
 
         session, key, sample = self.holds.session(keeper), self.key, self.sample
@@ -333,12 +331,21 @@ class RenderFrame(MakeFile):
             seconds: dict[str, float] = {}
             drawn = None
             if "rgb" in key.passes:
-                camera, exposure = exposed(
-                    session, camera, sample, self.stem.parents[2], metering, keeper.say
-                )
-                drawn = session.draw(
-                    camera, sample, key.spp, self.seed, key.denoise, target, seconds
-                )
+                # The renderer keeps to this thread, as some must.
+                with ThreadPoolExecutor(1, "prepare") as beside:
+                    finding = beside.submit(
+                        exposed, session, camera, sample, self.stem.parents[2], metering, keeper.say
+                    )
+                    casts = bool(annotation) and ready is None
+                    preparing = beside.submit(prepare, session, metering if casts else None)
+                    try:
+                        session.renderer(seconds)
+                    finally:
+                        camera, exposure = finding.result()
+                    drawn = session.draw(
+                        camera, sample, key.spp, self.seed, key.denoise, target, seconds
+                    )
+                preparing.result()
             complete = partial(session.complete, camera, sample, key.passes, drawn, ready, seconds)
             # The cast takes as long as pictures do: beside it the last one is written.
             made = complete() if drawn is None else None

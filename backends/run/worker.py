@@ -1,5 +1,6 @@
-"""A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE``, two descriptors.
+"""A process that runs units: ``python -m scenec.backends.run.worker PIPE NOTE [MODULE ...]``.
 
+``PIPE`` and ``NOTE`` are descriptors; modules are imported before the first unit.
 Units come pickled over the pipe, and for each one message goes back: ``(True, what it returned,
 peak, notes)``, or ``(False, the ScenecError it raised, peak, notes)``, with the highest memory of
 this process meanwhile, bytes or None, and what the unit said. Any other error ends the process; the
@@ -14,6 +15,7 @@ order of units, and no more than two are under way.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import pickle
 import queue
@@ -23,7 +25,6 @@ import threading
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -48,13 +49,8 @@ def main() -> None:
     native.share(int(sys.argv[2]))
     notice.share(int(sys.argv[2]))
     keeper = Keeper(overlaps=True)
-
-    def attempt(what: str, work: Callable[[], Any]) -> tuple[bool, Any]:
-        try:
-            with blaming(what):
-                return True, work()
-        except ScenecError as error:
-            return False, error
+    for module in sys.argv[3:]:
+        importlib.import_module(module)
 
     def send(answer: tuple[bool, Any]) -> None:
         # A parent that is gone: the listener ends this process.
@@ -63,7 +59,12 @@ def main() -> None:
 
     def finish(what: str, work: Callable[[], Any]) -> None:
         try:
-            send(attempt(what, work))
+            try:
+                with blaming(what):
+                    answer: tuple[bool, Any] = True, work()
+            except ScenecError as error:
+                answer = False, error
+            send(answer)
         except BaseException:  # noqa: BLE001 (ends this process, as it would in the main thread)
             traceback.print_exc()
             sys.stderr.flush()
@@ -74,7 +75,12 @@ def main() -> None:
         while True:
             unit = pickle.loads(units.get())  # noqa: S301 (from the parent's pipe)
             memory.reset_peak()
-            answer = attempt(unit.what, partial(unit.run, keeper))
+            answer: tuple[bool, Any]
+            try:
+                with blaming(unit.what):
+                    answer = True, unit.run(keeper)
+            except ScenecError as error:
+                answer = False, error
             if last is not None:
                 last.result()
                 last = None

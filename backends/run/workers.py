@@ -7,12 +7,11 @@ import subprocess
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from scenec.backends.registry import AUTO, backend_class
 from scenec.backends.run.memory import SHARE, default_limit
 from scenec.schemas.budget import thread_budget, usable_cores
 from scenec.schemas.errors import BackendError, PluginError
-from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.memory import GB
+from scenec.schemas.passes import ANNOTATION_NAMES
 
 #: Cores that one process keeps busy: where it casts annotation alone, and where it draws, too.
 CORES_ANNOTATING, CORES_DRAWING = 2, 8
@@ -91,11 +90,16 @@ def workers_for(
     draws = backend not in ANNOTATION_NAMES and (passes is None or "rgb" in passes)
     on_gpu = draws and device not in _NO_GPU
     if draws and device == "auto" and machine.gpu is not None:
-        on_gpu = backend == AUTO or _has_gpu_device(backend)
+        on_gpu = _has_gpu_device(backend)
     return choose_workers(machine, draws=draws, on_gpu=on_gpu, each=max(HOST, each or 0))
 
 
 def _has_gpu_device(backend: str) -> bool:
+    # Imported here: few machines have one, and who asks may start a worker before it imports NumPy.
+    from scenec.backends.registry import AUTO, backend_class
+
+    if backend == AUTO:
+        return True
     try:
         return bool(set(backend_class(backend).devices) - set(_NO_GPU))
     except (BackendError, PluginError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from scenec.backends.annotation.registry import find_pass
@@ -15,7 +16,7 @@ from scenec.schemas import picture
 from scenec.schemas.amodal import amodal_path, write_amodal
 from scenec.schemas.codec import encode
 from scenec.schemas.errors import OutputError
-from scenec.schemas.exr import write_exr
+from scenec.schemas.exr import as_half, write_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import CONVENTIONS, FrameKey, extra_path
 from scenec.schemas.instances import frame_table_path, write_frame_table
@@ -51,7 +52,12 @@ def write_frame(
     _unlink(stem.with_suffix(".json"))
     exr, passes, record = stem.with_suffix(".exr"), result.arrays, result.record
     others = {name: find_pass(name) for name in origins(passes)}
-    write_exr(exr, passes, others)
+    half = None
+    if key.half:
+        stored, half = as_half(passes["rgb"])
+        write_exr(exr, {**passes, "rgb": stored}, others)
+    else:
+        write_exr(exr, passes, others)
     shown = None
     if sensor is not None:
         shown = sensor.picture
@@ -62,10 +68,9 @@ def write_frame(
         from scenec.backends.imaging.effects import apply
 
         shown = apply(shown, camera.effects, record.sample)
-    _put(stem.with_suffix(".png"), shown, picture.write_png)
-    clean = _put(
-        extra_path(stem, "clean"), None if sensor is None else sensor.clean, picture.write_png
-    )
+    write_photo = partial(picture.write_png, level=picture.RENDERED)
+    _put(stem.with_suffix(".png"), shown, write_photo)
+    clean = _put(extra_path(stem, "clean"), None if sensor is None else sensor.clean, write_photo)
     raw = _put(extra_path(stem, "raw"), None if sensor is None else sensor.raw, picture.write_png)
     seen = result.seen
     listed, amodal = (None, None) if seen is None else (seen.table, seen.amodal)
@@ -88,6 +93,7 @@ def write_frame(
         exr=_vouch(exr),
         png="rgb" in passes,
         picture=brightness,
+        half=half,
         instance_table=_put(frame_table_path(stem), listed, write_frame_table),
         amodal=_put(amodal_path(stem), amodal, write_amodal),
         imaging=None if sensor is None else replace(sensor.record, clean=clean, raw=raw),

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from threading import Lock
 from typing import Any, Concatenate
 
 import numpy as np
@@ -55,6 +56,12 @@ class Memo:
         self._store = store
         self._digests = Digests(hold)
         self._files: dict[tuple[Path, Stamp], str] = {}
+        # Steps of a batch are called by several threads.
+        self._counting = Lock()
+
+    def _count(self, counts: Counter[str], name: str) -> None:
+        with self._counting:
+            counts[name] += 1
 
     def call(
         self, name: str, function: Callable[..., Any], arguments: dict[str, Any]
@@ -70,7 +77,7 @@ class Memo:
             key = self.key(function, arguments, describer)
         except (NotPlainError, OSError) as error:
             _log.debug("%s: made each time: %s", name, error)
-            self.made[name] += 1
+            self._count(self.made, name)
             return function(**arguments), False
         entry = self._store.find(key)
         if entry is not None:
@@ -79,9 +86,9 @@ class Memo:
             except FAULTS as error:
                 self._store.drop(key, str(error))
             else:
-                self.taken[name] += 1
+                self._count(self.taken, name)
                 return value, True
-        self.made[name] += 1
+        self._count(self.made, name)
         value = function(**arguments)
         self._keep(name, key, value, describer)
         return value, False

@@ -10,7 +10,7 @@ from scenec.compiler.materials.bake import baked
 from scenec.compiler.materials.displacement import displacement_of
 from scenec.compiler.materials.finer import finer_normals
 from scenec.compiler.materials.footprint import Footprint
-from scenec.compiler.materials.heights import forget_looks
+from scenec.compiler.materials.heights import AT_ONCE, forget_looks
 from scenec.compiler.materials.leave_out import UnusedMap, unseen, with_factor, without_unneeded
 from scenec.compiler.materials.pictures import with_pictures
 from scenec.compiler.materials.plan import MapSources, MaterialPlan
@@ -20,6 +20,7 @@ from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.material import Material
 from scenec.schemas.left_out import entry
 from scenec.schemas.maps import COLORS, MAP_CHANNELS
+from scenec.schemas.threads import on_threads
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,15 @@ def finish(
     """
     out = Finished()
     heights = _with_heights(ground)
-    for name, drawn in materials.items():
+
+    def one_of(name: str) -> Finished:
+        drawn = materials[name]
         if drawn.material.maps is None:
-            out.materials[name] = drawn.material
-            continue
+            return Finished({name: drawn.material})
         footprint = None if looked_at is None else looked_at[name]
-        one = _finished(name, drawn, name in heights, footprint, mesh)
+        return _finished(name, drawn, name in heights, footprint, mesh)
+
+    for one in on_threads(one_of, materials, AT_ONCE):
         out.materials |= one.materials
         out.facts |= one.facts
         out.left_out += one.left_out

@@ -17,8 +17,11 @@ from scenec.schemas import files
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import Stamp
 
+#: Surfaces that are painted at a time: what is painted of one is some 20 bytes a texel.
+AT_ONCE = 2
 
-@lru_cache(maxsize=2)
+
+@lru_cache(maxsize=AT_ONCE)
 def painted_look(surface: Surface, size_m: float) -> Paint:
     """Paints a kind of surface; the result is not to be changed. Few are cached: they are large."""
     return surface.paint(Tile(surface.key, size_m, surface.resolution))

@@ -50,7 +50,7 @@ def stored(source: Source) -> NDArray:
     return _stored(source, stamp(source))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _stored(source: Source, _stamp: Stamp | None) -> NDArray:
     name = source.name if isinstance(source, Path) else "of a model"
     try:

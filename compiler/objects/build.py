@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
-from typing import Any
+from copy import copy
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from scenec.compiler.scene.rig import Rig, sample_times
 from scenec.compiler.views.needed import Needs
 from scenec.compiler.views.resolution import Views, views_of
 from scenec.schemas.left_out import Facts
+from scenec.schemas.threads import on_threads
 
 Plans = tuple[ScatterPlan | PlacedPlan, ...]
 Timed = Callable[[str], AbstractContextManager[None]]
@@ -53,35 +55,67 @@ def place_obstacles(
         return (), {}
     beyond = any(isinstance(plan, ScatterPlan) and plan.beyond_m for plan in drawn_objects)
     land = build_land(drawn_terrain, surface)[0] if beyond else None
-    objects, *_ = build_objects(
-        drawn_objects, drawn_terrain, {}, drawn_samples, drawn_object_triangles, surface,
-        free_rigs, land, Needs(False, False, False), lambda _name: nullcontext(),
-    )  # fmt: skip
-    return objects, {}
+    timed: Timed = lambda _name: nullcontext()  # noqa: E731
+    shaped = shape_objects(drawn_objects, {}, Needs(False, False, False), timed)[0]
+    placing, *_ = place_filleted(
+        drawn_objects, drawn_terrain, drawn_samples, shaped, surface, free_rigs, land, timed
+    )
+    return build_objects(drawn_objects, drawn_object_triangles, shaped, placing, land)[0], {}
 
 
-def build_objects(
+class Shaped(NamedTuple):
+    """Holds what the objects of a class are made of.
+
+    Attributes:
+        chains: A chain of levels for each prototype.
+        facts: What of models' files is left out, for report.json.
+    """
+
+    chains: tuple[Chain, ...]
+    facts: dict[str, Any]
+
+
+def shape_objects(
+    drawn_objects: Plans, drawn_materials: dict[str, MaterialPlan], needs: Needs, timed: Timed
+) -> tuple[dict[str, Shaped], dict[str, MaterialPlan], Facts]:
+    """Makes the meshes of all classes, by name, and the materials with those of models.
+
+    Raises:
+        SceneError: A model cannot be taken.
+    """
+    looks = Looks(dict(drawn_materials)) if needs.color else None
+    # Models' materials have names by the order of classes.
+    loaded = [_load_models(plan, looks) for plan in drawn_objects]
+
+    def shape(number: int) -> tuple[Chain, ...]:
+        with timed(f"objects/{drawn_objects[number].name}"):
+            return _chains(drawn_objects[number], loaded[number][0], looks is not None)
+
+    chains = on_threads(shape, range(len(loaded)))
+    shaped = {
+        plan.name: Shaped(chain, facts)
+        for plan, chain, (_, facts) in zip(drawn_objects, chains, loaded, strict=True)
+    }
+    return shaped, drawn_materials if looks is None else looks.materials, {}
+
+
+def place_filleted(
     drawn_objects: Plans,
     drawn_terrain: TerrainPlan,
-    drawn_materials: dict[str, MaterialPlan],
     drawn_samples: int,
-    drawn_object_triangles: int | None,
+    shaped: dict[str, Shaped],
     surface: GroundSurface,
     rigs: tuple[Rig, ...],
     land: Land | None,
-    needs: Needs,
     timed: Timed,
-) -> tuple[
-    Objects, GroundSurface, dict[str, MaterialPlan], tuple[float, ...], tuple[str, ...], Facts
-]:
-    """Builds the objects on the ground and on the land around it, in the cfg's order.
+) -> tuple[Placing, GroundSurface, tuple[str, ...], Facts]:
+    """Places the classes up to the last that has fines about its feet, in the cfg's order.
 
     Returns:
-        The objects; the ground with the fines about their feet; materials, with those of models; of
-        each class, the largest error of positions in float32, meters; classes with fines.
+        What is placed; the ground with the fines; classes with fines.
 
     Raises:
-        SceneError: Something cannot be built or placed, or the budget cannot be kept.
+        SceneError: Something cannot be placed.
     """
     views, meshing = views_of(rigs), drawn_terrain.meshing
     context = PlacementContext(surface, views.eye, views, meshing.unseen, meshing.tolerance_px)
@@ -92,80 +126,117 @@ def build_objects(
         assert land is not None
         near = PlacementContext(land.near(beyond_m), views.eye, views, meshing.unseen)
         context.beyond[beyond_m] = near
-    looks = Looks(dict(drawn_materials))
-    times, most = sample_times(rigs, drawn_samples), drawn_object_triangles
-    objects, surface, facts = place_classes(
-        drawn_objects, context, times, looks if needs.color else None, most, timed
-    )
-    own = facts["objects"]
+    placing = Placing(context, sample_times(rigs, drawn_samples), timed)
+    filleted = [i for i, plan in enumerate(drawn_objects) if _has_fillet(plan)]
+    placing.place(drawn_objects[: max(filleted, default=-1) + 1], shaped)
+    names = tuple(name for name, own in placing.facts.items() if "fillets" in own)
+    return placing, context.surface, names, {}
+
+
+def _has_fillet(plan: ScatterPlan | PlacedPlan) -> bool:
+    return isinstance(plan, ScatterPlan) and plan.fillet is not None
+
+
+def build_objects(
+    drawn_objects: Plans,
+    drawn_object_triangles: int | None,
+    shaped: dict[str, Shaped],
+    placing: Placing,
+    land: Land | None,
+) -> tuple[Objects, tuple[float, ...], Facts]:
+    """Builds the objects on the ground and on the land around it, in the cfg's order.
+
+    Returns:
+        The objects; of each class, the largest error of positions in float32, meters.
+
+    Raises:
+        SceneError: Something cannot be placed, or the budget cannot be kept.
+    """
+    placing = placing.copy()
+    placing.place(drawn_objects[len(placing.placed) :], shaped)
+    objects, facts = placing.choose(drawn_object_triangles)
+    own, beyond = facts["objects"], placing.context.beyond
     for plan, one in zip(drawn_objects, objects, strict=True):
         if land and isinstance(plan, ScatterPlan) and isinstance(one, Scatter) and plan.beyond_m:
-            off_m = land.off_m(context.beyond[plan.beyond_m].surface, one.positions)
+            off_m = land.off_m(beyond[plan.beyond_m].surface, one.positions)
             own[plan.name]["land_error_max_m"] = off_m
-    errors_m = tuple(float(of["float32_error_max_m"]) for of in own.values())
-    filleted = tuple(name for name, of in own.items() if "fillets" in of)
-    return objects, surface, looks.materials, errors_m, filleted, facts
+    return objects, tuple(float(of["float32_error_max_m"]) for of in own.values()), facts
 
 
-def place_classes(
-    plans: Plans,
-    context: PlacementContext,
-    times: NDArray[np.float64],
-    looks: Looks | None,
-    max_triangles: int | None,
-    timed: Timed,
-) -> tuple[Objects, GroundSurface, Facts]:
-    """Places all classes, in the plans' order; each sees those before it.
+@dataclass
+class Placing:
+    """Classes of objects as far as they are placed, in the plans' order; each sees those before it.
 
-    Args:
+    Attributes:
         context: Ground and cameras; receives what is placed.
-        looks: Receives the materials of models; None where no color is asked for.
-        max_triangles: Most triangles of all objects together, or None.
+        times: Of the samples.
         timed: Measures how long a class takes, in a ``with`` block.
+        placed: The classes.
+        facts: Of each, for report.json.
     """
-    placed_classes: list[Levels | Placed] = []
-    facts: dict[str, dict[str, Any]] = {}
-    report: dict[str, Any] = {"objects": facts}
-    for plan in plans:
-        with timed(f"objects/{plan.name}"):
-            own = facts[plan.name] = {}
-            if isinstance(plan, PlacedPlan):
-                models = tuple(mesh for mesh, _ in _prototypes(plan, plan, looks, own))
-                placed = place_objects(plan, models, context.surface, times)
-                own |= _report(placed)
-                placed_classes.append(placed)
-                context.objects[plan.name] = plan_circles(placed)
-            else:
-                chains = _chains(plan, looks, own)
+
+    context: PlacementContext
+    times: NDArray[np.float64]
+    timed: Timed
+    placed: list[Levels | Placed] = field(default_factory=list)
+    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def copy(self) -> Placing:
+        """Returns one that can be gone on with, while this one stays."""
+        context = copy(self.context)
+        context.objects = dict(context.objects)
+        facts = {name: dict(own) for name, own in self.facts.items()}
+        return replace(self, context=context, placed=list(self.placed), facts=facts)
+
+    def place(self, plans: Plans, shaped: Mapping[str, Shaped]) -> None:
+        """Places classes that come after those placed."""
+        context = self.context
+        for plan in plans:
+            with self.timed(f"objects/{plan.name}"):
+                chains, facts = shaped[plan.name]
+                own = self.facts[plan.name] = dict(facts)
+                if isinstance(plan, PlacedPlan):
+                    models = tuple(chain[0] for chain in chains)
+                    placed = place_objects(plan, models, context.surface, self.times)
+                    own |= _report(placed)
+                    self.placed.append(placed)
+                    context.objects[plan.name] = plan_circles(placed)
+                    continue
                 # All that a class can see of others is what its plan names.
                 near = context.only(_referred_classes(plan, context.objects), plan.beyond_m)
-                levels, facts_of_it = _scattered(
+                levels, facts = _scattered(
                     _without_files(plan), chains, near, context.views, context.unseen
                 )
-                own |= facts_of_it
+                own |= facts
                 own["float32_error_max_m"] += _rounding_m(levels.scatter)
-                placed_classes.append(levels)
+                self.placed.append(levels)
                 context.objects[plan.name] = plan_circles(levels.scatter)
                 if plan.fillet is not None:
                     context.surface, own["fillets"] = add_fillets(
                         plan.fillet, levels.scatter, context
                     )
-    scattered = [levels for levels in placed_classes if isinstance(levels, Levels)]
-    single = sum(facts[one.name]["triangles"] for one in placed_classes if isinstance(one, Placed))
-    factor = None
-    if max_triangles is not None:
-        factor = budget_factor(scattered, max_triangles, single)
-        report["object_budget"] = {"max_triangles": max_triangles, "error_factor": factor or 1.0}
-    objects: list[Scatter | Placed] = []
-    for one in placed_classes:
-        if isinstance(one, Placed):
-            objects.append(one)
-            continue
-        with timed(f"objects/{one.scatter.name}"):
-            scatter, chosen = choose_levels(one, factor)
-            facts[scatter.name] |= chosen
-            objects.append(scatter)
-    return tuple(objects), context.surface, report
+
+    def choose(self, max_triangles: int | None) -> tuple[Objects, Facts]:
+        """Chooses the levels of what is placed; all together have so many triangles at most."""
+        report: dict[str, Any] = {"objects": self.facts}
+        scattered = [levels for levels in self.placed if isinstance(levels, Levels)]
+        singles = [one for one in self.placed if isinstance(one, Placed)]
+        factor = None
+        if max_triangles is not None:
+            single = sum(self.facts[one.name]["triangles"] for one in singles)
+            factor = budget_factor(scattered, max_triangles, single)
+            error_factor = factor or 1.0
+            report["object_budget"] = {"max_triangles": max_triangles, "error_factor": error_factor}
+        objects: list[Scatter | Placed] = []
+        for one in self.placed:
+            if isinstance(one, Placed):
+                objects.append(one)
+                continue
+            with self.timed(f"objects/{one.scatter.name}"):
+                scatter, chosen = choose_levels(one, factor)
+                self.facts[scatter.name] |= chosen
+                objects.append(scatter)
+        return tuple(objects), report
 
 
 def _scattered(
@@ -217,15 +288,28 @@ def _referred_classes(plan: ScatterPlan, there: Iterable[str]) -> set[str]:
     return found | set((plan.spacing and plan.spacing.of) or ())
 
 
-def _chains(plan: ScatterPlan, looks: Looks | None, facts: dict[str, Any]) -> tuple[Chain, ...]:
-    if isinstance(plan.source, ModelSource):
-        models = _prototypes(plan, plan.source, looks, facts)
-        if plan.lod_px > 0.0:
-            return tuple(foliage_chain(mesh, model) for mesh, model in models)
-        return tuple((mesh,) for mesh, _ in models)
+type Loaded = tuple[tuple[Prototype, MeshModel], ...]
+
+
+def _load_models(
+    plan: ScatterPlan | PlacedPlan, looks: Looks | None
+) -> tuple[Loaded, dict[str, Any]]:
+    """The models of a class, none where it is of rocks, and facts about their files."""
+    facts: dict[str, Any] = {}
+    source = plan if isinstance(plan, PlacedPlan) else plan.source
+    if isinstance(source, PlacedPlan | ModelSource):
+        return _prototypes(plan, source, looks, facts), facts
+    return (), facts
+
+
+def _chains(plan: ScatterPlan | PlacedPlan, loaded: Loaded, color: bool) -> tuple[Chain, ...]:
+    if isinstance(plan, PlacedPlan) or isinstance(plan.source, ModelSource):
+        if isinstance(plan, ScatterPlan) and plan.lod_px > 0.0:
+            return tuple(foliage_chain(mesh, model) for mesh, model in loaded)
+        return tuple((mesh,) for mesh, _ in loaded)
     # A tolerance of 0 asks for the finest level only.
     chains = build_chains(plan.source.shapes, coarser=plan.lod_px > 0.0)
-    if looks is None or not plan.source.coatings or not len(plan.embed):
+    if not color or not plan.source.coatings or not len(plan.embed):
         return chains
     return coat(chains, plan.source.coatings, float(plan.embed.mean()))
 

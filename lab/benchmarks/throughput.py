@@ -35,7 +35,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.lab.benchmarks.gpu import most_gib, watched
 from scenec.lab.runner import DEMO, Cell, Study, apart, run
 from scenec.schemas.budget import usable_cores
-from scenec.schemas.frames import ANNOTATION
+from scenec.schemas.passes import ANNOTATION
 from scenec.schemas.units import Executor, Outcome, Take, Unit, run_all
 
 #: Seconds a worker's first frame alone takes.

@@ -68,7 +68,7 @@ def scenes() -> dict[str, Any]:
 
 def pairs(**options: Any) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
     """Yields pictures, float32 [3, h, w] in [0, 1], and classes, int64 [h, w]."""
-    for frame in scenec.stream(scenes(), backend="pyrender", rgb="srgb", **options):
+    for frame in scenec.stream(scenes(), backend="pyrender", color="srgb", **options):
         assert frame.rgb is not None
         classes = torch.from_numpy(frame.labels["class"].astype(np.int64))
         yield torch.from_numpy(np.moveaxis(frame.rgb, -1, 0).copy()), classes

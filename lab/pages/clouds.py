@@ -45,7 +45,9 @@ from scenec.lab.benchmarks.cfgs import looking
 from scenec.lab.pictures import beside_assets, frames, photograph, save, sheet
 from scenec.lab.runner import ROOT, Page, held, in_turns, run
 from scenec.schemas.kernels import kernel
+from scenec.schemas.manifest import REPORT
 from scenec.schemas.picture import develop
+from scenec.schemas.report import BatchReport, read_output_record
 
 GROUND = np.array([0.2, 0.2, 0.15])
 #: Above the air, W/m^2.
@@ -166,8 +168,8 @@ def scenes(page: Page) -> None:
         file.write_text(json.dumps(cfg | {"light": light}))
         (frame,) = frames(file, out, "pyrender", seed=2, spp=4 if page.fast else 16)
         tiles.append(("", photograph(frame)))
-        facts = json.loads((out / "batch_0000" / "report.json").read_text())
-        left = facts.get("clouds", {}).get("sun_transmittance", [0.0])[0]
+        clouds = read_output_record(out / "batch_0000" / REPORT, BatchReport).clouds
+        left = 0.0 if clouds is None else clouds.sun_transmittance[0]
         told.append(f"{name} ({100.0 * left:.0f} % of the sun)")
     save(sheet([tiles], SIZE[0]), page.picture("scenes"))
     page.value("scenes", ", ".join(told))

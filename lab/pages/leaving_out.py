@@ -20,7 +20,8 @@ from scenec.compiler.views.illumination import MIN_VIEW_FACTOR, SHARP
 from scenec.compiler.views.needed import Keep
 from scenec.lab.runner import ROOT, SHIPPED, Page, run
 from scenec.schemas.errors import ScenecError
-from scenec.schemas.report import Timings, read_output_record
+from scenec.schemas.manifest import REPORT
+from scenec.schemas.report import BatchReport, Timings, read_output_record
 from scenec.testing.pruned_extremes import CASES, Case, pruned_cfg
 from scenec.testing.pruned_scenes import annotation, compiled, difference
 
@@ -116,8 +117,8 @@ def _measured(case: Case, folder: Path, spp: int) -> list[str]:
 
 def _compared(pruned: Path, whole: Path, spp: int) -> list[str]:
     """Objects kept, why, light off, noise, bytes, seconds."""
-    report = json.loads((pruned / "report.json").read_text(encoding="utf-8"))
-    classes = report["prune"]["objects"].values()
+    prune = read_output_record(pruned / REPORT, BatchReport).prune
+    classes = prune.objects.values() if prune else ()
     kept = [sum(one.get(name, 0) for one in classes) for name in ("seen", "shadow", "light")]
     drawn = sum(sum(one.values()) - one.get("not placed", 0) for one in classes)
     timings = read_output_record(pruned.parent / "timings.json", Timings)

@@ -185,7 +185,7 @@ class _Climb:
             again = _REFERENCE_SEED + 1
             references += (self._render("reference/second", spp=ladder.reference, seed=again),)
             for denoise in (False, True) if ladder.denoise else (False,):
-                if denoise and opened.denoiser is None:
+                if denoise and opened.renderer.denoiser is None:
                     self._say(f"{self._wanted.backend} has no denoiser: one ladder for it")
                     continue
                 rungs += [(rung, denoise, self._repeats(rung, denoise)) for rung in ladder.rungs]
@@ -196,12 +196,12 @@ class _Climb:
             )
         return Climbed(
             self._wanted.backend,
-            opened.version,
-            opened.device,
+            opened.renderer.version,
+            opened.renderer.device,
             stochastic,
             references,
             rungs,
-            opened.denoiser if ladder.denoise else None,
+            opened.renderer.denoiser if ladder.denoise else None,
             opened.losses,
             opened.digest,
             self._start_s(),

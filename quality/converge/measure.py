@@ -136,12 +136,30 @@ def _measured(frame: Frame, truth: References, against: str, shown: LadderFrame)
     )
 
 
-def floors(climbed: Sequence[Climbed], references: References) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class ReferenceGap:
+    """Records what differs between two backends' references of a batch, means over its frames.
+
+    Attributes:
+        relative_ms, relative_ms_error: As of ``metrics.square_and_error``.
+        noise_ms: Relative variance that was subtracted.
+        relative_mse, bias, flip: As of ``Row``.
+    """
+
+    backend: str
+    against: str
+    relative_ms: float
+    relative_ms_error: float
+    noise_ms: float
+    relative_mse: float
+    bias: float
+    flip: float | None
+
+
+def differences(climbed: Sequence[Climbed], references: References) -> list[ReferenceGap]:
     """Compares backends' references, pair by pair: differences that more samples leave.
 
-    The noise of both is subtracted. Means over frames: ``relative_ms`` and ``relative_ms_error``
-    (``metrics.square_and_error``), ``noise_ms`` (relative variance that was subtracted),
-    ``relative_mse``, ``bias``, ``flip``.
+    The noise of both is subtracted.
     """
     found = []
     for i, one in enumerate(climbed):
@@ -164,16 +182,16 @@ def floors(climbed: Sequence[Climbed], references: References) -> list[dict[str,
                 )
                 flips += [] if map_ is None else [float(map_.mean())]
             found.append(
-                {
-                    "backend": judged.backend,
-                    "against": truth.backend,
-                    "relative_ms": float(np.mean(squares)),
-                    "relative_ms_error": float(np.sqrt(np.square(scatter).sum())) / len(scatter),
-                    "noise_ms": float(np.mean(own)),
-                    "relative_mse": float(np.mean(weighed)),
-                    "bias": float(np.mean(biases)),
-                    "flip": float(np.mean(flips)) if flips else None,
-                }
+                ReferenceGap(
+                    backend=judged.backend,
+                    against=truth.backend,
+                    relative_ms=float(np.mean(squares)),
+                    relative_ms_error=float(np.sqrt(np.square(scatter).sum())) / len(scatter),
+                    noise_ms=float(np.mean(own)),
+                    relative_mse=float(np.mean(weighed)),
+                    bias=float(np.mean(biases)),
+                    flip=float(np.mean(flips)) if flips else None,
+                )
             )
     return found
 

@@ -68,12 +68,12 @@ def _floor(series: Sequence[Series], report: ConvergeReport, colors: dict[str, s
             if one.against == truth:
                 _curve(axes, one, "seconds", colors[one.backend], None)
         for floor in report.floors:
-            pair = {floor["backend"], floor["against"]}
-            if truth in pair and floor["relative_rms"] is not None:
+            pair = {floor.backend, floor.against}
+            if truth in pair and floor.relative_rms is not None:
                 other = (pair - {truth}).pop()
                 axes.axhline(
-                    floor["relative_rms"], color=colors[other], linestyle=":",
-                    label=f"{other}: floor {100 * floor['relative_rms']:.3g} %",
+                    floor.relative_rms, color=colors[other], linestyle=":",
+                    label=f"{other}: floor {100 * floor.relative_rms:.3g} %",
                 )  # fmt: skip
         axes.set_title(f"against {truth}", fontsize=10)
         _finish(axes, "seconds of light a frame")

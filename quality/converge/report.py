@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scenec.backends.check.radiance import flip, write_differences
 from scenec.quality.converge.ladder import Climbed
@@ -17,7 +17,7 @@ from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import Frame
 
 if TYPE_CHECKING:
-    from scenec.quality.converge.series import ConvergeReport, Series
+    from scenec.quality.converge.series import ConvergeReport, Floor, Series
 
 CSV, JSON = "converge.csv", "converge.json"
 NO_PLOTS = "no plots without matplotlib; mend it with: pip install 'scenec[plots]'"
@@ -90,13 +90,13 @@ def against_plain(series: Sequence[Series]) -> list[str]:
     return lines
 
 
-def unseen_floors(floors: Sequence[dict[str, Any]]) -> list[str]:
+def unseen_floors(floors: Sequence[Floor]) -> list[str]:
     """Floors that the references' noise hides."""
     return [
-        f"{floor['backend']} : {floor['against']}: what differs cannot be told from the "
-        f"references' noise; it is below {100 * floor['relative_rms_high']:.2g} %"
+        f"{floor.backend} : {floor.against}: what differs cannot be told from the "
+        f"references' noise; it is below {100 * floor.relative_rms_high:.2g} %"
         for floor in floors
-        if floor["relative_rms_low"] == 0.0 and floor["relative_rms_high"] > 0.0
+        if floor.relative_rms_low == 0.0 and floor.relative_rms_high > 0.0
     ]
 
 

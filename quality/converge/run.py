@@ -16,11 +16,11 @@ from scenec.quality.converge.fits import band, fit
 from scenec.quality.converge.ladder import Climbed, Ladder, climb
 from scenec.quality.converge.measure import Row
 from scenec.quality.converge.metrics import root
-from scenec.quality.converge.series import ConvergeReport, Series, Step
+from scenec.quality.converge.series import ConvergeReport, Floor, Series, Step
 from scenec.schemas.errors import BackendError
 from scenec.schemas.files import check_writable
-from scenec.schemas.frames import ANNOTATION_NAMES
 from scenec.schemas.manifest import find_batches
+from scenec.schemas.passes import ANNOTATION_NAMES
 from scenec.schemas.units import Say
 
 #: In the output folder.
@@ -56,7 +56,7 @@ def converge(
     _check(names, ladder)
     folder = (out if out.is_dir() else out.parent) / FOLDER
     found = ConvergeReport()
-    floors: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    differences: dict[tuple[str, str], list[measure.ReferenceGap]] = defaultdict(list)
     check_writable(folder)
     for batch in find_batches(out, batches):
         aside = folder / "pictures" / batch.name
@@ -64,12 +64,12 @@ def converge(
         seen = measure.see(climbed)
         found.stages[batch.name] = climbed[0].digest
         found.rows += measure.rows(batch.name, climbed, seen)
-        for floor in measure.floors(climbed, seen):
-            floors[floor["backend"], floor["against"]].append(floor)
+        for pair in measure.differences(climbed, seen):
+            differences[pair.backend, pair.against].append(pair)
         for one in climbed:
             _add(found, one, seen, ladder)
         found.files += report.pictures(folder / "differences", batch.name, climbed, seen)
-    found.floors = [_mean_floor(each) for each in floors.values()]
+    found.floors = [_floor(each) for each in differences.values()]
     found.series = _series(found.rows, found.backends)
     report.write(folder, found)
     for line in found.notes:
@@ -114,24 +114,22 @@ def _add(report: ConvergeReport, one: Climbed, truth: measure.References, ladder
     entry["reference_relative_rms"] = max(entry["reference_relative_rms"], worst)
 
 
-def _mean_floor(each: list[dict[str, Any]]) -> dict[str, Any]:
+def _floor(each: Sequence[measure.ReferenceGap]) -> Floor:
     """Over batches; squares are averaged, and then roots are drawn."""
-
-    def mean(name: str) -> float | None:
-        values = [entry[name] for entry in each]
-        return None if None in values else float(np.mean(values))
-
-    square = float(np.mean([entry["relative_ms"] for entry in each]))
-    error = math.sqrt(sum(entry["relative_ms_error"] ** 2 for entry in each)) / len(each)
-    reach = NORMAL_95 * error
-    return {
-        **{name: each[0][name] for name in ("backend", "against")},
-        "relative_rms": root(square),
-        "relative_rms_low": root(square - reach) or 0.0,
-        "relative_rms_high": root(square + reach) or 0.0,
-        "relative_rms_of_the_noise": root(mean("noise_ms") or 0.0) or 0.0,
-        **{name: mean(name) for name in ("relative_mse", "bias", "flip")},
-    }
+    square = float(np.mean([one.relative_ms for one in each]))
+    reach = NORMAL_95 * math.sqrt(sum(one.relative_ms_error**2 for one in each)) / len(each)
+    flips = [one.flip for one in each if one.flip is not None]
+    return Floor(
+        backend=each[0].backend,
+        against=each[0].against,
+        relative_rms=root(square),
+        relative_rms_low=root(square - reach) or 0.0,
+        relative_rms_high=root(square + reach) or 0.0,
+        relative_rms_of_the_noise=root(float(np.mean([one.noise_ms for one in each]))) or 0.0,
+        relative_mse=float(np.mean([one.relative_mse for one in each])),
+        bias=float(np.mean([one.bias for one in each])),
+        flip=float(np.mean(flips)) if len(flips) == len(each) else None,
+    )
 
 
 def _series(rows: Sequence[Row], backends: dict[str, dict[str, Any]]) -> list[Series]:

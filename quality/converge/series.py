@@ -70,6 +70,28 @@ class Series:
         return f"{self.backend} denoised" if self.denoised else self.backend
 
 
+@dataclass(frozen=True, kw_only=True)
+class Floor:
+    """Records what differs between two backends however many samples they take, over batches.
+
+    Attributes:
+        relative_rms: The noise of both subtracted; None where that leaves nothing.
+        relative_rms_low, relative_rms_high: Its 95 % interval.
+        relative_rms_of_the_noise: What was subtracted.
+        relative_mse, bias, flip: Means; FLIP with the noise, None where it is not installed.
+    """
+
+    backend: str
+    against: str
+    relative_rms: float | None
+    relative_rms_low: float
+    relative_rms_high: float
+    relative_rms_of_the_noise: float
+    relative_mse: float
+    bias: float
+    flip: float | None
+
+
 @dataclass
 class ConvergeReport:
     """Reports the convergence of backends.
@@ -86,7 +108,7 @@ class ConvergeReport:
     """
 
     series: list[Series] = field(default_factory=list)
-    floors: list[dict[str, Any]] = field(default_factory=list)
+    floors: list[Floor] = field(default_factory=list)
     backends: dict[str, dict[str, Any]] = field(default_factory=dict)
     stages: dict[str, str] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
@@ -100,7 +122,7 @@ class ConvergeReport:
             "stages": self.stages,
             "backends": self.backends,
             "series": [{**asdict(one), "own": one.own, "name": one.name} for one in self.series],
-            "floors": self.floors,
+            "floors": [asdict(one) for one in self.floors],
             "notes": self.notes,
         }
 
@@ -120,15 +142,15 @@ def step_cells(step: Step) -> list[str]:
     ]
 
 
-def floor_cells(floor: dict[str, Any]) -> list[str]:
+def floor_cells(floor: Floor) -> list[str]:
     """Formats the difference of two backends as text, under ``FLOOR_HEADER``."""
     return [
-        f"{floor['backend']} : {floor['against']}",
-        percent(floor["relative_rms"]),
-        f"{percent(floor['relative_rms_low'])} to {percent(floor['relative_rms_high'])}",
-        f"{floor['relative_mse']:.3g}",
-        "-" if floor["flip"] is None else f"{floor['flip']:.4f}",
-        f"{100 * floor['bias']:+.3f} %",
+        f"{floor.backend} : {floor.against}",
+        percent(floor.relative_rms),
+        f"{percent(floor.relative_rms_low)} to {percent(floor.relative_rms_high)}",
+        f"{floor.relative_mse:.3g}",
+        "-" if floor.flip is None else f"{floor.flip:.4f}",
+        f"{100 * floor.bias:+.3f} %",
     ]
 
 

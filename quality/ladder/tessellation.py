@@ -21,6 +21,7 @@ from scenec.quality.ladder.points import Bools, Floats, rms, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.tin import Heights, heights
 from scenec.quality.ladder.visible import Truth, horizons
+from scenec.quality.ladder.window import ground_facts
 
 #: How far float32 vertices may lie within the terrain's border, parts of its size.
 _ROUNDING = 1e-6
@@ -110,6 +111,7 @@ def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Flo
     terrain = base.plan.terrain
     clock = Clock()
     tiles, report = clock.mean(partial(_tiles, base, tolerance_px))
+    facts = ground_facts(report)
     if used:
         base.tiles = tiles
     table = base.plan.label_table if base.labels else {}
@@ -122,8 +124,9 @@ def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Flo
             lambda folder: write_terrain(folder / "terrain.usdc", ground, materials, names)
         )
     )
-    mesh = report["mesh"]
-    finer = mesh.get("finer", {})
+    mesh = facts.mesh
+    assert mesh is not None, "a tolerance of the mesh"
+    finer = mesh.finer
     mesh_heights = heights(tiles, truth.x, truth.y)
     error, normal, there = distances(truth, mesh_heights)
     shown = error * pixels[there]
@@ -132,22 +135,18 @@ def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Flo
         shown,
         clock,
         size,
-        int(report["faces"]),
+        facts.faces,
         **{
             "worst_m": worst(error),
             "rms_m": rms(error),
             "worst_normal_m": worst(normal),
             "99_9_percent_px": float(order[int(0.999 * (len(order) - 1))]) if len(order) else 0.0,
             **_silhouettes(base, truth, mesh_heights),
-            "found_px": float(
-                max(mesh["height_error_max_px"], finer.get("surface_error_found_px", 0.0))
-            ),
-            "found_m": float(
-                max(mesh["height_error_max_m"], finer.get("surface_error_found_m", 0.0))
-            ),
-            "tolerance_reached_px": float(mesh["tolerance_reached_px"]),
-            "budget_bound": bool(mesh["budget_bound"]),
-            "triangles_before_cuts": int(mesh["triangles"]),
+            "found_px": max(mesh.height_error_max_px, finer.found_px if finer else 0.0),
+            "found_m": max(mesh.height_error_max_m, finer.surface_error_found_m if finer else 0.0),
+            "tolerance_reached_px": mesh.tolerance_reached_px,
+            "budget_bound": mesh.budget_bound,
+            "triangles_before_cuts": mesh.triangles,
             "points": len(error),
             "points_in_holes": holes(truth, there, base.surface.field.grid.size_m),
         },

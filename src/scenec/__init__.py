@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from scenec.api.explain.why import why
     from scenec.api.export import export
     from scenec.api.listener import Listener
+    from scenec.api.make import import_scene, settle_objects
+    from scenec.api.measure import converge, ladder
     from scenec.api.outputs import OutputFolder, open_frames
     from scenec.api.preview import preview
     from scenec.api.shown import FrameView, StageView
@@ -25,12 +27,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FrameView", "Listener", "OutputFolder", "StageView", "StreamFrame", "check", "compile",
-    "evaluate", "explain", "export", "open_frames", "preview", "render", "run", "scan", "stream",
-    "sweep", "view", "why",
+    "converge", "evaluate", "explain", "export", "import_scene", "ladder", "open_frames", "preview",
+    "render", "run", "scan", "settle_objects", "stream", "sweep", "view", "why",
 ]  # fmt: skip
 #: Public name -> the module of ``scenec.api`` that has it, where that is named otherwise.
 _HOMES = {name: name for name in __all__} | {
     **dict.fromkeys(("FrameView", "StageView"), "shown"),
+    **dict.fromkeys(("import_scene", "settle_objects"), "make"),
+    **dict.fromkeys(("converge", "ladder"), "measure"),
     **dict.fromkeys(("OutputFolder", "open_frames"), "outputs"),
     **dict.fromkeys(("compile", "render", "run", "scan"), "work"),
     "Listener": "listener",

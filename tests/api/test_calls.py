@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import scenec
-from scenec.api import options, outputs
+from scenec.api import make, measure, options, outputs
 from scenec.api.check import CheckReport
 from scenec.api.declare import declared
 from scenec.api.sweep import _lists
@@ -33,12 +33,17 @@ RECORDS = {
     "run": options.RunOptions, "sweep": options.SweepOptions, "check": options.CheckOptions,
     "export": options.ExportOptions, "evaluate": options.EvaluateOptions,
     "view": options.ViewOptions, "preview": options.PreviewOptions,
+    "converge": measure.ConvergeOptions, "ladder": measure.LadderOptions,
+    "settle_objects": make.SettleOptions, "import_scene": make.ImportOptions,
 }  # fmt: skip
 #: Of the command line alone: where it prints to, how much, in a window or not.
 OF_COMMANDS = {
     "help", "json", "verbose", "out", "cfg", "format", "list", "predictions", "open",
-    "watch", "rerun", "rerun_save", "port", "no_browser", "once",
+    "watch", "rerun", "rerun_save", "port", "no_browser", "once", "source", "output", "report",
+    "why", "ladder", "csv", "plot",
 }  # fmt: skip
+#: Where a call is named otherwise than its command.
+COMMANDS = {"import_scene": "import", "settle_objects": "settle", "ladder": "explain"}
 
 
 def actions(command: str) -> dict[str, argparse.Action]:
@@ -50,7 +55,7 @@ def actions(command: str) -> dict[str, argparse.Action]:
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_call_takes_the_options_of_its_command_with_the_same_defaults(name):
-    record, there = RECORDS[name], actions(name)
+    record, there = RECORDS[name], actions(COMMANDS.get(name, name))
     known = {field.name: field.default for field in fields(record)}
     assert set(declared(record)) <= set(there)
     further = set(there) - set(known) - OF_COMMANDS
@@ -125,16 +130,27 @@ def test_none_stands_for_the_default_of_any_field(record):
     assert vars(record(**dict.fromkeys(vars(usual)))) == vars(usual)
 
 
-@pytest.mark.parametrize(
-    ("record", "name", "expected"),
-    [
-        (options.RenderOptions, "backend", "expected a str"),
-        (options.RenderOptions, "listener", "expected a Listener"),
-    ],
-)
-def test_a_value_of_another_type_is_refused_by_its_name(record, name, expected):
-    with pytest.raises(ScenecError, match=f"{name}: 3: {expected}"):
-        record(**{name: 3})
+CALLS = [name for name in scenec.__all__ if not inspect.isclass(getattr(scenec, name))]
+ARGUMENTS = [
+    (name, of) for name in CALLS for of in inspect.signature(getattr(scenec, name)).parameters
+]
+
+
+@pytest.mark.parametrize(("name", "argument"), ARGUMENTS)
+@pytest.mark.parametrize("wrong", [object(), b"3", [object()], 0.5j])
+def test_a_value_of_another_type_is_refused_by_its_name(name, argument, wrong):
+    call = getattr(scenec, name)
+    parameters = inspect.signature(call).parameters.values()
+    given = {p.name: "no_such" for p in parameters if p.default is p.empty} | {argument: wrong}
+    positional = [given.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY]
+    with pytest.raises(ScenecError, match=rf"^{argument}: .*expected"):
+        call(*positional, **given)
+
+
+@pytest.mark.parametrize("kind", [scenec.OutputFolder, scenec.StageView.of])
+def test_an_output_and_a_stage_are_named_by_paths(kind):
+    with pytest.raises(ScenecError, match=r"^path: 3: expected a path$"):
+        kind(3)
 
 
 @pytest.mark.parametrize(
@@ -151,17 +167,17 @@ def test_what_is_no_cfg_is_refused_by_its_name(cfg, why, tmp_path):
 
 def test_seeds_of_an_array_are_seeds():
     assert json.dumps(options.SweepOptions(seeds=np.arange(2)).seeds) == "[0, 1]"  # type: ignore[arg-type]
-    for seeds, wrong in (([0.5], "0.5"), (range(-1, 3), "-1")):
-        with pytest.raises(ScenecError, match=f"seeds: '{wrong}': expected a whole number"):
+    for seeds, wrong in (([0.5], "0.5"), (range(-1, 3), "'-1'")):
+        with pytest.raises(ScenecError, match=f"seeds: {wrong}: expected a whole number"):
             options.SweepOptions(seeds=seeds)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("record", "wrong", "why"),
     [
-        (options.RenderOptions, {"spp": [1, 2]}, r"spp: \[1, 2\]: expected one value"),
+        (options.RenderOptions, {"spp": [1, 2]}, r"spp: \[1, 2\]: expected a whole number"),
         (options.RenderOptions, {"backend": ["mitsuba"]}, "backend: .*: expected a str"),
-        (options.CompileOptions, {"cache": 3}, "cache: 3: expected a path"),
+        (options.CompileOptions, {"cache": 3}, "cache: 3: expected a bool or a path"),
     ],
 )
 def test_one_value_is_no_list_and_a_path_no_number(record, wrong, why):
@@ -240,6 +256,23 @@ def test_answers_print_and_show_what_the_command_prints(out, capsys, monkeypatch
     assert main(["explain", str(out)]) == 0
     assert str(found) == capsys.readouterr().out.strip()
     assert "left out" in found._repr_html_()
+
+
+def test_a_message_names_an_option_as_its_caller_does(out, tmp_path, capsys):
+    truth, given = tmp_path / "truth.txt", tmp_path / "given.txt"
+    truth.touch()
+    given.touch()
+    with pytest.raises(ScenecError, match=r"^max_detections: is about instances.*\(task\)$"):
+        scenec.evaluate(given, truth, max_detections=3)
+    words = ["evaluate", str(given), "--against", str(truth), "--max-detections", "3"]
+    assert main(words) == 2
+    assert "--max-detections: is about instances" in capsys.readouterr().err
+    scenec.render(out, backend="annotation", passes="depth", folder=tmp_path, workers=0)
+    again = {"backend": "annotation", "passes": "normal", "folder": tmp_path, "workers": 0}
+    with pytest.raises(ScenecError, match=r"; replace renders it again"):
+        scenec.render(out, **again)
+    with pytest.raises(ScenecError, match=r"^settings 'a': expected NAME=VALUE"):
+        scenec.export(out, "coco", settings="a", workers=0)
 
 
 def test_no_batch_is_no_stage_to_render(out):

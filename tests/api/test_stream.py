@@ -241,7 +241,7 @@ def test_what_is_kept_is_the_commands_output_and_made_once(tmp_path):
 
 def test_rgb_is_a_picture_unless_radiance_is_asked_for():
     def rgb(form=None):
-        asked = {} if form is None else {"rgb": form}
+        asked = {} if form is None else {"color": form}
         return next(scenec.stream(tiny(), workers=0, backend="pyrender", **asked)).rgb
 
     eight, unit, radiance = rgb(), rgb("srgb"), rgb("radiance")
@@ -257,7 +257,7 @@ def test_faults_name_the_argument():
     with pytest.raises(CfgError, match=r"(?m)^cfg: /objects/rocks/count: "):
         scenec.stream(cfg)
     for options, words in (
-        ({"rgb": "linear"}, "rgb: 'linear': expected one of srgb8, srgb, radiance"),
+        ({"color": "linear"}, "color: 'linear': expected one of srgb8, srgb, radiance"),
         ({"start": -1}, "start: '-1': expected a whole number"),
         ({"passes": "dept"}, 'passes: no pass "dept"'),
         ({"workers": "two"}, "workers: 'two': expected a whole number"),

@@ -39,7 +39,7 @@ def test_samples_are_those_of_a_dataset_of_the_same_scenes(tmp_path):
     for name, value in expected.items():
         same = torch.equal(sample[name], value) if torch.is_tensor(value) else None
         assert same if same is not None else sample[name] == value, name
-    (eight,) = Stream(tiny(), seeds=[3], backend="pyrender", rgb="srgb8")
+    (eight,) = Stream(tiny(), seeds=[3], backend="pyrender", color="srgb8")
     assert eight["rgb"].dtype == torch.uint8
     assert torch.equal(eight["rgb"], torch.round(expected["rgb"] * 255).to(torch.uint8))
 

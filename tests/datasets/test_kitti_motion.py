@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
-from scenec.backends.run.facts import FrameResult, RendererFacts, describe_frame
+from scenec.backends.run.facts import FrameResult, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene, Rows
 from scenec.datasets.export import Choice, ExportReport, export
@@ -27,6 +27,7 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import FrameKey
+from scenec.schemas.records import RendererFacts
 from scenec.testing.examples import examples
 from scenec.testing.made_frames import LEFT, RIGHT, SIDE, Made, Sensor, make_out
 from scenec.testing.made_output import edit

@@ -11,11 +11,12 @@ from both_ways import notes
 from made_stage import changed, make_stage, mesh, z_up
 from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdSemantics, UsdShade
 
+import scenec
+from scenec.api import make
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
-from scenec.cli import import_arguments
 from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
@@ -40,7 +41,7 @@ def heights(scene: RenderScene, places: list[tuple[float, float]]) -> list[float
 
 
 def test_the_command_line_knows_what_can_be_kept():
-    assert import_arguments.KEEP == KEEP
+    assert make.KEEP == KEEP
 
 
 @pytest.mark.slow
@@ -296,3 +297,16 @@ def test_an_index_of_refraction_becomes_the_share_of_the_specular_part(tmp_path,
     made = imported(file)
     assert made.cfg["objects"]["crate"]["material"] == "glass"
     assert made.cfg["materials"]["glass"]["specular"] == pytest.approx(specular)
+
+
+def test_a_call_imports_as_the_command_does(tmp_path):
+    stage, called, commanded = make_stage(tmp_path), tmp_path / "a.json", tmp_path / "b.json"
+    made = scenec.import_scene("usd", stage, called, keep=KEEP)
+    words = ["import", "usd", str(stage), "-o", str(commanded), "--keep", ",".join(KEEP)]
+    assert main(words) == 0
+    assert called.read_text() == commanded.read_text().replace("b_files", "a_files")
+    assert sum(made.report.counts().values()) > 0
+    with pytest.raises(ScenecError, match=r"^format: 'obj': expected one of oaisys, usd, blend"):
+        scenec.import_scene("obj", stage, tmp_path / "c.json")
+    with pytest.raises(ScenecError, match=r"^keep: 'sky': expected some of cameras,light"):
+        scenec.import_scene("usd", stage, tmp_path / "c.json", keep="sky")

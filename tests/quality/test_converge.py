@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from scenec.quality.converge.metrics import (
 )
 from scenec.quality.converge.report import NO_PLOTS, against_plain, unseen_floors
 from scenec.quality.converge.run import Series
+from scenec.quality.converge.series import Floor
 from scenec.schemas.errors import BackendError, StageError
 
 pytestmark = pytest.mark.usefixtures("workers_here")
@@ -170,11 +172,14 @@ def test_a_denoiser_that_gains_less_and_less_is_a_finding_and_so_is_a_hidden_flo
     (line,) = against_plain(series)
     assert line.startswith("cycles denoised: FINDING: its slope -0.5")
     assert against_plain([series[0], series[0]]) == []
-    floor = {"backend": "b", "against": "a", "relative_rms_low": 0.0, "relative_rms_high": 0.004}
+    floor = Floor(
+        backend="b", against="a", relative_rms=None, relative_rms_low=0.0, relative_rms_high=0.004,
+        relative_rms_of_the_noise=0.0, relative_mse=0.0, bias=0.0, flip=None,
+    )  # fmt: skip
     assert unseen_floors([floor]) == [
         "b : a: what differs cannot be told from the references' noise; it is below 0.4 %"
     ]
-    assert unseen_floors([{**floor, "relative_rms_low": 0.001}]) == []
+    assert unseen_floors([replace(floor, relative_rms_low=0.001)]) == []
 
 
 @pytest.fixture

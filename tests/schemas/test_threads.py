@@ -1,12 +1,13 @@
-"""Kernels on all threads: every number is done once, whatever happens on the way."""
+"""Work on all threads: everything is done once, whatever happens on the way."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from threading import Lock, get_ident
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextvars import ContextVar
+from threading import Event, Lock, get_ident
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from scenec.schemas.threads import ALL, at_most, over_threads
+from scenec.schemas.threads import ALL, at_most, on_threads, over_threads, run_graph
 
 
 @given(count=st.integers(0, 300), threads=st.integers(1, ALL))
@@ -111,3 +112,82 @@ def test_few_numbers_are_not_worth_a_thread() -> None:
     seen: set[int] = set()
     over_threads(lambda first, last: seen.add(get_ident()), 100, least=100)
     assert seen == {get_ident()}
+
+
+@pytest.fixture
+def three_threads(monkeypatch):
+    monkeypatch.setattr("scenec.schemas.threads.ALL", 3)
+    with at_most(3):
+        yield
+
+
+@given(data=st.data())
+def test_a_task_begins_once_those_it_needs_are_taken(data) -> None:
+    count = data.draw(st.integers(0, 12))
+    needs = [data.draw(st.sets(st.integers(0, n - 1))) if n else set() for n in range(count)]
+    taken: list[int] = []
+
+    def run(number: int) -> int:
+        assert needs[number] <= {*taken}
+        return number * number
+
+    def take(number: int, result: int) -> None:
+        assert result == number * number
+        taken.append(number)
+
+    run_graph(needs, run, take)
+    assert sorted(taken) == list(range(count))
+
+
+def test_tasks_run_beside_each_other_and_know_the_callers_context(three_threads) -> None:
+    known = ContextVar("known", default="nothing")
+    known.set("the caller's")
+    begun = [Event(), Event()]
+
+    def run(number: int) -> str:
+        found = known.get()
+        known.set("a task's")
+        begun[number].set()
+        begun[1 - number].wait()
+        return found
+
+    assert on_threads(run, range(2)) == ["the caller's"] * 2
+    assert known.get() == "the caller's"
+
+
+def test_tasks_before_one_that_fails_are_run_and_none_after_it_is_begun(three_threads) -> None:
+    ended = Event()
+    begun: list[int] = []
+
+    def run(number: int) -> None:
+        begun.append(number)
+        if number == 2:
+            ended.set()
+            raise ZeroDivisionError
+        if number == 0:
+            ended.wait()
+        if number == 1:
+            raise KeyError(number)
+
+    with at_most(2), pytest.raises(KeyError):
+        run_graph([(), (0,), (), (2,), (1,), ()], run, lambda *_: None)
+    assert sorted(begun) == [0, 1, 2]
+
+
+def test_kernels_of_tasks_that_nobody_waits_for_any_more_end(three_threads) -> None:
+    last = Event()
+
+    def run(number: int) -> None:
+        try:
+            while number:
+                over_threads(lambda first, last: None, 100)
+        except CancelledError:
+            last.set()
+            raise
+
+    def take(number: int, _result: None) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_graph([(), ()], run, take)
+    assert last.is_set()

@@ -1,5 +1,5 @@
 #version 420 core
-// The light of a pixel: the mean over its samples, each shaded by the shared surface model.
+// The light of a point (see points.py), shaded by the shared surface model.
 //
 // f = (1-m) * ((1-s) * Lambert(c) + s * GGX(white)) + m * GGX(c), layers mixed from the base up; of
 // Lambert's lobe a share goes through sheets.
@@ -7,7 +7,7 @@
 
 const float PI = 3.14159265358979;
 
-layout(binding = 0) uniform usampler2D ids;            // (slot + 1, face) of each sample; 0 is nothing.
+layout(binding = 0) uniform usampler2D points;         // See points.py; 0 is nothing.
 layout(binding = 1) uniform samplerBuffer poses;       // Four texels a slot: a 3x4 matrix, then (mesh, variation).
 layout(binding = 2) uniform usamplerBuffer faces;      // Vertex indices within the mesh.
 layout(binding = 3) uniform samplerBuffer vertices;    // Position and variation.
@@ -18,6 +18,7 @@ layout(binding = 7) uniform usamplerBuffer layers;     // Surfaces of the meshes
 layout(binding = 8) uniform samplerBuffer surfaces;    // Four texels a surface, see tables.py.
 layout(binding = 10) uniform sampler2DArray maps;
 layout(binding = 11) uniform sampler2DArrayShadow shadows;
+layout(binding = 16) uniform sampler2D depth;          // Of each sample.
 
 #ifdef WITH_UV
 layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates.
@@ -32,7 +33,7 @@ uniform float ground_share;          // 0 leaves its light out.
 uniform vec4 ground_place;         // From x and y to their coordinates: scale, then offset.
 #endif
 #ifdef WITH_CANOPY
-layout(binding = 16) uniform sampler3D canopy;  // What leaves leave of the light from all around.
+layout(binding = 17) uniform sampler3D canopy;  // What leaves leave of the light from all around.
 uniform vec3 canopy_scale;         // From positions to its coordinates.
 uniform vec3 canopy_offset;
 uniform float canopy_reach;        // How far beside it leaves hide some of the sky, meters.
@@ -41,6 +42,7 @@ uniform float canopy_reach;        // How far beside it leaves hide some of the 
 uniform float aureole;             // Share of the light from all around that comes from about the sun.
 #endif
 uniform int samples;               // Per side of a pixel.
+uniform float near;                // Over depth it is the planar distance.
 uniform mat3 rays;                 // (u, v, 1) in pixels to a direction.
 uniform vec3 sky[9];               // Irradiance as spherical harmonics of the normal.
 uniform vec3 sky_mirrored[9];      // Radiance likewise, of the direction.
@@ -80,9 +82,10 @@ struct Hit {
     uint mesh;
     float variation;   // Of the vertices,
     float row;         // and of the row.
-    int number;        // Which sample of its pixel it is.
-    vec3 right;        // Edges of the sample on the face,
+    vec3 right;        // Edges on the face of what it stands for,
     vec3 down;         // meters.
+    ivec2 pixel;
+    uint mask;         // Its samples, a bit each.
 #ifdef WITH_UV
     vec2 uv;
     vec2 uv_right;     // The edges in the picture.
@@ -165,7 +168,7 @@ void find_uv(inout Hit hit, int at, vec3 ab, vec3 ac)
 }
 #endif
 
-Hit find(uvec2 id, vec3 direction)
+Hit find(uvec2 id, vec3 direction, vec2 extent)
 {
     Hit hit;
     int slot = int(id.x) - 1;
@@ -208,14 +211,12 @@ Hit find(uvec2 id, vec3 direction)
     }
     hit.flat_normal = dot(outward, hit.view) < 0.0 ? -outward : outward;
     hit.row = row.y;
-#ifdef WITH_MAPS
-    vec3 dx = rays[0] / float(samples);
-    vec3 dy = rays[1] / float(samples);
+    vec3 dx = rays[0] * extent.x;
+    vec3 dy = rays[1] * extent.y;
     float along = dot(outward, direction);
     float t = dot(hit.position, direction) / dot(direction, direction);
     hit.right = t * (dx - direction * (dot(outward, dx) / along));
     hit.down = t * (dy - direction * (dot(outward, dy) / along));
-#endif
 #ifdef WITH_UV
     // 0 in the table: the mesh has no coordinates, and all its corners are at (0, 0).
     int first_uv = int(texelFetch(meshes, 2 * int(hit.mesh) + 1).w);
@@ -272,17 +273,57 @@ vec3 irradiance_of(vec3 n, Around around)
 }
 
 #ifdef WITH_LAMPS
+// Share of a lamp's intensity on its axis that arrives at a place, by the square of the distance.
+float of_lamp(vec3 at)
+{
+    vec3 way = lamp_position - at;
+    float squared = max(dot(way, way), 1e-20);
+    return squared > lamp_cone.w * lamp_cone.w
+        ? lamp_falloff(-way * inversesqrt(squared), lamp_axis, lamp_cone.xyz) / squared : 0.0;
+}
+
 void find_lamp(vec3 at)
 {
     vec3 way = lamp_position - at;
     float squared = max(dot(way, way), 1e-20);
     to_sun = way * inversesqrt(squared);
-    float share = squared > lamp_cone.w * lamp_cone.w
-        ? lamp_falloff(-to_sun, lamp_axis, lamp_cone.xyz) : 0.0;
-    sun = lamp * (share / squared);
+    // What arrives is ``sunlit``, which knows the places of all samples.
+    sun = lamp;
     sun_alpha = max(least_alpha, 0.5 * lamp_cone.w * inversesqrt(squared));
 }
 #endif
+
+// Where a place lies in a shadow map: from 0 to 1 inside of it.
+vec3 in_shadow_map(vec3 place, int layer)
+{
+    vec4 clip = shadow_clip[layer] * vec4(place, 1.0);
+#ifdef WITH_LAMPS
+    vec3 p = clip.w > 0.0 ? clip.xyz / clip.w : vec3(-2.0);
+#else
+    vec3 p = clip.xyz;
+#endif
+    return vec3(0.5 * p.xy + 0.5, p.z);
+}
+
+// How far along its normal a surface is raised: none shades itself by what a texel is wide.
+float lift(Hit hit, vec3 position, int layer, float turn)
+{
+#ifdef WITH_LAMPS
+    // Texels lie across the map's axis and grow along it; depth is the inverse.
+    mat4 m = shadow_clip[layer];
+    float along = dot(hit.flat_normal, vec3(m[0][3], m[1][3], m[2][3]));
+    float apart = max((m * vec4(position, 1.0)).w, 0.0);
+    turn = apart * sqrt(max(1.0 - along * along, 0.0));
+#endif
+    return shadow_texel[layer].x * 1.5 * turn;
+}
+
+// The place of a sample.
+vec3 seen_at(ivec2 at)
+{
+    vec3 direction = rays * vec3((vec2(at) + 0.5) / float(samples), 1.0);
+    return direction * (near / texelFetch(depth, at, 0).r);
+}
 
 // How much of the sun arrives at a hit: the finest shadow map that holds it, filtered. Below 0 it
 // arrives on the far side.
@@ -298,48 +339,49 @@ float sunlit(Hit hit)
     }
 #endif
     float turn = sqrt(max(1.0 - slope * slope, 0.0));
-    // Sampled once, after the choice: software runs all of a loop's and a branch's instructions.
-    vec4 place = vec4(0.0);
-    bool found = false;
-    for (int c = 0; c < CASCADES; c++) {
-        // Along the surface's normal: no surface shades itself by what a texel is wide.
-#ifdef WITH_LAMPS
-        // Texels lie across the map's axis and grow along it; depth is the inverse.
-        mat4 m = shadow_clip[c];
-        float along = dot(hit.flat_normal, vec3(m[0][3], m[1][3], m[2][3]));
-        float apart = max((m * vec4(hit.position, 1.0)).w, 0.0);
-        turn = sqrt(max(1.0 - along * along, 0.0));
-        vec3 lifted = hit.position + hit.flat_normal * (shadow_texel[c].x * apart * 1.5 * turn);
-        vec4 clip = shadow_clip[c] * vec4(lifted, 1.0);
-        vec3 p = clip.w > 0.0 ? clip.xyz / clip.w : vec3(-2.0);
-        float bias = shadow_texel[c].y * p.z;
-#else
-        vec3 lifted = hit.position + hit.flat_normal * (shadow_texel[c].x * 1.5 * turn);
-        vec3 p = (shadow_clip[c] * vec4(lifted, 1.0)).xyz;
-        float bias = shadow_texel[c].y;
-#endif
-        p.xy = 0.5 * p.xy + 0.5;
-        bool inside = c < cascades && all(greaterThanEqual(p, vec3(0.0)))
-            && all(lessThanEqual(p, vec3(1.0)));
-        if (inside && !found)
-            place = vec4(p.xy, float(c), p.z + bias);
-        found = found || inside;
-    }
     float lit = 0.0;
     vec2 texel = 0.5 / vec2(textureSize(shadows, 0).xy);
-    // Four places in a pixel: those of its samples, or all of them at its only one.
-    int places = samples == 1 ? 4 : 1;
-    for (int k = 0; k < places; k++) {
-        int i = k + hit.number;
-        vec2 shift = texel * vec2(float(i & 1) * 2.0 - 1.0, float(i >> 1 & 1) * 2.0 - 1.0);
-        lit += texture(shadows, vec4(place.xy + shift, place.zw));
-    }
+    // At each of its samples, or four times in a pixel that is one.
+    uint left = samples == 1 ? 15u : hit.mask;
+    float taps = float(bitCount(left));
+    while (left != 0u) {
+        int k = findLSB(left);
+        left &= left - 1u;
+        ivec2 at = samples == 1 ? ivec2(0) : ivec2(k % samples, k / samples);
+        vec3 position = seen_at(hit.pixel * samples + at);
+        // Looked up after the choice: software runs all of a loop's and a branch's instructions.
+        vec4 place = vec4(0.0);
+        bool found = false;
+        for (int c = 0; c < CASCADES; c++) {
+            vec3 raised = position + hit.flat_normal * lift(hit, position, c, turn);
+            vec3 p = in_shadow_map(raised, c);
+            bool inside = c < cascades && all(greaterThanEqual(p, vec3(0.0)))
+                && all(lessThanEqual(p, vec3(1.0)));
+            float bias = shadow_texel[c].y;
 #ifdef WITH_LAMPS
-    // What no map holds is lit in another pass, or not at all.
-    return slope <= 0.0 || !found ? 0.0 : side * lit / float(places);
-#else
-    return slope <= 0.0 ? 0.0 : side * (found ? lit / float(places) : 1.0);
+            bias *= p.z;
 #endif
+            if (inside && !found)
+                place = vec4(p.xy, float(c), p.z + bias);
+            found = found || inside;
+        }
+        at = samples == 1 ? ivec2(k & 1, k >> 1) : at & 1;
+        vec2 corner = vec2(at) * 2.0 - 1.0;
+        float open = texture(shadows, vec4(place.xy + texel * corner, place.zw));
+#ifdef WITH_LAMPS
+        // What no map holds is lit in another pass, or not at all.
+        open = found ? open * of_lamp(position) : 0.0;
+#else
+        // Beyond all maps nothing hides the sun.
+        open = found ? open : 1.0;
+#endif
+#ifdef WITH_GOBO
+        vec4 through = vec4(position, 1.0);
+        open *= texture(gobo, vec2(dot(gobo_u, through), dot(gobo_v, through))).r;
+#endif
+        lit += open;
+    }
+    return slope <= 0.0 ? 0.0 : side * lit / taps;
 }
 
 // The sky in a lobe: its albedo times what spherical harmonics keep of the sky about the mirrored
@@ -427,7 +469,9 @@ float level_of(vec2 right, vec2 down)
     float a = length(right);
     float b = length(down);
     float fine = min(a, b);
-    return log2(max(min(max(a, b), 4.0 * fine) * float(textureSize(maps, 0).x), 1e-6));
+    // Several points show a pixel, so that each may show half of what would blur it alone.
+    float share = samples > 1 ? 0.5 : 1.0;
+    return log2(max(share * min(max(a, b), 4.0 * fine) * float(textureSize(maps, 0).x), 1e-6));
 }
 
 // The coordinates of a point or a vector on the plane across an axis.
@@ -626,18 +670,27 @@ vec3 passed(Look look, float lit, Around beyond)
 }
 #endif
 
-vec3 shade(uvec2 id, vec3 direction, int number)
+vec3 shade(uvec4 point)
 {
-    Hit hit = find(id, direction);
-    hit.number = number;
+    ivec2 pixel = ivec2(point.z & 0xffffu, point.z >> 16);
+    uint mask = point.w & 0xffffu;
+    vec2 middle = vec2(pixel) + vec2((point.w >> 16) & 255u, point.w >> 24) / 256.0;
+    // Columns and rows that it has samples in.
+    uint columns = 0u;
+    uint lines = 0u;
+    for (int k = 0; k < samples; k++) {
+        uint line = mask >> (k * samples) & ((1u << samples) - 1u);
+        columns |= line;
+        lines += line != 0u ? 1u : 0u;
+    }
+    vec2 extent = vec2(bitCount(columns), lines) / float(samples);
+    Hit hit = find(uvec2(point.x, point.y), rays * vec3(middle, 1.0), extent);
+    hit.pixel = pixel;
+    hit.mask = mask;
 #ifdef WITH_LAMPS
     find_lamp(hit.position);
 #endif
     float lit = sunlit(hit);
-#ifdef WITH_GOBO
-    vec4 place = vec4(hit.position, 1.0);
-    lit *= texture(gobo, vec2(dot(gobo_u, place), dot(gobo_v, place))).r;
-#endif
     Around around = around_of(hit, 1.0);
     uvec4 mesh = texelFetch(meshes, 2 * int(hit.mesh));
     uvec4 more = texelFetch(meshes, 2 * int(hit.mesh) + 1);
@@ -685,16 +738,6 @@ vec3 shade(uvec2 id, vec3 direction, int number)
 
 void main()
 {
-    ivec2 pixel = ivec2(gl_FragCoord.xy);
-    vec4 sum = vec4(0.0);
-    for (int y = 0; y < samples; y++)
-        for (int x = 0; x < samples; x++) {
-            ivec2 at = pixel * samples + ivec2(x, y);
-            uvec2 id = texelFetch(ids, at, 0).xy;
-            if (id.x == 0u)
-                continue;
-            vec3 direction = rays * vec3((vec2(at) + 0.5) / float(samples), 1.0);
-            sum += vec4(shade(id, direction, 2 * y + x), 1.0);
-        }
-    light = sum / float(samples * samples);
+    uvec4 point = texelFetch(points, ivec2(gl_FragCoord.xy), 0);
+    light = point.x == 0u ? vec4(0.0) : vec4(shade(point), 1.0);
 }

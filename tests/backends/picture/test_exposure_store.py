@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from subprocess import PIPE, Popen
 
@@ -141,27 +139,6 @@ def test_of_several_processes_one_meters(tmp_path):
     assert [worker.communicate()[0] for worker in workers] == ["0.5\n"] * 3
     assert (tmp_path / "metered").read_text() == "x"
     assert {path.name for path in tmp_path.iterdir()} == {"metered", EXPOSURES}
-
-
-def test_who_waits_for_an_exposure_does_meanwhile_what_it_has_to_do_anyway(tmp_path):
-    metering, idle = threading.Event(), threading.Event()
-    done: list[str] = []
-
-    def meter() -> Exposure:
-        metering.set()
-        idle.wait()
-        return FOUND
-
-    def load() -> None:
-        done.append("loaded")
-        idle.set()
-
-    with ThreadPoolExecutor(1) as pool:
-        first = pool.submit(ExposureStore(tmp_path, "stage").find_or_meter, "/A", None, meter)
-        metering.wait()
-        store = ExposureStore(tmp_path, "stage", meanwhile=load)
-        assert store.find_or_meter("/A", None, never) == FOUND == first.result()
-    assert done == ["loaded"]
 
 
 def test_an_exposure_is_of_its_stage_camera_sample_and_code_alone(tmp_path, monkeypatch):

@@ -265,6 +265,20 @@ def test_a_worker_that_started_a_renderer_takes_a_stage_and_no_second_one(tmp_pa
     assert pids[3] != pids[0]
 
 
+def test_a_worker_imports_what_it_is_told_to_before_its_first_unit():
+    session = "scenec.backends.run.session"
+    asked = f"__import__('os').getpid(), {session!r} in __import__('sys').modules"
+    for modules in ([], [session]):
+        with Processes(2, modules=modules) as executor:
+            early = [slot.pid for slot in executor._slots]
+            assert [pid is not None for pid in early] == [bool(modules), False]
+            ((_, outcome),) = run_all(executor, [OfBackend(asked, eval)])
+            pid, imported = outcome.result()
+        assert imported is bool(modules)
+        assert outcome.deaths == 0
+        assert pid == early[0] or not modules
+
+
 def test_each_of_several_workers_has_its_share_of_the_cores(monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "6")
     with Processes(2) as executor:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenec.backends.run.facts import FrameResult, RendererFacts, describe_frame
+from scenec.backends.run.facts import FrameResult, describe_frame
 from scenec.backends.run.writer import write_frame
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import FrameError
 from scenec.schemas.exr import read_exr, write_exr
 from scenec.schemas.frames import FrameKey, frame_stem, is_done, read_frame
-from scenec.schemas.records import ErrorEstimate
+from scenec.schemas.records import ErrorEstimate, RendererFacts
 
 H, W = 24, 32
 KEY = FrameKey("d" * 64, ("rgb", "label.class", "instance", "depth"), 64, 0, "mitsuba", "m 1")
@@ -152,6 +152,7 @@ def test_the_sidecar_says_what_a_user_needs_in_strict_json(tmp_path: Path):
         ("backend", "reference"),
         ("backend_version", "m 2"),
         ("denoise", True),
+        ("half", True),
     ],
 )
 def test_a_frame_is_done_only_for_the_very_key_it_was_made_with(tmp_path: Path, field, value):

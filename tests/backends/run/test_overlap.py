@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from threading import Barrier, current_thread, main_thread
 
 import psutil
 import pytest
-from third_party import HERE, square_stage
+from third_party import HERE, Plain, square_stage
 
+from scenec.backends.picture.exposure import Meter
 from scenec.backends.run.executors import Processes, make_executor
 from scenec.backends.run.limits import Limits
 from scenec.backends.run.render import RenderReport, render
@@ -189,6 +191,40 @@ def test_a_frame_that_kills_every_worker_is_told_from_the_one_beside_it(
     assert f"left/{lost:06}: given up after 2 tries" in line
     assert (report.rendered, report.deaths) == (SAMPLES - 1, 3)
     assert not list(stage.parent.rglob(".scenec-*"))
+
+
+def test_a_stage_is_metered_while_its_renderer_loads_in_the_thread_that_draws(stage, monkeypatch):
+    load, meter, both = Plain.load, Meter._meter, Barrier(2, timeout=60.0)
+    threads: dict[str, set[object]] = {"renderer": set(), "meter": set()}
+
+    def loads(self, scene):
+        threads["renderer"].add(current_thread())
+        both.wait()
+        load(self, scene)
+
+    def meters(self, *arguments):
+        threads["meter"].add(current_thread())
+        both.wait()
+        return meter(self, *arguments)
+
+    monkeypatch.setattr(Plain, "load", loads)
+    monkeypatch.setattr(Meter, "_meter", meters)
+    report = run(stage, workers=0, passes=["rgb", "depth"])
+    assert (report.rendered, report.failed) == (SAMPLES, [])
+    assert threads["renderer"] == {main_thread()}
+    assert len(threads["meter"]) == 1
+    assert threads["meter"] != threads["renderer"]
+
+
+def test_what_fails_while_the_renderer_loads_is_told(stage, monkeypatch):
+    def fails(*_arguments):
+        raise BackendError("no light at all")
+
+    monkeypatch.setattr(Meter, "_meter", fails)
+    with pytest.raises(BackendError, match="no light at all"):
+        run(stage, workers=0, passes=["rgb"])
+    assert not list(stage.parent.rglob(".scenec-*"))
+    assert not list(stage.parent.rglob("*.exr"))
 
 
 class EnoughError(Exception):

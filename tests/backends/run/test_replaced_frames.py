@@ -5,12 +5,13 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from third_party import install, square_stage
 
 from scenec.backends.run.render import render
 from scenec.compiler.compile import compile_cfg
-from scenec.schemas.errors import OutputError
+from scenec.schemas.errors import BackendError, OutputError
 from scenec.schemas.frames import read_frame
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -48,6 +49,7 @@ def frames(stage: Path) -> dict[str, bytes]:
         ({"seconds": 9.0, "spp": 4}, "4 samples per pixel; asked for: for 9 s, at most 4 samples"),
         ({"noise_seed": 3}, "of noise seed 0, not 3"),
         ({"denoise": True}, "not denoised"),
+        ({"rgb": "half"}, "with rgb as floats"),
         ({"passes": ("rgb", "normal")}, "holding depth, instance, not asked for"),
         (
             {"spp": 1, "passes": ("rgb",)},
@@ -66,6 +68,28 @@ def test_what_a_frame_would_lose_is_said_and_nothing_is_touched(
     assert frames(stage) == before
     report = render(stage, "smooth", **{"spp": 4, "passes": PASSES, **options}, replace=True)
     assert (report.rendered, report.skipped) == (4, 0)
+
+
+def test_half_floats_are_those_of_the_floats_and_the_picture_is_the_same(stage: Path) -> None:
+    stem = render(stage, "smooth", spp=4, passes=PASSES).frames[0]
+    full, picture = read_frame(stem), stem.with_suffix(".png").read_bytes()
+    half = {"spp": 4, "passes": PASSES, "rgb": "half"}
+    assert render(stage, "smooth", **half, replace=True).rendered == 4
+    found = read_frame(stem)
+    assert found.sidecar.half is not None
+    assert full.sidecar.half is None
+    assert stem.with_suffix(".png").read_bytes() == picture
+    for name, array in full.passes.items():
+        expected = array.astype(np.float16).astype(np.float32) if name == "rgb" else array
+        np.testing.assert_array_equal(found.passes[name], expected)
+    assert render(stage, "smooth", **half).skipped == 4
+    with pytest.raises(OutputError, match="with rgb as half floats"):
+        render(stage, "smooth", spp=4, passes=PASSES)
+
+
+def test_half_floats_without_rgb_are_refused(stage: Path) -> None:
+    with pytest.raises(BackendError, match="no rgb to write as half"):
+        render(stage, "smooth", passes=("depth",), rgb="half")
 
 
 def test_frames_that_hold_more_passes_than_asked_for_count_as_made(stage: Path) -> None:

@@ -97,6 +97,15 @@ def test_what_blender_lacks_of_the_system_is_named_with_its_packages(hidden, pac
 
 
 @pytest.mark.slow
+def test_what_mitsuba_lacks_of_the_system_is_named_with_its_packages():
+    said = without("libatomic.", sys.executable, "-c", PROBES, "mitsuba")
+    assert said.splitlines() == [
+        "Mitsuba cannot be imported: the system lacks libatomic.so.1; mend it with: apt install "
+        "libatomic1 (Debian, Ubuntu), or dnf install libatomic (Fedora)"
+    ]
+
+
+@pytest.mark.slow
 def test_a_blend_file_where_blender_lacks_a_library_is_a_fault_that_names_it(tmp_path):
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("there is no bpy")
@@ -118,18 +127,28 @@ def test_of_a_library_that_is_there_nothing_is_missing():
     assert "apt install libxi6 libgl1" in said
 
 
-def test_every_library_that_blender_s_wheel_needs_is_known():
-    """Read from the wheel's own tables of what each of its files needs."""
-    spec = importlib.util.find_spec("bpy")
+def needed_beside(package: str, *patterns: str) -> set[str]:
+    """Libraries that the files of a wheel need and it does not bring, by the files' own tables."""
+    spec = importlib.util.find_spec(package)
     if spec is None or shutil.which("readelf") is None:
-        pytest.skip("there is no bpy, or no readelf")
-    folder = Path(spec.origin).parent
-    needed: set[str] = set()
-    for file in [folder / "__init__.so", *folder.glob("lib/*.so*")]:
-        listed = subprocess.run(
-            ["readelf", "--dynamic", file], capture_output=True, text=True, check=False
-        )
-        needed |= set(re.findall(r"NEEDED.*\[(.+)\]", listed.stdout))
-    brought = {file.name for file in folder.glob("lib/*")}
-    graphic = {name for name in needed - brought if re.match(r"lib(X|SM|ICE|GL|xkb|EGL)", name)}
+        pytest.skip(f"there is no {package}, or no readelf")
+    files = [file for pattern in patterns for file in Path(spec.origin).parent.glob(pattern)]
+    listed = subprocess.run(
+        ["readelf", "--dynamic", *files], capture_output=True, text=True, check=False
+    )
+    return set(re.findall(r"NEEDED.*\[(.+)\]", listed.stdout)) - {file.name for file in files}
+
+
+def test_every_library_that_blender_s_wheel_needs_is_known():
+    needed = needed_beside("bpy", "__init__.so", "lib/*.so*")
+    graphic = {name for name in needed if re.match(r"lib(X|SM|ICE|GL|xkb|EGL)", name)}
     assert graphic == set(system_libraries.OF_BLENDER)
+
+
+@pytest.mark.parametrize("package", ["drjit", "mitsuba"])
+def test_every_library_that_mitsuba_s_wheels_need_is_known(package):
+    # The C and C++ libraries are everywhere.
+    base = re.compile(r"(libc|libm|libdl|librt|libpthread|libgcc_s|libstdc\+\+|ld-linux.*)\.so")
+    needed = {n for n in needed_beside(package, "*.so*", "plugins/*.so") if not base.match(n)}
+    ours = re.compile(r"lib(drjit|mitsuba|nanothread)")
+    assert {n for n in needed if not ours.match(n)} <= set(system_libraries.OF_MITSUBA)

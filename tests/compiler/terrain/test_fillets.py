@@ -25,12 +25,12 @@ from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import build_tiles
-from scenec.compiler.objects.build import place_classes
+from scenec.compiler.objects.build import Placing, shape_objects
 from scenec.compiler.objects.placement_context import PlacementContext
 from scenec.compiler.terrain.fillets import SIDES, Feet, Fillets, directions
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.multifractal import Multifractal
-from scenec.compiler.views.needed import Keep
+from scenec.compiler.views.needed import Keep, Needs
 from scenec.compiler.views.resolution import pixels_of_balls, pixels_per_meter, views_of
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.tessellation import tessellation
@@ -76,10 +76,10 @@ def among(
 
 
 def built(around: PlacementContext, *plans):
-    objects, surface, facts = place_classes(
-        plans, around, np.zeros(1), None, None, lambda _: nullcontext()
-    )
-    return SimpleNamespace(objects=objects, surface=surface, facts=facts)
+    placing = Placing(around, np.zeros(1), lambda _: nullcontext())
+    placing.place(plans, shape_objects(plans, {}, Needs(False, False, False), placing.timed)[0])
+    objects, facts = placing.choose(None)
+    return SimpleNamespace(objects=objects, surface=around.surface, facts=facts)
 
 
 STONES = {
