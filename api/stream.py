@@ -76,8 +76,9 @@ class StreamOptions(StageOptions, PictureOptions):
             ScenecError: They are not.
         """
         super().__post_init__()
-        if not isinstance(self.seeds, Iterable) or isinstance(self.seeds, str):
-            raise ScenecError(f"seeds: {self.seeds!r}: expected seeds, such as range(100)")
+        seeds: object = self.seeds
+        if not isinstance(seeds, Iterable) or isinstance(seeds, str):
+            raise ScenecError(f"seeds: {seeds!r}: expected seeds, such as range(100)")
 
 
 @dataclass(frozen=True)
