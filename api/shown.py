@@ -140,7 +140,7 @@ class FrameView:
 
     @property
     def sidecar(self) -> FrameRecord:
-        """Intrinsics, pose, labels, errors, times: what its JSON sidecar says."""
+        """Says what its JSON sidecar does of intrinsics, pose, labels, errors and times."""
         return self.loaded.sidecar
 
     @property

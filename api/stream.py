@@ -70,15 +70,17 @@ class StreamOptions(StageOptions, PictureOptions):
     )
 
     def __post_init__(self) -> None:
-        """Holds seeds to be several; each is read when it is its turn.
+        """Holds seeds to be several; those of an iterator are read when it is their turn.
 
         Raises:
             ScenecError: They are not.
         """
         super().__post_init__()
         seeds: object = self.seeds
-        if not isinstance(seeds, Iterable) or isinstance(seeds, str):
+        if not isinstance(seeds, Iterable) or isinstance(seeds, str | bytes):
             raise ScenecError(f"seeds: {seeds!r}: expected seeds, such as range(100)")
+        if isinstance(seeds, Sequence) and not isinstance(seeds, range):
+            deque(numbered(seeds, 0), 0)
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class StreamFrame:
 
     @property
     def record(self) -> FrameRecord:
-        """Says what the sidecar says: intrinsics, pose, labels, errors, times."""
+        """Says what the sidecar does of intrinsics, pose, labels, errors and times."""
         return self.loaded.sidecar
 
 
@@ -221,7 +223,7 @@ def _make(
             while given and (key := (given[0].index, given[0].batches)) in made:
                 # An error, too, comes after the scenes before it.
                 ended = made.pop(key)
-                done: Done = ended.result()
+                done: SceneDone = ended.result()
                 yield given.popleft(), done.backend, [*ended.warnings, *ended.notes, *done.lines]
 
 
@@ -281,7 +283,7 @@ class _Warm:
     backend: str = ""
 
 
-class Done(NamedTuple):
+class SceneDone(NamedTuple):
     """Reports what came of a step: the batches that are compiled, or whose frames there are."""
 
     batches: Collection[int] = ()
@@ -349,13 +351,13 @@ class SceneStep:
 
 
 class CompileScene(SceneStep):
-    """Compiles a scene; returns ``Done``."""
+    """Compiles a scene; returns ``SceneDone``."""
 
     def clean(self) -> None:
         """Removes what is half written."""
         self.scene.remove()
 
-    def run(self, keeper: Keeper) -> Done | Rest[Done]:
+    def run(self, keeper: Keeper) -> SceneDone | Rest[SceneDone]:
         """Compiles it; a worker does so beside the drawing of the last one.
 
         Raises:
@@ -364,7 +366,7 @@ class CompileScene(SceneStep):
         # Not the other way around: some renderers are bound to the thread that started them.
         return keeper.finish(partial(self._compile, self.scene.warm(keeper).spec))
 
-    def _compile(self, spec: Spec) -> Done:
+    def _compile(self, spec: Spec) -> SceneDone:
         from scenec.compiler.compile import compile_cfg
         from scenec.compiler.views.needed import Keep
         from scenec.schemas.update import short_lived
@@ -379,13 +381,13 @@ class CompileScene(SceneStep):
         except SceneError as error:
             if how["faults"] == "stop":
                 raise SceneError(f"{self.what}: {error}") from error
-            return Done(lines=[f"{self.what}: {error}"])
-        return Done(done.batches)
+            return SceneDone(lines=[f"{self.what}: {error}"])
+        return SceneDone(done.batches)
 
 
 @dataclass(frozen=True, eq=False)
 class DrawScene(SceneStep):
-    """Renders a scene; returns ``Done``.
+    """Renders a scene; returns ``SceneDone``.
 
     Attributes:
         batches: Those that were compiled.
@@ -393,7 +395,7 @@ class DrawScene(SceneStep):
 
     batches: Collection[int]
 
-    def run(self, keeper: Keeper) -> Done:
+    def run(self, keeper: Keeper) -> SceneDone:
         """Renders it, as the command does.
 
         Raises:
@@ -410,7 +412,7 @@ class DrawScene(SceneStep):
             raise BackendError(f"{self.what}: {report.failed[0]}")
         if report.choice is not None:
             warm.backend = report.backend
-        return Done(self.batches, report.backend, lines)
+        return SceneDone(self.batches, report.backend, lines)
 
 
 def _read(scene: Scene, backend: str, color: str) -> Iterator[StreamFrame]:
