@@ -23,8 +23,8 @@ help:  ## List the targets.
 setup:  ## Make .venv from requirements.lock and requirements-nodeps.lock.
 	@tools/bootstrap.sh
 
-pythons: setup  ## Try the other Pythons found here: install scenec in .venv-3.x, without extras; same bytes?
-	@tools/pythons.sh
+pythons: setup  ## Try the other Pythons found here: install scenec in .venv-3.x; same bytes?
+	@tools/pythons.sh mitsuba pyrender demo
 	@.venv/bin/python -m pytest -n 0 -rs tests/compiler/test_compile.py -k other_pythons
 
 demo:  ## Compile and render configs/jacksboro.json, end with a contact sheet. Installs no more than that.
@@ -127,13 +127,8 @@ gpu: setup  ## On a machine with a GPU: doctor, the conformance suite there, tab
 	@set -e; mkdir -p out; for name in gpu throughput; do echo "== $$name"; \
 	  .venv/bin/python lab/benchmarks/$$name.py -o out/$$name.md; done
 
-wheel: setup  ## Build the wheel into dist/, with compiled kernels for this Python and kind of CPU.
-	@echo "== Compiling the kernels of all cfgs that ship"
-	@rm -rf schemas/compiled; NUMBA_CACHE_DIR=build/kernels SCENEC_CACHE= .venv/bin/python tools/warm_kernels.py --all
-	@mv build/kernels/scenec schemas/compiled
-	@.venv/bin/python -m tools.cfg_stub
-	@echo "== Building the wheel"
-	@.venv/bin/python -m build --wheel --no-isolation; rm -rf schemas/compiled
+wheel: setup  ## Build a wheel into dist/ for each Python of `make pythons`, with kernels for this kind of CPU.
+	@tools/wheel.sh
 
 clean:  ## Remove caches and build results; keep .venv and out/.
 	@echo "== Removing caches and build results"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes .venv-3.x with scenec and what it needs without extras, for each Python that it works with, is
+# Makes .venv-3.x with scenec and the extras that are named, for each Python that it works with, is
 # found here (by name, in pyenv, in uv) and is not that of .venv. Says which are not found.
 set -eu
 cd "$(dirname "$0")/.."
@@ -17,9 +17,9 @@ for version in 3.12 3.13 3.14; do
     continue
   fi
   folder=.venv-$version
-  echo "== Installing scenec without extras into $folder"
+  echo "== Installing scenec into $folder"
   $uv venv --quiet --clear --python "$python" "$folder"
-  .venv/bin/python tools/locked.py >"$folder/core.txt"
-  $uv pip install --quiet --python "$folder/bin/python" --require-hashes --no-deps --only-binary :all: -r "$folder/core.txt"
+  .venv/bin/python tools/locked.py "$@" >"$folder/lock.txt"
+  $uv pip install --quiet --python "$folder/bin/python" --require-hashes --no-deps --only-binary :all: -r "$folder/lock.txt"
   $uv pip install --quiet --python "$folder/bin/python" --no-deps --no-build-isolation --editable .
 done
