@@ -115,10 +115,8 @@ def _follow(
     sampler.reversed_index = order
     count = dr.width(lane)
 
-    def step(
-        active: Any, left: Any, radiance: Any, _: Any, o: Any, d: Any, t: Any, uv: Any, face: Any,
-        shape: Any, weight: Any, key: Any,
-    ) -> tuple[Any, ...]:  # fmt: skip
+    def step(active: Any, left: Any, radiance: Any, _: Any, *path: Any) -> tuple[Any, ...]:
+        o, d, t, uv, face, shape, weight, key = path
         hit = dr.zeros(mi.PreliminaryIntersection3f, count)
         hit.valid, hit.t, hit.prim_uv, hit.prim_index, hit.shape = active, t, uv, face, shape
         sampler.key = key
