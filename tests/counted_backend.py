@@ -60,10 +60,10 @@ def calls_of(frame: FrameType | None) -> list[str]:
     """Names the functions of scenec that a frame stands in, from the outermost in."""
     found = []
     while frame is not None:
-        module = frame.f_globals.get("__name__", "")
-        if module == "__main__":
-            module = frame.f_globals["__spec__"].name
         if frame.f_code.co_filename.startswith(tuple(scenec.__path__)):
+            module = frame.f_globals["__name__"]
+            if module == "__main__":
+                module = frame.f_globals["__spec__"].name
             found.append(f"{module}.{frame.f_code.co_qualname}")
         frame = frame.f_back
     return found[::-1]

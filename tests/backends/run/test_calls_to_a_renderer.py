@@ -47,8 +47,10 @@ def test_the_calls_to_a_renderer_are_those_that_the_page_draws(tmp_path, monkeyp
     def look() -> None:
         while not log.with_suffix(CALLS).exists():
             time.sleep(0.01)
-        stacks.extend(calls_of(frame) for frame in sys._current_frames().values())
-        log.with_suffix(GO_ON).touch()
+        try:
+            stacks.extend(calls_of(frame) for frame in sys._current_frames().values())
+        finally:
+            log.with_suffix(GO_ON).touch()
 
     watcher = threading.Thread(target=look, daemon=True)
     watcher.start()
