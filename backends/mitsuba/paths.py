@@ -83,7 +83,7 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
     total = dr.zeros(mi.Color3f, count)
     weight = dr.full(mi.Color3f, 1.0, count)
     # As later ones are, or the first launch would be another kernel.
-    dr.make_opaque(weight)
+    dr.make_opaque(weight, total)
     origin = ray.o + dr.zeros(mi.Point3f, count)
     lane, order = dr.arange(mi.UInt32, count), sampler.reversed_index
     paths = (
@@ -98,11 +98,8 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
             break
         paths = tuple(dr.gather(type(values), values, left) for values in paths)
         paths, going, radiance = _follow(scene, light, sampler, paths, most)
-        for channel in range(3):
-            dr.scatter_reduce(
-                dr.ReduceOp.Add, total[channel], radiance[channel], paths[-1],
-                mode=dr.ReduceMode.NoConflicts,
-            )  # fmt: skip
+        # Not by scatter_reduce, which adds nothing for what is no number.
+        dr.scatter(total, dr.gather(mi.Color3f, total, paths[-1]) + radiance, paths[-1])
         dr.eval(paths, going, total)
     return total, valid
 
@@ -128,6 +125,8 @@ def _follow(
         direct = weight * shaded.light
         lit = active & dr.any(direct != 0.0)
         lit &= ~scene.ray_test(si.spawn_ray_to(shaded.to_light.p), lit)
+        # What is no number is kept, in shadow, too, to be counted by who takes the light.
+        lit |= active & ~dr.all(dr.isfinite(direct))
         radiance = radiance + (direct & lit)
         weight = weight * shaded.weight
         active = active & dr.any(weight != 0.0)

@@ -194,7 +194,7 @@ def test_a_frame_that_kills_every_worker_is_told_from_the_one_beside_it(
 
 
 def test_a_stage_is_metered_while_its_renderer_loads_in_the_thread_that_draws(stage, monkeypatch):
-    load, meter, both = Plain.load, Meter._meter, Barrier(2, timeout=60.0)
+    load, meter, both = Plain.load, Meter._meter, Barrier(2)
     threads: dict[str, set[object]] = {"renderer": set(), "meter": set()}
 
     def loads(self, scene):

@@ -139,9 +139,9 @@ def test_render_says_what_it_chose(machine, asked, line, tmp_path: Path, monkeyp
     started: list[int] = []
 
     class Counted(Processes):
-        def __init__(self, count, *more):
+        def __init__(self, count, *more, **options):
             started.append(count)
-            super().__init__(1, *more)
+            super().__init__(1, *more, **options)
 
     monkeypatch.setattr(executors, "Processes", Counted)
     stage = square_stage(tmp_path / "square.usda", samples=1, width=8)

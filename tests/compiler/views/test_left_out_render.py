@@ -37,7 +37,7 @@ def test_a_worker_starts_a_renderer_only_where_there_will_be_pictures(colored, p
     opening, keeper = Opening(str(colored.source), "mitsuba", passes=tuple(passes)), Keeper()
     told = OpenStage(opening).run(keeper)
     assert (opening.session(keeper).backend is not None) is pictures
-    assert told.backend == ("mitsuba" if pictures else "annotation")
+    assert told.renderer.backend == ("mitsuba" if pictures else "annotation")
 
 
 def test_a_render_of_depth_reads_no_picture(colored):
