@@ -170,8 +170,7 @@ class Store:
 def _scanned(folder: Path | str) -> list[os.DirEntry[str]]:
     """What is in a folder; nothing of one that went, or cannot be read."""
     try:
-        with os.scandir(folder) as found:
-            return sorted(found, key=lambda entry: entry.name)
+        return sorted(os.scandir(folder), key=lambda entry: entry.name)
     except OSError:
         return []
 
