@@ -81,7 +81,7 @@ def built(tmp_path_factory):
 
 def modules() -> set[str]:
     """Every file that a wheel must hold, as its name inside the wheel."""
-    names = {"scenec/__init__.py"}
+    names = {f"scenec/{path.name}" for path in (ROOT / "src" / "scenec").glob("*.py")}
     for layer in LAYERS:
         for path in (ROOT / layer).rglob("*"):
             shipped = path.suffix in (".py", ".json", ".vert", ".frag", ".html", ".css", ".js")
