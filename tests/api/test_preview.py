@@ -89,7 +89,9 @@ def test_the_page_follows_the_file(tmp_path):
         # Before what waits for its end.
         stack.callback(server.kill)
         assert server.stderr is not None
-        address = re.search(r"http://127\.0\.0\.1:\d+/\S+/", server.stderr.readline())[0]
+        # A line before it says what draws.
+        said = (re.search(r"http://127\.0\.0\.1:\d+/\S+/", line) for line in server.stderr)
+        address = next(found[0] for found in said if found)
 
         def until(fits: Any) -> dict[str, Any]:
             facts = facts_in(urllib.request.urlopen(address).read().decode())

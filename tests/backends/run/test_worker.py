@@ -71,7 +71,8 @@ def test_a_frame_that_kills_every_worker_is_named_and_costs_no_other(stage, monk
     # Two cameras see the sample; all that comes after it is rendered.
     # One more if another frame was being finished: that is a try of neither.
     assert 0 <= len(killed) - 2 * (RETRIES + 1) <= 1
-    assert report.rendered == 4
+    # Of one that was written as its worker died no answer may have come.
+    assert report.rendered in (3, 4)
     assert len(report.failed) == 2
     assert all("000001" in line and "given up after 3 tries" in line for line in report.failed)
     assert all("SIGKILL" in line for line in report.failed)
