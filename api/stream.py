@@ -8,6 +8,7 @@ from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, 
 from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -363,6 +364,8 @@ class CompileScene(SceneStep):
         Raises:
             ScenecError: As of ``stream``.
         """
+        # Loaded by this thread, as for steps that run on threads (``compiler.batch_unit``).
+        import_module("scenec.compiler.emit.batch")
         # Not the other way around: some renderers are bound to the thread that started them.
         return keeper.finish(partial(self._compile, self.scene.warm(keeper).spec))
 

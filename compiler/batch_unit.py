@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -125,12 +124,10 @@ class CompileBatch:
             log = BuildLog(seconds={}, tell=step)
             memo = None if store is None else Memo(store)
             try:
-                # OpenUSD is read meanwhile.
-                with (
-                    _imported("scenec.compiler.emit.batch"),
-                    blaming(kind=SceneError),
-                    memoizing(memo),
-                ):
+                # Before steps run on threads: OpenUSD, being loaded, lets the interpreter's lock go
+                # while it holds the loader's; another thread that imports then waits for ever.
+                import_module("scenec.compiler.emit.batch")
+                with blaming(kind=SceneError), memoizing(memo):
                     with log.timed("draw"):
                         plans = [draw(spec, self.seed, self.batch, attempt)]
                     # Handed over, so that it can let go of what it has built.
@@ -174,14 +171,6 @@ class CompileBatch:
         if log.record is not None:
             write_left_out(folder, log.record)
         return decode(encode(log.facts), BatchReport, OutputError, str(folder / REPORT))
-
-
-@contextmanager
-def _imported(module: str) -> Iterator[None]:
-    """Imports a module beside the block, which waits for it at its end."""
-    with ThreadPoolExecutor(1, "import") as pool:
-        pool.submit(import_module, module)
-        yield
 
 
 def _write(folder: Path, scene: Scene) -> None:
