@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenec.backends.picture.exposure_store import ExposureStore
-from scenec.backends.picture.noise import quantile_of_f
 from scenec.backends.run.session import Session, timed
 from scenec.schemas.manifest import FRAMES
 from scenec.schemas.records import ExposureRecord
@@ -53,6 +52,5 @@ def prepare(session: Session, seconds: dict[str, float] | None) -> None:
         session: Of its stage.
         seconds: By step; what building the caster took is added. None: the frame casts nothing.
     """
-    quantile_of_f()
     if seconds is not None:
         session.caster(seconds)

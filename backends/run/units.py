@@ -305,6 +305,7 @@ class RenderFrame(MakeFile):
         """
         # Imported here: who gives units out has no need of it.
         from scenec.backends.picture.adaptive import Target
+        from scenec.backends.picture.noise import quantile_of_f
         from scenec.backends.run import memory
         from scenec.backends.run.exposures import exposed, prepare
         from scenec.backends.run.reuse import find_annotation
@@ -331,6 +332,9 @@ class RenderFrame(MakeFile):
             seconds: dict[str, float] = {}
             drawn = None
             if "rgb" in key.passes:
+                # SciPy is loaded by this thread: a renderer's libraries may let the interpreter's
+                # lock go while they are loaded, and who imports beside them then waits for ever.
+                quantile_of_f()
                 # The renderer keeps to this thread, as some must.
                 with ThreadPoolExecutor(1, "prepare") as beside:
                     finding = beside.submit(
