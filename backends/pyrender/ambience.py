@@ -194,7 +194,7 @@ def _albedo(
 def _horizons(first, last, heights, step, steps, directions, horizon, cells):  # type: ignore[no-untyped-def]
     """``heights`` has a row and a column more than there are cells.
 
-    A row of cells at once: all look as far to the side, so that the compiler takes several at a time.
+    A row of cells at once: all look as far to the side, so that several are taken at a time.
     """
     n = len(heights) - 1
     best = np.empty(n)
