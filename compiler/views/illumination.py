@@ -191,7 +191,8 @@ def squared_distances(top):  # type: ignore[no-untyped-def]
             first = 0
             while last >= 0:
                 other = about[last]
-                if (start[last] - other) ** 2 + height[other] <= (start[last] - i) ** 2 + height[i]:
+                before, beyond = start[last] - other, start[last] - i
+                if before * before + height[other] <= beyond * beyond + height[i]:
                     squares = i * i - other * other + height[i] - height[other]
                     first = 1 + squares // (2 * (i - other))
                     break
@@ -202,7 +203,8 @@ def squared_distances(top):  # type: ignore[no-untyped-def]
         for i in range(columns - 1, -1, -1):
             if last < 0:
                 break
-            out[j, i] = (i - about[last]) ** 2 + height[about[last]]
+            away = i - about[last]
+            out[j, i] = away * away + height[about[last]]
             last -= i == start[last]
     return out
 
