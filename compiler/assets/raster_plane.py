@@ -278,7 +278,8 @@ def frame_of(crs: Any, transform: Affine) -> RasterFrame:
             frame,
             degrees=(-1.0 if west else 1.0, zero, 1.0, 0.0),
             geographic=True,
-            centric="planetocentric latitude" in wkt and minor != major,
+            # GeoTIFF keeps the name alone.
+            centric=minor != major and "ocentric" in wkt.lower(),
         )
     terms = crs.to_dict()
     if terms.get("proj") != "eqc" or minor != major or axis_m is None:

@@ -107,9 +107,10 @@ def box_of(plane: RasterPlane, shape: tuple[int, int], window: RasterWindow) -> 
     across = _steps(column, row, 1) / (window.size_m[0] / (_PLACES - 1))
     along = _steps(column, row, 0) / (window.size_m[1] / (_PLACES - 1))
     coarser = window.spacing_m * float(min(np.median(across), np.median(along)))
-    around = plane.frame.turns() == columns and plane.steps is None
-    low_row, high_row = _span(row)
-    low, high = _span(column)
+    curved = plane.steps is None
+    around = curved and plane.frame.turns() == columns
+    low_row, high_row = _span(row, curved)
+    low, high = _span(column, curved)
     poles = _poles(plane, half, _MARGIN / float(np.median(along)))
     if poles:
         at = plane.pixels_at(np.array(poles), np.zeros(len(poles)))[1]
@@ -139,9 +140,10 @@ def _steps(column: NDArray, row: NDArray, axis: int) -> NDArray[np.float64]:
     return found
 
 
-def _span(at: NDArray[np.float64]) -> tuple[float, float]:
+def _span(at: NDArray[np.float64], curved: bool) -> tuple[float, float]:
     """Between which values a smooth function lies that is known at some places."""
-    spare = 0.25 * max(float(np.abs(np.diff(at, axis=axis)).max()) for axis in (0, 1))
+    most = max(float(np.abs(np.diff(at, axis=axis)).max()) for axis in (0, 1))
+    spare = 0.25 * most if curved else 0.0
     return float(at.min()) - spare, float(at.max()) + spare
 
 

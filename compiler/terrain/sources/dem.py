@@ -263,9 +263,10 @@ class Dem:
         if self.window is not None:
             size = self.window.size_m
             away = [(c - 0.5) * side for c, side in zip(self.center, size, strict=True)]
-            column, row = plane.pixels(*(np.array([part]) for part in away))
-            # The plane touches the body below the terrain's center.
-            plane = replace(plane, spot=frame.at(float(column[0]), float(row[0])))
+            if any(away):
+                # The plane touches the body below the terrain's center.
+                column, row = plane.pixels(*(np.array([part]) for part in away))
+                plane = replace(plane, spot=frame.at(float(column[0]), float(row[0])))
             over = (np.abs(at + part).max() for at, part in zip((x, y), away, strict=True))
             # A hair of slack, as of a grid's spacing.
             inside = all(r <= 0.5 * side * (1 + 1e-12) for r, side in zip(over, size, strict=True))
