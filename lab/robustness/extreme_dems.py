@@ -17,10 +17,12 @@ from scenec.schemas.georeference import Georeference
 _MOON = "+proj=longlat +R=1737400 +no_defs"
 _HIGH_M = 1000.0
 
+DemCase = tuple[str, Callable[[Path], tuple[str, float | None]], str]
 
-def cases() -> list[tuple[str, Callable[[Path], tuple[str, float | None]], str]]:
+
+def cases() -> list[DemCase]:
     """What is tried, who tries it, and what is promised."""
-    found = []
+    found: list[DemCase] = []
     for what, latitude, longitude in (
         ("at the south pole", -90.0, 0.0),
         ("10 km from the north pole", 89.67, 130.0),
