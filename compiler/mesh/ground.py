@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.kinds import Context, draw_kind
+from scenec.compiler.kinds import Context, draw_kind, draw_object
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.mesh.mesh import Meshing
@@ -64,6 +64,9 @@ def draw_terrain(
             )
             for i, shade in enumerate(cfg.get("shades", ()))
         ),
+        planet=draw_object("terrain_planet", cfg["planet"], "terrain/planet", context)
+        if "planet" in cfg
+        else None,
     )
     return plan, context
 

@@ -9,11 +9,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.dem_file import read_dem
+from scenec.compiler.assets.dem_file import DemFile, read_dem
 from scenec.compiler.assets.geotiff import GeoReference
 from scenec.compiler.kinds import Form, bounded, file, forms, key, list_of
 from scenec.compiler.terrain.grid import Applied, Grid, bicubic
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
+from scenec.compiler.terrain.spectral_law import SpectralLaw, fit_spectral_law
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
@@ -122,6 +123,52 @@ class Dem:
                 filled, is too small, or lies the other way round; or nothing says how large its
                 pixels are.
         """
+        dem, samples, holes, pixel = self._opened()
+        ny, nx = samples.shape
+        u, v = self._columns_and_rows(grid, samples.shape, pixel)
+        samples, report = self._filled(samples, holes, u, v)
+        base = np.empty(grid.shape)
+        over_threads(_bicubic_part, v.size, np.ascontiguousarray(samples), u, v, base)
+        base *= self.height_scale
+        offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
+        law = self._law(samples, u, v, pixel)
+        report = {**dem.facts, **report, **(law.facts() if law else {})}
+        if dem.reference is not None and dem.reference.crs:
+            row = (1.0 - self.center[1]) * ny if self.first_row == "north" else self.center[1] * ny
+            report["georeference"] = _place(dem.reference, self.center[0] * nx, row)
+        return height + (base + offset), {
+            "height_offset_m": offset,
+            "pixels_used": _used(u, v, samples.shape),
+            **report,
+        }
+
+    def spectral_law(
+        self, size_m: tuple[float, float], slope: float | None = None
+    ) -> SpectralLaw | None:
+        """Fits the spectrum of its scaled heights under a terrain; see ``fit_spectral_law``.
+
+        Raises:
+            SceneError: As ``apply``.
+        """
+        _, samples, holes, pixel = self._opened()
+        u, v = self._columns_and_rows(Grid(size_m, (2, 2)), samples.shape, pixel)
+        return self._law(self._filled(samples, holes, u, v)[0], u, v, pixel, slope)
+
+    def _law(
+        self,
+        samples: NDArray[np.float64],
+        u: NDArray,
+        v: NDArray,
+        pixel: tuple[float, float],
+        slope: float | None = None,
+    ) -> SpectralLaw | None:
+        under = _under(v, samples.shape[0], 0), _under(u, samples.shape[1], 0)
+        return fit_spectral_law(self.height_scale * samples[under], pixel, slope)
+
+    def _opened(
+        self,
+    ) -> tuple[DemFile, NDArray[np.float64], NDArray[np.bool_], tuple[float, float]]:
+        """Returns the file, its samples and holes from south to north, and the size of a pixel."""
         dem = read_dem(
             self.file, self.array, self.nodata, self.height_range_m, self.band, self.unit_m
         )
@@ -143,7 +190,13 @@ class Dem:
             )
         if self.first_row == "north":
             samples, holes = samples[::-1], holes[::-1]
-        ny, nx = samples.shape
+        return dem, samples, holes, pixel
+
+    def _columns_and_rows(
+        self, grid: Grid, shape: tuple[int, ...], pixel: tuple[float, float]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns where a grid's samples lie among the file's, float64 [nx], [ny]."""
+        ny, nx = shape
         # Pixel-is-area: the DEM spans nx pixels, sample i stands at the center of its pixel.
         u = grid.x() / pixel[0] + self.center[0] * nx - 0.5
         v = grid.y() / pixel[1] + self.center[1] * ny - 0.5
@@ -161,20 +214,7 @@ class Dem:
                         f"border ({n} pixels of {width:g} m = {n * width:g} m, center at "
                         f'{center:g}); {larger}move center, or say "edge": "clamp"'
                     )
-        samples, report = self._filled(samples, holes, u, v)
-        base = np.empty(grid.shape)
-        over_threads(_bicubic_part, v.size, np.ascontiguousarray(samples), u, v, base)
-        base *= self.height_scale
-        offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
-        report = {**dem.facts, **report}
-        if dem.reference is not None and dem.reference.crs:
-            row = (1.0 - self.center[1]) * ny if self.first_row == "north" else self.center[1] * ny
-            report["georeference"] = _place(dem.reference, self.center[0] * nx, row)
-        return height + (base + offset), {
-            "height_offset_m": offset,
-            "pixels_used": _used(u, v, samples.shape),
-            **report,
-        }
+        return u, v
 
     def _filled(self, samples: NDArray, holes: NDArray, u: NDArray, v: NDArray) -> Applied:
         """Samples without holes under the terrain, and how many were filled."""

@@ -1,0 +1,129 @@
+"""Measures how rough heights are by wavelength: a power law of their spectral density."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenec.compiler.arithmetic import cosines, elementary
+
+#: Samples along an axis that are looked at, at most: those in the middle.
+_MOST = 1024
+#: Frequencies that are fitted: in cycles a window, and as a share of the Nyquist frequency, above
+#: which stereo matching and resampling have smoothed what instruments saw.
+_LOWEST, _HIGHEST = 3.0, 0.5
+#: Bins of an octave, and modes that one has at least.
+_BINS, _LEAST = 4, 24
+#: About the slope of land (Turcotte 1987), which densities are multiplied by within a bin.
+_USUAL = 3.5
+#: Median of the square of a normal variable over its mean.
+_MEDIAN = 0.454936423119572
+#: Standard deviation of the logarithm of such a median, times the root of the number of squares.
+_MEDIAN_ERROR = 2.333
+
+
+@dataclass(frozen=True)
+class SpectralLaw:
+    """A power spectral density in two dimensions, P(k) = at_nyquist (k / nyquist)^-slope.
+
+    Its integral over all wave vectors, in cycles a meter, both signs, is the variance.
+
+    Attributes:
+        slope: Of log P over log k: 2 (H + 1) for a surface of the Hurst exponent H.
+        slope_error: Its standard deviation, were the modes of a normal field independent.
+        at_nyquist_m4: Density at the Nyquist frequency, m^2 a (cycle / m)^2.
+        nyquist_per_m: One cycle in two pixels (the wider side's), cycles a meter.
+        scatter_db: Root mean square of 10 log10 of what bins are off the law.
+        longest_m, shortest_m: Wavelengths between which it was fitted.
+    """
+
+    slope: float
+    slope_error: float
+    at_nyquist_m4: float
+    nyquist_per_m: float
+    scatter_db: float
+    longest_m: float
+    shortest_m: float
+
+    def facts(self) -> dict[str, float]:
+        """Returns what report.json says of it."""
+        named = "slope", "slope_error", "at_nyquist_m4", "scatter_db", "longest_m", "shortest_m"
+        return {f"spectrum_{name}": getattr(self, name) for name in named}
+
+
+def fit_spectral_law(
+    height: NDArray[np.float64], pixel_m: tuple[float, float], slope: float | None = None
+) -> SpectralLaw | None:
+    """Fits a power law to the spectrum of heights, from three waves a window to half of Nyquist's.
+
+    The plane that fits them best is taken off; squares of the modes of a DCT-II, which needs no
+    window since it goes on even beyond the borders (Denis et al. 2002, Mon. Weather Rev. 130,
+    1812), are binned by frequency, without those along the axes, where borders leak to. The median
+    of a bin stands for it (of a normal field's squares it is 0.455 of their mean), so that stripes
+    and spikes do not count. The line is that of least squares, bins weighted by their modes.
+
+    Args:
+        height: Meters, float64 [ny, nx].
+        pixel_m: Distance of samples in x and y.
+        slope: Where it is given, the level alone is fitted.
+
+    Returns:
+        None where fewer than three bins have enough modes, or one has no relief.
+    """
+    ny, nx = (min(n, _MOST) for n in height.shape)
+    j, i = (height.shape[0] - ny) // 2, (height.shape[1] - nx) // 2
+    modes = cosines.dct(_without_plane(height[j : j + ny, i : i + nx]), over=True)
+    kx, ky = (np.arange(n) / (2.0 * n * p) for n, p in zip((nx, ny), pixel_m, strict=True))
+    frequency = np.sqrt(kx[None, 1:] * kx[None, 1:] + ky[1:, None] * ky[1:, None]).ravel()
+    density = (modes[1:, 1:] * modes[1:, 1:]).ravel() * (pixel_m[0] * pixel_m[1] / (4.0 * nx * ny))
+    nyquist = 0.5 / max(pixel_m)
+    low = _LOWEST / min(nx * pixel_m[0], ny * pixel_m[1])
+    used = (frequency >= low) & (frequency <= _HIGHEST * nyquist)
+    log_k = elementary.log_array(frequency[used] / nyquist)
+    whitened = density[used] * elementary.exp_array(_USUAL * log_k)
+    width = elementary.log(2.0) / _BINS
+    which = np.floor(-log_k / width).astype(np.int64)
+    bins = np.unique(which)
+    parts = [which == number for number in bins]
+    counts = np.array([int(part.sum()) for part in parts])
+    medians = np.array([np.median(whitened[part]) for part in parts]) / _MEDIAN
+    middles = np.array([log_k[part].mean() for part in parts])
+    full = counts >= _LEAST
+    if int(full.sum()) < 3 or not (medians[full] > 0.0).all():
+        return None
+    x, weight = middles[full], counts[full].astype(np.float64)
+    y = elementary.log_array(medians[full]) - _USUAL * x
+    total = weight.sum()
+    x_mean, y_mean = float((weight * x).sum() / total), float((weight * y).sum() / total)
+    spread = float((weight * (x - x_mean) * (x - x_mean)).sum())
+    error = 0.0
+    if slope is None:
+        slope = -float((weight * (x - x_mean) * y).sum()) / spread
+        error = _MEDIAN_ERROR / float(np.sqrt(spread))
+    level = y_mean + slope * x_mean
+    off = y + slope * x - level
+    scatter = float(np.sqrt((weight * off * off).sum() / total)) * (10.0 / elementary.log(10.0))
+    ends = nyquist * elementary.exp(float(x.min())), nyquist * elementary.exp(float(x.max()))
+    return SpectralLaw(
+        slope,
+        error,
+        elementary.exp(level),
+        nyquist,
+        scatter,
+        1.0 / ends[0],
+        1.0 / ends[1],
+    )
+
+
+def _without_plane(height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights less the plane of least squares."""
+    out = height - height.mean()
+    for axis in (0, 1):
+        n = out.shape[axis]
+        at = (np.arange(n) - 0.5 * (n - 1)).reshape((-1, 1) if axis == 0 else (1, -1))
+        across = (at * at).sum() * out.shape[1 - axis]
+        if across > 0.0:
+            out -= at * ((at * out).sum() / across)
+    return out
