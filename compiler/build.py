@@ -136,7 +136,8 @@ def assemble(
     georeference = None
     if placed is not None:
         crs, (east, north) = placed["georeference"]["crs"], placed["georeference"]["center"]
-        georeference = DemOrigin(crs, (east, north), placed["height_offset_m"])
+        offset_m, place = placed["height_offset_m"], plan.terrain.georeference
+        georeference = DemOrigin(crs, (east, north), offset_m, place)
     scene = Scene(
         name=plan.name,
         samples=plan.samples,

@@ -14,6 +14,7 @@ from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.declare import keys_of
+from scenec.schemas.georeference import Georeference
 
 #: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
 type Array = NDArray[np.float64]
@@ -49,6 +50,7 @@ class Context:
         path: Of what is drawn: "terrain/relief/0".
         samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
+        georeference: Where on a body the terrain lies; None where no DEM of it says so.
     """
 
     streams: Streams
@@ -61,6 +63,7 @@ class Context:
     samples: int = 1
     between: bool = False
     choice: str = ""
+    georeference: Georeference | None = None
 
     def at(self, path: str) -> Context:
         """Returns the context of what is drawn at a place."""

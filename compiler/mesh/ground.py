@@ -18,6 +18,7 @@ from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.shade import Shade
+from scenec.compiler.terrain.sources.dem import georeference_of
 
 #: Samples across the relief of a horizon that says nothing of them.
 HORIZON_SAMPLES = 256
@@ -36,6 +37,7 @@ def draw_terrain(
     size_m = (node["size_m"][0], node["size_m"][1])
     context = replace(context, size_m=size_m, ground=node["ground"])
     context = _on_relief(cfg["relief"], "terrain/relief", context)
+    context = replace(context, georeference=georeference_of(context.relief, size_m))
     merges, coverage = draw_merges(context)
     plan = TerrainPlan(
         size_m=size_m,
@@ -67,6 +69,7 @@ def draw_terrain(
         planet=draw_object("terrain_planet", cfg["planet"], "terrain/planet", context)
         if "planet" in cfg
         else None,
+        georeference=context.georeference,
     )
     return plan, context
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -13,9 +14,11 @@ from scenec.compiler.assets.dem_file import DemFile, read_dem
 from scenec.compiler.assets.geotiff import GeoReference
 from scenec.compiler.kinds import Form, bounded, file, forms, key, list_of
 from scenec.compiler.terrain.grid import Applied, Grid, bicubic
+from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.compiler.terrain.spectral_law import SpectralLaw, fit_spectral_law
 from scenec.schemas.errors import SceneError
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -142,6 +145,14 @@ class Dem:
             **report,
         }
 
+    def georeference(self, size_m: tuple[float, float]) -> Georeference | None:
+        """Returns where on a body a terrain on it lies; None where its file does not say.
+
+        Raises:
+            SceneError: The file cannot be read.
+        """
+        return None
+
     def spectral_law(
         self, size_m: tuple[float, float], slope: float | None = None
     ) -> SpectralLaw | None:
@@ -241,6 +252,12 @@ class Dem:
             "holes_filled": count,
             "holes_error_m": error * abs(self.height_scale),
         }
+
+
+def georeference_of(relief: Sequence[Any], size_m: tuple[float, float]) -> Georeference | None:
+    """Returns where on a body a terrain lies, by its first DEM that says so; None without one."""
+    dems = (dem for dem in map(unmasked, relief) if isinstance(dem, Dem))
+    return next(filter(None, (dem.georeference(size_m) for dem in dems)), None)
 
 
 def _up(value: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,21 @@ import pytest
 from pxr import Usd
 
 from scenec.backends.check.stage import check_stage
+from scenec.backends.model.collect import coarse_model
 from scenec.backends.run.session import Session
+from scenec.backends.stage.read import read_stage
+from scenec.compiler.build import BuildLog, build
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
+from scenec.compiler.draw import draw
+from scenec.compiler.emit.batch import write_batch
+from scenec.compiler.scene.scene import DemOrigin
+from scenec.datasets.models.gltf import write_gltf
 from scenec.schemas import stage as names
+from scenec.schemas.codec import decode
+from scenec.schemas.errors import StageError
+from scenec.schemas.georeference import Georeference
+from scenec.schemas.glb import decode_glb
 from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
@@ -94,6 +107,45 @@ def test_the_height_offset_gives_back_the_heights_of_the_file(tmp_path):
     # Rows 10 to 26 from the south, columns 6 to 26: what lies under the terrain of 20 m x 16 m.
     under = HEIGHTS[::-1][10:26, 6:26]
     assert -offset == pytest.approx(float(under.mean()), abs=0.1 * float(under.std()))
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        Georeference("Moon", 1_737_400.0, 1_737_400.0, -89.5, 40.25),
+        Georeference("", 3.4e6, 3.3e6, 90.0, 0.0, (0.8, -0.6, 0.6, 0.8), "EPSG:32617",
+                     (1.0, 0.1, 2e6, -0.1, 1.0, -3e6), 0.25),
+    ],
+)  # fmt: skip
+def test_the_place_comes_back_from_the_stage_and_goes_into_models(place, tmp_path):
+    scene = build(draw(load(write_cfg(tmp_path)), 1, 0), BuildLog())
+    origin = DemOrigin(place.crs, (1.0, 2.0), 0.0, place)
+    write_batch(tmp_path / "batch", replace(scene, georeference=origin))
+    read = read_stage(tmp_path / "batch" / "stage.usda")
+    assert read.georeference == place
+    model = coarse_model(read, "b", ground_faces=500, object_faces=500, instances=10)
+    write_gltf(model, tmp_path / "b.glb")
+    extras = decode_glb((tmp_path / "b.glb").read_bytes())[0]["nodes"][0]["extras"]
+    assert decode(extras["georeference"], Georeference, StageError, "extras") == place
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("semiMajor", -1.0, "expected radii above 0"),
+        ("latitude", 91.0, "the latitude 91"),
+        ("eastNorth", [1.0], "holds 1 numbers, expected 4"),
+    ],
+)
+def test_a_place_that_is_none_is_an_error(name, value, said, tmp_path):
+    scene = build(draw(load(write_cfg(tmp_path)), 1, 0), BuildLog())
+    place = Georeference("Moon", 1e6, 1e6, 1.0, 2.0, (0.0, 1.0, -1.0, 0.0))
+    write_batch(tmp_path / "batch", replace(scene, georeference=DemOrigin("", (0, 0), 0.0, place)))
+    stage = Usd.Stage.Open(str(tmp_path / "batch" / "stage.usda"))
+    stage.GetDefaultPrim().GetAttribute(f"scenec:georeference:{name}").Set(value)
+    stage.Save()
+    with pytest.raises(StageError, match=said):
+        read_stage(tmp_path / "batch" / "stage.usda")
 
 
 def test_without_a_place_there_is_nothing(tmp_path):

@@ -7,8 +7,6 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from scenec.backends.contract import Rays
-from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import load
@@ -17,6 +15,7 @@ from scenec.compiler.emit.batch import write_batch
 from scenec.compiler.terrain.planet import RADII_M, TerrainPlanet
 from scenec.schemas.errors import CfgError
 from scenec.testing.small import small_cfg, write_cfg
+from scenec.testing.sphere_views import seen_horizon, true_horizon
 
 EYE_M, MOON_M = 1.7, RADII_M["moon"]
 
@@ -40,27 +39,6 @@ def built(folder, cfg):
     return read_stage(folder / "stage.usda"), log.facts
 
 
-def seen_to(stage, height_m, azimuths=16):
-    """Dip of the horizon from above the center, and how far off it is: radians, meters."""
-    caster = ExactCaster(stage)
-    turn = np.arange(azimuths) * (2.0 * np.pi / azimuths) + 0.1
-    origins = np.tile([0.0, 0.0, height_m], (azimuths, 1))
-
-    def hits(dip):
-        level = np.cos(dip)
-        rays = np.stack([level * np.cos(turn), level * np.sin(turn), -np.sin(dip)], axis=1)
-        return caster.cast(Rays(origins, rays, (1, azimuths)))[2]
-
-    low, high = np.zeros(azimuths), np.full(azimuths, 0.5)
-    assert np.isinf(hits(low - 1e-6)).all()
-    assert np.isfinite(hits(high)).all()
-    while (high - low).max() > 1e-12:
-        middle = 0.5 * (low + high)
-        found = np.isfinite(hits(middle))
-        low, high = np.where(found, low, middle), np.where(found, middle, high)
-    return high, hits(high)
-
-
 @pytest.mark.parametrize("radius", [1.0, MOON_M, 6.37e6, 1e12])
 @pytest.mark.parametrize("share", [1e-9, 1e-5, 0.01, 0.5, 0.999999])
 def test_the_drop_is_that_of_the_sphere_to_the_last_bits(radius, share):
@@ -75,13 +53,13 @@ def test_the_drop_is_that_of_the_sphere_to_the_last_bits(radius, share):
 
 def test_the_horizon_is_as_far_off_as_the_closed_form_says(tmp_path):
     stage, facts = built(tmp_path, curved({"body": "moon"}, tolerance_px=0))
-    dip, away = seen_to(stage, EYE_M)
-    # 2,430 m from a person's eye on the Moon: sqrt(2 R h + h^2); the dip is acos(R / (R + h)).
-    expected = np.sqrt(2.0 * MOON_M * EYE_M + EYE_M * EYE_M)
+    dip, away = seen_horizon(stage, EYE_M)
+    dipped, expected = true_horizon(MOON_M, EYE_M)
+    # From a person's eye on the Moon.
     assert expected == pytest.approx(2430.5, abs=0.1)
     # Samples of the far mesh are 0.6 % of their distance apart, and triangles lie below the sphere.
     assert np.abs(away / expected - 1.0).max() < 0.007
-    assert dip == pytest.approx(np.arccos(MOON_M / (MOON_M + EYE_M)), rel=5e-5)
+    assert dip == pytest.approx(dipped, rel=5e-5)
     assert facts["horizon"]["planet"]["drop_max_m"] == pytest.approx(
         (6010.0**2 + 6008.0**2) / (2.0 * MOON_M), rel=1e-5
     )
@@ -89,7 +67,7 @@ def test_the_horizon_is_as_far_off_as_the_closed_form_says(tmp_path):
 
 def test_on_a_plane_one_sees_to_its_end(tmp_path):
     stage, _ = built(tmp_path, curved(None, tolerance_px=0))
-    _, away = seen_to(stage, EYE_M)
+    _, away = seen_horizon(stage, EYE_M)
     assert away.min() > 6000.0
 
 
