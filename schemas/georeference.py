@@ -10,6 +10,7 @@ the center come out shorter by what ``shortening_m`` bounds: 0.06 m at 10 km on 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,7 +160,7 @@ class Georeference:
 def body_of(words: str, radius_m: float) -> str:
     """Returns the body that a reference system is of, by its words, else by its radius; or ""."""
     for name in BODIES:
-        if name.lower() in words.lower():
+        if re.search(f"(?<![a-z]){name.lower()}(?![a-z])", words.lower()):
             return name
     near = [name for name, km in BODIES.items() if abs(radius_m / (1e3 * km) - 1.0) < 0.005]
     return near[0] if len(near) == 1 else ""

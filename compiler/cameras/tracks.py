@@ -277,7 +277,7 @@ def _on_plane[T: (RigTrack, Stamped)](track: T, context: Context, what: str) -> 
     """Returns a track in the world; see ``places.on_plane``."""
     if not track.is_geographic:
         return track
-    return replace(track, position_m=on_plane(track.position_m, context.georeference, what))
+    return replace(track, position_m=on_plane(track.position_m, context.georeference(), what))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,8 @@ class Context:
         path: Of what is drawn: "terrain/relief/0".
         samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
-        georeference: Where on a body the terrain lies; None where no DEM of it says so.
+        spacing_m: Of the samples of the relief.
+        georeference: Returns where on a body the terrain lies; None where no DEM of it says so.
     """
 
     streams: Streams
@@ -63,7 +64,8 @@ class Context:
     samples: int = 1
     between: bool = False
     choice: str = ""
-    georeference: Georeference | None = None
+    spacing_m: float = 1.0
+    georeference: Callable[[], Georeference | None] = lambda: None
 
     def at(self, path: str) -> Context:
         """Returns the context of what is drawn at a place."""

@@ -178,6 +178,7 @@ _OBJECTS = {
     "cfg": "cfg.root:Cfg",
     "clouds_cirrus": "light.cloud_fields:CirrusClouds",
     "clouds_cumulus": "light.cloud_fields:CumulusClouds",
+    "dem_window": "terrain.sources.dem:DemWindow",
     "condition_ragged": "terrain.condition:Ragged",
     "focus": "cameras.lens:FocusKeys",
     "ground_base": "mesh.terrain:GroundBase",

@@ -11,7 +11,6 @@ from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.planet import TerrainPlanet
 from scenec.compiler.terrain.shade import Shade
-from scenec.schemas.georeference import Georeference
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,6 @@ class TerrainPlan:
         horizon: What lies around it, or None.
         shades: Where the albedo varies with more than its noise.
         planet: Sphere that it curves as, or None.
-        georeference: Where on a body it lies, if a DEM of it says so.
     """
 
     size_m: tuple[float, float]
@@ -60,4 +58,3 @@ class TerrainPlan:
     horizon: HorizonPlan | None = None
     shades: tuple[Shade, ...] = ()
     planet: TerrainPlanet | None = None
-    georeference: Georeference | None = None

@@ -145,7 +145,7 @@ class PlacedKeys:
         else:
             poses = _listed(self.poses or (), context)
         if poses.is_geographic:
-            position = on_plane(poses.position_m, context.georeference, what)
+            position = on_plane(poses.position_m, context.georeference(), what)
             poses = replace(poses, position_m=position)
         ids, first = np.unique(poses.id, return_index=True)
         columns = poses.time_s, poses.position_m, poses.quaternion, poses.scale
@@ -171,7 +171,7 @@ def _listed(nodes: Sequence[Mapping[str, Any]], context: Context) -> PoseTable:
     position = np.array([[node[key] for key in _place(node)] for node in nodes])
     for n in np.flatnonzero([GEOGRAPHIC[0] in node for node in nodes]).tolist():
         what = f"{context.path}/poses/{n}"
-        position[n] = on_plane(position[n : n + 1], context.georeference, what)[0]
+        position[n] = on_plane(position[n : n + 1], context.georeference(), what)[0]
     return PoseTable(
         id=np.arange(1, count + 1),
         time_s=np.zeros(count),

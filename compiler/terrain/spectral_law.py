@@ -26,26 +26,34 @@ _MEDIAN_ERROR = 2.333
 
 @dataclass(frozen=True)
 class SpectralLaw:
-    """A power spectral density in two dimensions, P(k) = at_nyquist (k / nyquist)^-slope.
+    """A power spectral density in two dimensions, P(k) = density_m4 (k middle_m)^-slope.
 
     Its integral over all wave vectors, in cycles a meter, both signs, is the variance.
 
     Attributes:
-        slope: Of log P over log k: 2 (H + 1) for a surface of the Hurst exponent H.
+        slope: Of -log P over log k: 2 (H + 1) for a surface of the Hurst exponent H.
         slope_error: Its standard deviation, were the modes of a normal field independent.
-        at_nyquist_m4: Density at the Nyquist frequency, m^2 a (cycle / m)^2.
-        nyquist_per_m: One cycle in two pixels (the wider side's), cycles a meter.
+        middle_m: Wavelength in the middle of the fit, where the density is known best.
+        density_m4: There, m^2 a (cycle / m)^2.
+        pixel_m: The wider side of a pixel, half of the Nyquist frequency's wavelength.
         scatter_db: Root mean square of 10 log10 of what bins are off the law.
         longest_m, shortest_m: Wavelengths between which it was fitted.
     """
 
     slope: float
     slope_error: float
-    at_nyquist_m4: float
-    nyquist_per_m: float
-    scatter_db: float
-    longest_m: float
-    shortest_m: float
+    middle_m: float
+    density_m4: float
+    pixel_m: float
+    scatter_db: float = 0.0
+    longest_m: float = np.inf
+    shortest_m: float = 0.0
+
+    @property
+    def at_nyquist_m4(self) -> float:
+        """Density at the Nyquist frequency, of one cycle in two pixels, m^4."""
+        octaves = elementary.log(2.0 * self.pixel_m / self.middle_m)
+        return self.density_m4 * elementary.exp(self.slope * octaves)
 
     def facts(self) -> dict[str, float]:
         """Returns what report.json says of it."""
@@ -54,7 +62,7 @@ class SpectralLaw:
 
 
 def fit_spectral_law(
-    height: NDArray[np.float64], pixel_m: tuple[float, float], slope: float | None = None
+    height: NDArray[np.float64], pixel_m: tuple[float, float]
 ) -> SpectralLaw | None:
     """Fits a power law to the spectrum of heights, from three waves a window to half of Nyquist's.
 
@@ -67,7 +75,6 @@ def fit_spectral_law(
     Args:
         height: Meters, float64 [ny, nx].
         pixel_m: Distance of samples in x and y.
-        slope: Where it is given, the level alone is fitted.
 
     Returns:
         None where fewer than three bins have enough modes, or one has no relief.
@@ -98,22 +105,21 @@ def fit_spectral_law(
     total = weight.sum()
     x_mean, y_mean = float((weight * x).sum() / total), float((weight * y).sum() / total)
     spread = float((weight * (x - x_mean) * (x - x_mean)).sum())
-    error = 0.0
-    if slope is None:
-        slope = -float((weight * (x - x_mean) * y).sum()) / spread
-        error = _MEDIAN_ERROR / float(np.sqrt(spread))
-    level = y_mean + slope * x_mean
-    off = y + slope * x - level
+    slope = -float((weight * (x - x_mean) * y).sum()) / spread
+    off = y - y_mean + slope * (x - x_mean)
     scatter = float(np.sqrt((weight * off * off).sum() / total)) * (10.0 / elementary.log(10.0))
-    ends = nyquist * elementary.exp(float(x.min())), nyquist * elementary.exp(float(x.max()))
+    shortest, longest, middle = (
+        elementary.exp(-float(at)) / nyquist for at in (x.max(), x.min(), x_mean)
+    )
     return SpectralLaw(
         slope,
-        error,
-        elementary.exp(level),
-        nyquist,
+        _MEDIAN_ERROR / float(np.sqrt(spread)),
+        middle,
+        elementary.exp(y_mean),
+        max(pixel_m),
         scatter,
-        1.0 / ends[0],
-        1.0 / ends[1],
+        longest,
+        shortest,
     )
 
 

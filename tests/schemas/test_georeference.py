@@ -86,6 +86,7 @@ def test_distances_are_shortened_by_no_more_than_the_bound(distance):
         ("Moon_2000_IAU_IAG", 1_737_400.0, "Moon"),
         ("unknown", 1_737_400.0, "Moon"),
         ("D_MARS", 3_389_500.0, "Mars"),
+        ("Ionian position", 6_378_137.0, "Earth"),
         ("WGS 84", 6_378_137.0, "Earth"),
         ("unknown", 1.0, ""),
     ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -72,13 +72,15 @@ class Downscale:
         """
         if self.dem is None:
             raise SceneError(f"{context.path}: there is no DEM before it to continue")
-        law = self.dem.spectral_law(context.size_m, self.slope)
+        law = self.dem.spectral_law(Grid.with_spacing(context.size_m, context.spacing_m))
         who = f"{context.path}: {self.dem.file.name}"
         if law is None:
             raise SceneError(
                 f"{who}: is flat under the terrain, or has too few pixels there to measure its "
-                "spectrum: expected 24 by 24 or more"
+                "spectrum, or pixels of different sizes: expected 24 by 24 or more, of one size"
             )
+        if self.slope is not None:
+            law = replace(law, slope=self.slope, slope_error=0.0)
         if law.slope_error > _MOST_UNSURE:
             raise SceneError(
                 f"{who}: has too few pixels under the terrain: the slope of its spectrum is "
@@ -112,7 +114,7 @@ class Continuation:
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights plus relief."""
         out, report = self.noise.apply(grid, height)
-        return out, {"slope": self.law.slope, "longest_m": 1.0 / self.law.nyquist_per_m, **report}
+        return out, {"slope": self.law.slope, "longest_m": 2.0 * self.law.pixel_m, **report}
 
     def detail(self, grid: Grid) -> Detail | None:
         """The octaves that a grid is too coarse for."""
@@ -126,12 +128,12 @@ def continued(law: SpectralLaw, roughness: float, octaves: int, noise_key: int) 
     a^2 g^(2 j) c_j^2 S(k c_j). With g^2 = l^(2 - slope) their sum is the power law
     a^2 c^2 (k c)^-slope M / log l times what repeats with each octave, M the moment of S.
     """
-    cell, slope = _FIRST / law.nyquist_per_m, law.slope
+    cell, slope = 2.0 * law.pixel_m * _FIRST, law.slope
     t, moment = slope - 3.5, 0.0
     for coefficient in reversed(_MOMENTS):
         moment = moment * t + coefficient
     octave = elementary.log(_LACUNARITY)
-    # P = at_nyquist (k / nyquist)^-slope, and nyquist = _FIRST / c.
+    # The Nyquist frequency is _FIRST / c.
     at_cell = elementary.log(law.at_nyquist_m4) + slope * elementary.log(_FIRST)
     square = elementary.exp(at_cell - moment) * octave / (cell * cell)
     return Multifractal(

@@ -42,7 +42,7 @@ def densities(height: np.ndarray, spacing: float, edges: np.ndarray) -> np.ndarr
 
 
 def law_of(slope: float) -> SpectralLaw:
-    return SpectralLaw(slope, 0.0, LEVEL, NYQUIST, 0.0, 1.0, 1.0)
+    return SpectralLaw(slope, 0.0, 2.0 * PIXEL, LEVEL, PIXEL)
 
 
 def cfg_with(folder, heights, pixel=0.25, **keys):
