@@ -7,7 +7,7 @@ documented for other writers in ``docs/stage.md``.
 from __future__ import annotations
 
 #: Version of this stage schema, authored on the root; a reader refuses a newer major one.
-SCHEMA_VERSION = "1.13"
+SCHEMA_VERSION = "1.12"
 
 ATTR_SCHEMA_VERSION = "scenec:schemaVersion"
 #: double, time-sampled: real time of a sample in seconds.

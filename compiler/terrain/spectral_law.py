@@ -79,29 +79,10 @@ def fit_spectral_law(
     Returns:
         None where fewer than three bins have enough modes, or one has no relief.
     """
-    ny, nx = (min(n, _MOST) for n in height.shape)
-    j, i = (height.shape[0] - ny) // 2, (height.shape[1] - nx) // 2
-    modes = cosines.dct(_without_plane(height[j : j + ny, i : i + nx]), over=True)
-    kx, ky = (np.arange(n) / (2.0 * n * p) for n, p in zip((nx, ny), pixel_m, strict=True))
-    frequency = np.sqrt(kx[None, 1:] * kx[None, 1:] + ky[1:, None] * ky[1:, None]).ravel()
-    density = (modes[1:, 1:] * modes[1:, 1:]).ravel() * (pixel_m[0] * pixel_m[1] / (4.0 * nx * ny))
     nyquist = 0.5 / max(pixel_m)
-    low = _LOWEST / min(nx * pixel_m[0], ny * pixel_m[1])
-    used = (frequency >= low) & (frequency <= _HIGHEST * nyquist)
-    log_k = elementary.log_array(frequency[used] / nyquist)
-    whitened = density[used] * elementary.exp_array(_USUAL * log_k)
-    width = elementary.log(2.0) / _BINS
-    which = np.floor(-log_k / width).astype(np.int64)
-    bins = np.unique(which)
-    parts = [which == number for number in bins]
-    counts = np.array([int(part.sum()) for part in parts])
-    medians = np.array([np.median(whitened[part]) for part in parts]) / _MEDIAN
-    middles = np.array([log_k[part].mean() for part in parts])
-    full = counts >= _LEAST
-    if int(full.sum()) < 3 or not (medians[full] > 0.0).all():
+    x, y, weight = _binned(height, pixel_m, nyquist)
+    if len(x) < 3 or not np.isfinite(y).all():
         return None
-    x, weight = middles[full], counts[full].astype(np.float64)
-    y = elementary.log_array(medians[full]) - _USUAL * x
     total = weight.sum()
     x_mean, y_mean = float((weight * x).sum() / total), float((weight * y).sum() / total)
     spread = float((weight * (x - x_mean) * (x - x_mean)).sum())
@@ -121,6 +102,30 @@ def fit_spectral_law(
         longest,
         shortest,
     )
+
+
+def _binned(
+    height: NDArray[np.float64], pixel_m: tuple[float, float], nyquist: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Logarithms of frequency over Nyquist's and of density, and numbers of modes, of full bins."""
+    ny, nx = (min(n, _MOST) for n in height.shape)
+    j, i = (height.shape[0] - ny) // 2, (height.shape[1] - nx) // 2
+    modes = cosines.dct(_without_plane(height[j : j + ny, i : i + nx]), over=True)
+    kx, ky = (np.arange(n) / (2.0 * n * p) for n, p in zip((nx, ny), pixel_m, strict=True))
+    frequency = np.sqrt(kx[None, 1:] * kx[None, 1:] + ky[1:, None] * ky[1:, None]).ravel()
+    density = (modes[1:, 1:] * modes[1:, 1:]).ravel() * (pixel_m[0] * pixel_m[1] / (4.0 * nx * ny))
+    low = _LOWEST / min(nx * pixel_m[0], ny * pixel_m[1])
+    used = (frequency >= low) & (frequency <= _HIGHEST * nyquist)
+    log_k = elementary.log_array(frequency[used] / nyquist)
+    whitened = density[used] * elementary.exp_array(_USUAL * log_k)
+    which = np.floor(-log_k * (_BINS / elementary.log(2.0))).astype(np.int64)
+    parts = [which == number for number in np.unique(which)]
+    parts = [part for part in parts if int(part.sum()) >= _LEAST]
+    x = np.array([log_k[part].mean() for part in parts])
+    medians = np.array([np.median(whitened[part]) for part in parts]) / _MEDIAN
+    # Of level ground: no number.
+    y = np.where(medians > 0.0, elementary.log_array(np.maximum(medians, 1e-300)), -np.inf)
+    return x, y - _USUAL * x, np.array([float(part.sum()) for part in parts])
 
 
 def _without_plane(height: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,14 +23,16 @@ from scenec.compiler.scene.scene import DemOrigin
 from scenec.datasets.models.gltf import write_gltf
 from scenec.schemas import stage as names
 from scenec.schemas.codec import decode
-from scenec.schemas.errors import StageError
+from scenec.schemas.errors import CfgError, SceneError, StageError
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.glb import decode_glb
+from scenec.schemas.manifest import read_manifest
 from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
 
 PASSES = ("depth", "range", "label", "instance", "face", "normal", "position")
+BOARD = {"file": "board.obj", "unit_m": 1, "up": "z"}
 HEIGHTS = np.random.default_rng(1).normal(size=(30, 40)).cumsum(axis=0).astype(np.float32)
 
 
@@ -107,6 +109,63 @@ def test_the_height_offset_gives_back_the_heights_of_the_file(tmp_path):
     # Rows 10 to 26 from the south, columns 6 to 26: what lies under the terrain of 20 m x 16 m.
     under = HEIGHTS[::-1][10:26, 6:26]
     assert -offset == pytest.approx(float(under.mean()), abs=0.1 * float(under.std()))
+
+
+def test_tracks_and_objects_by_latitude_lie_where_the_manifest_s_plane_puts_them(tmp_path):
+    batch = compiled(tmp_path / "scene", (500_000.0, 4_000_000.0))
+    place = read_manifest(tmp_path / "scene" / "out").batches[0].georeference
+    assert place == read_stage(batch / "stage.usda").georeference
+    assert place.body == "Earth"
+    assert place.latitude_deg == pytest.approx(36.14, abs=0.01)
+    x, y = np.array([3.0, -7.0, 1.5]), np.array([-2.0, 4.0, 0.0])
+    there = list(zip(*place.latitude_longitude(x, y), strict=True))
+    cfg = small_cfg(samples=2)
+    cfg["terrain"]["relief"][0] = {"type": "dem", "file": "dem.tif", "center": [0.4, 0.6]}
+    lines = [f"{i},{p},{q},3,1,0,0,0\n" for i, (p, q) in enumerate(there[:2])]
+    (tmp_path / "scene" / "track.csv").write_text(
+        "time_s,latitude_deg,longitude_deg,z_m,qw,qx,qy,qz\n" + "".join(lines)
+    )
+    cfg["rigs"]["rover"]["pose"] = {"type": "track", "file": "track.csv"}
+    (tmp_path / "scene" / "board.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "scene" / "poses.csv").write_text(
+        "latitude_deg,longitude_deg\n{},{}\n".format(*there[1])
+    )
+    own = {"type": "placed", "models": [BOARD], "material": "stone"}
+    pose = dict(zip(("latitude_deg", "longitude_deg"), there[2], strict=True))
+    cfg["objects"] |= {"one": {**own, "poses": [{"x_m": 5, "y_m": 5}, pose]},
+                       "file": {**own, "file": "poses.csv"}}  # fmt: skip
+    plan = draw(load(write_cfg(tmp_path / "scene", cfg)), 1, 0)
+    assert plan.rigs[0].pose.to_world[:, :2, 3] == pytest.approx(np.stack([x, y], 1)[:2], abs=1e-6)
+    one, file = (drawn.keys for drawn in plan.objects[1:])
+    assert one[0].position_m[0] == pytest.approx([5, 5, 0])
+    assert one[1].position_m[0] == pytest.approx([x[2], y[2], 0], abs=1e-6)
+    assert file[0].position_m[0] == pytest.approx([x[1], y[1], 0], abs=1e-6)
+
+
+def test_latitudes_without_a_place_are_refused(tmp_path):
+    np.save(tmp_path / "dem.npy", HEIGHTS)
+    (tmp_path / "board.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    pose = {"latitude_deg": 1, "longitude_deg": 2}
+    cfg = small_cfg()
+    cfg["objects"]["one"] = {"type": "placed", "models": [BOARD],
+                             "material": "stone", "poses": [pose]}  # fmt: skip
+    for poses, relief, said in (
+        (
+            [pose],
+            {"type": "plane"},
+            "latitude_deg: the terrain lies nowhere on a body: expected x_m",
+        ),
+        ([{**pose, "x_m": 1}], None, "x_m and latitude_deg both say where the object is"),
+        ([{"longitude_deg": 2}], None, "expected either the key x_m or the key latitude_deg"),
+        ([{"x_m": 1, "longitude_deg": 2}], None, "expected latitude_deg and longitude_deg, or x_m"),
+    ):
+        cfg["objects"]["one"]["poses"] = poses
+        cfg["terrain"]["relief"][0] = relief or {"type": "dem", "file": "dem.npy", "pixel_m": 1}
+        with pytest.raises(CfgError, match=said):
+            load(write_cfg(tmp_path, cfg))
+    cfg["objects"]["one"]["poses"] = [pose]
+    with pytest.raises(SceneError, match="objects/one/poses/0: latitude_deg and longitude_deg"):
+        draw(load(write_cfg(tmp_path, cfg)), 1, 0)
 
 
 @pytest.mark.parametrize(
