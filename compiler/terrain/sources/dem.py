@@ -162,7 +162,7 @@ class Dem:
     unit_m: float | None = key(forms.CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
     """Meters per unit of the file's heights. Left out, what a raster says (m, km, ft, us-ft …, of
     its band or its vertical axis), else 1. Its own scale and offset are applied before."""
-    window: DemWindow | None = key(an("dem_window", drawn=True), optional=True)
+    window: DemWindow | None = key(an("dem_window", drawn=True), sparse=True)
     """The part of a GeoTIFF or another raster that is read, and the DEM from then on: center is a
     place in it. Left out, all of the file."""
     edge: Literal["error", "clamp"] = key(forms.CHOICE, default="error")
