@@ -155,6 +155,9 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
                 return
         span = (0.0, 1.0) if "height_range_m" in owner else None
         part = _window(owner, cfg)
+        if "window" in owner and part is None:
+            # What is wrong with it has been said.
+            return
         dem = read_dem(file, member, owner["nodata"], span, owner["band"], owner["unit_m"], part)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise SceneError(f"{file.name}: a broken file: {error or type(error).__name__}") from error
@@ -189,7 +192,7 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 
 def _window(owner: Node, cfg: Node) -> RasterWindow | None:
-    """The part of a raster that a DEM's window takes."""
+    """The part of a raster that a DEM's window takes; None without a sound one."""
     from scenec.compiler.assets.raster_window import RasterWindow
 
     if "window" not in owner:
@@ -200,16 +203,13 @@ def _window(owner: Node, cfg: Node) -> RasterWindow | None:
     # Drawn later: what is read then is near enough.
     pixel = None if size is None or isinstance(size, dict) else (float(size[0]), float(size[1]))
     spacing = cfg.at("terrain")["spacing_m"] if owner.path[:2] == ("terrain", "relief") else 0.0
+    lat, lon, x, y = (window[n] for n in ("latitude_deg", "longitude_deg", "x_m", "y_m"))
+    whole = (None not in (lat, lon)) != (None not in (x, y))
+    if window["size_m"] is None or not whole:
+        return None
     wide, high = window["size_m"]
-    return RasterWindow(
-        window["latitude_deg"],
-        window["longitude_deg"],
-        window["x_m"],
-        window["y_m"],
-        (wide, high),
-        pixel,
-        spacing if isinstance(spacing, float | int) else 0.0,
-    )
+    finest = spacing if isinstance(spacing, float | int) else 0.0
+    return RasterWindow(lat, lon, x, y, (wide, high), pixel, finest)
 
 
 def _members_of_dem(file: Path, owner: Node) -> list[tuple[str, Path]]:

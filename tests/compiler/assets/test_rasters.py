@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,12 @@ import pytest
 
 from scenec.compiler.assets.dem_file import read_dem
 from scenec.compiler.assets.raster import files_of
+from scenec.compiler.cfg.load import load
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.sources.dem import Dem, DemWindow
-from scenec.schemas.errors import SceneError
+from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.georeference import Georeference
+from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
 shutil = pytest.importorskip("rasterio.shutil")
@@ -282,9 +286,9 @@ def moon(latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
     ("latitude", "longitude"), [(90, 0), (-90, 77), (-89.97, 30), (5, 180), (5, 0), (40, -100)]
 )
 def test_a_global_file_has_no_seam_and_no_poles(tmp_path, first, latitude, longitude):
-    place = rasterio.Affine(0.1, 0, first, 0, -0.1, 90)
-    j, i = np.mgrid[:1800, :3600] + 0.5
-    path = write(tmp_path / "a.tif", moon(90 - 0.1 * j, first + 0.1 * i), MOON, place)
+    place = rasterio.Affine(0.25, 0, first, 0, -0.25, 90)
+    j, i = np.mgrid[:720, :1440] + 0.5
+    path = write(tmp_path / "a.tif", moon(90 - 0.25 * j, first + 0.25 * i), MOON, place)
     window = DemWindow((3e4, 3e4), latitude_deg=latitude, longitude_deg=longitude)
     grid = Grid.with_spacing((2e4, 2e4), 1e3)
     height, report = Dem(file=path, window=window).apply(grid, np.zeros(grid.shape))
@@ -294,7 +298,7 @@ def test_a_global_file_has_no_seam_and_no_poles(tmp_path, first, latitude, longi
     assert np.cos(np.radians(place.longitude_deg - longitude)) == pytest.approx(1.0, abs=1e-15)
     there = warp.transform(place.plane()[0], "+proj=longlat +R=1737400", x.tolist(), y.tolist())
     truth = moon(np.array(there[1]), np.array(there[0]))
-    # 3 km pixels of a hill that is a body wide; near poles rows are rings.
+    # 8 km pixels of a hill that is a body wide; near poles rows are rings.
     assert np.abs(height.ravel() - truth).max() < 2e-3
 
 
@@ -334,3 +338,169 @@ def test_a_window_that_is_nowhere_is_refused(tmp_path, crs, at, words):
     with pytest.raises(SceneError) as caught:
         Dem(file=path, window=DemWindow((100.0, 100.0), **at)).apply(grid, np.zeros(grid.shape))
     assert words in str(caught.value)
+
+
+# What is read, and what is refused.
+
+
+def sparse(path: Path, side: int, window: Any, **options: Any) -> Path:
+    """A file of zeros that take no room, with numbers in a window."""
+    with rasterio.open(
+        path, "w", driver="GTiff", height=side, width=side, count=1, dtype="float32",
+        crs="EPSG:32633", transform=rasterio.Affine(1, 0, 4e5, 0, -1, 5.4e6), sparse_ok=True,
+        compress="deflate", BIGTIFF="YES", **options,
+    ) as file:  # fmt: skip
+        j, i = np.mgrid[:1024, :1024]
+        file.write((100 + i % 64 + j % 32).astype(np.float32), 1, window=window)
+    return path
+
+
+PEAK = """
+import resource, sys
+import numpy as np
+from pathlib import Path
+from scenec.compiler.terrain.grid import Grid
+from scenec.compiler.terrain.sources.dem import Dem, DemWindow
+grid = Grid.with_spacing((800.0, 800.0), 1.0)
+window = DemWindow((1000.0, 1000.0), x_m=4e5 + float(sys.argv[2]), y_m=5.4e6 - float(sys.argv[2]))
+height, _ = Dem(file=Path(sys.argv[1]), window=window).apply(grid, np.zeros(grid.shape))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, height.sum().hex())
+"""
+
+
+@pytest.mark.parametrize("tiled", [{"tiled": True, "blockxsize": 512, "blockysize": 512}, {}])
+def test_a_window_of_60_000_pixels_squared_takes_the_memory_of_its_own_file(tmp_path, tiled):
+    at = rasterio.windows.Window(30_000 - 512, 30_000 - 512, 1024, 1024)
+    huge = sparse(tmp_path / "huge.tif", 60_000, at, **tiled)
+    small = sparse(tmp_path / "small.tif", 1024, rasterio.windows.Window(0, 0, 1024, 1024))
+    peaks, sums = [], []
+    for path, center in ((huge, 30_000), (small, 512)):
+        done = subprocess.run(
+            [sys.executable, "-c", PEAK, path, str(center)],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        peak, total = done.stdout.split()
+        peaks.append(float(peak))
+        sums.append(total)
+    assert sums[0] == sums[1]
+    assert peaks[0] <= peaks[1] + 200.0
+    assert "huge.tif: reads 1,006 x 1,006 of 60,000 x 60,000 pixels (3.9 MiB)" in read_line(huge)
+
+
+def read_line(path: Path) -> str:
+    """What is said before a window is read."""
+    code = PEAK.replace("print(", "0 and print(")
+    return subprocess.run(
+        [sys.executable, "-c", code, path, "30000"], capture_output=True, text=True, check=True
+    ).stderr
+
+
+@pytest.mark.parametrize(("spacing", "overview"), [(1.0, 1), (3.9, 2), (4.0, 4), (50.0, 8)])
+def test_overviews_are_read_where_the_terrain_is_no_finer(tmp_path, spacing, overview):
+    j, i = np.mgrid[:256, :256] + 0.5
+    path = write(
+        tmp_path / "a.tif", 2.0 * i - j, "EPSG:32633", rasterio.Affine(1, 0, 5e5, 0, -1, 5.4e6),
+        tiled=True, blockxsize=64, blockysize=64,
+    )  # fmt: skip
+    with rasterio.open(path, "r+") as file:
+        file.build_overviews([2, 4, 8], rasterio.enums.Resampling.average)
+    window = DemWindow((200.0, 200.0), x_m=5e5 + 128.0, y_m=5.4e6 - 128.0)
+    grid = Grid.with_spacing((160.0, 160.0), spacing)
+    height, report = Dem(file=path, window=window).apply(grid, np.zeros(grid.shape))
+    assert report["read"]["overview"] == overview
+    assert report["read"]["pixels"][0] == -(-200 // overview) + 6 + (200 // overview % 2)
+    # Means of a plane are the plane.
+    x, y = np.meshgrid(grid.x(), grid.y())
+    assert np.abs(height - (2.0 * (x + 128.0) - (128.0 - y))).max() < 1e-9
+
+
+def faults(folder: Path, **keys: Any) -> list[str]:
+    """What a cfg is refused for, whose terrain is such a DEM."""
+    cfg = small_cfg()
+    cfg["terrain"]["relief"][0] = {"type": "dem", "file": "a.tif", "edge": "clamp", **keys}
+    try:
+        load(write_cfg(folder, cfg))
+    except CfgError as error:
+        return [f"{fault.pointer}: {fault.message}" for fault in error.faults]
+    return []
+
+
+AT = {"latitude_deg": 49.4, "longitude_deg": 10.8, "size_m": [100, 100]}
+
+
+@pytest.mark.parametrize(
+    ("crs", "highest", "body"),
+    [(MOON, 1.6e4, "Moon"), ("EPSG:4326", -1.6e4, "Earth"), (MARS, 3.1e4, "Mars")],
+)
+def test_heights_that_a_body_does_not_have_are_a_fault_with_value_and_share(
+    tmp_path, crs, highest, body
+):
+    # A slope up to there: no mark, and no height.
+    write(tmp_path / "a.tif", np.linspace(0.0, highest, 192).reshape(12, 16), crs, PLACE)
+    (fault,) = faults(tmp_path)
+    assert f"({body}) does not have, as far as {highest:g} m" in fault
+    share = np.mean(np.abs(np.linspace(0, highest, 192)) > (3e4 if body == "Mars" else 1.5e4))
+    assert f"{100 * share:.2g} % of the samples of a.tif" in fault
+    assert fault.startswith("/terrain/relief/0/file") or fault.startswith("/terrain/relief/0: ")
+    assert faults(tmp_path, nodata=None) == []
+    assert faults(tmp_path, unit_m=0.5) == []
+
+
+def test_distances_from_the_body_s_center_are_heights(tmp_path):
+    write(tmp_path / "a.tif", RAMP + 1_737_400.0, MOON, PLACE)
+    assert faults(tmp_path, height_offset_m=None) == []
+
+
+@pytest.mark.parametrize(
+    ("window", "words"),
+    [
+        ({**AT, "x_m": 3}, "found latitude_deg, longitude_deg, x_m"),
+        ({"size_m": [1, 1]}, "found neither"),
+        ({"latitude_deg": 3, "size_m": [1, 1]}, "found latitude_deg"),
+        ({**AT, "latitude_deg": -91}, "at least -90"),
+        ({**AT, "size_m": [0, 1]}, "expected more than 0 m"),
+        ({**AT, "longitude_deg": 12.9}, "the window lies outside of it"),
+        ({**AT, "latitude": 3}, "latitude_deg"),
+    ],
+)
+def test_a_window_that_is_none_is_a_fault_at_its_place(tmp_path, window, words):
+    write(tmp_path / "a.tif", RAMP, MOON, PLACE)
+    assert faults(tmp_path, window=AT) == []
+    (fault,) = faults(tmp_path, window=window)
+    assert fault.startswith("/terrain/relief/0")
+    assert words in fault
+
+
+def test_a_hole_beside_a_turned_terrain_is_no_hole_under_it(tmp_path):
+    turned = rasterio.Affine.translation(5e5, 5.4e6) @ rasterio.Affine.rotation(45)
+    place = turned @ rasterio.Affine.scale(1, -1)
+    heights = np.tile(np.arange(40.0), (40, 1))
+    # Within the box of rows and columns around the terrain, and out of its reach.
+    heights[12, 12] = np.nan
+    path = write(tmp_path / "a.tif", heights, "EPSG:32633", place)
+    grid = Grid.with_spacing((12.0, 12.0), 1.0)
+    height, report = Dem(file=path).apply(grid, np.zeros(grid.shape))
+    assert "holes_filled" not in report
+    assert np.isfinite(height).all()
+    heights[20, 20] = np.nan
+    write(path, heights, "EPSG:32633", place)
+    with pytest.raises(SceneError, match="1 samples under the terrain have no data"):
+        Dem(file=path).apply(grid, np.zeros(grid.shape))
+    filled, report = Dem(file=path, holes="fill").apply(grid, np.zeros(grid.shape))
+    assert report["holes_filled"] == 1
+    # A hole in a plane becomes the plane.
+    assert np.abs(filled - height).max() < 1e-9
+
+
+def test_the_files_of_a_label_are_inputs(tmp_path):
+    detached(tmp_path)
+    cfg = small_cfg()
+    window = {"latitude_deg": 49.4, "longitude_deg": 10.8, "size_m": [100, 100]}
+    cfg["terrain"]["relief"][0] = {
+        "type": "dem", "file": "a.lbl", "edge": "clamp", "window": window,
+    }  # fmt: skip
+    path = write_cfg(tmp_path, cfg)
+    before = load(path).digest
+    pixels = (tmp_path / "A.IMG").read_bytes()
+    (tmp_path / "A.IMG").write_bytes(pixels[4:] + pixels[:4])
+    assert load(path).digest != before
