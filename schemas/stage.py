@@ -35,13 +35,25 @@ ATTR_LENS_MODEL = "scenec:lens:model"
 ATTR_LENS_COEFFICIENTS = "scenec:lens:coefficients"
 ATTR_LENS_MAX_ANGLE = "scenec:lens:maxAngle"
 
-#: On the root, where a DEM says on which place of a planet it lies. Nothing reads it: no number of
-#: the scene depends on it. string: coordinate reference system, an authority's code or WKT.
+#: On the root, where a DEM says on which place of a planet it lies. No number of the scene depends
+#: on it. string: coordinate reference system, an authority's code or WKT.
 ATTR_GEOREFERENCE_CRS = "scenec:georeference:crs"
 #: double2: the stage's origin in that system, first axis first (easting, northing).
 ATTR_GEOREFERENCE_CENTER = "scenec:georeference:center"
 #: double: what was added to the DEM's (scaled) heights, meters.
 ATTR_GEOREFERENCE_HEIGHT_OFFSET = "scenec:georeference:heightOffset"
+#: Further fields of ``schemas.georeference.Georeference``, where the body is known: the attribute,
+#: and its type. Those that have their default are left out.
+GEOREFERENCE = {
+    "semi_major_m": ("scenec:georeference:semiMajor", "Double"),
+    "semi_minor_m": ("scenec:georeference:semiMinor", "Double"),
+    "latitude_deg": ("scenec:georeference:latitude", "Double"),
+    "longitude_deg": ("scenec:georeference:longitude", "Double"),
+    "body": ("scenec:georeference:body", "String"),
+    "east_north": ("scenec:georeference:eastNorth", "DoubleArray"),
+    "to_crs": ("scenec:georeference:toCrs", "DoubleArray"),
+    "error_m": ("scenec:georeference:error", "Double"),
+}
 
 #: Relationship of a mesh to its ordered ground materials; layer 0 is the base.
 REL_LAYERS = "scenec:layers"

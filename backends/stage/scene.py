@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
@@ -556,6 +557,8 @@ class RenderScene:
     sky_labels_below: dict[str, int] = field(default_factory=dict)
     #: Per sample: those that scan then.
     lidars: tuple[tuple[Lidar, ...], ...] = ()
+    #: Where on a body the world lies; None where the stage does not say.
+    georeference: Georeference | None = None
     #: A line for each thing in the stage that was not read, whatever the backend and the pass.
     losses: tuple[str, ...] = ()
 

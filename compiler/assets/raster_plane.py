@@ -125,6 +125,27 @@ class RasterPlane:
         found: Pair = self.frame.pixels((longitude - b) / a, (latitude - d) / c)
         return found
 
+    def pixel_m(self, half_m: tuple[float, float]) -> tuple[float, float] | None:
+        """Returns the size of pixels along columns and rows, meters; None where it varies.
+
+        Args:
+            half_m: Half the sides of the rectangle about the origin that they are asked for: at its
+                middle and its corners they may differ by a tenth.
+        """
+        corners = np.array([[0, 0], [1, 1], [1, -1], [-1, 1], [-1, -1]]) * np.array(half_m)
+        x, y = corners[:, 0, None], corners[:, 1, None]
+        step = np.array([0.5, -0.5, 0.0, 0.0])
+        columns, rows = self.pixels((x + step).ravel(), (y + step[[2, 3, 0, 1]]).ravel())
+        (a, b), (c, d) = (
+            (k[:, 0] - k[:, 1], k[:, 2] - k[:, 3])
+            for k in (columns.reshape(5, 4), rows.reshape(5, 4))
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sizes = np.stack([_length(d, c), _length(a, b)]) / np.abs(a * d - b * c)
+        if not (sizes.max(axis=1) < 1.1 * sizes.min(axis=1)).all():
+            return None
+        return float(sizes[0, 0]), float(sizes[1, 0])
+
     def touching(self) -> Georeference:
         """Returns the plane that touches the body at the spot.
 

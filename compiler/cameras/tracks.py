@@ -10,8 +10,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
+from scenec.compiler.assets.tracks import RigTrack, Stamped, read_stamped, read_track
 from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, Way
+from scenec.compiler.geometry.places import on_plane
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
@@ -190,7 +191,9 @@ class TrackFile:
     file: Path = key(file("track"))
     """A CSV file with the columns time_s, x_m, y_m, z_m, qw, qx, qy, qz (in this order where there
     is no header line): position in the world and rotation from the rig's frame to it; or one of
-    another format. Relative to the cfg, or "package:NAME/path"."""
+    another format. A header may say latitude_deg, longitude_deg in the place of x_m, y_m, where the
+    terrain is on a DEM whose file has a georeference. Relative to the cfg, or
+    "package:NAME/path"."""
     convention: Literal["opencv", "usd"] = key(CHOICE, default="opencv")
     """Axes that the quaternions speak of: opencv (x right, y down, z forward; OAISYS of 2021) or
     usd (x right, y up, looking down -z; as Blender and today's OAISYS)."""
@@ -245,7 +248,7 @@ class TrackFile:
         form, method = self.format or "csv", self.interpolation or "linear"
         gaps = Gaps(self.max_gap_s, self.gaps == "hold")
         if self.sampling is None and form == "csv" and self.quaternion is None:
-            track = read_track(self.file)
+            track = _on_plane(read_track(self.file), context, what)
             rows = [
                 from_quaternion(track.position_m[i], track.quaternion[i])
                 for i in range(context.samples)
@@ -256,6 +259,7 @@ class TrackFile:
             at, times = stamped.time_s[: context.samples], track.time_s[: context.samples]
         else:
             stamped = read_stamped(self.file, form, self.quaternion, self.frame_rate_hz)
+            stamped = _on_plane(stamped, context, what)
             if self.sampling is None:
                 first = slice(context.samples)
                 at = stamped.time_s[first]
@@ -267,6 +271,13 @@ class TrackFile:
             times = stamped.begin_s + at
         way = TrackWay(at, stamped, method, gaps, what, usd) if context.between else None
         return TrackPlan(to_world, times, way)
+
+
+def _on_plane[T: (RigTrack, Stamped)](track: T, context: Context, what: str) -> T:
+    """Returns a track in the world; see ``places.on_plane``."""
+    if not track.is_geographic:
+        return track
+    return replace(track, position_m=on_plane(track.position_m, context.georeference(), what))
 
 
 @dataclass(frozen=True)

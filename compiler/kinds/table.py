@@ -54,6 +54,7 @@ _KINDS = {
         "plane": "terrain.sources.plane:Plane",
         "dem": "terrain.sources.dem:Dem",
         "mesh": "terrain.sources.mesh_base:MeshBase",
+        "downscale": "terrain.operators.downscale:Downscale",
         "multifractal": "terrain.operators.multifractal:Multifractal",
         "worley": "terrain.operators.worley:Worley",
         "polygons": "terrain.operators.polygons:Polygons",
@@ -225,6 +226,7 @@ _OBJECTS = {
     "terrain": "mesh.terrain:Terrain",
     "terrain_horizon": "mesh.terrain:TerrainHorizon",
     "terrain_mesh": "mesh.mesh:Meshing",
+    "terrain_planet": "terrain.planet:TerrainPlanet",
     "terrain_shade": "terrain.shade:Shade",
     "trigger": "cameras.mount:Trigger",
 }

@@ -20,6 +20,7 @@ from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed
 from scenec.compiler.scene.rig import Rig
 from scenec.schemas.errors import SceneError
+from scenec.schemas.georeference import Georeference
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,13 @@ class DemOrigin:
         crs: Coordinate reference system: an authority's code, or WKT.
         center: The world's origin in it, in its units.
         height_offset_m: Added to the (scaled) heights of the DEM.
+        place: The same by latitude and longitude; None where the file does not say on which body.
     """
 
     crs: str
     center: tuple[float, float]
     height_offset_m: float
+    place: Georeference | None = None
 
 
 @dataclass(frozen=True)

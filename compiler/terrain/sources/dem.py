@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -15,8 +15,12 @@ from scenec.compiler.assets.raster_plane import RasterFrame, RasterPlane, plane_
 from scenec.compiler.assets.raster_window import RasterWindow
 from scenec.compiler.kinds import Finding, Form, Node, an, bounded, file, forms, key, list_of
 from scenec.compiler.terrain.grid import Applied, Grid, bicubic
+from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
+from scenec.compiler.terrain.spectral_law import SpectralLaw, fit_spectral_law
+from scenec.schemas.codec import decode, encode
 from scenec.schemas.errors import SceneError
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -183,6 +187,32 @@ class Dem:
                 filled, is too small, or lies the other way round; or nothing says how large its
                 pixels are.
         """
+        base, report = self._scaled(grid)
+        offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
+        law: SpectralLaw | None = report.pop("spectrum")
+        used = {"height_offset_m": offset, "pixels_used": report.pop("pixels_used")}
+        spectrum = {} if law is None else law.facts()
+        return height + (base + offset), {**used, **report, **spectrum}
+
+    def spectral_law(self, grid: Grid) -> SpectralLaw | None:
+        """Fits the spectrum of its scaled heights under a terrain; see ``fit_spectral_law``.
+
+        Raises:
+            SceneError: As ``apply``.
+        """
+        law: SpectralLaw | None = self._scaled(grid)[1]["spectrum"]
+        return law
+
+    def georeference(self, grid: Grid) -> Georeference | None:
+        """Returns where on a body a terrain lies; None where the file does not say.
+
+        Raises:
+            SceneError: As ``apply``.
+        """
+        return recorded_place(self._scaled(grid)[1])
+
+    def _scaled(self, grid: Grid) -> Applied:
+        """Scaled heights, and the report with their spectrum."""
         pixel = self.pixel_m if self.pixel_m is None else _pair(self.pixel_m)
         window = None if self.window is None else self.window.part(pixel, min(grid.spacing_m))
         dem = read_dem(
@@ -199,9 +229,7 @@ class Dem:
         else:
             base, report = self._upright(grid, dem, pixel)
         base *= self.height_scale
-        offset = -float(base.mean()) if self.height_offset_m is None else self.height_offset_m
-        used = {"height_offset_m": offset, "pixels_used": report.pop("pixels_used")}
-        return height + (base + offset), {**used, **dem.facts, **report}
+        return base, {**dem.facts, **report}
 
     def _is_upright(self, frame: RasterFrame, shape: tuple[int, ...]) -> bool:
         """Whether rows run east, in the order that is said, and pixels have a size along them."""
@@ -241,7 +269,8 @@ class Dem:
         samples, report = self._filled(samples, holes, int(holes[rows, columns].sum()), wide_part)
         base = np.empty(grid.shape)
         over_threads(_bicubic_part, v.size, np.ascontiguousarray(samples), u, v, base)
-        report = {"pixels_used": _used(u, v, samples.shape), **report}
+        law = fit_spectral_law(self.height_scale * samples[rows, columns], size)
+        report = {"pixels_used": _used(u, v, samples.shape), "spectrum": law, **report}
         if dem.frame is not None and dem.frame.crs:
             column, row = self._middle(dem.frame, dem.values.shape)
             report["georeference"] = self._place(
@@ -299,7 +328,10 @@ class Dem:
         base = np.empty(grid.shape)
         over_threads(_bicubic_at, y.size, np.ascontiguousarray(samples), u, v, base)
         used = [int(min(at.max(), n - 1) - max(at.min(), 0.0)) + 1 for at, n in ((u, nx), (v, ny))]
-        report = {"pixels_used": used, **report}
+        part = tuple(_under(np.array([at.min(), at.max()]), n, 0) for at, n in ((v, ny), (u, nx)))
+        size_m = plane.pixel_m((0.5 * grid.size_m[0], 0.5 * grid.size_m[1]))
+        law = size_m and fit_spectral_law(self.height_scale * samples[part], size_m)
+        report = {"pixels_used": used, "spectrum": law, **report}
         if frame.crs:
             report["georeference"] = self._place(grid, plane, frame, plane.spot)
         return base, report
@@ -345,6 +377,24 @@ class Dem:
             "holes_filled": count,
             "holes_error_m": error * abs(self.height_scale),
         }
+
+
+def recorded_place(report: Mapping[str, Any]) -> Georeference | None:
+    """Returns where on a body a terrain lies, by what a DEM reported; None where it does not."""
+    place = report.get("georeference", {}).get("on_body")
+    if place is None:
+        return None
+    return decode(encode(place), Georeference, SceneError, "georeference")
+
+
+def georeference_of(relief: Sequence[Any], grid: Grid) -> Georeference | None:
+    """Returns where on a body a terrain lies, by its first DEM that says so; None without one.
+
+    Raises:
+        SceneError: A DEM cannot be read.
+    """
+    dems = (dem for dem in map(unmasked, relief) if isinstance(dem, Dem))
+    return next(filter(None, (dem.georeference(grid) for dem in dems)), None)
 
 
 def _up(value: float) -> str:
