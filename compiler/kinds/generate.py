@@ -84,7 +84,7 @@ def _keys(first: Keys, kind: type[Any], last: Keys | None = None) -> dict[str, A
 
 
 def _branches(kinds: Mapping[str, str], usual: str = "") -> list[dict[str, Any]]:
-    """Returns what leads from a ``type`` to its definition; that of the usual one may be missing."""
+    """Returns what leads from a ``type`` to its definition; the usual one's may be missing."""
     return [
         {
             "if": {

@@ -27,7 +27,8 @@ _ABERRATION = 0.00569
 _J2000 = np.datetime64("2000-01-01T12:00:00")
 #: Months with whose first day TAI - UTC became a second more than the 10 of 1972 (IERS Bulletin C).
 _LEAPS = np.array(
-    (
+    # A list by month, as the bulletins have it.
+    (  # noqa: SIM905
         "1972-07 1973-01 1974-01 1975-01 1976-01 1977-01 1978-01 1979-01 1980-01 1981-07 1982-07 "
         "1983-07 1985-07 1988-01 1990-01 1991-01 1992-07 1993-07 1994-07 1996-01 1997-07 1999-01 "
         "2006-01 2009-01 2012-07 2015-07 2017-01"

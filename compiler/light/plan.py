@@ -87,13 +87,12 @@ class Lights:
             return draw_object(name, node, path, context).draw(*given, context.at(path))
 
         sky = {name: value for name, value in self.sky.items() if name not in _LABELS}
-        sun, track = None, None
+        sun = None
         if self.sun is not None:
             sun = draw_kind("suns", self.sun, f"{context.path}/sun", context)
-        if isinstance(sun, SunTrack):
-            sun, track = sun.disc, sun
+        track = sun if isinstance(sun, SunTrack) else SunTrack(sun, {}, {})
         return LightPlan(
-            sun=sun,
+            sun=track.disc,
             sky=draw_kind("sky", sky, f"{context.path}/sky", context),
             haze=drawn("light_haze", "haze", self.haze),
             clouds=drawn("light_clouds", "clouds", self.clouds),
@@ -101,8 +100,8 @@ class Lights:
                 name: draw_kind("light_more", node, f"{context.path}/more/{name}", context)
                 for name, node in self.more.items()
             }
-            | (track.more if track else {}),
-            sun_facts=track.facts if track else {},
+            | track.more,
+            sun_facts=track.facts,
             lamps=tuple(
                 drawn("light_lamp", f"lamps/{name}", node, name)
                 for name, node in self.lamps.items()

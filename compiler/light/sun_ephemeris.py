@@ -70,9 +70,9 @@ class SunEphemeris:
     irradiance: Number | None = key(
         bounded(forms.PER_SAMPLE, above=0, at_most=1_000_000_000_000, unit="W/m²"), optional=True
     )
-    """On a surface that faces the sun; with a sky of the type atmosphere, above the atmosphere; with
-    an overcast one, above the cloud. Left out: 1361 W/m² over the square of the distance in au,
-    which no air weakens but that of an atmosphere."""
+    """On a surface that faces the sun; with a sky of the type atmosphere, above the atmosphere;
+    with an overcast one, above the cloud. Left out: 1361 W/m² over the square of the distance in
+    au, which no air weakens but that of an atmosphere."""
     color: Any = key(forms.COLOR, default=[1, 0.94, 0.86])
     """Color, scaled so that the irradiance is as said; not black. With a sky of the type
     atmosphere, a factor on the color of sunlight: if left out, none."""
@@ -119,8 +119,9 @@ class SunEphemeris:
         places = [*zip(latitudes.tolist(), longitudes.tolist(), strict=True)]
         radius = ephemeris.BODY_RADII_KM[self.body]
 
-        def seen(over: list[ephemeris.Overhead]) -> list[ephemeris.InSky]:
-            found = map(lambda at, place: ephemeris.in_sky(at, *place, radius), over, places)
+        def seen(over: list[Overhead]) -> list[InSky]:
+            pairs = zip(over, places, strict=True)
+            found = [ephemeris.in_sky(at, north, east, radius) for at, (north, east) in pairs]
             return [replace(s, azimuth_deg=ephemeris.turned(s.azimuth_deg, axes)) for s in found]
 
         suns = [ephemeris.sun_over(self.body, time) for time in times]

@@ -36,12 +36,12 @@ class SunTrack:
     """Holds the sun of a place and a time at every sample.
 
     Attributes:
-        disc: The sun.
+        disc: The sun; None for none.
         more: Further discs that follow from the time, by prim name.
         facts: For report.json.
     """
 
-    disc: SunDisc
+    disc: SunDisc | None
     more: dict[str, SunDisc]
     facts: dict[str, Any]
 

@@ -79,7 +79,9 @@ def _unit(at: ephemeris.Overhead) -> np.ndarray:
 
 
 def _random_times(number: int) -> list[np.datetime64]:
-    span = int((np.datetime64("2051-01-01") - np.datetime64("1980-01-01")) / np.timedelta64(1, "ms"))
+    span = int(
+        (np.datetime64("2051-01-01") - np.datetime64("1980-01-01")) / np.timedelta64(1, "ms")
+    )
     offsets = np.random.default_rng(1).integers(0, span, number)
     return [np.datetime64("1980-01-01T00:00:00") + np.timedelta64(int(o), "ms") for o in offsets]
 
@@ -103,7 +105,9 @@ def test_places_of_sun_and_earth_are_within_the_stated_arc_minutes_of_erfa():
     assert worst["earth over moon"] < 2.4
 
 
-@pytest.mark.parametrize("day", ["1972-01-01", "1980-01-01", "1999-01-01", "2016-12-31", "2024-06-01"])
+@pytest.mark.parametrize(
+    "day", ["1972-01-01", "1980-01-01", "1999-01-01", "2016-12-31", "2024-06-01"]
+)
 def test_terrestrial_time_follows_the_leap_seconds_that_erfa_has(day):
     ut, tt = ephemeris.days_since_j2000(np.datetime64(f"{day}T00:00:00"))
     year, month, number = map(int, day.split("-"))

@@ -158,20 +158,20 @@ def test_a_place_is_whole_or_that_of_a_dem(tmp_path):
 def test_a_dems_place_is_taken_with_the_turn_of_its_axes():
     node = {"type": "ephemeris", "body": "moon", "time_utc": _SITE["time_utc"], "step_s": 0.0}
     node |= {"offset_s": 0.0, "color": [1.0, 1.0, 1.0], "earthshine": False, "irradiance": None}
-    there = {"latitude_deg": -89.5, "longitude_deg": 222.0}
+    site = {"latitude_deg": -89.5, "longitude_deg": 222.0}
     context = Context(Streams(1, 0, 0), path="light/sun", samples=1)
-    given = draw_kind("suns", node | there, "light/sun", context).disc
-    node |= dict.fromkeys(there)
+    given = draw_kind("suns", node | site, "light/sun", context).disc
+    node |= dict.fromkeys(site)
     # Its +y is south.
-    place = Georeference("Moon", 1737400.0, 1737400.0, *there.values(), (-1.0, 0.0, 0.0, -1.0))
+    place = Georeference("Moon", 1737400.0, 1737400.0, *site.values(), (-1.0, 0.0, 0.0, -1.0))
     found = draw_kind("suns", node, "light/sun", replace(context, georeference=lambda: place)).disc
     assert found.elevation_deg == given.elevation_deg
     assert found.azimuth_deg == pytest.approx((given.azimuth_deg + 180.0) % 360.0)
     with pytest.raises(SceneError, match="says no latitude and longitude"):
         draw_kind("suns", node, "light/sun", context)
+    there = replace(context, georeference=lambda: place)
     with pytest.raises(SceneError, match='lies on Moon: expected "moon"'):
-        elsewhere = replace(context, georeference=lambda: place)
-        draw_kind("suns", node | {"body": "mars"}, "light/sun", elsewhere)
+        draw_kind("suns", node | {"body": "mars"}, "light/sun", there)
 
 
 def test_steps_beyond_the_years_that_are_taken_are_told(tmp_path):
