@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SOLAR_IRRADIANCE = 1361.0
 #: Times that are taken; within 1980 to 2050 errors are measured.
 YEARS = (1900, 2100)
-_TIME = f"a time in UTC of the years {YEARS[0]} to {YEARS[1]}, such as 2027-03-15T06:00:00Z"
+_TIME = f"a time in UTC of the years {YEARS[0]} to {YEARS[1]}, such as 2027-10-15T06:00:00Z"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,14 +40,14 @@ class SunEphemeris:
         "body": "moon",
         "latitude_deg": -89.5,
         "longitude_deg": 222,
-        "time_utc": "2027-03-15T06:00:00Z",
+        "time_utc": "2027-10-15T06:00:00Z",
         "step_s": 3600,
     }
 
     body: Literal["moon", "mars", "earth"] = key(forms.CHOICE)
     """On which the scene lies."""
     time_utc: str = key(forms.TEXT)
-    """Time of the first sample in UTC, as ISO 8601 writes it: 2027-03-15T06:00:00Z. Years from 1900
+    """Time of the first sample in UTC, as ISO 8601 writes it: 2027-10-15T06:00:00Z. Years from 1900
     to 2100."""
     step_s: float = key(
         forms.CONSTANT, default=0, at_least=-1_000_000_000, at_most=1_000_000_000, unit="s"
