@@ -46,6 +46,7 @@ class Context:
         ground: The cfg's ground layers, resolved.
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.
+        georeference: Returns where on a body the terrain lies; None where no DEM of it says so.
         between: Whether poses are asked for between the samples, too: while a shutter is open.
         path: Of what is drawn: "terrain/relief/0".
         samples: How many the batch has.
@@ -60,6 +61,7 @@ class Context:
     ground: Sequence[Mapping[str, Any]] = ()
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    georeference: Callable[[], Georeference | None] = lambda: None
     path: str = ""
     samples: int = 1
     between: bool = False

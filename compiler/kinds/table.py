@@ -32,6 +32,7 @@ class KindChoice:
         shared: Which function of ``shared`` says what keys each kind has after its own; "" none.
         keywords: More that JSON Schema says of it.
         check: Whose check holds for kinds that have none of their own, as in ``CLASSES``.
+        usual: The ``type`` of what says none; "": it has to.
     """
 
     title: str
@@ -45,6 +46,7 @@ class KindChoice:
     shared: str = ""
     keywords: Mapping[str, Any] = field(default_factory=dict)
     check: str = ""
+    usual: str = ""
 
 
 #: What declares each kind, within ``scenec.compiler``; the order is that of messages and schema.
@@ -223,6 +225,7 @@ _OBJECTS = {
     "sky_label_map": "light.panorama:LabelMap",
     "sky_label_maps": "light.panorama:LabelMaps",
     "sun": "light.suns:SunKeys",
+    "sun_ephemeris": "light.sun_ephemeris:SunEphemeris",
     "terrain": "mesh.terrain:Terrain",
     "terrain_horizon": "mesh.terrain:TerrainHorizon",
     "terrain_mesh": "mesh.mesh:Meshing",
@@ -402,6 +405,14 @@ CHOICES = {
         group="scenec.skies",
         shared="of_skies",
         kinds=_of("sky"),
+    ),
+    "suns": KindChoice(
+        title="Sun",
+        description="The sun: where the cfg says, or where it stands at a place and a time.",
+        of="Kind of sun; left out: disc.",
+        kinds={"disc": "sun", "ephemeris": "sun_ephemeris"},
+        keywords={"type": ["object", "null"]},
+        usual="disc",
     ),
     "surface": KindChoice(
         title="Surface",
