@@ -59,11 +59,19 @@ def _rig(
             poses = lidar_poses(child, frame, codes)
         else:
             continue
-        on_rig = np.linalg.inv(to_world) @ poses
+        on_rig = _relative(to_world, poses)
         # What moves on its rig has no place there.
         if np.abs(on_rig - on_rig[0]).max() <= _RIGID:
             mounts[str(child.GetPath())] = on_rig[0]
     return RigState(prim.GetName(), times, to_world, mounts, tuple(imus))
+
+
+def _relative(parent: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses [s, 4, 4] in the frames of others; summed in one order on every machine (no BLAS)."""
+    out = poses.copy()
+    out[:, :3, 3] -= parent[:, :3, 3]
+    out[:, :3] = (parent[:, :3, :3, None] * out[:, :3, None]).sum(axis=1)
+    return out
 
 
 def _imu(prim: Usd.Prim, frame: StageFrame) -> Imu:

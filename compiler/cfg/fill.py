@@ -22,8 +22,9 @@ def fill(document: Any) -> Cfg:
     - A key that was left out has its default, or None where it has none.
     - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
     - Where a default hangs on other keys, the class that declares them says it in its ``fill``.
-    - A sensor without outputs has the cfg's; an IMU without gravity that of the sky's planet; a ground layer with a coverage has threshold None, one
-      with conditions and without a noise has noise None.
+    - A sensor without outputs has the cfg's; an IMU without gravity that of the sky's planet; a
+      ground layer with a coverage has threshold None, one with conditions and without a noise has
+      noise None.
     """
     cfg: Any = _fill(schema.root(document))
     for rig in cfg["rigs"].values():

@@ -156,7 +156,9 @@ def _solve(time, p, q, rate):  # type: ignore[no-untyped-def]
             e = _end_rate((r[0], r[1], r[2]), (here[0], here[1], here[2]))
             # What of the acceleration at the step's end does not come from r'' alone.
             _, bent = _jacobian((r[0], r[1], r[2]), e, (0.0, 0.0, 0.0))
-            _, came = _jacobian((r[0], r[1], r[2]), (0.0, 0.0, 0.0), (before[0], before[1], before[2]))
+            _, came = _jacobian(
+                (r[0], r[1], r[2]), (0.0, 0.0, 0.0), (before[0], before[1], before[2])
+            )
             next_ = _end_rate((s[0], s[1], s[2]), (after[0], after[1], after[2]))
             for k in range(3):
                 rise = 3.0 * (mean[0, i - 1, k] / h + mean[0, i, k] / g)

@@ -122,6 +122,7 @@ def turn_by(x, y, z):  # type: ignore[no-untyped-def]
 
 @inlined
 def cross(a, b):  # type: ignore[no-untyped-def]
+    """Computes the cross product, a tuple."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
@@ -236,7 +237,8 @@ def _interpolate(time, p, q, at, method, out_p, out_q):  # type: ignore[no-untyp
             b3 = u * u * u * h / 3.0
             turn = _times(
                 _times(
-                    turn_by(b1 * w0[0], b1 * w0[1], b1 * w0[2]), turn_by(b2 * b[0], b2 * b[1], b2 * b[2])
+                    turn_by(b1 * w0[0], b1 * w0[1], b1 * w0[2]),
+                    turn_by(b2 * b[0], b2 * b[1], b2 * b[2]),
                 ),
                 turn_by(b3 * w1[0], b3 * w1[1], b3 * w1[2]),
             )

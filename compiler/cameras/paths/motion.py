@@ -251,9 +251,7 @@ def rolled(axes: NDArray[np.float64], roll_deg: NDArray[np.float64] | float) -> 
     return np.stack([c * right + s * down, c * down - s * right, forward], axis=2)
 
 
-def upward_spin(
-    to_world: NDArray[np.float64], rate: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def upward_spin(to_world: NDArray[np.float64], rate: NDArray[np.float64]) -> NDArray[np.float64]:
     """Angular velocities in a rig's axes, [n, 3], of poses [n, 4, 4] that turn about the vertical.
 
     Args:

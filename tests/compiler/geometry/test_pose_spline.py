@@ -89,7 +89,11 @@ def test_all_derivatives_are_those_of_the_curve_by_differences():
     q = quaternions(r)
     here, after, before = (spline_poses(time, p, q, at + d) for d in (0.0, e, -e))
     inner = np.abs(at[:, None] - time).min(axis=1) > 2 * e
-    for of, order in (("position", "velocity"), ("velocity", "acceleration"), ("spin", "spin_rate")):
+    for of, order in (
+        ("position", "velocity"),
+        ("velocity", "acceleration"),
+        ("spin", "spin_rate"),
+    ):
         slope = (getattr(after, of) - getattr(before, of)) / (2 * e)
         assert np.abs(slope - getattr(here, order))[inner].max() < 1e-4
     turned = rotations(before.quaternion).inv() * rotations(after.quaternion)
