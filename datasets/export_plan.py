@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -161,7 +162,15 @@ class Plan:
             "place": list(task.place),
             "frames": [[ref.index, ref.name, self.frame_key(ref)] for ref in task.frames],
         }
+        sources = self._sources(task)
+        values |= {"sources": sources} if sources else {}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+    def _sources(self, task: Task) -> list[str]:
+        """Names and digests of what a task depends on beside its frames."""
+        return [
+            f"{path.parent.name}/{path.name} {sha256(path)}" for path in self.format().sources(task)
+        ]
 
     def full_key(self) -> str:
         """sha256 over all that decides the dataset's files."""
@@ -171,6 +180,9 @@ class Plan:
             if ref.batch in self.split_of:
                 line = f"{ref.name} {self.split_of[ref.batch]} {self.frame_key(ref)}\n"
                 state.update(line.encode())
+        if find_format(self.format_name).sources is not Format.sources:
+            for line in itertools.chain.from_iterable(map(self._sources, self.tasks())):
+                state.update(f"{line}\n".encode())
         for fault in self.source.missing:
             state.update(f"{fault.name}\n".encode())
         for fault in self.source.strays:

@@ -243,6 +243,10 @@ class Format(ABC):
         """
         yield from ()
 
+    def sources(self, task: Task) -> list[Path]:
+        """Files beside the frames that a task's files depend on; another dataset if they change."""
+        return []
+
     @abstractmethod
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path

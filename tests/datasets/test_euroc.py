@@ -10,11 +10,9 @@ import pytest
 import yaml
 from evo.tools.file_interface import read_euroc_csv_trajectory
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from scenec.datasets.export import Choice, export
 from scenec.schemas.errors import OutputError
-from scenec.schemas.imu import Imu, ImuNoise, RigState
 from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
@@ -23,6 +21,7 @@ from scenec.testing.made_frames import (
     camera_matrix,
     camera_pose,
     lift,
+    made_rigs,
     make_out,
     misprediction,
     off_surface,
@@ -172,32 +171,16 @@ def test_equal_time_stamps_are_refused_before_one_picture_takes_anothers_name(tm
         export(out, "euroc")
 
 
-def rig_with_an_imu(_stage=None):
-    """The rig of ``made_frames`` with an IMU that reads at its samples, and one more."""
-    time = 0.1 * np.arange(4)
-    to_world = np.stack([rig_pose(k) for k in range(4)])
-    to_rig = np.eye(4)
-    to_rig[:3, :3] = Rotation.from_euler("xyz", [80, -10, 35], degrees=True).as_matrix()
-    to_rig[:3, 3] = 0.3, -0.1, 0.2
-    body = to_world @ to_rig
-    turn = np.roll(Rotation.from_matrix(body[:, :3, :3]).as_quat(), 1, axis=1)
-    values = np.random.default_rng(3).normal(size=(7, 4, 3))
-    noise = ImuNoise(1e-4, 0.5, 2e-5, 3e-3, 0.6, 4e-4)
-    imu = Imu("unit", to_rig, 10.0, 3.71, noise, time, body[:, :3, 3], turn, *values)
-    more = replace(imu, name="more", to_rig=np.eye(4))
-    return (RigState("rover", time, to_world, {}, (imu, more)),)
-
-
 def lines(path):
     head, *rows = path.read_text(encoding="utf-8").splitlines()
     return head, [(int(row.split(",")[0]), list(map(float, row.split(",")[1:]))) for row in rows]
 
 
 def test_a_rig_with_an_imu_has_its_body_there_and_readings_and_true_states_beside(made, tmp_path):
-    choice = Choice(rigs=rig_with_an_imu, options={"start_s": "2.5"})
+    choice = Choice(rigs=lambda _stage: made_rigs(), options={"start_s": "2.5"})
     export(made.out, "euroc", tmp_path / "d", choice)
     mav0 = tmp_path / "d/all/batch_0000_rover/mav0"
-    (rig,) = rig_with_an_imu()
+    (rig,) = made_rigs()
     imu, more = rig.imus
     stamps = [2_500_000_000 + 100_000_000 * k for k in range(4)]
     head, rows = lines(mav0 / "imu0/data.csv")
@@ -230,7 +213,7 @@ def test_a_rig_with_an_imu_has_its_body_there_and_readings_and_true_states_besid
 
 def test_stamps_that_are_numbers_of_samples_leave_imus_out_and_say_so(made, tmp_path):
     said = []
-    choice = Choice(rigs=rig_with_an_imu, options={"times": "samples"})
+    choice = Choice(rigs=lambda _stage: made_rigs(), options={"times": "samples"})
     export(made.out, "euroc", tmp_path / "d", choice, say=said.append)
     mav0 = tmp_path / "d/all/batch_0000_rover/mav0"
     assert not list(mav0.glob("imu*"))
@@ -240,7 +223,7 @@ def test_stamps_that_are_numbers_of_samples_leave_imus_out_and_say_so(made, tmp_
 
 def test_readings_closer_than_the_format_s_ticks_are_refused(made, tmp_path):
     def dense(_stage):
-        (rig,) = rig_with_an_imu()
+        (rig,) = made_rigs()
         fast = replace(rig.imus[0], time_s=1e-10 * np.arange(4))
         return (replace(rig, imus=(fast,)),)
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.compiler.cameras.test_motions import around, descent, hills, mav, orbit
-from tests.compiler.geometry.test_pose_spline import quaternions, rotations, top
+from test_motions import around, descent, hills, mav, orbit
 
 from scenec.compiler.assets.tracks import Stamped
 from scenec.compiler.cameras.imu import ImuPlan
@@ -19,6 +18,7 @@ from scenec.compiler.draw import draw
 from scenec.schemas.errors import CfgError, SceneError
 from scenec.schemas.imu import ImuNoise
 from scenec.testing.small import small_cfg, write_cfg
+from scenec.testing.tumbling import quaternions, rotations, top
 
 #: An IMU that looks ahead, in the rig's axes: x forward, y left, z up.
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])

@@ -11,15 +11,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from scenec.compiler.geometry.pose_spline import spline_poses
 from scenec.testing.examples import examples
-
-
-def quaternions(rotation: Rotation) -> np.ndarray:
-    """As we write them: w first."""
-    return np.roll(rotation.as_quat(), 1, axis=-1)
-
-
-def rotations(quaternion: np.ndarray) -> Rotation:
-    return Rotation.from_quat(np.roll(quaternion, -1, axis=-1))
+from scenec.testing.tumbling import quaternions, rotations, top
 
 
 def keys(n, largest, seed=1):
@@ -33,15 +25,6 @@ def keys(n, largest, seed=1):
     for k in range(1, n):
         found.append(found[-1] * turns[k])
     return time, rng.normal(size=(n, 3)), Rotation.concatenate(found)
-
-
-def top(t, spin=2.0, nod=0.6, roll=-1.3):
-    """A symmetric top without torque: its attitude, angular velocity and its change, body axes."""
-    attitude = Rotation.from_euler("ZXZ", np.stack([spin * t, nod + 0 * t, roll * t], axis=1))
-    s, c = spin * np.sin(nod), spin * np.cos(nod)
-    sin, cos = np.sin(roll * t), np.cos(roll * t)
-    rate = np.stack([s * sin, s * cos, c + roll + 0 * t], axis=1)
-    return attitude, rate, np.stack([s * roll * cos, -s * roll * sin, 0 * t], axis=1)
 
 
 def test_positions_are_scipy_s_cubic_spline_with_the_same_velocities_at_its_ends():
