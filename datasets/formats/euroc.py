@@ -166,7 +166,7 @@ class Euroc(Format):
     def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
         """Says that IMUs are left out where stamps are no times."""
         if self.option("times") == "samples":
-            yield "times=samples: what IMUs read has no place among the numbers of samples"
+            yield trajectory.NO_IMUS
 
     def usage(self) -> str:
         """The layout, the frames, what is made up."""

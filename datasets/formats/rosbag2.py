@@ -117,7 +117,9 @@ class Rosbag2(Format):
                 number += 1
 
     def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
-        """Warns of bags that begin at the time 0."""
+        """Warns of bags that begin at the time 0, and of IMUs whose stamps would be no times."""
+        if self.option("times") == "samples":
+            yield trajectory.NO_IMUS
         found = [
             task.frames[0].batch_name
             for task in self.tasks(splits)

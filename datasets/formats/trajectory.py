@@ -20,6 +20,8 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.picture import write_png
 
+#: Said of datasets whose time stamps are numbers of samples.
+NO_IMUS = "times=samples: what IMUs read has no place among the numbers of samples"
 #: At the root of such datasets: what each sequence is.
 SEQUENCES = "sequences.csv"
 
