@@ -21,8 +21,8 @@ _ORIGIN: Final = [0.0, 0.0, 0.0]
 
 @dataclass(frozen=True, kw_only=True)
 class ImuNoiseKeys:
-    """What is wrong with an IMU's readings, by Allan parameters (IEEE Std 952), as data sheets and
-    the calibrations of Kalibr and VINS have them. 0: none of it.
+    """Errors of an IMU's readings, by Allan parameters (IEEE Std 952), as data sheets and the
+    calibrations of Kalibr and VINS have them. 0: none of it.
     """
 
     EXAMPLE: ClassVar = {

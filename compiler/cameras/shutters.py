@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import MotionContext, RigMotion, RigPoses, Way
 from scenec.compiler.cameras.sensor import SensorPlan
-from scenec.compiler.cameras.tracks import made_at
+from scenec.compiler.cameras.tracks import poses_at
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import composed
 from scenec.compiler.scene.rig import Between, OpenShutter, Rig, Sensor
@@ -85,7 +85,7 @@ def way_of(pose: RigMotion, built: RigPoses, context: MotionContext) -> Way | No
         # Motions are made for times that rise.
         rising = np.sort(within, kind="stable")
         rising = rising[np.append(True, rising[1:] > rising[:-1])]
-        made = made_at(pose, dataclasses.replace(context, what=what), rising)
+        made = poses_at(pose, dataclasses.replace(context, what=what), rising)
         return np.asarray(made.to_world[np.searchsorted(rising, within)])
 
     return Way(at, built.times)

@@ -108,7 +108,7 @@ class Sampling:
         return np.minimum(at, duration_s)
 
 
-def made_at(motion: Any, context: MotionContext, at_s: NDArray[np.float64]) -> RigPoses:
+def poses_at(motion: Any, context: MotionContext, at_s: NDArray[np.float64]) -> RigPoses:
     """Returns the poses of a made motion at times that rise, in place of its samples.
 
     Args:
@@ -120,8 +120,8 @@ def made_at(motion: Any, context: MotionContext, at_s: NDArray[np.float64]) -> R
         SceneError: The motion cannot be as it is asked for.
     """
     sampled = replace(motion, sampling=Sampling(times_s=tuple(at_s.tolist())))
-    made: RigPoses = sampled.built(replace(context, samples=len(at_s), exposing=True))
-    return made
+    poses: RigPoses = sampled.built(replace(context, samples=len(at_s), exposing=True))
+    return poses
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.rosbag2_messages import NANO, Messages
 from scenec.datasets.formats.rosbag2_names import BODY, LAYOUTS, TRUTH, ros_names
-from scenec.datasets.formats.rosbag2_rigs import RigsOfBag, Stamped, scans_beside
+from scenec.datasets.formats.rosbag2_rigs import RigsOfBag, Stamped, scan_folder
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.codec import UNSET
 from scenec.schemas.errors import FrameError, OutputError
@@ -134,7 +134,7 @@ class Rosbag2(Format):
 
     def sources(self, task: Task) -> list[Path]:
         """The sidecars of a batch's scans, which state the digests of these."""
-        return sorted(scans_beside(task.frames).glob("*/*.json"))
+        return sorted(scan_folder(task.frames).glob("*/*.json"))
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path

@@ -57,13 +57,18 @@ class Messages:
         )
 
     def camera_info(
-        self, frame: LoadedFrame, apart: float, pair: Rectified | None, frame_id: str, stamp: int
+        self,
+        frame: LoadedFrame,
+        baseline_m: float,
+        pair: Rectified | None,
+        frame_id: str,
+        stamp: int,
     ) -> Any:
         """sensor_msgs/CameraInfo.
 
         Args:
             frame: Of the camera.
-            apart: How far it lies to the right of the left camera of its rectified pair; else 0.
+            baseline_m: How far it is to the right of its rectified pair's left camera; else 0.
             pair: How it becomes one of a rectified pair, or None.
             frame_id: Of the camera's axes.
             stamp: Nanoseconds.
@@ -72,7 +77,7 @@ class Messages:
         lens = distortion(frame, _LENSES)
         model, coefficients = ("plumb_bob", [0.0] * 5) if lens is None else lens
         r, p = np.eye(3), np.zeros((3, 4))
-        p[:, :3], p[0, 3] = k, -k[0, 0] * apart
+        p[:, :3], p[0, 3] = k, -k[0, 0] * baseline_m
         if pair is not None:
             r, p = pair
         return self._make(
@@ -90,7 +95,7 @@ class Messages:
             roi=self._make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False),
         )
 
-    def disparity(self, frame: LoadedFrame, apart: float, frame_id: str, stamp: int) -> Any:
+    def disparity(self, frame: LoadedFrame, baseline_m: float, frame_id: str, stamp: int) -> Any:
         """stereo_msgs/DisparityImage; -1 where there is none."""
         values = frame.passes["disparity"].astype("<f4")
         known = np.isfinite(values)
@@ -100,7 +105,7 @@ class Messages:
             header=self.header(frame_id, stamp),
             image=self.image(values, "32FC1", frame_id, stamp),
             f=float(frame.intrinsics[0, 0]),
-            t=apart,
+            t=baseline_m,
             valid_window=self._make(
                 "sensor_msgs/RegionOfInterest", 0, 0, frame.height, frame.width, False
             ),
@@ -217,7 +222,7 @@ class Messages:
 
 
 class RigMotionAt:
-    """Where a rig is at a sample, and how it moves: x forward, y left, z up.
+    """Holds a rig's pose and velocities at a sample: x forward, y left, z up.
 
     Velocities are central differences over the samples, one-sided at the ends.
 

@@ -56,18 +56,18 @@ def ros_names(names: Sequence[str], what: str) -> dict[str, str]:
     Raises:
         OutputError: Two become one.
     """
-    found: dict[str, str] = {}
+    topics: dict[str, str] = {}
     for name in names:
         text = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9_]", "_", name)).strip("_") or what[0]
         text = f"{what[0]}{text}" if text[0].isdigit() else text
-        for other, taken in found.items():
+        for other, taken in topics.items():
             if taken == text:
                 raise OutputError(
                     f"format rosbag2: {what} {name!r} and {other!r} would both be {text!r} as a "
                     "ROS topic; export them apart with --cameras"
                 )
-        found[name] = text
-    return found
+        topics[name] = text
+    return topics
 
 
 def rig_frames(rigs: Sequence[str], frames: Iterable[str]) -> dict[str, str]:

@@ -62,7 +62,7 @@ class RigsOfBag:
         self.right: dict[str, float] = {}
         self.rectified: dict[str, Rectified] = {}
         self._form, self._cameras, self._left_out = form, cameras, left_out
-        self._scans = scans_beside(frames)
+        self._scans = scan_folder(frames)
         self._states = form.info.rigs.of(frames[0].batch_name)
         #: Rig -> its frame; camera on one -> rig and pose there.
         self._frames: dict[str, str] = {}
@@ -126,10 +126,11 @@ class RigsOfBag:
         others = [f"{name}_{end}" for name in self._cameras.values() for end in ("optical", "link")]
         self._frames = rig_frames(named, others)
         self._carried = ros_names(
-            [f"{r}_{one}" for r in named if r in self._states for one in self._beside(r)], "sensor"
+            [f"{r}_{one}" for r in named if r in self._states for one in self._instruments(r)],
+            "sensor",
         )
 
-    def _beside(self, rig: str) -> dict[str, NDArray[np.float64]]:
+    def _instruments(self, rig: str) -> dict[str, NDArray[np.float64]]:
         """Poses of IMUs and lidars on a rig, by name: from their axes to those of its frame."""
         state = self._states[rig]
         found = {imu.name: _from_rig(imu.to_rig) for imu in self._imus(state)}
@@ -158,7 +159,7 @@ class RigsOfBag:
         if rig in self._states and rig in self._frames:
             self._frames[rig] = BODY
             imus = [imu.name for imu in self._imus(self._states[rig])]
-            lidars = [name for name in self._beside(rig) if name not in imus]
+            lidars = [name for name in self._instruments(rig) if name not in imus]
             for names, role in ((imus, "imu"), (lidars, "lidar")):
                 roles.update({self._carried[f"{rig}_{name}"]: role for name in names[:1]})
         return roles
@@ -179,7 +180,7 @@ class RigsOfBag:
             if rig in self._states:
                 links += [
                     (frame, self._carried[f"{rig}_{name}"], pose)
-                    for name, pose in self._beside(rig).items()
+                    for name, pose in self._instruments(rig).items()
                 ]
         yield "/tf_static", make.tf(links, stamp)
         for rig in self._frames:
@@ -228,7 +229,7 @@ class RigsOfBag:
             if rig in self._frames:
                 series += [self._of_imu(make, rig, imu) for imu in self._imus(state)]
                 lidars = {path.rpartition("/")[2] for path in state.mounts}
-                found = [name for name in self._beside(rig) if name in lidars]
+                found = [name for name in self._instruments(rig) if name in lidars]
                 series += [self._of_lidar(make, f"{rig}_{n}", stage_digest) for n in found]
         return heapq.merge(*series, key=lambda one: one[0])
 
@@ -258,7 +259,7 @@ class RigsOfBag:
             yield stamp, topic, make.cloud(scan, name, stamp)
 
 
-def scans_beside(frames: Sequence[FrameRef]) -> Path:
+def scan_folder(frames: Sequence[FrameRef]) -> Path:
     """Returns the folder of the scans of a batch."""
     # Of batch_0000/frames/<backend>/<camera>/000000.
     return frames[0].stem.parents[3] / SCANS

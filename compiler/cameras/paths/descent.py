@@ -17,7 +17,7 @@ from scenec.compiler.cameras.paths.motion import (
     level_bearing,
     poses,
 )
-from scenec.compiler.cameras.tracks import Sampling, made_at
+from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.kinds import Finding, Node, forms, key
 
 
@@ -105,7 +105,7 @@ class Descent:
 
     def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
         """The motion at times; see ``Kinematics``."""
-        made = made_at(self, context, at_s)
+        made = poses_at(self, context, at_s)
         brake = made.facts["deceleration_m_s2"]
         left = made.facts["duration_s"] - at_s
         down = self.touchdown_speed_m_s + brake * left

@@ -19,7 +19,7 @@ from scenec.compiler.cameras.paths.motion import (
     upward_spin,
 )
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
-from scenec.compiler.cameras.tracks import Sampling, made_at
+from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.geometry.rotations import products, upright_to
 from scenec.compiler.kinds import Context, forms, key
 from scenec.schemas.errors import SceneError
@@ -104,7 +104,7 @@ class Mav:
             SceneError: It turns about on the spot.
         """
         plan, height, _ = self._course(self._points(context), context)
-        made = made_at(self, context, at_s)
+        made = poses_at(self, context, at_s)
         inner = self._moving(plan, at_s)
         v, a, j = (plan.at(inner, order) for order in (1, 2, 3))
         back = np.flatnonzero(~((v[1:] * v[:-1]).sum(axis=1) > 0.0))

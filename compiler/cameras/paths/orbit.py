@@ -18,7 +18,7 @@ from scenec.compiler.cameras.paths.motion import (
     toward,
     upward_spin,
 )
-from scenec.compiler.cameras.tracks import Sampling, made_at
+from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.kinds import Context, Finding, Node, an, forms, given, key, unknown
 from scenec.schemas.errors import SceneError
 
@@ -166,7 +166,7 @@ class Orbit:
         Raises:
             SceneError: It rises over the ground somewhere.
         """
-        made = made_at(self, context, at_s)
+        made = poses_at(self, context, at_s)
         level = self.center.at(context)
         z = made.to_world[:, 2, 3]
         risen = np.flatnonzero(z > level[2] + self.height_m)
