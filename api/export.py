@@ -78,7 +78,10 @@ def choice_of(options: ExportOptions) -> Choice:
 
 
 def _read_rigs(stage: Path) -> tuple[RigState, ...]:
-    """Reads the rigs of a stage; OpenUSD is loaded here, where a format asks for them."""
+    """Reads the rigs of a stage; none where it is gone and its frames remain."""
+    if not stage.is_file():
+        return ()
+    # OpenUSD is loaded here, where a format asks for rigs.
     from scenec.backends.stage.rigs import read_rigs
 
     return read_rigs(stage)

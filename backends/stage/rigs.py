@@ -20,6 +20,8 @@ from scenec.schemas.imu import Imu, ImuNoise, RigState
 
 #: Where rigs stand.
 _RIGS = f"{names.ROOT}/Rigs"
+#: Layer of a compiled stage that has them.
+_LAYER = "cameras.usdc"
 #: How far what a rig carries may move on it: rounding, kilometers from the origin.
 _RIGID = 1e-6
 _NOISE = len(vars(ImuNoise()))
@@ -31,8 +33,12 @@ def read_rigs(path: Path | str) -> tuple[RigState, ...]:
     Raises:
         StageError: The stage cannot be read, or attributes of an IMU cannot be.
     """
-    sources = Sources(Path(path))
+    # Frames of a stage that lacks other things are exported all the same.
+    sources = Sources(Path(path), allow_missing=True)
     with sources.reading() as stage:
+        for line in sources.losses:
+            if _LAYER in line:
+                raise StageError(f"{path}: {line}. Compile it again or put back what is missing")
         scope = stage.GetPrimAtPath(_RIGS)
         if not scope:
             return ()

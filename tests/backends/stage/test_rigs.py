@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, Vt
@@ -111,6 +113,19 @@ def test_what_cannot_be_an_imu_is_named_with_its_prim(stage, tmp_path, fault):
     with pytest.raises(StageError, match=said) as caught:
         read_rigs(root)
     assert PRIM in str(caught.value)
+
+
+def test_a_stage_that_lacks_other_layers_has_its_rigs_and_one_without_their_own_is_refused(
+    stage, tmp_path
+):
+    shutil.copytree(stage.parents[1], tmp_path / "out")
+    root = tmp_path / "out/batch_0000/stage.usda"
+    (root.parent / "terrain.usdc").unlink()
+    (rig,) = read_rigs(root)
+    assert len(rig.imus) == 2
+    (root.parent / "cameras.usdc").unlink()
+    with pytest.raises(StageError, match=r"cameras\.usdc: is in the manifest"):
+        read_rigs(root)
 
 
 def test_a_stage_in_other_units_is_refused_and_one_without_rigs_has_none(stage, tmp_path):
