@@ -27,7 +27,7 @@ from scenec.schemas.quaternions import quaternions
 from scenec.schemas.threads import over_threads
 
 #: Readings of one IMU: beyond, arrays would not fit.
-_MOST: Final = 20_000_000
+_MOST: Final = 5_000_000
 #: Gauss-Markov processes of a bias, and by what factor their time constants rise.
 _PROCESSES: Final = 10
 _RISE: Final = 4.0

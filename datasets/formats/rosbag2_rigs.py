@@ -69,7 +69,7 @@ class RigsOfBag:
         self._mounts: dict[str, tuple[str, NDArray[np.float64]]] = {}
         #: First camera of a rig that is not known -> the rig.
         self._firsts: dict[str, str] = {}
-        self._said: set[tuple[str, int]] = set()
+        self._posed: set[tuple[str, int]] = set()
         rigs = trajectory.rigs(sorted(frames, key=lambda ref: (ref.camera, ref.sample)))
         for _, _, members in rigs:
             self._pair(members)
@@ -94,17 +94,15 @@ class RigsOfBag:
             return True
         theirs = {ref.sample: ref for ref in members[partner]}
         for ref in members[name]:
-            both = [record_of(r) for r in (ref, theirs.get(ref.sample)) if r is not None]
-            if len(both) == 2 and both[0] is not None and both[1] is not None:
-                for names, order in (((name, partner), (0, 1)), ((partner, name), (1, 0))):
-                    one, two = both[order[0]], both[order[1]]
-                    assert one is not None
-                    assert two is not None
-                    found = rectified(one, two)
-                    if found is not None:
-                        self.rectified.update(zip(names, found, strict=True))
-                        return True
-                return False
+            one, two = (record_of(r) if r else None for r in (ref, theirs.get(ref.sample)))
+            if one is None or two is None:
+                continue
+            for names, records in (((name, partner), (one, two)), ((partner, name), (two, one))):
+                pair = rectified(*records)
+                if pair is not None:
+                    self.rectified.update(zip(names, pair, strict=True))
+                    return True
+            return False
         return False
 
     def _place(self, rigs: Sequence[tuple[str, Mapping[str, Sequence[FrameRef]]]]) -> None:
@@ -207,8 +205,8 @@ class RigsOfBag:
             links.append(("world", f"{self._cameras[name]}_link", link))
         else:
             rig = self._mounts[name][0]
-            if (rig, sample) not in self._said:
-                self._said.add((rig, sample))
+            if (rig, sample) not in self._posed:
+                self._posed.add((rig, sample))
                 body = self._frames[rig] if self._frames[rig] != BODY else TRUTH
                 motion = RigMotionAt(self._states[rig], sample)
                 links.append(("world", body, motion.pose))

@@ -267,6 +267,18 @@ def test_a_motion_that_turns_out_to_have_jumps_is_refused_when_it_is_made(motion
         read(motion, context)
 
 
+def test_a_track_whose_axes_are_usd_s_makes_an_imu_read_the_same():
+    here = tumbling(50)
+    half = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+    turned = quaternions(rotations(here.way.track.quaternion) * half)
+    there = replace(here.way, usd=True, track=replace(here.way.track, quaternion=turned))
+    one, other = (read(motion, around()) for motion in (here, replace(here, way=there)))
+    for name in ("gyroscope", "accelerometer", "position_m", "velocity_m_s"):
+        assert np.allclose(getattr(one, name), getattr(other, name), rtol=0, atol=1e-9)
+    off = rotations(one.orientation).inv() * rotations(other.orientation)
+    assert off.magnitude().max() < 1e-12
+
+
 def test_a_gap_of_a_track_is_one_for_an_imu_too():
     motion = tumbling(50)
     gone = replace(
