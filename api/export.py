@@ -17,6 +17,7 @@ from scenec.datasets.remap import Remap, read_remap
 from scenec.datasets.splits import parse_splits
 from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError
+from scenec.schemas.imu import RigState
 
 
 @Spread(ExportOptions).two
@@ -72,4 +73,15 @@ def choice_of(options: ExportOptions) -> Choice:
         level=options.level,
         options=settings,
         faults=options.faults,
+        rigs=_read_rigs,
     )
+
+
+def _read_rigs(stage: Path) -> tuple[RigState, ...]:
+    """Reads the rigs of a stage; none where it is gone and its frames remain."""
+    if not stage.is_file():
+        return ()
+    # OpenUSD is loaded here, where a format asks for rigs.
+    from scenec.backends.stage.rigs import read_rigs
+
+    return read_rigs(stage)

@@ -178,6 +178,27 @@ ATTR_LIDAR_ANGLE_NOISE = "scenec:lidar:noise:angle"
 ATTR_LIDAR_DROPOUT = "scenec:lidar:noise:dropout"
 ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
 
+#: An IMU is an Xform with these: x ahead, y left, z up; all in meters, seconds, radians and the
+#: stage's world, whose z is up, whatever the units of the stage. double: readings a second; double:
+#: gravity along -z; double[6]: ``schemas.imu.ImuNoise``'s fields in their order, 0 where absent.
+ATTR_IMU_RATE = "scenec:imu:rate"
+ATTR_IMU_GRAVITY = "scenec:imu:gravity"
+ATTR_IMU_NOISE = "scenec:imu:noise"
+#: One value a reading. double[]: by the clock of scenec:time; double3[]: what the gyroscope and the
+#: accelerometer read, in its axes.
+ATTR_IMU_TIMES = "scenec:imu:times"
+ATTR_IMU_GYROSCOPE = "scenec:imu:gyroscope"
+ATTR_IMU_ACCELEROMETER = "scenec:imu:accelerometer"
+#: The truth at each reading. double3[] in the world, double4[]: a quaternion w, x, y, z, double3[].
+ATTR_IMU_POSITIONS = "scenec:imu:truth:positions"
+ATTR_IMU_ORIENTATIONS = "scenec:imu:truth:orientations"
+ATTR_IMU_VELOCITIES = "scenec:imu:truth:velocities"
+#: double3[], where there is noise: what would be read without it, and the slow part of it.
+ATTR_IMU_ANGULAR_VELOCITY = "scenec:imu:truth:angularVelocity"
+ATTR_IMU_SPECIFIC_FORCE = "scenec:imu:truth:specificForce"
+ATTR_IMU_GYROSCOPE_BIAS = "scenec:imu:truth:gyroscopeBias"
+ATTR_IMU_ACCELEROMETER_BIAS = "scenec:imu:truth:accelerometerBias"
+
 #: On a camera that measures depth. token: "stereo" or "time_of_flight"; double[]: its numbers in
 #: the order of ``schemas.depth_camera``'s fields, lengths in meters; uint64: the key of its noise.
 ATTR_DEPTH_MODEL = "scenec:depthCamera:model"

@@ -194,6 +194,8 @@ _OBJECTS = {
     "imaging_vignetting": "cameras.imaging:Vignetting",
     "intrinsics": "cameras.sensor:Intrinsics",
     "label_choice": "cfg.root:LabelChoice",
+    "imu": "cameras.imu:ImuKeys",
+    "imu_noise": "cameras.imu:ImuNoiseKeys",
     "labels": "cfg.root:LabelKeys",
     "lidar": "cameras.ranging:LidarKeys",
     "lidar_noise": "cameras.ranging:LidarNoiseKeys",

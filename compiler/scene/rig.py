@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.imu import Imu
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
 
@@ -147,6 +148,7 @@ class Rig:
         times: Of the samples, seconds, [s]; None: its motion has none.
         lidars: What it carries beside cameras.
         between: Poses while its cameras' shutters are open, or None.
+        imus: What it carries beside them, with what they read.
     """
 
     name: str
@@ -155,6 +157,7 @@ class Rig:
     times: NDArray[np.float64] | None = None
     lidars: tuple[Lidar, ...] = ()
     between: Between | None = None
+    imus: tuple[Imu, ...] = ()
 
 
 def sample_times(rigs: Sequence[Rig], samples: int) -> NDArray[np.float64]:
