@@ -81,6 +81,9 @@ BUILT_IN: dict[str, PassFormat] = {
         _floats("range", "Z", "meters along the ray, at the pixel's center; +inf without a hit"),
         _floats("normal", "XYZ", "geometric, world frame, facing the camera; 0 without a hit"),
         _floats("position", "XYZ", "world frame, meters; NaN without a hit"),
+        _floats(
+            "slope", "Z", "degrees between the face's plane and the horizontal one; NaN without a hit"
+        ),
         _ids("face", "index of the authored face; 4294967295 without a hit"),
         _floats(
             AMODAL,

@@ -1,0 +1,95 @@
+"""Tables of maps as CSV and GeoJSON.
+
+GeoJSON has the coordinates of the GeoTIFFs beside it, in the reference system that it names as
+GeoJSON of 2008 did, which GDAL reads; without a georeference these are the stage's own meters.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.files import atomic
+from scenec.schemas.site_map import Place, Table
+
+#: Digits behind the point: micrometers.
+_DIGITS = 6
+_PLACES = ("x_m", "y_m", "z_m")
+
+
+def write_table(folder: Path, name: str, table: Table, place: Place | None) -> list[str]:
+    """Writes ``<name>.csv`` and ``<name>.geojson``; returns their names.
+
+    Args:
+        folder: Where.
+        name: Of the table. Rows of one camera are a line, all others are points.
+        table: Its columns.
+        place: Where the stage lies; None: nobody knows.
+    """
+    with (
+        atomic(folder / f"{name}.csv") as path,
+        path.open("w", encoding="utf-8", newline="") as out,
+    ):
+        lines = csv.writer(out, lineterminator="\n")
+        lines.writerow(table)
+        for row in _rows(table):
+            lines.writerow(guarded_line("" if value is None else value for value in row.values()))
+    with atomic(folder / f"{name}.geojson") as path, path.open("w", encoding="utf-8") as out:
+        head: dict[str, Any] = {"type": "FeatureCollection", "name": name}
+        if place is not None:
+            head["crs"] = {"type": "name", "properties": {"name": place.crs}}
+        out.write(json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [')
+        between = "\n"
+        for feature in _features(table, place):
+            out.write(between + json.dumps(feature, ensure_ascii=False, allow_nan=False))
+            between = ",\n"
+        out.write("\n]}\n")
+    return [f"{name}.csv", f"{name}.geojson"]
+
+
+def _rows(table: Table) -> Iterator[dict[str, Any]]:
+    """Rows of plain values; None for what is no number."""
+    columns = [of if isinstance(of, list) else of.tolist() for of in table.values()]
+    for values in zip(*columns, strict=True):
+        yield {name: _plain(value) for name, value in zip(table, values, strict=True)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, _DIGITS) if math.isfinite(value) else None
+    return value
+
+
+def _features(table: Table, place: Place | None) -> Iterator[dict[str, Any]]:
+    if "camera" not in table:
+        for row in _rows(table):
+            properties = {name: value for name, value in row.items() if name not in _PLACES}
+            yield _feature({"type": "Point", "coordinates": _position(row, place)}, properties)
+        return
+    for camera, of in groupby(_rows(table), key=lambda row: row["camera"]):
+        rows = list(of)
+        line: Any = [_position(row, place) for row in rows]
+        kind = "LineString" if len(line) > 1 else "Point"
+        times = [row["time_s"] for row in rows]
+        yield _feature(
+            {"type": kind, "coordinates": line if len(line) > 1 else line[0]},
+            {"camera": camera, "time_s": times},
+        )
+
+
+def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def _position(row: dict[str, Any], place: Place | None) -> list[float]:
+    x, y = row["x_m"], row["y_m"]
+    if place is not None:
+        a, b, c, d, e, f = place.affine
+        x, y = a * x + b * y + c, d * x + e * y + f
+    return [x, y, row["z_m"]] if row["z_m"] is not None else [x, y]
