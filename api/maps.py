@@ -174,9 +174,7 @@ class _Export:
         self, batch: Batch, facts: SiteFacts, grid: MapGrid, tile: tuple[int, int], folder: Path
     ) -> MapTile:
         file = folder.absolute() / f"{tile[0]:06d}_{tile[1]:06d}.npz"
-        return MapTile(
-            _opening(batch), facts.digest, grid, tile, self.asked, facts.layers, file
-        )
+        return MapTile(_opening(batch), facts.digest, grid, tile, self.asked, facts.layers, file)
 
 
 def _opening(batch: Batch) -> Opening:
@@ -265,5 +263,3 @@ def _value(name: str, value: str, text: str) -> Any:
         what = {"sample": "a whole number", "sun_rays": "a whole number"}
         what["area_m"] = "WEST,SOUTH,EAST,NORTH"
         raise OutputError(f"--set {text!r}: expected {what.get(name, 'a number')}") from None
-
-

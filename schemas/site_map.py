@@ -132,7 +132,7 @@ class MapGrid:
     def centers(
         self, first: tuple[int, int], shape: tuple[int, int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """x of some columns and y of some rows, whatever part of the grid they are asked with."""
+        """X of some columns and y of some rows, whatever part of the grid they are asked with."""
         columns = np.arange(first[1], first[1] + shape[1])
         rows = np.arange(first[0], first[0] + shape[0])
         return self.west + (columns + 0.5) * self.cell_m, self.north - (rows + 0.5) * self.cell_m

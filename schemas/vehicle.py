@@ -28,7 +28,7 @@ class Vehicle:
     """Describes a vehicle; the defaults are about a Mars Exploration Rover's.
 
     Attributes:
-        wheelbase_m: Diameter of the disc that its wheels stand on in any heading.
+        wheel_base_m: Diameter of the disc that its wheels stand on in any heading.
         wheel_m: Diameter of its wheels.
         clearance_m: Height of its belly over the plane that its wheels stand on.
         step_m: Highest step that a wheel climbs.
@@ -36,7 +36,7 @@ class Vehicle:
         caution: Share of these three from which on a place asks for caution, above 0, at most 1.
     """
 
-    wheelbase_m: float = 1.4
+    wheel_base_m: float = 1.4
     wheel_m: float = 0.25
     clearance_m: float = 0.29
     step_m: float = 0.25
@@ -53,12 +53,14 @@ class Vehicle:
         for one in fields(self):
             value, limit = getattr(self, one.name), most.get(one.name, 1000.0)
             if not 0.0 < value <= limit:
-                raise OutputError(f"{one.name}={value:g}: expected a number above 0, up to {limit:g}")
+                raise OutputError(
+                    f"{one.name}={value:g}: expected a number above 0, up to {limit:g}"
+                )
 
     @property
     def cell_m(self) -> float:
         """Side of the cells that the ground under it is looked at in, if nobody says another."""
-        return self.wheelbase_m / _ACROSS
+        return self.wheel_base_m / _ACROSS
 
     def disc(self, cell_m: float) -> float:
         """Radius of its disc, in cells.
@@ -66,13 +68,14 @@ class Vehicle:
         Raises:
             OutputError: Cells are too large for its wheelbase.
         """
-        if not 0.0 < cell_m * _LEAST_ACROSS <= self.wheelbase_m:
-            most = self.wheelbase_m / _LEAST_ACROSS
+        if not 0.0 < cell_m * _LEAST_ACROSS <= self.wheel_base_m:
+            most = self.wheel_base_m / _LEAST_ACROSS
             raise OutputError(
                 f"cell_m={cell_m:g}: expected above 0 and at most {most:g}, a quarter of "
-                f"wheelbase_m={self.wheelbase_m:g}"
+                f"wheel_base_m={self.wheel_base_m:g}"
             )
-        return 0.5 * self.wheelbase_m / cell_m
+        # What rounding makes of a whole number of cells is one.
+        return round(0.5 * self.wheel_base_m / cell_m, 9)
 
     def reach(self, cell_m: float) -> int:
         """Cells beyond a place that its class depends on: the disc, and a wheel at its border."""

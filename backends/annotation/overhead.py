@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.annotation.contract import View
 from scenec.backends.annotation.passes import instance, label, normal
-from scenec.backends.annotation.terrain import ground_under, slope
+from scenec.backends.annotation.terrain import ground_under, look_down, slope
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.stage.scene import RenderScene
@@ -26,25 +26,6 @@ _OFF = 1e-6
 #: Rays that are toward the sun at once.
 _RAYS = 1 << 20
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-
-
-def look_down(
-    scene: RenderScene, caster: ExactCaster, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> tuple[Rays, Hits]:
-    """Casts rays straight down, all at once.
-
-    Args:
-        scene: The stage.
-        caster: Of it, or of a part of it, posed.
-        x, y: Places, meters, float64 [n].
-
-    Returns:
-        The rays, which begin a meter above all there is, and what they hit.
-    """
-    origins = np.column_stack([x, y, np.full(len(x), scene.bounds[1, 2] + 1.0)])
-    directions = np.broadcast_to(np.array([0.0, 0.0, -1.0]), origins.shape)
-    rays = Rays(origins, np.ascontiguousarray(directions), (1, len(x)))
-    return rays, Hits(*caster.cast(rays, np.arange(len(x))), caster.geometry)
 
 
 def map_tile(
@@ -148,9 +129,7 @@ def brightest(scene: RenderScene, sample: int) -> tuple[float, float, float, flo
     return x, y, z, sun.diameter_rad
 
 
-def _disc(
-    toward: tuple[float, float, float, float], count: int
-) -> list[NDArray[np.float64]]:
+def _disc(toward: tuple[float, float, float, float], count: int) -> list[NDArray[np.float64]]:
     """Directions to points of a disc that stand for equal parts of it; one is its center."""
     axis = np.array(toward[:3])
     if count == 1:

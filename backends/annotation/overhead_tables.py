@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.annotation.instances import Instances
-from scenec.backends.annotation.overhead import look_down
+from scenec.backends.annotation.terrain import look_down
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas import stage as names

@@ -28,14 +28,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.annotation.contract import View, built_in
-from scenec.backends.annotation.passes import normal
+from scenec.backends.annotation.contract import Picture, View, built_in
+from scenec.backends.annotation.passes import normal, position
+from scenec.backends.contract import Rays
+from scenec.backends.exact import ExactCaster, Hits
+from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 from scenec.schemas.vehicle import TRAVERSABILITY, Vehicle
 
+#: Places whose surroundings are looked at at once.
+_PLACES = 1 << 15
 #: Radius of a disc, in cells, from which on the plane is fitted to every second cell.
 _DENSE = 10.5
+
+
+def look_down(
+    scene: RenderScene, caster: ExactCaster, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[Rays, Hits]:
+    """Casts rays straight down, all at once.
+
+    Args:
+        scene: The stage.
+        caster: Of it, or of a part of it, posed.
+        x, y: Places, meters, float64 [n].
+
+    Returns:
+        The rays, which begin a meter above all there is, and what they hit.
+    """
+    origins = np.column_stack([x, y, np.full(len(x), scene.bounds[1, 2] + 1.0)])
+    directions = np.broadcast_to(np.array([0.0, 0.0, -1.0]), origins.shape)
+    rays = Rays(origins, np.ascontiguousarray(directions), (1, len(x)))
+    return rays, Hits(*caster.cast(rays, np.arange(len(x))), caster.geometry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,4 +241,69 @@ def slope(view: View) -> NDArray[np.float64]:
     return out
 
 
+def traversable(picture: Picture) -> NDArray[np.uint32]:
+    """What the ground that pixels show is to the camera's vehicle, uint32 [n]; 0: no hit.
+
+    Of the vehicle in the middle of the cell that the place is in, of a lattice at the world's
+    origin with cells of ``Vehicle.cell_m``: the same classes as those of such a map.
+    """
+    vehicle = picture.camera.vehicle or Vehicle()
+    hit = np.flatnonzero(picture.hits.row >= 0)
+    cell, out = vehicle.cell_m, np.zeros(len(picture.hits.row), np.uint32)
+    places = np.floor(picture.once(position)[hit, :2] / cell).astype(np.int64)
+    keys, of = np.unique(_key(places[:, 1], places[:, 0]), return_inverse=True)
+    found = np.empty(len(keys), np.uint32)
+    widths = _widened(_halves(vehicle.disc(cell)), _halves(vehicle.wheel_cells(cell)))
+    for first in range(0, len(keys), _PLACES):
+        some = keys[first : first + _PLACES]
+        z = _around(picture, some, widths, cell)
+        found[first : first + _PLACES] = ground_under(z, cell, vehicle).classes(vehicle)[:, 0, 0]
+    out[hit] = found[of]
+    return out
+
+
+def _key(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for a cell: neighbors of a row have consecutive ones."""
+    return (row << 32) + (column + (1 << 31))
+
+
+def _widened(disc: NDArray[np.int64], wheel: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Half the width of each row of what a wheel covers whose center is in a disc."""
+    reach, border = (len(disc) + len(wheel)) // 2 - 1, len(wheel) // 2
+    out = np.zeros(2 * reach + 1, np.int64)
+    for dy, wide in enumerate(wheel, -border):
+        part = slice(border + dy, border + dy + len(disc))
+        out[part] = np.maximum(out[part], disc + wide)
+    return out
+
+
+def _around(
+    picture: Picture, keys: NDArray[np.int64], widths: NDArray[np.int64], cell: float
+) -> NDArray[np.float64]:
+    """Heights around some cells, float64 [n, k, k]; NaN beyond ``widths``. Each is cast once."""
+    reach = len(widths) // 2
+    rows = np.arange(-reach, reach + 1) << 32
+    first = (keys[:, None] + (rows - widths)).ravel()
+    last = (keys[:, None] + (rows + widths)).ravel()
+    # Runs of neighbors that overlap are one.
+    order = np.argsort(first, kind="stable")
+    first, last = first[order], np.maximum.accumulate(last[order])
+    begins = np.flatnonzero(np.append(True, first[1:] > last[:-1] + 1))
+    start, stop = first[begins], last[np.append(begins[1:] - 1, len(last) - 1)] + 1
+    offset = np.cumsum(stop - start) - (stop - start)
+    cells = np.arange(int((stop - start).sum())) + np.repeat(start - offset, stop - start)
+    x, y = (cells & 0xFFFFFFFF) - (1 << 31) + 0.5, (cells >> 32) + 0.5
+    rays, hits = look_down(picture.scene, picture.caster, x * cell, y * cell)
+    heights = np.where(hits.row < 0, np.nan, rays.origins[:, 2] - hits.t)
+    out = np.full((len(keys), 2 * reach + 1, 2 * reach + 1), np.nan)
+    for line, wide in enumerate(widths.tolist()):
+        left = keys + rows[line] - wide
+        run = np.searchsorted(start, left, side="right") - 1
+        at = offset[run] + left - start[run]
+        along = np.arange(2 * wide + 1)
+        out[:, line, reach - wide : reach + wide + 1] = heights[at[:, None] + along]
+    return out
+
+
 SLOPE = built_in("slope", slope)
+TRAVERSABLE = built_in("traversable", traversable, whole=True)

@@ -122,9 +122,7 @@ class MapTile:
         scene = session.scene
         if scene.digest != self.digest:
             raise StageError(f"{scene.source}: has changed since its map was begun; export again")
-        arrays = map_tile(
-            scene, session.caster(), self.grid, self.tile, self.options, self.layers
-        )
+        arrays = map_tile(scene, session.caster(), self.grid, self.tile, self.options, self.layers)
         with atomic(self.file) as temporary, temporary.open("wb") as out:
             np.savez(out, allow_pickle=False, **arrays)
 

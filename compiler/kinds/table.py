@@ -226,6 +226,7 @@ _OBJECTS = {
     "terrain_mesh": "mesh.mesh:Meshing",
     "terrain_shade": "terrain.shade:Shade",
     "trigger": "cameras.mount:Trigger",
+    "vehicle": "cameras.vehicle:VehicleKeys",
 }
 #: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
 CLASSES = _OBJECTS | {

@@ -11,7 +11,7 @@ SUMMARY = (
 )
 #: Options -> what they are if nobody says, and a line of help.
 SETTINGS: dict[str, tuple[str, str]] = {
-    "cell_m": ("", "side of a cell, meters (default: a fourteenth of wheelbase_m)"),
+    "cell_m": ("", "side of a cell, meters (default: a fourteenth of wheel_base_m)"),
     "area_m": ("", "WEST,SOUTH,EAST,NORTH, meters (default: the ground without its horizon)"),
     "layers": ("", "which, such as height,slope (default: all)"),
     "sample": ("0", "time code at which things and the sun stand where they are"),

@@ -19,7 +19,7 @@ from scenec.schemas.vehicle import TRAVERSABILITY
 _INK, _PAPER = (34, 34, 34), (255, 255, 255)
 #: Of Okabe and Ito (2008): unknown, traversable, caution, hazard.
 _CLASSES = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
-_SIDE, _GAP, _HEAD, _LEGEND = 480, 14, 28, 96
+_SIDE, _GAP, _HEAD, _LEGEND = 480, 14, 28, 60
 _COLUMNS = 4
 #: Share of the values that a scale may leave out at either end.
 _BEYOND = 0.5
@@ -45,7 +45,8 @@ def write_map_sheet(
     """
     columns = min(_COLUMNS, len(layers))
     rows = -(-len(layers) // columns)
-    step = _SIDE + _GAP, _HEAD + _SIDE + _LEGEND
+    tall = round(_SIDE * grid.height / max(grid.width, grid.height))
+    step = _SIDE + _GAP, _HEAD + max(1, tall) + _LEGEND
     sheet = Image.new("RGB", (columns * step[0] + _GAP, rows * step[1] + _GAP), _PAPER)
     draw = ImageDraw.Draw(sheet)
     shade = _shade(folder, grid) if "height" in layers else None
@@ -57,13 +58,10 @@ def write_map_sheet(
         picture, legend = _paint(name, values, label_names)
         if shade is not None and name in ("height", "traversability"):
             picture = np.round(picture * shade[..., None]).astype(np.uint8)
-        tall, wide = picture.shape[:2]
-        scale = _SIDE / max(tall, wide)
-        size = max(1, round(wide * scale)), max(1, round(tall * scale))
+        scale = _SIDE / max(picture.shape[:2])
+        size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
         # Ids must not be blended.
-        sheet.paste(
-            Image.fromarray(picture).resize(size, Image.Resampling.NEAREST), (x, y + _HEAD)
-        )
+        sheet.paste(Image.fromarray(picture).resize(size, Image.Resampling.NEAREST), (x, y + _HEAD))
         _draw_legend(sheet, draw, (x, y + _HEAD + size[1] + 6), legend)
     with atomic(path) as temporary:
         sheet.save(temporary, format="PNG")
