@@ -25,9 +25,9 @@ from scenec.datasets.maps.tables import write_table
 from scenec.datasets.models.verify import ModelsRecord
 from scenec.schemas.codec import encode, read_record
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import as_json, check_writable, read_json, sha256, write_json
+from scenec.schemas.files import as_json, check_writable, read_json, sha256, sweep, write_json
 from scenec.schemas.lock import LOCK, Lock
-from scenec.schemas.manifest import Batch
+from scenec.schemas.manifest import LEFT_OUT, Batch
 from scenec.schemas.passes import ANNOTATION
 from scenec.schemas.site_map import LAYERS, MapGrid, MapOptions, SiteFacts
 from scenec.schemas.spelling import nearest
@@ -40,6 +40,10 @@ from scenec.schemas.versions import version_of
 _VERSION = 1
 _SHEET = "map.png"
 _TABLES = ("objects", "paths")
+_PRUNED = (
+    "objects and ground that no camera sees the effect of are not in the stage, or are coarse; "
+    "scenec compile --keep all keeps them"
+)
 
 
 def export_maps(out: Path, options: ExportOptions) -> ModelsReport:
@@ -103,6 +107,7 @@ class _Export:
             "files": {path: of for one in made.values() for path, of in one["files"].items()},
         }
         data = self.partial / "data"
+        sweep([data])
         write_json(data / EXPORT, content)
         gone = set() if old is None else set(old["files"]) - set(content["files"])
         self.folder.parent.mkdir(parents=True, exist_ok=True)
@@ -145,7 +150,9 @@ class _Export:
         grid = MapGrid.over(facts.area_m, self.asked.cell)
         tiles = self.partial / "tiles" / key[:16]
         folder = self.partial / "data" / batch.name
-        folder.mkdir(parents=True, exist_ok=True)
+        # What a killed process left half written goes.
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
         units = [self._tile(batch, facts, grid, tile, tiles) for tile in grid.tiles]
         todo = [unit for unit in units if not unit.file.is_file()]
         steps = self.options.listener.steps("mapped", unit="tile", every_s=2.0)
@@ -165,7 +172,10 @@ class _Export:
             }
             for name in names
         }
-        entry = {"key": key, "batch": _entry(facts, grid), "files": written}
+        said = _entry(facts, grid)
+        if (batch.folder / LEFT_OUT).is_file():
+            said["losses"].append(_PRUNED)
+        entry = {"key": key, "batch": said, "files": written}
         write_json(record, entry)
         shutil.rmtree(tiles, ignore_errors=True)
         return entry

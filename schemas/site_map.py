@@ -73,7 +73,10 @@ class MapOptions:
                 raise OutputError(f"layers: no layer {name!r}{nearest(name, LAYERS)}")
         if not 1 <= self.sun_rays <= 4096:
             raise OutputError(f"sun_rays={self.sun_rays}: expected a number from 1 to 4096")
-        self.vehicle.disc(self.cell)
+        if not self.cell > 0.0:
+            raise OutputError(f"cell_m={self.cell:g}: expected a number above 0")
+        if set(self.layers) & set(UNDER_VEHICLE):
+            self.vehicle.disc(self.cell)
 
     @property
     def cell(self) -> float:

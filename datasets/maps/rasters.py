@@ -98,7 +98,7 @@ def _created(
         count=1,
         dtype=kind,
         nodata=np.nan if kind == "float32" else 0,
-        transform=local if place is None else rasterio.Affine(*place.affine) * local,
+        transform=local if place is None else rasterio.Affine(*place.affine) @ local,
         crs=None if place is None else place.crs,
         tiled=True,
         blockxsize=_BLOCK,

@@ -27,7 +27,7 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.site_map import LAYERS, MapGrid, MapOptions
 from scenec.testing.scenes import camera, grid, mesh, rocky, scene
 
-ALL = tuple(name for name in LAYERS if name not in ("label", "sun")) + ("label_class",)
+ALL = (*(name for name in LAYERS if name not in ("label", "sun")), "label_class")
 
 
 def bounded(made: RenderScene) -> RenderScene:
@@ -102,14 +102,15 @@ def test_tiles_and_areas_do_not_change_what_a_cell_is(tile, monkeypatch):
     caster, area = ExactCaster(made), MapGrid.over((-6.0, -6.0, 6.0, 6.0), 0.1)
     options = MapOptions(cell_m=0.1)
     whole = map_tile(made, caster, area, (0, 0), options, ALL)
-    monkeypatch.setattr(site_map, "TILE", tile)
-    for first in area.tiles:
-        height, width = area.extent(first)
-        part = map_tile(made, caster, area, first, options, ALL)
-        for name, values in part.items():
-            there = whole[name][first[0] :, first[1] :][:height, :width]
-            np.testing.assert_array_equal(values, there, err_msg=name)
-    assert sum(math.prod(area.extent(first)) for first in area.tiles) == 120 * 120
+    with monkeypatch.context() as patch:
+        patch.setattr(site_map, "TILE", tile)
+        for first in area.tiles:
+            height, width = area.extent(first)
+            part = map_tile(made, caster, area, first, options, ALL)
+            for name, values in part.items():
+                there = whole[name][first[0] :, first[1] :][:height, :width]
+                np.testing.assert_array_equal(values, there, err_msg=name)
+        assert sum(math.prod(area.extent(first)) for first in area.tiles) == 120 * 120
     # An area within has the surroundings of the whole.
     inner = MapGrid.over((-3.0, -2.0, 2.0, 3.0), 0.1)
     part = map_tile(made, caster, inner, (0, 0), options, ALL)
@@ -171,7 +172,7 @@ def test_a_place_that_faces_away_from_the_sun_is_dark_without_a_ray():
 
 def test_without_a_sun_nobody_knows():
     made = box_on_plane(1.0)
-    found = mapped(made, MapGrid.over((-1, -1, 1, 1), 0.5), ("sun",))["sun"]
+    found = mapped(made, MapGrid.over((-1, -1, 1, 1), 0.2), ("sun",))["sun"]
     assert np.isnan(found).all()
 
 
