@@ -23,7 +23,7 @@ from scenec.schemas.errors import SceneError
 
 
 @dataclass(frozen=True)
-class Georeference:
+class DemOrigin:
     """Locates the terrain on a planet; recorded, and never part of any arithmetic.
 
     Attributes:
@@ -69,7 +69,7 @@ class Scene:
     rigs: tuple[Rig, ...]
     outputs: tuple[str, ...]
     bounds: NDArray[np.float64]
-    georeference: Georeference | None = None
+    georeference: DemOrigin | None = None
     more_suns: dict[str, SunDisc] = field(default_factory=dict)
     lamps: tuple[Lamp, ...] = ()
     haze: Haze | None = None
