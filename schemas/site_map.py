@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.errors import OutputError
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.spelling import nearest
 from scenec.schemas.vehicle import TRAVERSABILITY, Vehicle
 
@@ -136,22 +137,9 @@ class MapGrid:
         self, first: tuple[int, int], shape: tuple[int, int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """X of some columns and y of some rows, whatever part of the grid they are asked with."""
-        columns = np.arange(first[1], first[1] + shape[1])
-        rows = np.arange(first[0], first[0] + shape[0])
-        return self.west + (columns + 0.5) * self.cell_m, self.north - (rows + 0.5) * self.cell_m
-
-
-@dataclass(frozen=True)
-class Place:
-    """Says where a stage lies.
-
-    Attributes:
-        crs: Its reference system, as WKT or a name that GDAL knows.
-        affine: From x and y of the stage to coordinates of that: a x + b y + c, d x + e y + f.
-    """
-
-    crs: str
-    affine: tuple[float, float, float, float, float, float]
+        x = np.arange(first[1], first[1] + shape[1], dtype=np.float64)
+        y = np.arange(first[0], first[0] + shape[0], dtype=np.float64)
+        return self.west + (x + 0.5) * self.cell_m, self.north - (y + 0.5) * self.cell_m
 
 
 #: Columns of tables by name, each [n]; texts are lists.
@@ -182,4 +170,4 @@ class SiteFacts:
     paths: Table
     sun: tuple[float, float, float, float] | None
     losses: tuple[str, ...]
-    place: Place | None = None
+    place: Georeference | None = None

@@ -204,10 +204,10 @@ def _check_outputs(node: Node) -> Iterator[Finding]:
     outputs = asked or ()
     if MEASURED in outputs and "depth_camera" not in node:
         yield Finding(place, f"the output {shown(MEASURED)} needs the key depth_camera")
-    for name, output in (("depth_camera", MEASURED), ("vehicle", "traversable")):
-        if name in node and "outputs" in asks and asked and output not in asked:
+    for use, output in (("depth_camera", MEASURED), ("vehicle", "traversable")):
+        if use in node and "outputs" in asks and asked and output not in asked:
             yield node.key_fault(
-                f"nothing reads it: the output {shown(output)} is not asked for", name
+                f"nothing reads it: the output {shown(output)} is not asked for", use
             )
     partner, name = node["partner"], node.path[-1]
     if partner is not None:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from scenec.schemas.errors import OutputError
 from scenec.schemas.extras import install
-from scenec.schemas.site_map import LAYERS, MapGrid, Place
+from scenec.schemas.georeference import Georeference
+from scenec.schemas.site_map import LAYERS, MapGrid
 
 if TYPE_CHECKING:
     import rasterio
@@ -51,7 +52,7 @@ def write_layers(
     folder: Path,
     grid: MapGrid,
     layers: Sequence[str],
-    place: Place | None,
+    place: Georeference | None,
     tile: Callable[[tuple[int, int]], Path],
 ) -> None:
     """Writes ``<layer>.tif`` of each layer, from tiles as ``MapTile`` leaves them.
@@ -85,10 +86,14 @@ def write_layers(
 
 
 def _created(
-    rasterio: Any, path: Path, grid: MapGrid, name: str, place: Place | None
+    rasterio: Any, path: Path, grid: MapGrid, name: str, place: Georeference | None
 ) -> rasterio.io.DatasetWriter:
     kind = "uint32" if name.startswith("label_") else _TYPES.get(name, "float32")
-    local = rasterio.Affine(grid.cell_m, 0.0, grid.west, 0.0, -grid.cell_m, grid.north)
+    transform = rasterio.Affine(grid.cell_m, 0.0, grid.west, 0.0, -grid.cell_m, grid.north)
+    crs = None
+    if place is not None:
+        crs, affine = place.plane()
+        transform = rasterio.Affine(*affine) @ transform
     file = rasterio.open(
         path,
         "w",
@@ -98,8 +103,8 @@ def _created(
         count=1,
         dtype=kind,
         nodata=np.nan if kind == "float32" else 0,
-        transform=local if place is None else rasterio.Affine(*place.affine) @ local,
-        crs=None if place is None else place.crs,
+        transform=transform,
+        crs=crs,
         tiled=True,
         blockxsize=_BLOCK,
         blockysize=_BLOCK,

@@ -90,8 +90,8 @@ def _paint(
     if name != "sun" and known.any():
         low, high = np.percentile(values[known], (_BEYOND, 100.0 - _BEYOND)).tolist()
     span = high - low or 1.0
-    colors = viridis((np.where(known, values, low) - low) / span)
-    return np.where(known[..., None], colors, np.uint8(255)), (low, high)
+    shades = viridis((np.where(known, values, low) - low) / span)
+    return np.where(known[..., None], shades, np.uint8(255)), (low, high)
 
 
 def _shade(folder: Path, grid: MapGrid) -> NDArray[np.float64]:

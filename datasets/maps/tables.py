@@ -16,22 +16,28 @@ from typing import Any
 
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.files import atomic
-from scenec.schemas.site_map import Place, Table
+from scenec.schemas.georeference import Georeference
+from scenec.schemas.site_map import Table
 
-#: Digits behind the point: micrometers.
-_DIGITS = 6
+#: Digits behind the point: micrometers; of angles on a body, a tenth of a millimeter on Earth.
+_DIGITS, _FINE_DIGITS = 6, 9
+_ON_BODY = ("latitude_deg", "longitude_deg")
 _PLACES = ("x_m", "y_m", "z_m")
 
 
-def write_table(folder: Path, name: str, table: Table, place: Place | None) -> list[str]:
+def write_table(folder: Path, name: str, table: Table, place: Georeference | None) -> list[str]:
     """Writes ``<name>.csv`` and ``<name>.geojson``; returns their names.
 
     Args:
         folder: Where.
         name: Of the table. Rows of one camera are a line, all others are points.
         table: Its columns.
-        place: Where the stage lies; None: nobody knows.
+        place: Where the stage lies, whose latitudes and longitudes are then columns, too; None:
+            nobody knows.
     """
+    if place is not None:
+        at = place.latitude_longitude(table["x_m"], table["y_m"])
+        table = {**table, **dict(zip(_ON_BODY, at, strict=True))}
     with (
         atomic(folder / f"{name}.csv") as path,
         path.open("w", encoding="utf-8", newline="") as out,
@@ -43,7 +49,7 @@ def write_table(folder: Path, name: str, table: Table, place: Place | None) -> l
     with atomic(folder / f"{name}.geojson") as path, path.open("w", encoding="utf-8") as out:
         head: dict[str, Any] = {"type": "FeatureCollection", "name": name}
         if place is not None:
-            head["crs"] = {"type": "name", "properties": {"name": place.crs}}
+            head["crs"] = {"type": "name", "properties": {"name": place.plane()[0]}}
         out.write(json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [')
         between = "\n"
         for feature in _features(table, place):
@@ -57,16 +63,17 @@ def _rows(table: Table) -> Iterator[dict[str, Any]]:
     """Rows of plain values; None for what is no number."""
     columns = [of if isinstance(of, list) else of.tolist() for of in table.values()]
     for values in zip(*columns, strict=True):
-        yield {name: _plain(value) for name, value in zip(table, values, strict=True)}
+        yield {name: _plain(name, value) for name, value in zip(table, values, strict=True)}
 
 
-def _plain(value: Any) -> Any:
+def _plain(name: str, value: Any) -> Any:
     if isinstance(value, float):
-        return round(value, _DIGITS) if math.isfinite(value) else None
+        digits = _FINE_DIGITS if name in _ON_BODY else _DIGITS
+        return round(value, digits) if math.isfinite(value) else None
     return value
 
 
-def _features(table: Table, place: Place | None) -> Iterator[dict[str, Any]]:
+def _features(table: Table, place: Georeference | None) -> Iterator[dict[str, Any]]:
     if "camera" not in table:
         for row in _rows(table):
             properties = {name: value for name, value in row.items() if name not in _PLACES}
@@ -87,9 +94,9 @@ def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, 
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-def _position(row: dict[str, Any], place: Place | None) -> list[float]:
+def _position(row: dict[str, Any], place: Georeference | None) -> list[float]:
     x, y = row["x_m"], row["y_m"]
     if place is not None:
-        a, b, c, d, e, f = place.affine
+        a, b, c, d, e, f = place.plane()[1]
         x, y = a * x + b * y + c, d * x + e * y + f
     return [x, y, row["z_m"]] if row["z_m"] is not None else [x, y]

@@ -24,7 +24,8 @@ from scenec.datasets.maps.rasters import write_layers
 from scenec.datasets.maps.tables import write_table
 from scenec.schemas import site_map
 from scenec.schemas.errors import OutputError
-from scenec.schemas.site_map import LAYERS, MapGrid, Place
+from scenec.schemas.georeference import Georeference
+from scenec.schemas.site_map import LAYERS, MapGrid
 from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
@@ -139,7 +140,10 @@ def test_tables_are_the_same_as_csv_and_geojson(maps, out):
 
 
 def test_a_place_moves_rasters_and_tables_alike(tmp_path):
-    place = Place(MOON, (0.0, -1.0, 5000.0, 1.0, 0.0, -7000.0))
+    place = Georeference(
+        "Moon", 1737400.0, 1737400.0, -89.7, 144.5, crs=MOON, east_north=(0.0, -1.0, 1.0, 0.0),
+        to_crs=(0.0, -1.0, 5000.0, 1.0, 0.0, -7000.0),
+    )  # fmt: skip
     grid = MapGrid(-2.0, 1.0, 0.5, 8, 4)
     np.savez(tmp_path / "tile.npz", height=np.arange(32, dtype=np.float32).reshape(4, 8))
     write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz")
@@ -153,6 +157,28 @@ def test_a_place_moves_rasters_and_tables_alike(tmp_path):
     said = json.loads((tmp_path / "paths.geojson").read_text())
     assert said["crs"]["properties"]["name"] == MOON
     assert said["features"][0]["geometry"] == {"type": "Point", "coordinates": [5000.25, -6999.75]}
+
+
+def test_gdal_takes_a_map_of_a_plane_on_a_body_to_the_latitudes_of_its_tables(tmp_path):
+    from rasterio.warp import transform
+
+    place = Georeference("Mars", 3396190.0, 3376200.0, 18.4, 77.5)
+    grid = MapGrid(-50.0, 40.0, 10.0, 10, 8)
+    np.savez(tmp_path / "tile.npz", height=np.zeros((8, 10), np.float32))
+    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz")
+    table = {"id": np.arange(2), "x_m": np.array([0.0, 33.0]), "y_m": np.array([0.0, -25.0]),
+             "z_m": np.zeros(2)}  # fmt: skip
+    write_table(tmp_path, "objects", table, place)
+    with (tmp_path / "objects.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with rasterio.open(tmp_path / "height.tif") as file:
+        plane = file.crs
+        assert next(iter(file.sample([(33.0, -25.0)]))) == 0.0
+    lonlat = "+proj=longlat +a=3396190 +b=3376200 +no_defs"
+    longitude, latitude = transform(plane, lonlat, table["x_m"], table["y_m"])
+    np.testing.assert_allclose([float(r["latitude_deg"]) for r in rows], latitude, atol=2e-9)
+    np.testing.assert_allclose([float(r["longitude_deg"]) for r in rows], longitude, atol=2e-9)
+    assert latitude[0] == pytest.approx(18.4)
 
 
 def test_maps_that_are_there_are_not_made_again_and_others_are_not_replaced(maps, out, capsys):
