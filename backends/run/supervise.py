@@ -265,8 +265,11 @@ class Supervisor:
 
     def abandon(self) -> None:
         """Give up what is pending, where ``stop`` has ended the worker."""
+        given = list(self._given)
         self._given.clear()
         self.close()
+        for unit, _ in given:
+            clean(unit)
 
     def close(self) -> None:
         """End the worker; by force if it does not go by itself."""

@@ -297,6 +297,10 @@ class RenderFrame(MakeFile):
         """Describes what the frame that is there has of this stage, and this one would not have."""
         return None if self.replace else would_lose(self.stem, self.key)
 
+    def clean(self) -> None:
+        """Removes what a worker that died left half written, of the batch's exposures too."""
+        sweep([self.stem.parent, self.stem.parents[2]])
+
     def run(self, keeper: Keeper) -> UnitResult | Rest[UnitResult]:
         """Renders and writes it; a worker may write it beside the next one.
 

@@ -48,7 +48,7 @@ def _row(study: Study, name: str) -> list[Cell]:
     apart = []
     for i, (camera, (surfaces, _)) in enumerate(zip(cameras, seen, strict=True)):
         alone = replace(camera, exposure_per="sample")
-        own = Meter(scene).exposed(alone, i, lambda: caster)[1]["luminance"]
+        own = Meter(scene).exposed(alone, i, lambda: caster)[1].luminance
         apart.append(float(np.log2(own / level(surfaces)[0])))
     between = f"{min(apart):+.2f} to {max(apart):+.2f}"
     return [name, f"{metered:.2f}", f"{ev:.2f}", f"{metered - ev:+.2f}", between, seconds]

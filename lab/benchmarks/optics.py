@@ -175,8 +175,8 @@ def blurred(
                 costs.append((time.process_time() - start) / plain)
                 errors.append(float(np.sqrt(np.mean((picture.rgb - truth) ** 2)) / truth.mean()))
                 estimates.append(picture.noise.relative_rms or float("nan"))
-            facts = drawing.facts
-            counts = [facts["sub_frames_per_row"], facts["sub_frames"], facts["spacing_px"]]
+            facts = drawing.record
+            counts = [facts.sub_frames_per_row, facts.sub_frames, facts.spacing_px]
             yield [*counts, np.mean(errors), np.mean(estimates), min(costs)]
 
     study.say(

@@ -60,7 +60,7 @@ def with_depth(frames: Sequence[LoadedFrame]) -> Track:
     against the last that has.
     """
     cv2.setRNGSeed(SEED)
-    orb = cv2.ORB_create(_FEATURES)
+    orb = cv2.ORB_create(_FEATURES)  # type: ignore[attr-defined]
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
     k = _intrinsics(frames[0])
     last = (frames[0], *orb.detectAndCompute(gray_pixels(frames[0]), None))

@@ -84,7 +84,8 @@ class Places(NamedTuple):
 
     def applied(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points of one copy as those of all, float64 [k, n, 3]."""
-        rows = np.reshape(rotation_entries(*self.turns.T, 2.0), (3, 3, -1))
+        x, y, z, w = self.turns.T
+        rows = np.reshape(rotation_entries(x, y, z, w, 2.0), (3, 3, -1))
         turned = np.einsum("ijk,nj->kni", rows, points)
         return turned * self.sizes[:, None, None] + self.positions[:, None]
 

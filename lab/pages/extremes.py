@@ -191,7 +191,7 @@ def _radiance(stage: Path, backend: str, wanted: list[str]) -> dict[str, Any]:
         name = camera.name.removesuffix("_eye")
         if name not in wanted:
             continue
-        radiance = session._light(camera, 0, SPP, 1, False, {}, None).radiance
+        radiance = session.draw(camera, 0, SPP, 1, False, None, {}).radiance
         found[name] = {"light": radiance.halves.mean(axis=0), "coverage": radiance.coverage}
     return found
 

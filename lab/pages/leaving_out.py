@@ -104,7 +104,8 @@ def shipped(page: Page) -> None:
                 compile_cfg(cfg, seed=1, out=out, batches=range(1), keep=keep,
                             cache=Path(folder, "cache"))  # fmt: skip
                 batches.append(out / "batch_0000")
-            rows.append([f"`{name}`", *_compared(*batches, 1 if page.fast else SHIPPED_SPP)])
+            spp = 1 if page.fast else SHIPPED_SPP
+            rows.append([f"`{name}`", *_compared(batches[0], batches[1], spp)])
     page.rows(rows)
 
 

@@ -116,7 +116,7 @@ def _cases(
         ("worley f1", heaps, (), heaps.at(*flat).reshape(x.shape)),
         ("worley f2-f1", lines, (), lines.at(*flat).reshape(x.shape)),
         ("image", image, (), np.kron(gray[::-1].astype(float), np.ones((10, 10)))),
-        ("clusters", ClusterDensity(*parents, 1.2, 0.0), (), thomas),
+        ("clusters", ClusterDensity(parents[0], parents[1], 1.2, 0.0), (), thomas),
         ("path, gaussian", gaussian, (), np.exp(-0.5 * (away / 0.8) ** 2)),
         ("path, band", beside, (), 0.2 + 0.8 * band / band.mean()),
         ("rings", rings, (), _rings(x, y, craters)),

@@ -169,7 +169,8 @@ def prints(page: Page) -> None:
         ((walk, 4.0, 1.0), (walk, 1.2, 0.3), (crust, 5, 0.5))
     ):
         grid = Grid((size, size), (n, n))
-        height = share * made(rough, grid) + detail.at(*grid.points()).reshape(grid.shape)
+        own = detail.at(*grid.points())  # type: ignore[attr-defined]
+        height = share * made(rough, grid) + own.reshape(grid.shape)
         sheet.paste(shaded(height, grid.spacing_m[0]), (k * (n + 6), 0))
     sheet.save(page.picture("prints"), optimize=True)
     rows = []
