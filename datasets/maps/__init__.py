@@ -6,8 +6,8 @@ from scenec.schemas.vehicle import Vehicle
 
 MAP = "map"
 SUMMARY = (
-    "stages: heights, slope, roughness, traversability, labels, ids, sun as GeoTIFF; objects, "
-    "paths and craters as CSV and GeoJSON"
+    "stages: heights, slope, roughness, traversability, labels, ids, sun as GeoTIFF; objects "
+    "and paths as CSV and GeoJSON"
 )
 #: Options -> what they are if nobody says, and a line of help.
 SETTINGS: dict[str, tuple[str, str]] = {
