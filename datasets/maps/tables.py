@@ -14,6 +14,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.files import atomic
 from scenec.schemas.georeference import Georeference
@@ -61,16 +64,18 @@ def write_table(folder: Path, name: str, table: Table, place: Georeference | Non
 
 def _rows(table: Table) -> Iterator[dict[str, Any]]:
     """Rows of plain values; None for what is no number."""
-    columns = [of if isinstance(of, list) else of.tolist() for of in table.values()]
+    columns = [_plain(name, of) for name, of in table.items()]
     for values in zip(*columns, strict=True):
-        yield {name: _plain(name, value) for name, value in zip(table, values, strict=True)}
+        yield dict(zip(table, values, strict=True))
 
 
-def _plain(name: str, value: Any) -> Any:
-    if isinstance(value, float):
-        digits = _FINE_DIGITS if name in _ON_BODY else _DIGITS
-        return round(value, digits) if math.isfinite(value) else None
-    return value
+def _plain(name: str, column: NDArray[Any] | list[str]) -> list[Any]:
+    if isinstance(column, list):
+        return column
+    if column.dtype.kind != "f":
+        return column.tolist()
+    rounded = np.round(column, _FINE_DIGITS if name in _ON_BODY else _DIGITS).tolist()
+    return [value if math.isfinite(value) else None for value in rounded]
 
 
 def _features(table: Table, place: Georeference | None) -> Iterator[dict[str, Any]]:
