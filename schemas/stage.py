@@ -205,6 +205,10 @@ ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
 ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
 ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
 
+#: On a camera with the pass ``traversable``. double[]: its vehicle, in the order of
+#: ``schemas.vehicle.Vehicle``'s fields; not authored: that one's defaults.
+ATTR_VEHICLE = "scenec:vehicle"
+
 #: On a camera. token: renderers find its exposure, one for the "batch" or each "sample", and what
 #: UsdGeomCamera's attributes of exposure say is for viewers; not authored: they are followed, and
 #: where none of them is authored either it is "batch".

@@ -22,6 +22,7 @@ from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
+from scenec.schemas.vehicle import Vehicle
 
 #: Passes of a camera that no RenderProduct says more about.
 DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
@@ -332,6 +333,7 @@ class Camera:
         focus: What is sharp; None: everything.
         exposure_per: What ``picture.exposure`` finds one for: "batch" or "sample"; None: given.
         effects: What other packages do to its pictures (``scenec.backends.imaging.effects``).
+        vehicle: Whom the pass ``traversable`` is for; None: ``Vehicle()``.
     """
 
     name: str
@@ -357,6 +359,7 @@ class Camera:
     focus: Focus | None = None
     exposure_per: str | None = None
     effects: tuple[str, ...] = ()
+    vehicle: Vehicle | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ two. ``camera_to_world`` of the contract is therefore (prim's local-to-world) * 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +110,9 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
     write_trigger(camera.GetPrim(), sensor.trigger)
     if sensor.depth_camera is not None:
         write_depth_camera(camera.GetPrim(), sensor.depth_camera)
+    if sensor.vehicle is not None:
+        numbers = Vt.DoubleArray(list(astuple(sensor.vehicle)))
+        custom(camera.GetPrim(), names.ATTR_VEHICLE, TYPES.DoubleArray).Set(numbers)
     if sensor.partner is not None:
         camera.GetPrim().CreateRelationship(names.REL_PARTNER, custom=True).SetTargets(
             [f"{RIGS}/{rig.name}/{sensor.partner}"]

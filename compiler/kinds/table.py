@@ -234,6 +234,7 @@ _OBJECTS = {
     "terrain_planet": "terrain.planet:TerrainPlanet",
     "terrain_shade": "terrain.shade:Shade",
     "trigger": "cameras.mount:Trigger",
+    "vehicle": "cameras.vehicle:VehicleKeys",
 }
 #: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
 CLASSES = _OBJECTS | {

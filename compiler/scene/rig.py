@@ -13,6 +13,7 @@ from scenec.schemas.imaging import Imaging
 from scenec.schemas.imu import Imu
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
+from scenec.schemas.vehicle import Vehicle
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,7 @@ class Sensor:
         focus: What is sharp at each sample, or None: everything.
         effects: What other packages do to its pictures, in order: JSON of the type, the package, a
             key of chance and the rest of the cfg's keys.
+        vehicle: Whom the pass ``traversable`` is for, or None: ``Vehicle()``.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Sensor:
     shutter: OpenShutter | None = None
     focus: Focus | None = None
     effects: tuple[str, ...] = ()
+    vehicle: Vehicle | None = None
 
 
 @dataclass(frozen=True)
