@@ -127,7 +127,7 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
     is_number = False
     for branch in (schema, *schema.get("allOf", ())):
         if "if" in branch:
-            taken = "then" if _fits(value, branch["if"]) else "else"
+            taken = "then" if fits(value, branch["if"]) else "else"
             keywords, number = _flatten(branch.get(taken, {}), value)
             _merge(merged, keywords)
             is_number = is_number or number
@@ -221,7 +221,7 @@ def _referred(reference: str) -> Mapping[str, Any]:
     return law_schema
 
 
-def _fits(value: Any, condition: Mapping[str, Any]) -> bool:
+def fits(value: Any, condition: Mapping[str, Any]) -> bool:
     """Whether a value is as an ``if`` says: of a type, or with such values at its keys."""
     if "type" in condition and not is_of(value, condition["type"]):
         return False
@@ -230,7 +230,7 @@ def _fits(value: Any, condition: Mapping[str, Any]) -> bool:
     if not isinstance(value, dict):
         return True
     return all(key in value for key in condition.get("required", ())) and all(
-        _fits(value[key], below)
+        fits(value[key], below)
         for key, below in condition.get("properties", {}).items()
         if key in value
     )
