@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.geotiff import GeoReference, read_geotiff, require_memory
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
 from scenec.schemas.maps import require_all_bits
@@ -73,7 +74,7 @@ class DemFile:
     values: NDArray[np.float64]
     holes: NDArray[np.bool_]
     reference: GeoReference | None
-    facts: dict[str, Any]
+    facts: Facts
     void: tuple[float, float] | None
     zeros: Zeros | None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,8 @@ from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
+from scenec.schemas.codec import Facts
 from scenec.schemas.imaging import Imaging
-from scenec.schemas.left_out import Facts
 
 
 def build_rigs(
@@ -31,7 +30,7 @@ def build_rigs(
     surface: GroundSurface,
     irradiance: NDArray[np.float64] | None,
     bodies: Mapping[str, MotionBodies],
-) -> tuple[tuple[Rig, ...], dict[str, Any]]:
+) -> tuple[tuple[Rig, ...], Facts]:
     """All rigs, and what is to be said of motions that were made, by rig.
 
     Args:
@@ -52,7 +51,7 @@ def build_rigs(
         rig, opened = open_shutters(still, plan.sensors, way_of(plan.pose, built, around), around)
         require_rectified(f"rigs/{plan.name}", rig.sensors)
         rigs.append(rig)
-        said = built.facts | ({"shutter": opened} if opened else {})
+        said = {**built.facts} | ({"shutter": opened} if opened else {})
         if said:
             facts[plan.name] = said
     return tuple(rigs), facts

@@ -14,6 +14,7 @@ from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.declare import keys_of
+from scenec.schemas.codec import JsonObject
 
 #: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
 type Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class Context:
     streams: Streams
     size_m: tuple[float, float] = (1.0, 1.0)
     files: Mapping[str, InputFile] = field(default_factory=dict)
-    ground: Sequence[Mapping[str, Any]] = ()
+    ground: Sequence[JsonObject] = ()
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     path: str = ""
@@ -97,14 +98,14 @@ class Context:
             if _is_of_samples(keywords) and not isinstance(value := getattr(kind, name), str | None)
         }
 
-    def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
+    def layers_of(self, node: JsonObject) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""
         if node["layer"] is not None:
             return (node["layer"],)
         return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
 
 
-def _keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
+def _keywords_of(kind: type[Any]) -> Mapping[str, Mapping[str, Any]]:
     """Returns what the schema says of a kind's keys; another package's may say it itself."""
     if not hasattr(kind, "SCHEMA"):
         return {name: declared.form.keywords for name, declared in keys_of(kind).items()}
