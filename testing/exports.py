@@ -33,6 +33,7 @@ OPTIONS = {
     "parquet": {"depth": "png"},
     "webdataset": {"radiance": "yes"},
     "hdf5": {"rgb": "both"},
+    "nerfstudio": {"depth": "yes"},
     "coco": {"segmentation": "polygon", "categories": "all"},
 }
 _NAMES = (

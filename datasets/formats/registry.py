@@ -20,9 +20,11 @@ _OURS = {
     "bop": "scenec.datasets.formats.bop:Bop",
     "cityscapes": "scenec.datasets.formats.cityscapes:Cityscapes",
     "coco": "scenec.datasets.formats.coco:Coco",
+    "colmap": "scenec.datasets.formats.colmap:Colmap",
     "euroc": "scenec.datasets.formats.euroc:Euroc",
     "hdf5": "scenec.datasets.formats.hdf5:Hdf5",
     "kitti": "scenec.datasets.formats.kitti:Kitti",
+    "nerfstudio": "scenec.datasets.formats.nerfstudio:Nerfstudio",
     "oaisys": "scenec.datasets.formats.oaisys:Oaisys",
     "panoptic": "scenec.datasets.formats.panoptic:Panoptic",
     "parquet": "scenec.datasets.formats.parquet:Parquet",
@@ -30,6 +32,7 @@ _OURS = {
     "sintel": "scenec.datasets.formats.sintel:Sintel",
     "tum": "scenec.datasets.formats.tum:Tum",
     "webdataset": "scenec.datasets.formats.webdataset:WebDataset",
+    "yolo": "scenec.datasets.formats.yolo:Yolo",
 }
 
 

@@ -144,3 +144,12 @@ def test_type_checkers_know_keys_and_types(tmp_path: Path, monkeypatch: pytest.M
     faults = [line for line in done.stdout.splitlines() if line.startswith("use.py:")]
     lines = {int(line.split(":")[1]) for line in faults if " error: " in line}
     assert lines == {3, 4}, done.stdout
+
+
+def test_a_star_brings_the_classes_and_nothing_that_the_module_imports():
+    brought: dict[str, object] = {}
+    exec("from scenec.compiler.cfg.builder import *", brought)
+    there = {name for name in brought if not name.startswith("__")}
+    assert {"Cfg", "Uniform", "CompleteCfg", "read"} <= there
+    assert there.isdisjoint({"json", "dataclasses", "schema", "cache", "Any"})
+    assert there == set(dir(builder))
