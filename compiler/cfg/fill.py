@@ -8,10 +8,11 @@ from scenec.compiler.cfg.check_numbers import read_number
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.imu import GRAVITY_M_S2
 
 #: A cfg in full, by key; what it holds is said by the declarations of ``kinds.table``.
-type Cfg = dict[str, Any]
+type Cfg = JsonObject
 
 
 def fill(document: Any) -> Cfg:

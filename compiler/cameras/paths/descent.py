@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,10 +106,11 @@ class Descent:
     def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
         """The motion at times; see ``Kinematics``."""
         made = poses_at(self, context, at_s)
-        brake = made.facts["deceleration_m_s2"]
-        left = made.facts["duration_s"] - at_s
+        facts = cast("dict[str, float]", made.facts)
+        brake, duration = facts["deceleration_m_s2"], facts["duration_s"]
+        left = duration - at_s
         down = self.touchdown_speed_m_s + brake * left
-        slowing = self.drift_m_s / made.facts["duration_s"]
+        slowing = self.drift_m_s / duration
         bearing = level_bearing(self.drift_deg)
         velocity = np.column_stack([slowing * left[:, None] * bearing, -down])
         acceleration = np.tile([*(-slowing * bearing), brake], (len(at_s), 1))
