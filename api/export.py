@@ -6,22 +6,25 @@ from dataclasses import replace
 from pathlib import Path
 
 from scenec.api.declare import Spread
+from scenec.api.maps import export_maps
 from scenec.api.models import ModelsReport, export_models
 from scenec.api.options import ExportOptions
 from scenec.api.steps import hire
 from scenec.datasets.export import Choice, ExportReport
 from scenec.datasets.export import export as export_frames
 from scenec.datasets.filters import make_filters
+from scenec.datasets.maps import MAP
 from scenec.datasets.models import MODEL_FORMATS
 from scenec.datasets.remap import Remap, read_remap
 from scenec.datasets.splits import parse_splits
 from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError
+from scenec.schemas.imu import RigState
 
 
 @Spread(ExportOptions).two
 def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport | ModelsReport:
-    """Exports frames to a dataset: COCO, HDF5, TUM, …; or stages to glTF or USDZ.
+    """Exports frames to a dataset: COCO, HDF5, TUM, …; or stages to glTF, USDZ, maps.
 
     Args:
         out: Output folder with frames, or a USD file that was rendered.
@@ -32,6 +35,8 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
         FrameError: A frame is missing, foreign or damaged.
         OutputError: What is asked for makes no sense, or there is another dataset.
     """
+    if format == MAP:
+        return export_maps(Path(out), options)
     if format in MODEL_FORMATS:
         return export_models(Path(out), format, options)
     workers = options.workers if options.workers is not None else usable_cores()
@@ -72,4 +77,15 @@ def choice_of(options: ExportOptions) -> Choice:
         level=options.level,
         options=settings,
         faults=options.faults,
+        rigs=_read_rigs,
     )
+
+
+def _read_rigs(stage: Path) -> tuple[RigState, ...]:
+    """Reads the rigs of a stage; none where it is gone and its frames remain."""
+    if not stage.is_file():
+        return ()
+    # OpenUSD is loaded here, where a format asks for rigs.
+    from scenec.backends.stage.rigs import read_rigs
+
+    return read_rigs(stage)

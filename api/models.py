@@ -36,7 +36,7 @@ class ModelsReport:
     Attributes:
         folder: Of the files.
         format: Their format.
-        files: One a batch.
+        files: One a batch; of maps all of them.
         content: What ``export.json`` beside them says.
     """
 
@@ -63,22 +63,9 @@ def export_models(out: Path, format: str, options: ExportOptions) -> ModelsRepor
     Raises:
         OutputError: An option makes no sense, or a file is there already.
     """
-    usual = ExportOptions()
-    for name in _OF_FRAMES:
-        if getattr(options, name) not in (getattr(usual, name), []):
-            raise OutputError(
-                f"--{name} chooses among frames, and {format} holds stages; leave it out"
-            )
     texels = _texels(options.settings)
-    batches = [
-        batch
-        for batch in find_batches(out)
-        if options.batches is None or batch.index in options.batches
-    ]
-    if not batches:
-        raise OutputError(f"{out}: no such batches; scenec compile makes some")
-    base = out if out.is_dir() else out.parent
-    folder = Path(options.folder) if options.folder else base / "datasets" / format
+    batches = chosen_batches(out, format, options)
+    folder = dataset_folder(out, format, options)
     files = {b.name: folder / f"{b.name}{_ENDINGS[format]}" for b in batches}
     for file in files.values():
         if file.exists() and not options.replace:
@@ -101,6 +88,37 @@ def export_models(out: Path, format: str, options: ExportOptions) -> ModelsRepor
     with atomic(folder / "export.json") as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return ModelsReport(folder, format, tuple(files.values()), report)
+
+
+def chosen_batches(out: Path, format: str, options: ExportOptions) -> list[Batch]:
+    """The batches that are asked for, of a format that holds stages.
+
+    Raises:
+        OutputError: There are none, or options choose among frames.
+    """
+    usual = ExportOptions()
+    for name in _OF_FRAMES:
+        if (name != "cluster" or format in _ENDINGS) and getattr(options, name) not in (
+            getattr(usual, name),
+            [],
+        ):
+            raise OutputError(
+                f"--{name} chooses among frames, and {format} holds stages; leave it out"
+            )
+    batches = [
+        batch
+        for batch in find_batches(out)
+        if options.batches is None or batch.index in options.batches
+    ]
+    if not batches:
+        raise OutputError(f"{out}: no such batches; scenec compile makes some")
+    return batches
+
+
+def dataset_folder(out: Path, format: str, options: ExportOptions) -> Path:
+    """The folder that a dataset of an output goes to."""
+    base = out if out.is_dir() else out.parent
+    return Path(options.folder) if options.folder else base / "datasets" / format
 
 
 def _texels(settings: Sequence[str]) -> int:

@@ -48,9 +48,10 @@ def _backends(**_: object) -> list[str]:
 
 def _formats(**_: object) -> list[str]:
     from scenec.datasets.formats.registry import format_names
+    from scenec.datasets.maps import MAP
     from scenec.datasets.models import MODEL_FORMATS
 
-    return sorted([*format_names(), *MODEL_FORMATS])
+    return sorted([*format_names(), MAP, *MODEL_FORMATS])
 
 
 def _passes(**_: object) -> Iterable[str]:

@@ -14,15 +14,14 @@ from scenec.cli.output import print_json, say, say_next
 from scenec.cli.terminal import Terminal
 from scenec.datasets.export import ExportReport
 from scenec.datasets.formats.registry import find_format, format_names
+from scenec.datasets.maps import MAP, SETTINGS, SUMMARY
 from scenec.datasets.models import MODEL_FORMATS, TEXELS
 from scenec.schemas.errors import OutputError
 
-#: Of the formats that hold stages.
-_TEXELS_OPTION = {
-    "default": str(TEXELS),
-    "choices": [],
-    "help": "of all pictures of the ground of a batch together",
-}
+_TEXELS = {"texels": (str(TEXELS), "of all pictures of the ground of a batch together")}
+#: Formats that hold stages -> what they are; option -> its default and help.
+_OF_STAGES = {name: (summary, _TEXELS) for name, summary in MODEL_FORMATS.items()}
+_OF_STAGES[MAP] = SUMMARY, SETTINGS
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         raise OutputError("say what to export: scenec export OUT --format NAME")
     if options.format is None:
         raise OutputError(
-            f"say to which format: --format {'|'.join([*format_names(), *MODEL_FORMATS])} "
+            f"say to which format: --format {'|'.join([*format_names(), *_OF_STAGES])} "
             "(scenec export --list)"
         )
     asked = chosen(ExportOptions, options)
@@ -54,8 +53,12 @@ def run(options: argparse.Namespace) -> int:
 def _print_models(report: ModelsReport) -> None:
     for line in report.losses:
         say(f"not in it: {line}")
-    for file in report.files:
+    for file in report.files if report.format != MAP else ():
         say(f"{report.format}: {file} ({file.stat().st_size / 1e6:.1f} MB)")
+    if report.format == MAP:
+        size = sum(file.stat().st_size for file in report.files)
+        say(f"{len(report.files)} files of maps and tables ({size / 1e6:.1f} MB)")
+        say(f"maps: {report.folder}/ (a look at all: {report.folder}/BATCH/map.png)")
 
 
 def _print_report(report: ExportReport) -> None:
@@ -129,8 +132,15 @@ def _list(as_json: bool) -> None:
                 for kind in formats
             }
             | {
-                name: {"summary": summary, "needs": [], "options": {"texels": _TEXELS_OPTION}}
-                for name, summary in MODEL_FORMATS.items()
+                name: {
+                    "summary": summary,
+                    "needs": [],
+                    "options": {
+                        option: {"default": default, "choices": [], "help": text}
+                        for option, (default, text) in options.items()
+                    },
+                }
+                for name, (summary, options) in _OF_STAGES.items()
             }
         )
         return
@@ -138,11 +148,14 @@ def _list(as_json: bool) -> None:
         print(f"{kind.name:<12}{kind.summary}")
         for name, option in kind.options.items():
             value = "|".join(option.choices) if option.choices else "VALUE"
-            default = f" (default: {option.default})" if option.default else ""
-            head = f"    --set {name}={value}"
-            print(head)
-            print(textwrap.indent(textwrap.fill(option.help + default, 88), " " * 12))
-    for name, summary in MODEL_FORMATS.items():
+            _list_option(name, value, option.default, option.help)
+    for name, (summary, options) in _OF_STAGES.items():
         print(f"{name:<12}{summary}")
-        print("    --set texels=VALUE")
-        print(f"            {_TEXELS_OPTION['help']} (default: {TEXELS})")
+        for option_name, (default, text) in options.items():
+            _list_option(option_name, "VALUE", default, text)
+
+
+def _list_option(name: str, value: str, default: str, text: str) -> None:
+    print(f"    --set {name}={value}")
+    text += f" (default: {default})" if default else ""
+    print(textwrap.indent(textwrap.fill(text, 88), " " * 12))

@@ -18,6 +18,7 @@ from scenec.compiler.views.needed import Keep
 from scenec.schemas.codec import decode, encode
 from scenec.schemas.errors import CfgError, Fault, OutputError, SceneError
 from scenec.schemas.files import tree, write_json
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.left_out import write_left_out
 from scenec.schemas.manifest import REPORT
 from scenec.schemas.native import commentary
@@ -48,6 +49,7 @@ class Compiled:
         report: What was written of it; None where it could not be built.
         made, taken: How often each step was made, or taken from the cache; None without one.
         cameras, lidars: When each is triggered (``schemas.strays``).
+        georeference: Where on a body it lies, or None.
     """
 
     error: SceneError | None = None
@@ -59,6 +61,7 @@ class Compiled:
     taken: dict[str, int] | None = None
     cameras: Firing = field(default_factory=list)
     lidars: Firing = field(default_factory=list)
+    georeference: Georeference | None = None
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,8 @@ class CompileBatch:
                 compiled.made, compiled.taken = dict(memo.made), dict(memo.taken)
             compiled.cameras = _firing(scene, lambda rig: rig.sensors)
             compiled.lidars = _firing(scene, lambda rig: rig.lidars)
+            if scene.georeference is not None:
+                compiled.georeference = scene.georeference.place
             break
         return compiled
 

@@ -41,8 +41,9 @@ from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, sample_times
-from scenec.compiler.scene.scene import Georeference, Scene, require_finite
+from scenec.compiler.scene.scene import DemOrigin, Scene, require_finite
 from scenec.compiler.terrain.program import ReliefResult
+from scenec.compiler.terrain.sources.dem import recorded_place
 from scenec.compiler.views.needed import Keep, Needs
 from scenec.schemas.codec import JSON, Facts
 from scenec.schemas.left_out import Record
@@ -137,7 +138,8 @@ def assemble(
     georeference = None
     if placed is not None:
         crs, (east, north) = placed["georeference"]["crs"], placed["georeference"]["center"]
-        georeference = Georeference(crs, (east, north), placed["height_offset_m"])
+        offset_m = placed["height_offset_m"]
+        georeference = DemOrigin(crs, (east, north), offset_m, recorded_place(placed))
     scene = Scene(
         name=plan.name,
         samples=plan.samples,

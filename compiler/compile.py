@@ -148,7 +148,9 @@ def compile_cfg(
                 failed[name] = str(compiled.error)
                 output.fail(batch, failed[name])
                 continue
-            unchanged += output.put(unit.folder, batch, compiled.samples, compiled.attempt)
+            unchanged += output.put(
+                unit.folder, batch, compiled.samples, compiled.attempt, compiled.georeference
+            )
             done.append(batch)
             if compiled.attempt:
                 report.attempts[name] = compiled.attempt

@@ -64,15 +64,16 @@ def draw(spec: Spec, seed: int, batch: int, attempt: int = 0) -> Plan:
 
 def _rig(spec: Spec, name: str, setting: Context) -> RigPlan:
     cfg = spec.cfg["rigs"][name]
-    opened = any("shutter" in sensor for sensor in cfg["sensors"].values())
+    opened = "imus" in cfg or any("shutter" in sensor for sensor in cfg["sensors"].values())
     pose = draw_kind("pose", cfg["pose"], f"rigs/{name}/pose", replace(setting, between=opened))
     sensors = _carried("sensor", cfg["sensors"], f"rigs/{name}/sensors", setting)
     lidars = _carried("lidar", cfg.get("lidars", {}), f"rigs/{name}/lidars", setting)
-    return RigPlan(name, pose, sensors, lidars, cfg.get("allow_below", False))
+    imus = _carried("imu", cfg.get("imus", {}), f"rigs/{name}/imus", setting)
+    return RigPlan(name, pose, sensors, lidars, cfg.get("allow_below", False), imus)
 
 
 def _carried(kind: str, nodes: Mapping[str, Any], path: str, setting: Context) -> tuple[Any, ...]:
-    """Sensors or lidars of a rig, drawn."""
+    """Sensors, lidars or IMUs of a rig, drawn."""
     return tuple(
         draw_object(kind, node, f"{path}/{name}", setting).draw(setting.at(f"{path}/{name}"))
         for name, node in nodes.items()

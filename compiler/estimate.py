@@ -1,9 +1,10 @@
 """Estimates what compiling a batch will take, from the cfg alone, and refuses what cannot fit.
 
 Bytes and seconds are those of what grows without bound with a key: instances, height samples,
-pictures of skies, vertices of prototypes, samples, classes. They were measured at the peak of a
-compilation on two cores (``docs/numbers.md`` holds the table): memory within 35 %, time within a
-factor of 3, which depends on the machine. What has a bound of its own is in ``BASE_BYTES``.
+pictures of skies, triangles of prototypes and models, samples, classes. They were measured at the
+peak of a compilation on two cores (``docs/numbers.md`` holds the table): memory within 35 %, time
+within a factor of 3, which depends on the machine. What has a bound of its own is in
+``BASE_BYTES``.
 """
 
 from __future__ import annotations
@@ -43,6 +44,10 @@ _SKY_BAKE: Final = 45.0
 _CUMULUS_PIXEL: Final = (22.0, 4e-6)
 _CIRRUS_PIXEL: Final = (22.0, 0.3e-6)
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)
+#: Of files of meshes, with their levels of detail; of those with leaves, of which steps that run
+#: beside each other hold several.
+_MODEL_TRIANGLE: Final = (240.0, 3e-6)
+_FOLIAGE_TRIANGLE: Final = (600.0, 6e-6)
 _SAMPLE: Final = (1000.0, 3.5e-3)
 _CLASS: Final = (150e3, 3e-2)
 #: Numbers of the cfg that each take less are not named, share of all.
@@ -157,6 +162,9 @@ def _objects(spec: Spec, streams: Streams) -> Iterator[Need]:
             yield _need(
                 f"{path}/subdivisions", triangles, "prototype triangles", _PROTOTYPE_TRIANGLE
             )
+        if cfg["type"] == "meshes":
+            for i, model in enumerate(cfg["models"]):
+                yield _model(spec, f"{path}/models/{i}", model)
         if "count" not in cfg:
             continue
         key = "count" if cfg["count"] is not None else "per_m2"
@@ -171,6 +179,17 @@ def _objects(spec: Spec, streams: Streams) -> Iterator[Need]:
         yield _need(f"{path}/{key}", number, "instances", _INSTANCE)
     if classes:
         yield _need("objects", classes, "classes", _CLASS)
+
+
+def _model(spec: Spec, path: str, model: dict[str, Any]) -> Need:
+    """The need of a model, whose file was read when the cfg was checked, and is kept."""
+    from scenec.compiler.assets.model import cached_model, origin_of
+
+    file, origin = spec.files[f"{path}/file"].path, origin_of(model["origin"])
+    read = cached_model(file, model["unit_m"], model["up"], model["part"], origin)
+    leaves = any(material.diffuse_transmission > 0.0 for material in read.materials)
+    cost = _FOLIAGE_TRIANGLE if leaves else _MODEL_TRIANGLE
+    return _need(f"{path}/file", len(read.faces), "triangles of a model", cost)
 
 
 def _light(spec: Spec) -> Iterator[Need]:

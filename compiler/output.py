@@ -31,6 +31,7 @@ from scenec.schemas.files import (
     tree,
     write_json,
 )
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.manifest import (
     CFG,
@@ -157,7 +158,14 @@ class Output:
         """Returns how often a batch was drawn again when it was compiled to this output before."""
         return next((b.attempt or 0 for b in self._manifest.batches if b.index == batch), 0)
 
-    def put(self, folder: Path, batch: int, samples: int, attempt: int) -> bool:
+    def put(
+        self,
+        folder: Path,
+        batch: int,
+        samples: int,
+        attempt: int,
+        georeference: Georeference | None = None,
+    ) -> bool:
         """Brings a batch in, and lists it in the manifest.
 
         Args:
@@ -190,6 +198,7 @@ class Output:
             stage=f"{name}/{STAGE}",
             samples=samples,
             attempt=attempt or UNSET,
+            georeference=georeference or UNSET,
         )
         batches = [made, *(b for b in self._manifest.batches if b.index != batch)]
         others = {path: e for path, e in self._manifest.files.items() if path not in before}

@@ -44,6 +44,7 @@ from scenec.datasets.formats.registry import origin_of
 from scenec.datasets.source import FrameFault
 from scenec.datasets.statistics import Statistics
 from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
+from scenec.schemas.codec import encode
 from scenec.schemas.csv_cells import guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
@@ -366,6 +367,15 @@ def _note(counts: dict[str, int], more: dict[str, int]) -> None:
         counts[what] = counts.get(what, 0) + number
 
 
+def _georeferences(plan: Plan) -> dict[str, Any]:
+    """Returns where on a body each batch lies, by its number; nothing where none says so."""
+    manifest = plan.source.manifest
+    batches = () if manifest is None else manifest.batches
+    found = {str(b.index): encode(b.georeference) for b in batches
+             if b.georeference and b.index in plan.split_of}  # fmt: skip
+    return {"georeferences": found} if found else {}
+
+
 def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[str, Any]:
     """Returns the content of ``export.json``."""
     choice = plan.choice
@@ -389,6 +399,7 @@ def _summary(plan: Plan, report: ExportReport, digests: dict[str, str]) -> dict[
         "frames": report.frames,
         "splits": report.splits,
         "batches": {str(batch): split for batch, split in plan.split_of.items()},
+        **_georeferences(plan),
         "instances": asdict(report.tally),
         "held": report.held,
         "left_out": report.left_out,

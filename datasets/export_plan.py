@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from scenec.datasets.filters import Filters, make_filters
-from scenec.datasets.formats.contract import Format, Info, Task
+from scenec.datasets.formats.contract import Format, Info, Rigs, Task
 from scenec.datasets.formats.registry import find_format, origin_of
 from scenec.datasets.pictures import is_from_sensor, kinds
 from scenec.datasets.remap import Remap
@@ -20,6 +21,7 @@ from scenec.schemas.codec import UNSET, Facts, JsonObject, encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE
+from scenec.schemas.imu import RigState
 from scenec.schemas.manifest import CFG
 from scenec.schemas.spelling import nearest
 from scenec.schemas.versions import version_of
@@ -45,6 +47,7 @@ class Choice:
         level: The label level whose labels are categories; None takes the first.
         options: Of the format.
         faults: ``stop`` at a frame that is missing, foreign or damaged, or ``skip`` it.
+        rigs: Reads a stage's rigs (``contract.Rigs``); None: formats know frames alone.
     """
 
     backend: str | None = None
@@ -58,6 +61,7 @@ class Choice:
     level: str | None = None
     options: Mapping[str, str] = field(default_factory=dict)
     faults: str = "stop"
+    rigs: Callable[[Path], tuple[RigState, ...]] | None = None
 
 
 @dataclass
@@ -158,7 +162,15 @@ class Plan:
             "place": list(task.place),
             "frames": [[ref.index, ref.name, self.frame_key(ref)] for ref in task.frames],
         }
+        sources = self._sources(task)
+        values |= {"sources": sources} if sources else {}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+    def _sources(self, task: Task) -> list[str]:
+        """Names and digests of what a task depends on beside its frames."""
+        return [
+            f"{path.parent.name}/{path.name} {sha256(path)}" for path in self.format().sources(task)
+        ]
 
     def full_key(self) -> str:
         """sha256 over all that decides the dataset's files."""
@@ -168,6 +180,9 @@ class Plan:
             if ref.batch in self.split_of:
                 line = f"{ref.name} {self.split_of[ref.batch]} {self.frame_key(ref)}\n"
                 state.update(line.encode())
+        if find_format(self.format_name).sources is not Format.sources:
+            for line in itertools.chain.from_iterable(map(self._sources, self.tasks())):
+                state.update(f"{line}\n".encode())
         for fault in self.source.missing:
             state.update(f"{fault.name}\n".encode())
         for fault in self.source.strays:
@@ -251,6 +266,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         beside=tuple(kind for kind in BESIDE if kind in beside),
         anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),
         imaging=any(map(is_from_sensor, cameras)),
+        rigs=Rigs(choice.rigs, {name: path.absolute() for name, path in source.stages.items()}),
     )
     if folder is None:
         base = out if out.is_dir() else out.parent

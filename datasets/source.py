@@ -274,6 +274,11 @@ class Source:
         self._digests = self._stage_digests()
         self._labels: dict[str, dict[int, str]] | None = None
 
+    @property
+    def stages(self) -> dict[str, Path]:
+        """Root layers of the batches' stages, by the batch's name."""
+        return {batch.name: batch.stage for batch in self._batches}
+
     def __len__(self) -> int:
         return len(self.frames)
 

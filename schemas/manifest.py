@@ -23,6 +23,7 @@ from typing import Annotated, Any
 from scenec.schemas.codec import JSON, UNSET, Natural, Unset, natural, read_record
 from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.files import inside
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.update import finish_update
 
 MANIFEST = "manifest.json"
@@ -67,13 +68,16 @@ class CfgEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class BatchEntry:
-    """A batch: paths of its folder and root layer; ``attempt`` where it was drawn again."""
+    """A batch: paths of its folder and root layer; ``attempt`` where it was drawn again;
+    ``georeference`` where its terrain says on which place of a body it lies.
+    """
 
     index: Natural
     path: str
     stage: str
     samples: Annotated[int, _samples] = 0
     attempt: Natural | Unset = UNSET
+    georeference: Georeference | Unset = UNSET
 
 
 @dataclass(frozen=True, kw_only=True)

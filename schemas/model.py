@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.georeference import Georeference
+
 
 @dataclass(frozen=True, eq=False)
 class Look:
@@ -113,6 +115,7 @@ class Model:
         times: Of the samples, seconds, float64 [samples].
         label_names: Per level, id -> name.
         losses: A line for each thing in the stage that is not here.
+        georeference: Where on a body the world's origin lies, or None.
     """
 
     name: str
@@ -125,6 +128,7 @@ class Model:
     times: NDArray[np.float64]
     label_names: dict[str, dict[int, str]]
     losses: tuple[str, ...]
+    georeference: Georeference | None = None
 
     @property
     def triangles(self) -> int:

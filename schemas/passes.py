@@ -81,6 +81,18 @@ BUILT_IN: dict[str, PassFormat] = {
         _floats("range", "Z", "meters along the ray, at the pixel's center; +inf without a hit"),
         _floats("normal", "XYZ", "geometric, world frame, facing the camera; 0 without a hit"),
         _floats("position", "XYZ", "world frame, meters; NaN without a hit"),
+        _floats(
+            "slope",
+            "S",
+            "degrees between the face's plane and the horizontal one; NaN without a hit",
+        ),
+        PassFormat(
+            name="traversable",
+            channels=("class",),
+            dtype="uint32",
+            convention="what the place is to the vehicle of the sensor: 0 unknown or no hit, "
+            "1 traversable, 2 caution, 3 hazard",
+        ),
         _ids("face", "index of the authored face; 4294967295 without a hit"),
         _floats(
             AMODAL,

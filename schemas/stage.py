@@ -35,13 +35,25 @@ ATTR_LENS_MODEL = "scenec:lens:model"
 ATTR_LENS_COEFFICIENTS = "scenec:lens:coefficients"
 ATTR_LENS_MAX_ANGLE = "scenec:lens:maxAngle"
 
-#: On the root, where a DEM says on which place of a planet it lies. Nothing reads it: no number of
-#: the scene depends on it. string: coordinate reference system, an authority's code or WKT.
+#: On the root, where a DEM says on which place of a planet it lies. No number of the scene depends
+#: on it. string: coordinate reference system, an authority's code or WKT.
 ATTR_GEOREFERENCE_CRS = "scenec:georeference:crs"
 #: double2: the stage's origin in that system, first axis first (easting, northing).
 ATTR_GEOREFERENCE_CENTER = "scenec:georeference:center"
 #: double: what was added to the DEM's (scaled) heights, meters.
 ATTR_GEOREFERENCE_HEIGHT_OFFSET = "scenec:georeference:heightOffset"
+#: Further fields of ``schemas.georeference.Georeference``, where the body is known: the attribute,
+#: and its type. Those that have their default are left out.
+GEOREFERENCE = {
+    "semi_major_m": ("scenec:georeference:semiMajor", "Double"),
+    "semi_minor_m": ("scenec:georeference:semiMinor", "Double"),
+    "latitude_deg": ("scenec:georeference:latitude", "Double"),
+    "longitude_deg": ("scenec:georeference:longitude", "Double"),
+    "body": ("scenec:georeference:body", "String"),
+    "east_north": ("scenec:georeference:eastNorth", "DoubleArray"),
+    "to_crs": ("scenec:georeference:toCrs", "DoubleArray"),
+    "error_m": ("scenec:georeference:error", "Double"),
+}
 
 #: Relationship of a mesh to its ordered ground materials; layer 0 is the base.
 REL_LAYERS = "scenec:layers"
@@ -166,11 +178,36 @@ ATTR_LIDAR_ANGLE_NOISE = "scenec:lidar:noise:angle"
 ATTR_LIDAR_DROPOUT = "scenec:lidar:noise:dropout"
 ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
 
+#: An IMU is an Xform with these: x ahead, y left, z up; all in meters, seconds, radians and the
+#: stage's world, whose z is up, whatever the units of the stage. double: readings a second; double:
+#: gravity along -z; double[6]: ``schemas.imu.ImuNoise``'s fields in their order, 0 where absent.
+ATTR_IMU_RATE = "scenec:imu:rate"
+ATTR_IMU_GRAVITY = "scenec:imu:gravity"
+ATTR_IMU_NOISE = "scenec:imu:noise"
+#: One value a reading. double[]: by the clock of scenec:time; double3[]: what the gyroscope and the
+#: accelerometer read, in its axes.
+ATTR_IMU_TIMES = "scenec:imu:times"
+ATTR_IMU_GYROSCOPE = "scenec:imu:gyroscope"
+ATTR_IMU_ACCELEROMETER = "scenec:imu:accelerometer"
+#: The truth at each reading. double3[] in the world, double4[]: a quaternion w, x, y, z, double3[].
+ATTR_IMU_POSITIONS = "scenec:imu:truth:positions"
+ATTR_IMU_ORIENTATIONS = "scenec:imu:truth:orientations"
+ATTR_IMU_VELOCITIES = "scenec:imu:truth:velocities"
+#: double3[], where there is noise: what would be read without it, and the slow part of it.
+ATTR_IMU_ANGULAR_VELOCITY = "scenec:imu:truth:angularVelocity"
+ATTR_IMU_SPECIFIC_FORCE = "scenec:imu:truth:specificForce"
+ATTR_IMU_GYROSCOPE_BIAS = "scenec:imu:truth:gyroscopeBias"
+ATTR_IMU_ACCELEROMETER_BIAS = "scenec:imu:truth:accelerometerBias"
+
 #: On a camera that measures depth. token: "stereo" or "time_of_flight"; double[]: its numbers in
 #: the order of ``schemas.depth_camera``'s fields, lengths in meters; uint64: the key of its noise.
 ATTR_DEPTH_MODEL = "scenec:depthCamera:model"
 ATTR_DEPTH_NUMBERS = "scenec:depthCamera:numbers"
 ATTR_DEPTH_KEY = "scenec:depthCamera:noise:key"
+
+#: On a camera with the pass ``traversable``. double[]: its vehicle, in the order of
+#: ``schemas.vehicle.Vehicle``'s fields; not authored: that one's defaults.
+ATTR_VEHICLE = "scenec:vehicle"
 
 #: On a camera. token: renderers find its exposure, one for the "batch" or each "sample", and what
 #: UsdGeomCamera's attributes of exposure say is for viewers; not authored: they are followed, and

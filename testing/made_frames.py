@@ -22,6 +22,7 @@ from scenec.schemas.amodal import Amodal, amodal_path, write_amodal
 from scenec.schemas.exr import write_exr
 from scenec.schemas.files import sha256, write_json
 from scenec.schemas.frames import frame_stem
+from scenec.schemas.imu import Imu, ImuNoise, RigState
 from scenec.schemas.instances import (
     BATCH_TABLE,
     FRAME_COLUMNS,
@@ -100,6 +101,30 @@ def camera_pose(sensor: Sensor, sample: int) -> NDArray[np.float64]:
     mount[:3, :3] = Rotation.from_euler("y", sensor.yaw_deg, degrees=True).as_matrix()
     mount[:3, 3] = sensor.offset
     return rig_pose(sample) @ mount
+
+
+def made_rigs(samples: int = 4) -> tuple[RigState, ...]:
+    """The rig as its stage would have it: with the mounts of three cameras, and two IMUs."""
+    time = 0.1 * np.arange(samples, dtype=np.float64)
+    to_world = np.stack([rig_pose(k) for k in range(samples)])
+    to_rig = np.eye(4)
+    to_rig[:3, :3] = Rotation.from_euler("xyz", [80, -10, 35], degrees=True).as_matrix()
+    to_rig[:3, 3] = 0.3, -0.1, 0.2
+    body = to_world @ to_rig
+    turn: NDArray[np.float64] = np.roll(
+        Rotation.from_matrix(body[:, :3, :3]).as_quat(), 1, axis=1
+    ).astype(np.float64)
+    values = np.random.default_rng(3).normal(size=(7, samples, 3))
+    noise = ImuNoise(1e-4, 0.5, 2e-5, 3e-3, 0.6, 4e-4)
+    imu = Imu("unit", to_rig, 10.0, 3.71, noise, time, body[:, :3, 3], turn, *values)
+    mounts = {
+        one.prim: np.linalg.inv(to_world[0]) @ camera_pose(one, 0) for one in (LEFT, RIGHT, SIDE)
+    }
+    return (
+        RigState(
+            "rover", time, to_world, mounts, (imu, replace(imu, name="more", to_rig=np.eye(4)))
+        ),
+    )
 
 
 def camera_matrix(sensor: Sensor) -> NDArray[np.float64]:

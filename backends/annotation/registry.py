@@ -21,7 +21,9 @@ from scenec.schemas.plugins import entry_points_of, error_line, load_offered, pl
 from scenec.schemas.spelling import nearest, shown
 
 #: Modules of ours but ``passes``, where the others are; a pass is its name in capitals.
-_MODULES = {MEASURED: "depth_camera"} | dict.fromkeys((*NEXT, *BEFORE, *PARTNER), "correspondence")
+_MODULES = {MEASURED: "depth_camera", "slope": "terrain", "traversable": "terrain"} | dict.fromkeys(
+    (*NEXT, *BEFORE, *PARTNER), "correspondence"
+)
 
 
 def select(scene: RenderScene, names: Sequence[str]) -> dict[str, Pass]:

@@ -157,6 +157,7 @@ def _model(
         scene.times,
         scene.label_names,
         tuple(dict.fromkeys(losses)),
+        scene.georeference,
     )
 
 

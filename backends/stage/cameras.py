@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,11 +22,12 @@ from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
 from scenec.schemas.affine import mirrored, orthonormal
 from scenec.schemas.depth_camera import DepthCamera, of_numbers
-from scenec.schemas.errors import StageError
+from scenec.schemas.errors import OutputError, StageError
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import COEFFICIENTS, Lens
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import shown
+from scenec.schemas.vehicle import Vehicle
 
 _DIRECTIONS = ("down", "up")
 #: What names of attributes of a camera's exposure begin with.
@@ -127,6 +128,7 @@ def _camera(request: Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         imaging=read_imaging(prim, time),
         focus=_focus(prim, frame, time),
         effects=_effects(prim),
+        vehicle=_vehicle(prim),
     )
 
 
@@ -318,6 +320,24 @@ def _depth_camera(prim: Usd.Prim) -> DepthCamera | None:
         return DepthCamera(of_numbers(kind, numbers.tolist()), key)
     except ValueError as error:
         raise StageError(f"{prim.GetPath()}: {names.ATTR_DEPTH_NUMBERS}: {error}") from error
+
+
+def _vehicle(prim: Usd.Prim) -> Vehicle | None:
+    """Reads a camera's vehicle, or None."""
+    attribute = prim.GetAttribute(names.ATTR_VEHICLE)
+    if not attribute or not attribute.HasAuthoredValue():
+        return None
+    numbers = values.array(attribute, np.float64).tolist()
+    declared = [one.name for one in fields(Vehicle)]
+    if len(numbers) != len(declared):
+        raise StageError(
+            f"{attribute.GetPath()}: has {len(numbers)} numbers, expected {len(declared)}: "
+            f"{', '.join(declared)}"
+        )
+    try:
+        return Vehicle(**dict(zip(declared, numbers, strict=True)))
+    except OutputError as error:
+        raise StageError(f"{attribute.GetPath()}: {error}") from error
 
 
 #: By the names of ``Sdf.ValueTypeNames``.

@@ -19,7 +19,7 @@ from scenec.schemas.errors import StageError
 #: Rays of one scan: beyond, arrays would not fit.
 _MOST = 2**28
 #: Attributes of which a lidar has one.
-_MARKS = (names.ATTR_LIDAR_ELEVATIONS, names.ATTR_LIDAR_RAYS)
+LIDAR_MARKS = (names.ATTR_LIDAR_ELEVATIONS, names.ATTR_LIDAR_RAYS)
 
 
 def read_lidars(
@@ -30,7 +30,7 @@ def read_lidars(
     Raises:
         StageError: Attributes that cannot be.
     """
-    prims = [p for p in stage.Traverse() if any(map(p.HasAttribute, _MARKS))]
+    prims = [p for p in stage.Traverse() if any(map(p.HasAttribute, LIDAR_MARKS))]
     if not prims:
         return ()
     by_sample: list[list[Lidar]] = [[] for _ in times]

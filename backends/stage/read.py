@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
 from scenec.schemas.affine import moved_boxes
 from scenec.schemas.errors import StageError
+from scenec.schemas.georeference import Georeference
 
 
 def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
@@ -103,8 +105,40 @@ def scene_of(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         sky_label_maps=label_maps,
         sky_labels_below=_sky_labels_below(stage, table),
         lidars=lidars,
+        georeference=read_georeference(stage),
         losses=unread.lines,
     )
+
+
+def read_georeference(stage: Usd.Stage) -> Georeference | None:
+    """Reads where on a body the world lies; None where the root does not say.
+
+    Raises:
+        StageError: A value is none, or none that it can have.
+    """
+    root = stage.GetDefaultPrim()
+    found: dict[str, Any] = {}
+    for field, (name, kind) in names.GEOREFERENCE.items():
+        attribute = root.GetAttribute(name) if root else None
+        if not attribute or not attribute.HasValue():
+            continue
+        if kind == "DoubleArray":
+            found[field] = values.vector(attribute, 4 if field == "east_north" else 6)
+        elif kind == "String":
+            found[field] = values.word(attribute, "")
+        else:
+            found[field] = values.number(attribute, 0.0)
+    if "semi_major_m" not in found:
+        return None
+    radii = found["semi_major_m"], found.setdefault("semi_minor_m", found["semi_major_m"])
+    if not (min(radii) > 0.0 and abs(found.setdefault("latitude_deg", 0.0)) <= 90.0):
+        raise StageError(
+            f"{root.GetPath()}: scenec:georeference has radii of {radii[0]:g} m and {radii[1]:g} m "
+            f"and the latitude {found['latitude_deg']:g}: expected radii above 0, and -90 to 90"
+        )
+    crs = root.GetAttribute(names.ATTR_GEOREFERENCE_CRS)
+    usual = {"body": "", "longitude_deg": 0.0, "crs": values.word(crs, "") if crs else ""}
+    return Georeference(**{**usual, **found})
 
 
 def _require_schema(stage: Usd.Stage, path: Path) -> None:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
+from scenec.schemas.vehicle import Vehicle
 
 #: Passes of a camera that no RenderProduct says more about.
 DEFAULT_OUTPUTS = ("rgb", "label", "instance", "depth")
@@ -331,6 +333,7 @@ class Camera:
         focus: What is sharp; None: everything.
         exposure_per: What ``picture.exposure`` finds one for: "batch" or "sample"; None: given.
         effects: What other packages do to its pictures (``scenec.backends.imaging.effects``).
+        vehicle: Whom the pass ``traversable`` is for; None: ``Vehicle()``.
     """
 
     name: str
@@ -356,6 +359,7 @@ class Camera:
     focus: Focus | None = None
     exposure_per: str | None = None
     effects: tuple[str, ...] = ()
+    vehicle: Vehicle | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -556,6 +560,8 @@ class RenderScene:
     sky_labels_below: dict[str, int] = field(default_factory=dict)
     #: Per sample: those that scan then.
     lidars: tuple[tuple[Lidar, ...], ...] = ()
+    #: Where on a body the world lies; None where the stage does not say.
+    georeference: Georeference | None = None
     #: A line for each thing in the stage that was not read, whatever the backend and the pass.
     losses: tuple[str, ...] = ()
 

@@ -1,4 +1,4 @@
-"""Reads measured height fields: NumPy arrays, GeoTIFF, pictures."""
+"""Reads measured height fields: NumPy arrays, rasters that GDAL reads, pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.geotiff import GeoReference, read_geotiff, require_memory
+from scenec.compiler.assets.raster import DRIVERS, read_raster, require_memory
+from scenec.compiler.assets.raster_plane import RasterFrame
+from scenec.compiler.assets.raster_window import RasterWindow
 from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
@@ -36,7 +38,8 @@ _FEW = 0.1
 #: Farther than any surface is from its body's center.
 _NO_BODY_M = 1e7
 _NUMPY = (".npz", ".npy")
-_GEOTIFF = (".tif", ".tiff")
+#: Heights that no surface has, in meters from its body's datum; of others, half of the radius.
+_RELIEF_M = {"Mercury": 1e4, "Venus": 2e4, "Earth": 1.5e4, "Moon": 1.5e4, "Mars": 3e4}
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 
 
@@ -64,19 +67,24 @@ class DemFile:
         values: Heights in meters with the file's own scale and offset applied, 0 in holes; float64
             [ny, nx], in the file's order.
         holes: Where there are none, bool [ny, nx].
-        reference: Where it lies, if the file says so.
+        frame: Where it lies, if the file says so.
+        spot: The window's center in the frame's coordinates; None without a window.
         facts: Which band was read and what its numbers mean, for report.json.
         void: A value of the file that looks like a hole's mark which it does not declare, and the
             share of its samples that have it; None without one.
         zeros: Those that may mark holes, and are taken for heights; None without any.
+        beyond: The height, in meters, that is farthest beyond what its body has, and the share of
+            samples beyond; None without any.
     """
 
     values: NDArray[np.float64]
     holes: NDArray[np.bool_]
-    reference: GeoReference | None
+    frame: RasterFrame | None
     facts: Facts
     void: tuple[float, float] | None
     zeros: Zeros | None
+    spot: tuple[float, float] | None = None
+    beyond: tuple[float, float] | None = None
 
 
 def read_dem(
@@ -86,37 +94,43 @@ def read_dem(
     height_range_m: tuple[float, float] | None = None,
     band: int | None = None,
     unit_m: float | None = None,
+    window: RasterWindow | None = None,
 ) -> DemFile:
     """Reads a DEM.
 
     Args:
-        file: ``.npz``, ``.npy``, GeoTIFF, or a gray picture of 8 or 16 bits.
-        array: Member of an ``.npz``; None takes the only two-dimensional one.
+        file: ``.npz``, ``.npy``, a raster of ``raster.DRIVERS``, or a gray picture of 8 or 16 bits.
+        array: Member of an ``.npz`` or a NetCDF file; None takes the only two-dimensional one.
         nodata: Value in the file that marks holes, besides NaN and what the file itself declares.
         height_range_m: Heights of black and of white, for pictures.
-        band: Band of a GeoTIFF, from 1; None takes its only one.
-        unit_m: Meters per unit of the file's heights; None takes what a GeoTIFF says, else 1.
+        band: Band of a raster, from 1; None takes its only one.
+        unit_m: Meters per unit of the file's heights; None takes what a raster says, else 1.
+        window: Part of a raster; None reads all.
 
     Raises:
         SceneError: The file is not a two-dimensional field of numbers, or is larger than memory; a
-            picture's range is missing; or see ``geotiff.read_geotiff``.
+            picture's range is missing; or see ``raster.read_raster``.
     """
     suffix = file.suffix.lower()
     missing = None
     scale, offset, unit = 1.0, 0.0, 1.0 if unit_m is None else unit_m
-    reference = None
+    frame = spot = None
     facts: dict[str, Any] = {}
-    if suffix not in _GEOTIFF and band is not None:
-        raise SceneError(f"{file.name}: band is for GeoTIFF")
+    if suffix not in DRIVERS:
+        for key, value in (("band", band), ("window", window)):
+            if value is not None:
+                raise SceneError(f"{file.name}: {key} is for GeoTIFF and other rasters")
     if suffix in PICTURES and unit_m is not None:
         raise SceneError(f"{file.name}: unit_m is for numbers; use height_range_m")
     if suffix in _NUMPY:
         samples = _read_numpy(file, array)
-    elif suffix in _GEOTIFF:
-        tiff = read_geotiff(file, band, unit_m)
-        samples, missing, reference = tiff.samples, tiff.missing, tiff.reference
-        scale, offset, unit = tiff.scale, tiff.offset, tiff.unit_m
-        facts = {"band": tiff.band, "scale": scale, "offset": offset, "unit_m": unit}
+    elif suffix in DRIVERS:
+        raster = read_raster(file, band, unit_m, array, window)
+        samples, missing, frame, spot = raster.samples, raster.missing, raster.frame, raster.spot
+        scale, offset, unit = raster.scale, raster.offset, raster.unit_m
+        facts = {"band": raster.band, "scale": scale, "offset": offset, "unit_m": unit}
+        if raster.part is not None:
+            facts["read"] = raster.part
     elif suffix in PICTURES:
         if height_range_m is None:
             raise SceneError(
@@ -128,8 +142,8 @@ def read_dem(
         scale, offset = (high - low) / float(np.iinfo(samples.dtype).max), low
     else:
         raise SceneError(
-            f"{file.name}: a DEM is a .npz, .npy, .tif or .tiff file or a picture "
-            f"({', '.join(PICTURES)}), not {suffix or 'this'}"
+            f"{file.name}: a DEM is a .npz or .npy file, a raster ({', '.join(DRIVERS)}) or a "
+            f"picture ({', '.join(PICTURES)}), not {suffix or 'this'}"
         )
     if height_range_m is not None and suffix not in PICTURES:
         raise SceneError(f"{file.name}: height_range_m is for pictures; use height_scale")
@@ -163,7 +177,26 @@ def read_dem(
         # What overflows is no height.
         holes |= ~np.isfinite(values)
     values[holes] = 0.0
-    return DemFile(values, holes, reference, facts, void, zeros)
+    beyond = None if frame is None else _beyond(values, holes, frame)
+    return DemFile(values, holes, frame, facts, void, zeros, spot, beyond)
+
+
+def _beyond(
+    values: NDArray[np.float64], holes: NDArray[np.bool_], frame: RasterFrame
+) -> tuple[float, float] | None:
+    """Returns the height that is farthest beyond its body's relief, and the share of these."""
+    if frame.radii_m is None or not frame.body or holes.all():
+        return None
+    most = _RELIEF_M.get(frame.body, 0.5 * frame.radii_m[0])
+    # Some give distances from the body's center instead, and bodies are flattened.
+    flattening = frame.radii_m[0] - frame.radii_m[1]
+    for datum, spare in ((0.0, 0.0), (frame.radii_m[0], flattening)):
+        low, high = (end - datum for end in _ends(values, ~holes))
+        if -most - spare <= low and high <= most:
+            return None
+    low, high = _ends(values, ~holes)
+    outside = int(np.count_nonzero(~holes & (np.abs(values) > most)))
+    return (low if -low > high else high), outside / values.size
 
 
 def _void(

@@ -8,13 +8,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tables import QUATERNION, CsvTable, Row, read_rows, read_table
+from scenec.compiler.assets.tables import (
+    GEOGRAPHIC,
+    PLACE,
+    QUATERNION,
+    CsvTable,
+    Row,
+    places_named,
+    read_rows,
+    read_table,
+)
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
-_PLACE = ("x_m", "y_m", "z_m")
 #: Columns there can be, in the order in which the docs name them.
-COLUMNS = ("id", "time_s", *_PLACE, *QUATERNION, "scale", "model")
+COLUMNS = ("id", "time_s", *PLACE, *QUATERNION, "scale", "model")
 _LARGEST_ID = 2**31 - 1
 
 
@@ -29,6 +37,7 @@ class PoseTable:
         quaternion: w, x, y, z, of unit length, float64 [n, 4].
         scale: float64 [n].
         model: Index of the model, int64 [n]; the same for all rows of an object.
+        is_geographic: Whether latitude and longitude stand in the place of x and y, degrees.
     """
 
     id: NDArray[np.int64]
@@ -37,16 +46,17 @@ class PoseTable:
     quaternion: NDArray[np.float64]
     scale: NDArray[np.float64]
     model: NDArray[np.int64]
+    is_geographic: bool = False
 
 
 def read_poses(file: Path, models: int = 1) -> PoseTable:
     """Reads poses: comma-separated, in UTF-8, with a header line that names the columns.
 
-    ``x_m`` and ``y_m`` must be there; ``z_m`` is 0, the quaternion ``qw, qx, qy, qz`` (all four or
-    none) no turn, ``scale`` 1, ``model`` 0 where they are not. ``id`` is the object's local id,
-    from 1: rows of the same one are the same object at several times. Without ``id``, rows with
-    ``time_s`` are one object, rows without are copies. Empty lines and lines that begin with # are
-    passed over.
+    ``x_m`` and ``y_m`` must be there, or ``latitude_deg`` and ``longitude_deg``; ``z_m`` is 0, the
+    quaternion ``qw, qx, qy, qz`` (all four or none) no turn, ``scale`` 1, ``model`` 0 where they
+    are not. ``id`` is the object's local id, from 1: rows of the same one are the same object at
+    several times. Without ``id``, rows with ``time_s`` are one object, rows without are copies.
+    Empty lines and lines that begin with # are passed over.
 
     Raises:
         SceneError: The file cannot be read, a column is missing or unknown, a value is not what it
@@ -93,26 +103,28 @@ def read_poses(file: Path, models: int = 1) -> PoseTable:
     return PoseTable(
         id=ids[order],
         time_s=times[order],
-        position_m=table.stacked(_PLACE)[order],
+        position_m=table.places()[order],
         quaternion=quaternion[order],
         scale=scale[order],
         model=model[order],
+        is_geographic=table.is_geographic,
     )
 
 
 def _check_header(file: Path, header: Row) -> None:
     line, cells = header
-    expected = f"expected columns of {', '.join(COLUMNS)}"
+    names = places_named(header, COLUMNS)
+    expected = f"expected columns of {', '.join(names)}"
     for cell in cells:
-        if cell not in COLUMNS:
+        if cell not in names:
             raise SceneError(
                 f"{file.name}:{line}: no column is called {shown(cell)}"
-                f"{nearest(cell, COLUMNS)}; {expected}"
+                f"{nearest(cell, (*names, *GEOGRAPHIC))}; {expected}"
             )
         if cells.count(cell) > 1:
             raise SceneError(f"{file.name}:{line}: the column {shown(cell)} stands twice")
     turned = not set(QUATERNION).isdisjoint(cells)
-    for name in ("x_m", "y_m", *(QUATERNION if turned else ())):
+    for name in (*places_named(header, PLACE[:2]), *(QUATERNION if turned else ())):
         if name not in cells:
             raise SceneError(f"{file.name}:{line}: no column {shown(name)}; {expected}")
 

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import closest, shown
 
+#: Columns of a place, and what can stand in the place of the first two.
+PLACE, GEOGRAPHIC = ("x_m", "y_m", "z_m"), ("latitude_deg", "longitude_deg", "z_m")
 #: How far from 1 a quaternion's length may be; it is normalized then.
 UNIT_TOLERANCE = 1e-3
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -43,6 +45,15 @@ class CsvTable:
     def stacked(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Columns beside each other, [rows, names]."""
         return np.stack([self.columns[name] for name in names], axis=1)
+
+    @property
+    def is_geographic(self) -> bool:
+        """Whether it has latitudes and longitudes."""
+        return GEOGRAPHIC[0] in self.columns
+
+    def places(self) -> NDArray[np.float64]:
+        """The columns ``PLACE``, or else ``GEOGRAPHIC``, [rows, 3]."""
+        return self.stacked(GEOGRAPHIC if self.is_geographic else PLACE)
 
     def quaternions(self) -> NDArray[np.float64]:
         """The columns ``QUATERNION``, normalized, [rows, 4].
@@ -109,6 +120,12 @@ def read_table(
     return CsvTable(
         file, [line for line, _ in rows], {n: values[:, k] for k, n in enumerate(names)}
     )
+
+
+def places_named(header: Row, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the columns that are wanted of a header line: ``GEOGRAPHIC`` where it has these."""
+    both = dict(zip(PLACE, GEOGRAPHIC, strict=True)) if GEOGRAPHIC[0] in header[1] else {}
+    return tuple(both.get(name, name) for name in names)
 
 
 def is_number(cell: str) -> bool:

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from scenec.compiler.assets import tables
 from scenec.schemas.errors import SceneError
 
-_PLACE = ("x_m", "y_m", "z_m")
-_POSE = (*_PLACE, *tables.QUATERNION)
+_POSE = (*tables.PLACE, *tables.QUATERNION)
 COLUMNS = ("time_s", *_POSE)
 #: Columns of each format, where no header names them; quaternions in their usual order.
 FORMATS: dict[str, tuple[str, ...]] = {
     "csv": COLUMNS,
     # https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats: separated by blanks.
-    "tum": ("time_s", *_PLACE, "qx", "qy", "qz", "qw"),
+    "tum": ("time_s", *tables.PLACE, "qx", "qy", "qz", "qw"),
     "oaisys": ("frame", *_POSE),
 }
 ORDERS: dict[str, tuple[str, ...]] = {"wxyz": tables.QUATERNION, "xyzw": ("qx", "qy", "qz", "qw")}
@@ -35,11 +34,13 @@ class RigTrack:
         position_m: In the world frame, meters, float64 [n, 3].
         quaternion: w, x, y, z of the rotation from the rig's frame to the world's, of unit length,
             float64 [n, 4]. Which axes the rig's frame has is said in the cfg ("convention").
+        is_geographic: Whether latitude and longitude stand in the place of x and y, degrees.
     """
 
     time_s: NDArray[np.float64]
     position_m: NDArray[np.float64]
     quaternion: NDArray[np.float64]
+    is_geographic: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Stamped:
     Attributes:
         time_s: After the first stamp, strictly rising, float64 [n].
         begin_s: The first stamp, by the file's own clock.
-        position_m, quaternion: As in ``RigTrack``.
+        position_m, quaternion, is_geographic: As in ``RigTrack``.
         lines: The line of each, for messages.
     """
 
@@ -58,6 +59,7 @@ class Stamped:
     position_m: NDArray[np.float64]
     quaternion: NDArray[np.float64]
     lines: tuple[int, ...]
+    is_geographic: bool = False
 
 
 def read_track(file: Path) -> RigTrack:
@@ -74,7 +76,8 @@ def read_track(file: Path) -> RigTrack:
     columns, width = {name: i for i, name in enumerate(COLUMNS)}, len(COLUMNS)
     if rows and not all(map(tables.is_number, rows[0][1])):
         header = rows.pop(0)
-        columns, width = tables.find_columns(file, header, COLUMNS), len(header[1])
+        wanted = tables.places_named(header, COLUMNS)
+        columns, width = tables.find_columns(file, header, wanted), len(header[1])
     names = ", ".join(COLUMNS)
     if not rows:
         raise SceneError(f"{file.name}: no poses: expected the columns {names}")
@@ -86,7 +89,7 @@ def read_track(file: Path) -> RigTrack:
     if falls.size:
         i = int(falls[0]) + 1
         raise table.fault(i, f"time_s is {time[i]:g} after {time[i - 1]:g}, expected it to rise")
-    return RigTrack(time.copy(), table.stacked(_PLACE), table.quaternions())
+    return RigTrack(time.copy(), table.places(), table.quaternions(), table.is_geographic)
 
 
 def read_stamped(
@@ -110,17 +113,18 @@ def read_stamped(
     names = FORMATS[form]
     stamp = names[0]
     if quaternion is not None:
-        names = (stamp, *_PLACE, *ORDERS[quaternion])
+        names = (stamp, *tables.PLACE, *ORDERS[quaternion])
     columns, width = {name: names.index(name) for name in (stamp, *_POSE)}, len(names)
     if rows and form != "tum" and not _begins_with_number(rows[0]):
         line, cells = rows.pop(0)
         # OAISYS's own short names stand for ours.
         cells = [f"{cell}_m" if cell in ("x", "y", "z") else cell for cell in cells]
-        columns, width = tables.find_columns(file, (line, cells), tuple(columns)), len(cells)
+        wanted = tables.places_named((line, cells), tuple(columns))
+        columns, width = tables.find_columns(file, (line, cells), wanted), len(cells)
     if not rows:
         raise SceneError(f"{file.name}: no poses: expected the columns {' '.join(names)}")
     table = tables.read_table(file, rows, columns, width, f": {' '.join(names)}")
-    stamps, poses = table.columns[stamp], np.hstack([table.stacked(_PLACE), table.quaternions()])
+    stamps, poses = table.columns[stamp], np.hstack([table.places(), table.quaternions()])
     kept = _distinct(table, stamp, stamps, poses)
     lines = tuple(table.lines[i] for i in kept.tolist())
     stamps, poses = stamps[kept], poses[kept]
@@ -129,7 +133,8 @@ def read_stamped(
         if frame_rate_hz is None:
             raise SceneError(f"{file.name}: counts frames: expected frame_rate_hz")
         time, begin = time / frame_rate_hz, begin / frame_rate_hz
-    return Stamped(time, begin, poses[:, :3].copy(), poses[:, 3:].copy(), lines)
+    position, quaternions = poses[:, :3].copy(), poses[:, 3:].copy()
+    return Stamped(time, begin, position, quaternions, lines, table.is_geographic)
 
 
 def _begins_with_number(row: tables.Row) -> bool:

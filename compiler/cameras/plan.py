@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from scenec.compiler.cameras.imu import ImuPlan
 from scenec.compiler.cameras.paths.motion import RigMotion
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.kinds import an, forms, key, named
@@ -30,6 +31,8 @@ class RigKeys:
     """Sensors by name."""
     lidars: JsonObject = key(named(an("lidar"), "One lidar.", by="lidar", least=1), sparse=True)
     """Lidars by name."""
+    imus: JsonObject = key(named(an("imu"), "One IMU.", by="imu", least=1), sparse=True)
+    """Inertial measurement units by name."""
     allow_below: bool = key(forms.TRUTH, default=False, sparse=True)
     """Whether its sensors may be below the ground, inside of objects or off the terrain. Otherwise
     a sensor that is there at any sample, or while its shutter is open, is an error of compile."""
@@ -48,6 +51,7 @@ class RigPlan:
     sensors: tuple[SensorPlan, ...]
     lidars: tuple[Lidar, ...] = ()
     allow_below: bool = False
+    imus: tuple[ImuPlan, ...] = ()
 
     @property
     def outputs(self) -> list[str]:

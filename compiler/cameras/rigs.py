@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.cache.memo import memoized
 from scenec.compiler.cameras.imaging import ImagingPlan, two_to
+from scenec.compiler.cameras.imu_readings import read_along
 from scenec.compiler.cameras.pairs import require_rectified
 from scenec.compiler.cameras.paths.motion import MotionBodies, MotionContext, bodies_of
 from scenec.compiler.cameras.plan import RigPlan
@@ -50,6 +51,9 @@ def build_rigs(
         still = Rig(plan.name, built.to_world, sensors, built.times, plan.lidars)
         rig, opened = open_shutters(still, plan.sensors, way_of(plan.pose, built, around), around)
         require_rectified(f"rigs/{plan.name}", rig.sensors)
+        if plan.imus:
+            read = tuple(read_along(one, plan.pose, built, around) for one in plan.imus)
+            rig = replace(rig, imus=read)
         rigs.append(rig)
         said = {**built.facts} | ({"shutter": opened} if opened else {})
         if said:

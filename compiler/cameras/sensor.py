@@ -19,11 +19,13 @@ from scenec.schemas.lens import EQUIRECTANGULAR
 from scenec.schemas.plugins import origin
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import nearest, shown
+from scenec.schemas.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from scenec.compiler.cameras.exposure import ShutterKeys as Opening
     from scenec.compiler.cameras.imaging import ImagingKeys, ImagingPlan
     from scenec.compiler.cameras.lens import FocusKeys
+    from scenec.compiler.cameras.vehicle import VehicleKeys
     from scenec.compiler.scene import rig
 
 
@@ -123,6 +125,8 @@ class SensorKeys:
     """At which samples it takes a frame; left out, at all."""
     depth_camera: JsonObject | None = key(an("depth_camera"), sparse=True)
     """How the sensor measures depth, for the output depth_measured."""
+    vehicle: VehicleKeys | None = key(an("vehicle", drawn=True), sparse=True)
+    """Whom the output traversable is for; left out, about a Mars Exploration Rover."""
     partner: str | None = key(TEXT, sparse=True)
     """Another sensor of the rig, to whose picture disparity goes: a rectified pair, alike but for
     its place along the picture's rows and its principal point's column."""
@@ -181,6 +185,7 @@ class SensorKeys:
                 _effect(effect, context.at(f"{path}/effects/{i}"))
                 for i, effect in enumerate(self.effects or ())
             ),
+            vehicle=None if self.vehicle is None else Vehicle(**vars(self.vehicle)),
         )
         return SensorPlan(sensor, exposure.METERED, imaging, opened)
 
@@ -200,10 +205,11 @@ def _check_outputs(node: Node) -> Iterator[Finding]:
     outputs = asked or ()
     if MEASURED in outputs and "depth_camera" not in node:
         yield Finding(place, f"the output {shown(MEASURED)} needs the key depth_camera")
-    if "depth_camera" in node and "outputs" in asks and asked and MEASURED not in asked:
-        yield node.key_fault(
-            f"nothing reads it: the output {shown(MEASURED)} is not asked for", "depth_camera"
-        )
+    for use, output in (("depth_camera", MEASURED), ("vehicle", "traversable")):
+        if use in node and "outputs" in asks and asked and output not in asked:
+            yield node.key_fault(
+                f"nothing reads it: the output {shown(output)} is not asked for", use
+            )
     partner, name = node["partner"], node.path[-1]
     if partner is not None:
         sensors = node.whole().at(*node.path[:-1])

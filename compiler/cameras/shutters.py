@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import MotionContext, RigMotion, RigPoses, Way
 from scenec.compiler.cameras.sensor import SensorPlan
-from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.cameras.tracks import poses_at
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import composed
 from scenec.compiler.scene.rig import Between, OpenShutter, Rig, Sensor
@@ -81,17 +81,13 @@ def way_of(pose: RigMotion, built: RigPoses, context: MotionContext) -> Way | No
     if built.way is not None or built.times is None or duration is None:
         return built.way
     what = f"while a shutter is open: {context.what}"
-    # Each motion over time is a dataclass with a sampling.
-    motion: Any = pose
 
     def at(times: NDArray[np.float64]) -> NDArray[np.float64]:
         within = np.clip(times, 0.0, duration)
         # Motions are made for times that rise.
         rising = np.sort(within, kind="stable")
         rising = rising[np.append(True, rising[1:] > rising[:-1])]
-        sampled = dataclasses.replace(motion, sampling=Sampling(times_s=tuple(rising.tolist())))
-        there = dataclasses.replace(context, what=what, samples=len(rising), exposing=True)
-        made = sampled.built(there)
+        made = poses_at(pose, dataclasses.replace(context, what=what), rising)
         return np.asarray(made.to_world[np.searchsorted(rising, within)])
 
     return Way(at, built.times)

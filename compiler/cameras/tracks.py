@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.assets.tracks import Stamped, read_stamped, read_track
-from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, Way
+from scenec.compiler.assets.tracks import RigTrack, Stamped, read_stamped, read_track
+from scenec.compiler.cameras.paths.motion import Kinematics, MotionContext, RigPoses, Way
+from scenec.compiler.geometry.places import on_plane
+from scenec.compiler.geometry.pose_spline import SplinePoses, spline_poses
 from scenec.compiler.geometry.poses import compose, from_quaternion
 from scenec.compiler.geometry.se3 import interpolate, matrices
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
@@ -22,6 +24,8 @@ from scenec.schemas.spelling import shown
 
 #: A sample may lie so far behind a track's end, in parts of its step: rounding of k / rate.
 _HAIR = 1e-9
+#: The method of ``geometry.pose_spline``.
+SPLINE = "spline"
 _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 
@@ -105,6 +109,22 @@ class Sampling:
         return np.minimum(at, duration_s)
 
 
+def poses_at(motion: Any, context: MotionContext, at_s: NDArray[np.float64]) -> RigPoses:
+    """Returns the poses of a made motion at times that rise, in place of its samples.
+
+    Args:
+        motion: A dataclass with a key ``sampling``.
+        context: Of the motion.
+        at_s: After its beginning, float64 [n].
+
+    Raises:
+        SceneError: The motion cannot be as it is asked for.
+    """
+    sampled = replace(motion, sampling=Sampling(times_s=tuple(at_s.tolist())))
+    poses: RigPoses = sampled.built(replace(context, samples=len(at_s), exposing=True))
+    return poses
+
+
 @dataclass(frozen=True)
 class Gaps:
     """Defines what happens where stamps are missing.
@@ -124,7 +144,7 @@ class TrackWay:
 
     Attributes:
         times: Of the samples, after the first stamp, [s].
-        method: One of ``se3.METHODS``.
+        method: One of ``se3.METHODS``, or "spline".
         what: Who asks, for messages.
         usd: Whether the track's axes are USD's (and Blender's): y up, looking down -z.
     """
@@ -159,6 +179,47 @@ class TrackWay:
         Raises:
             SceneError: A sample falls into a gap.
         """
+        track, at = self.track, self._in_gaps(at_s, label)
+        if self.method == SPLINE:
+            spline = self._spline(at)
+            way = spline.position, spline.quaternion
+        else:
+            way = interpolate(track.time_s, track.position_m, track.quaternion, at, self.method)
+        poses = matrices(*way)
+        return poses * np.diag(_HALF_TURN) if self.usd else poses
+
+    def moving(self, at_s: NDArray[np.float64]) -> Kinematics:
+        """The motion at times after the first stamp, of a spline.
+
+        Args:
+            at_s: Float64 [n].
+
+        Raises:
+            SceneError: One falls into a gap, or there is no such curve.
+        """
+        spline = self._spline(self._in_gaps(at_s, "the time"))
+        turn = _HALF_TURN if self.usd else np.eye(4)
+        axes = np.diag(turn)[:3]
+        return Kinematics(
+            matrices(spline.position, spline.quaternion) * np.diag(turn),
+            spline.velocity,
+            spline.acceleration,
+            spline.spin * axes,
+            spline.spin_rate * axes,
+        )
+
+    def _spline(self, at: NDArray[np.float64]) -> SplinePoses:
+        track = self.track
+        spline = spline_poses(track.time_s, track.position_m, track.quaternion, at)
+        if spline is None:
+            raise SceneError(
+                f"{self.what}: no spline goes through turns as large as from pose to pose here: "
+                'expected poses closer together, or the interpolation "cubic"'
+            )
+        return spline
+
+    def _in_gaps(self, at_s: NDArray[np.float64], label: str) -> NDArray[np.float64]:
+        """The times at which the track is asked for: those in a gap that is held, its beginning."""
         track, longest = self.track, self.gaps.longest_s
         # A gap's two ends are given poses: what lies between them is not.
         at = at_s.copy()
@@ -176,9 +237,7 @@ class TrackWay:
                     f'into them: expected max_gap_s ({longest:g} s) at most, or gaps to be "hold"'
                 )
             at[inside] = before[inside]
-        way = interpolate(track.time_s, track.position_m, track.quaternion, at, self.method)
-        poses = matrices(*way)
-        return poses * np.diag(_HALF_TURN) if self.usd else poses
+        return at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +249,9 @@ class TrackFile:
     file: Path = key(file("track"))
     """A CSV file with the columns time_s, x_m, y_m, z_m, qw, qx, qy, qz (in this order where there
     is no header line): position in the world and rotation from the rig's frame to it; or one of
-    another format. Relative to the cfg, or "package:NAME/path"."""
+    another format. A header may say latitude_deg, longitude_deg in the place of x_m, y_m, where the
+    terrain is on a DEM whose file has a georeference. Relative to the cfg, or
+    "package:NAME/path"."""
     convention: Literal["opencv", "usd"] = key(CHOICE, default="opencv")
     """Axes that the quaternions speak of: opencv (x right, y down, z forward; OAISYS of 2021) or
     usd (x right, y up, looking down -z; as Blender and today's OAISYS)."""
@@ -204,10 +265,11 @@ class TrackFile:
     """Frames a second of a file that counts frames (oaisys)."""
     sampling: Sampling | None = key(an("pose_sampling", drawn=True), sparse=True)
     """At which times the samples are; left out, at the first stamps, one row a sample."""
-    interpolation: Literal["linear", "cubic", "screw"] | None = key(CHOICE, sparse=True)
+    interpolation: Literal["linear", "cubic", "screw", "spline"] | None = key(CHOICE, sparse=True)
     """Between stamps: linear (also where it is left out: straight lines, turns the shorter way at
-    an even rate), cubic (through all stamps with continuous velocities) or screw (positions and
-    turns together, along the helix between two poses)."""
+    an even rate), cubic (through all stamps with continuous velocities), screw (positions and
+    turns together, along the helix between two poses) or spline (through all stamps with continuous
+    accelerations, as an IMU needs)."""
     max_gap_s: float | None = key(CONSTANT, sparse=True, above=0, at_most=1000000000.0, unit="s")
     """Stamps that are farther apart are a gap; left out, none are."""
     gaps: Literal["error", "hold"] | None = key(CHOICE, sparse=True)
@@ -245,7 +307,7 @@ class TrackFile:
         form, method = self.format or "csv", self.interpolation or "linear"
         gaps = Gaps(self.max_gap_s, self.gaps == "hold")
         if self.sampling is None and form == "csv" and self.quaternion is None:
-            track = read_track(self.file)
+            track = _on_plane(read_track(self.file), context, what)
             rows = [
                 from_quaternion(track.position_m[i], track.quaternion[i])
                 for i in range(context.samples)
@@ -256,6 +318,7 @@ class TrackFile:
             at, times = stamped.time_s[: context.samples], track.time_s[: context.samples]
         else:
             stamped = read_stamped(self.file, form, self.quaternion, self.frame_rate_hz)
+            stamped = _on_plane(stamped, context, what)
             if self.sampling is None:
                 first = slice(context.samples)
                 at = stamped.time_s[first]
@@ -267,6 +330,13 @@ class TrackFile:
             times = stamped.begin_s + at
         way = TrackWay(at, stamped, method, gaps, what, usd) if context.between else None
         return TrackPlan(to_world, times, way)
+
+
+def _on_plane[T: (RigTrack, Stamped)](track: T, context: Context, what: str) -> T:
+    """Returns a track in the world; see ``places.on_plane``."""
+    if not track.is_geographic:
+        return track
+    return replace(track, position_m=on_plane(track.position_m, context.georeference(), what))
 
 
 @dataclass(frozen=True)
@@ -288,3 +358,8 @@ class TrackPlan:
         """The poses; see ``Motion``."""
         way = None if self.way is None else Way(self.way.at, self.way.times)
         return RigPoses(self.to_world, self.times, way=way)
+
+    def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
+        """The motion at times after the first stamp, of a track whose ``way`` is a spline."""
+        assert self.way is not None
+        return self.way.moving(at_s)

@@ -123,12 +123,16 @@ def part_class(reference: str) -> type[Part]:
     """The class of a schema."""
     name = next(name for name, own in names().items() if own == reference)
     described = schema.describe({"$ref": reference}, {})
-    const = {key: entry["const"] for key, entry in keys(reference).items() if "const" in entry}
+    const = {
+        key: entry["const"]
+        for key, entry in keys(reference).items()
+        if "const" in entry and not entry.get("x-sparse")
+    }
     required = described.keywords.get("required", ())
     fields = [
         (key, Any) if key in required else (key, Any, dataclasses.field(default=LEFT_OUT))
         for key in keys(reference)
-        if key not in const
+        if "const" not in keys(reference)[key]
     ]
     base = CompleteCfg if reference == schema.ROOT else Part
     namespace = {
@@ -184,6 +188,6 @@ def _reference(of: JsonObject, value: JsonObject) -> str | None:
         return str(reference)
     content = schema.load_schemas()[reference] if reference else of
     for branch in content.get("allOf", ()):
-        if branch["if"]["properties"]["type"]["const"] == value.get("type"):
+        if schema.fits(value, branch["if"]):
             return str(branch["then"]["$ref"])
     return None

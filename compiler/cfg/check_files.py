@@ -20,6 +20,7 @@ from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
     from scenec.compiler.assets.dem_file import Zeros
+    from scenec.compiler.assets.raster_window import RasterWindow
     from scenec.compiler.assets.shells import ParsedModel
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -153,7 +154,11 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
                 yield owner.fault(f"no array {shown(member)} in {file.name}{hint}", "array")
                 return
         span = (0.0, 1.0) if "height_range_m" in owner else None
-        dem = read_dem(file, member, owner["nodata"], span, owner["band"], owner["unit_m"])
+        part = _window(owner, cfg)
+        if "window" in owner and part is None:
+            # What is wrong with it has been said.
+            return
+        dem = read_dem(file, member, owner["nodata"], span, owner["band"], owner["unit_m"], part)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise SceneError(f"{file.name}: a broken file: {error or type(error).__name__}") from error
     except MemoryError as error:
@@ -166,16 +171,55 @@ def _check_dem(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
             f'"nodata": {sample:.17g} (and "holes": "fill" where they are under the terrain), or '
             '"nodata": null if they are heights'
         )
+    elif dem.beyond is not None and not ("nodata" in owner and owner["nodata"] is None):
+        assert dem.frame is not None
+        height, share = dem.beyond
+        yield owner.fault(
+            f"{100.0 * share:.2g} % of the samples of {file.name} are heights that the body "
+            f"({dem.frame.body}) does not have, as far as {height:.6g} m: say what they are with "
+            'unit_m, which value marks holes with nodata, or "nodata": null if they are heights'
+        )
     if dem.zeros is not None and not ("nodata" in owner and owner["nodata"] is None):
         yield replace(owner.fault(_zeros(file, owner, dem.zeros), "file"), is_warning=True)
-    if "pixel_m" not in owner and (dem.reference is None or dem.reference.pixel_m() is None):
+    sized = dem.frame is not None and (dem.frame.geographic or dem.frame.pixel_m() is not None)
+    if "pixel_m" not in owner and not sized:
         where = ""
-        if dem.reference is not None and dem.reference.crs:
-            where = ": its coordinates are degrees, or of an unknown unit: project it (gdalwarp"
-            where += " -t_srs), or say how large a pixel is"
+        if dem.frame is not None and dem.frame.crs:
+            where = ": its coordinates are of an unknown unit: say how large a pixel is"
         yield owner.fault(
             f'the key "pixel_m" is missing: {file.name} does not give its pixels in meters{where}'
         )
+
+
+def _window(owner: Node, cfg: Node) -> RasterWindow | None:
+    """The part of a raster that a DEM's window takes; None without a sound one."""
+    from scenec.compiler.assets.raster_window import RasterWindow
+
+    if "window" not in owner:
+        return None
+    window, size = owner.at("window"), owner["pixel_m"]
+    if isinstance(size, float | int):
+        size = size, size
+    # Drawn later: what is read then is near enough.
+    pixel = None if size is None or isinstance(size, dict) else (float(size[0]), float(size[1]))
+    spacing = cfg.at("terrain")["spacing_m"] if owner.path[:2] == ("terrain", "relief") else 0.0
+    lat, lon, x, y = (window[n] for n in ("latitude_deg", "longitude_deg", "x_m", "y_m"))
+    whole = (None not in (lat, lon)) != (None not in (x, y))
+    if window["size_m"] is None or not whole:
+        return None
+    wide, high = window["size_m"]
+    finest = spacing if isinstance(spacing, float | int) else 0.0
+    return RasterWindow(lat, lon, x, y, (wide, high), pixel, finest)
+
+
+def _members_of_dem(file: Path, owner: Node) -> list[tuple[str, Path]]:
+    """Lists a DEM's file, and those that it names."""
+    from scenec.compiler.assets.raster import ALONE, DRIVERS, files_of
+
+    suffix = file.suffix.lower()
+    if suffix not in DRIVERS or suffix in ALONE:
+        return [("", file)]
+    return [("", path) for path in files_of(file, owner["array"])]
 
 
 def _zeros(file: Path, owner: Node, zeros: Zeros) -> str:
@@ -335,6 +379,7 @@ _CHECKS: dict[str, Callable[[Path, Node, Node], Iterable[Finding] | None]] = {
 }
 #: What is more than the file itself: files, and what each is called in the digest.
 _MEMBERS: dict[str, Callable[[Path, Node], list[tuple[str, Path]]]] = {
+    "dem": _members_of_dem,
     "mesh": _members_of_mesh,
     "model": _members_of_model,
     "texture_set": _members_of_texture_set,

@@ -9,6 +9,7 @@ from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
 from scenec.schemas.codec import JsonObject
+from scenec.schemas.imu import GRAVITY_M_S2
 
 #: A cfg in full, by key; what it holds is said by the declarations of ``kinds.table``.
 type Cfg = JsonObject
@@ -22,14 +23,18 @@ def fill(document: Any) -> Cfg:
     - A key that was left out has its default, or None where it has none.
     - Every number is a float, an int (where whole numbers are taken) or a ``Distribution``.
     - Where a default hangs on other keys, the class that declares them says it in its ``fill``.
-    - A sensor without outputs has the cfg's; a ground layer with a coverage has threshold None, one
-      with conditions and without a noise has noise None.
+    - A sensor without outputs has the cfg's; an IMU without gravity that of the sky's planet; a
+      ground layer with a coverage has threshold None, one with conditions and without a noise has
+      noise None.
     """
     cfg: Any = _fill(schema.root(document))
     for rig in cfg["rigs"].values():
         for sensor in rig["sensors"].values():
             if sensor["outputs"] is None:
                 sensor["outputs"] = list(cfg["outputs"])
+        for imu in rig.get("imus", {}).values():
+            if imu["gravity_m_s2"] is None:
+                imu["gravity_m_s2"] = GRAVITY_M_S2[cfg["light"]["sky"]["planet"]]
     given = document["terrain"]["ground"]
     for layer, own in zip(cfg["terrain"]["ground"][1:], given[1:], strict=True):
         if layer["coverage"] is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
@@ -162,6 +163,12 @@ def _write_georeference(world: Usd.Prim, scene: Scene) -> None:
         (names.ATTR_GEOREFERENCE_HEIGHT_OFFSET, TYPES.Double, place.height_offset_m),
     ):
         custom(world, name, kind).Set(value)
+    for field in fields(place.place) if place.place else ():
+        value = getattr(place.place, field.name)
+        if field.name in names.GEOREFERENCE and value != field.default:
+            name, kind = names.GEOREFERENCE[field.name]
+            made = custom(world, name, getattr(TYPES, kind))
+            made.Set(list(value) if isinstance(value, tuple) else value)
 
 
 def _write_instance_bases(stage: Usd.Stage, scene: Scene) -> None:

@@ -8,6 +8,7 @@ two. ``camera_to_world`` of the contract is therefore (prim's local-to-world) * 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from scenec.schemas import imaging as formulas
 from scenec.schemas import stage as names
 from scenec.schemas.depth_camera import DepthCamera, as_numbers, kind_of
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.imu import Imu
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import BUILT_IN
 
@@ -54,6 +56,8 @@ def write_cameras(path: Path, scene: Scene) -> None:
                 products.append(_write_product(stage, rig, sensor, camera, scene))
             for lidar in rig.lidars:
                 write_lidar(stage, f"{RIGS}/{rig.name}/{lidar.name}", lidar)
+            for imu in rig.imus:
+                write_imu(stage, f"{RIGS}/{rig.name}/{imu.name}", imu)
         settings = UsdRender.Settings.Define(stage, f"{names.RENDER_SCOPE}/Settings")
         settings.CreateProductsRel().SetTargets(products)
 
@@ -106,6 +110,9 @@ def _write_camera(stage: Usd.Stage, rig: Rig, sensor: Sensor) -> UsdGeom.Camera:
     write_trigger(camera.GetPrim(), sensor.trigger)
     if sensor.depth_camera is not None:
         write_depth_camera(camera.GetPrim(), sensor.depth_camera)
+    if sensor.vehicle is not None:
+        numbers = Vt.DoubleArray(list(astuple(sensor.vehicle)))
+        custom(camera.GetPrim(), names.ATTR_VEHICLE, TYPES.DoubleArray).Set(numbers)
     if sensor.partner is not None:
         camera.GetPrim().CreateRelationship(names.REL_PARTNER, custom=True).SetTargets(
             [f"{RIGS}/{rig.name}/{sensor.partner}"]
@@ -216,6 +223,36 @@ def write_lidar(stage: Usd.Stage, path: str, lidar: Lidar) -> None:
         if value != usual:
             custom(prim, name, kind).Set(value)
     write_trigger(prim, lidar.trigger)
+
+
+def write_imu(stage: Usd.Stage, path: str, imu: Imu) -> None:
+    """Writes an IMU below its rig, with what it reads and the true state then."""
+    xform = UsdGeom.Xform.Define(stage, path)
+    xform.AddTransformOp().Set(matrix(imu.to_rig))
+    prim = xform.GetPrim()
+    numbers = list(vars(imu.noise).values())
+    noisy = any(numbers)
+    custom(prim, names.ATTR_IMU_RATE, TYPES.Double).Set(imu.rate_hz)
+    custom(prim, names.ATTR_IMU_GRAVITY, TYPES.Double).Set(imu.gravity_m_s2)
+    if noisy:
+        custom(prim, names.ATTR_IMU_NOISE, TYPES.DoubleArray).Set(Vt.DoubleArray(numbers))
+    times = Vt.DoubleArray.FromNumpy(imu.time_s)
+    custom(prim, names.ATTR_IMU_TIMES, TYPES.DoubleArray).Set(times)
+    turns = Vt.Vec4dArray.FromNumpy(np.ascontiguousarray(imu.orientation))
+    custom(prim, names.ATTR_IMU_ORIENTATIONS, TYPES.Double4Array).Set(turns)
+    for name, vectors, always in (
+        (names.ATTR_IMU_GYROSCOPE, imu.gyroscope, True),
+        (names.ATTR_IMU_ACCELEROMETER, imu.accelerometer, True),
+        (names.ATTR_IMU_POSITIONS, imu.position_m, True),
+        (names.ATTR_IMU_VELOCITIES, imu.velocity_m_s, True),
+        (names.ATTR_IMU_ANGULAR_VELOCITY, imu.angular_velocity, noisy),
+        (names.ATTR_IMU_SPECIFIC_FORCE, imu.specific_force, noisy),
+        (names.ATTR_IMU_GYROSCOPE_BIAS, imu.gyroscope_bias, noisy),
+        (names.ATTR_IMU_ACCELEROMETER_BIAS, imu.accelerometer_bias, noisy),
+    ):
+        if always:
+            values = Vt.Vec3dArray.FromNumpy(np.ascontiguousarray(vectors))
+            custom(prim, name, TYPES.Double3Array).Set(values)
 
 
 def write_shutter(camera: UsdGeom.Camera, rig: Rig, shutter: OpenShutter) -> None:

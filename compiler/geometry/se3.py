@@ -87,7 +87,7 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _difference(a, b):  # type: ignore[no-untyped-def]
+def turn_between(a, b):  # type: ignore[no-untyped-def]
     """conj(a) * b, of the sign that turns the shorter way."""
     r = _times((a[0], -a[1], -a[2], -a[3]), (b[0], b[1], b[2], b[3]))
     flip = r[0] < 0.0
@@ -103,7 +103,7 @@ def _difference(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _log(r):  # type: ignore[no-untyped-def]
+def rotation_vector(r):  # type: ignore[no-untyped-def]
     """Rotation vector of a unit quaternion: axis times angle, radians."""
     s = np.sqrt(r[1] * r[1] + r[2] * r[2] + r[3] * r[3])
     # Near no turn, angle / s = 2 + O(s^2), which is 2 to the last bit.
@@ -112,7 +112,7 @@ def _log(r):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _exp(x, y, z):  # type: ignore[no-untyped-def]
+def turn_by(x, y, z):  # type: ignore[no-untyped-def]
     """Unit quaternion of a rotation vector."""
     angle = np.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
@@ -121,12 +121,13 @@ def _exp(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cross(a, b):  # type: ignore[no-untyped-def]
+def cross(a, b):  # type: ignore[no-untyped-def]
+    """Computes the cross product, a tuple."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @kernel
-def _screw_velocity(w, t):  # type: ignore[no-untyped-def]
+def unscrewed(w, t):  # type: ignore[no-untyped-def]
     """V(w)^-1 t: what the translational part of the twist of a displacement (exp w, t) is."""
     square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
     angle = np.sqrt(square)
@@ -136,8 +137,8 @@ def _screw_velocity(w, t):  # type: ignore[no-untyped-def]
     else:
         half = 0.5 * angle
         k = (1.0 - half * elementary.cos(half) / elementary.sin(half)) / square
-    c = _cross(w, t)
-    d = _cross(w, c)
+    c = cross(w, t)
+    d = cross(w, c)
     return (
         t[0] - 0.5 * c[0] + k * d[0],
         t[1] - 0.5 * c[1] + k * d[1],
@@ -158,13 +159,13 @@ def _screw_step(w, v):  # type: ignore[no-untyped-def]
         # 1 - cos by the half angle, which does not cancel.
         a = 2.0 * s * s / square
         b = (1.0 - elementary.sin(angle) / angle) / square
-    c = _cross(w, v)
-    d = _cross(w, c)
+    c = cross(w, v)
+    d = cross(w, c)
     return v[0] + a * c[0] + b * d[0], v[1] + a * c[1] + b * d[1], v[2] + a * c[2] + b * d[2]
 
 
 @kernel
-def _velocities(step, rate, i, out):  # type: ignore[no-untyped-def]
+def parabola_velocity(step, rate, i, out):  # type: ignore[no-untyped-def]
     """Velocity at key i from the mean ones of the steps around it: the parabola through three."""
     steps = len(step)
     for k in range(3):
@@ -190,7 +191,7 @@ def _interpolate(time, p, q, at, method, out_p, out_q):  # type: ignore[no-untyp
     move = np.zeros((max(n - 1, 1), 3))
     for i in range(n - 1):
         step[i] = time[i + 1] - time[i]
-        spin[i] = _log(_difference(q[i], q[i + 1]))
+        spin[i] = rotation_vector(turn_between(q[i], q[i + 1]))
         if method == CUBIC:
             spin[i] /= step[i]
             for k in range(3):
@@ -198,7 +199,7 @@ def _interpolate(time, p, q, at, method, out_p, out_q):  # type: ignore[no-untyp
         elif method == SCREW:
             way = p[i + 1] - p[i]
             local = _turned((q[i, 0], -q[i, 1], -q[i, 2], -q[i, 3]), (way[0], way[1], way[2]))
-            v = _screw_velocity((spin[i, 0], spin[i, 1], spin[i, 2]), local)
+            v = unscrewed((spin[i, 0], spin[i, 1], spin[i, 2]), local)
             for k in range(3):
                 move[i, k] = v[k]
     v0, v1, w0, w1 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -216,33 +217,34 @@ def _interpolate(time, p, q, at, method, out_p, out_q):  # type: ignore[no-untyp
         base = (q[i, 0], q[i, 1], q[i, 2], q[i, 3])
         if method == CUBIC:
             h = step[i]
-            _velocities(step, move, i, v0)
-            _velocities(step, move, i + 1, v1)
-            _velocities(step, spin, i, w0)
-            _velocities(step, spin, i + 1, w1)
+            parabola_velocity(step, move, i, v0)
+            parabola_velocity(step, move, i + 1, v1)
+            parabola_velocity(step, spin, i, w0)
+            parabola_velocity(step, spin, i + 1, w1)
             r = 1.0 - u
             for k in range(3):
                 # From the chord: the cubic's departure from it is 0 where the velocity is even.
                 rise = move[i, k]
                 bend = r * (v0[k] - rise) - u * (v1[k] - rise)
                 out_p[m, k] = r * p[i, k] + u * p[i + 1, k] + h * u * r * bend
-            a = _exp(w0[0] * h / 3.0, w0[1] * h / 3.0, w0[2] * h / 3.0)
-            c = _exp(w1[0] * h / 3.0, w1[1] * h / 3.0, w1[2] * h / 3.0)
-            whole = _exp(spin[i, 0] * h, spin[i, 1] * h, spin[i, 2] * h)
+            a = turn_by(w0[0] * h / 3.0, w0[1] * h / 3.0, w0[2] * h / 3.0)
+            c = turn_by(w1[0] * h / 3.0, w1[1] * h / 3.0, w1[2] * h / 3.0)
+            whole = turn_by(spin[i, 0] * h, spin[i, 1] * h, spin[i, 2] * h)
             middle = _times(_times((a[0], -a[1], -a[2], -a[3]), whole), (c[0], -c[1], -c[2], -c[3]))
-            b = _log(_difference((1.0, 0.0, 0.0, 0.0), middle))
+            b = rotation_vector(turn_between((1.0, 0.0, 0.0, 0.0), middle))
             b1 = (1.0 - r * r * r) * h / 3.0
             b2 = u * u * (3.0 - 2.0 * u)
             b3 = u * u * u * h / 3.0
             turn = _times(
                 _times(
-                    _exp(b1 * w0[0], b1 * w0[1], b1 * w0[2]), _exp(b2 * b[0], b2 * b[1], b2 * b[2])
+                    turn_by(b1 * w0[0], b1 * w0[1], b1 * w0[2]),
+                    turn_by(b2 * b[0], b2 * b[1], b2 * b[2]),
                 ),
-                _exp(b3 * w1[0], b3 * w1[1], b3 * w1[2]),
+                turn_by(b3 * w1[0], b3 * w1[1], b3 * w1[2]),
             )
         else:
             w = (u * spin[i, 0], u * spin[i, 1], u * spin[i, 2])
-            turn = _exp(w[0], w[1], w[2])
+            turn = turn_by(w[0], w[1], w[2])
             if method == SCREW:
                 v = _screw_step(w, (u * move[i, 0], u * move[i, 1], u * move[i, 2]))
                 way = _turned(base, v)

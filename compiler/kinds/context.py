@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.declare import keys_of
 from scenec.schemas.codec import JsonObject
+from scenec.schemas.georeference import Georeference
 
 #: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
 type Array = NDArray[np.float64]
@@ -46,10 +47,13 @@ class Context:
         ground: The cfg's ground layers, resolved.
         relief: Operators before the part.
         label_table: The cfg's labels: per level, name -> id.
+        georeference: Returns where on a body the terrain lies; None where no DEM of it says so.
         between: Whether poses are asked for between the samples, too: while a shutter is open.
         path: Of what is drawn: "terrain/relief/0".
         samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
+        spacing_m: Of the samples of the relief.
+        georeference: Returns where on a body the terrain lies; None where no DEM of it says so.
     """
 
     streams: Streams
@@ -58,10 +62,12 @@ class Context:
     ground: Sequence[JsonObject] = ()
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    georeference: Callable[[], Georeference | None] = lambda: None
     path: str = ""
     samples: int = 1
     between: bool = False
     choice: str = ""
+    spacing_m: float = 1.0
 
     def at(self, path: str) -> Context:
         """Returns the context of what is drawn at a place."""

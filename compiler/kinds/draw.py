@@ -33,7 +33,8 @@ def draw_kind(choice: str, node: JsonObject, path: str, context: Context) -> Any
         ScenecError: What another package's kind draws is nothing of its group.
     """
     context = dataclasses.replace(context, choice=choice)
-    kind = kind_of(choice, node["type"])
+    name = node.get("type", CHOICES[choice].usual)
+    kind = kind_of(choice, name)
     made = _instantiate(kind, {k: v for k, v in node.items() if k != "type"}, path, context)
     group = CHOICES[choice].group
     # What a class with a ``SCHEMA`` calls so is its own affair, unless its base says what it is.
@@ -42,10 +43,10 @@ def draw_kind(choice: str, node: JsonObject, path: str, context: Context) -> Any
     if is_builtin(kind) or (made is None and choice == "sky"):
         return made
     if lacks := lacking(group, type(made)):
-        who = named(group, node["type"])
+        who = named(group, name)
         raise ScenecError(f"{who}: draw returned {made!r:.60}: expected {lacks}")
     if not is_builtin(type(made)):
-        give_name(group, type(made), node["type"])
+        give_name(group, type(made), name)
     return made
 
 

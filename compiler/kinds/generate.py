@@ -84,11 +84,14 @@ def _keys(first: Keys, kind: type[Any], last: Keys | None = None) -> dict[str, A
     }
 
 
-def _branches(kinds: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Returns what leads from a ``type`` to its definition."""
+def _branches(kinds: Mapping[str, str], usual: str = "") -> list[dict[str, Any]]:
+    """Returns what leads from a ``type`` to its definition; the usual one's may be missing."""
     return [
         {
-            "if": {"properties": {"type": {"const": kind}}, "required": ["type"]},
+            "if": {
+                "properties": {"type": {"const": kind}},
+                **({} if kind == usual else {"required": ["type"]}),
+            },
             "then": {"$ref": f"{DEFS}{name}"},
         }
         for kind, name in kinds.items()
@@ -105,13 +108,13 @@ def _choice(choice: KindChoice) -> dict[str, Any]:
         "description": choice.description,
         "type": "object",
         **({"x-kinds": "type"} if choice.group else {}),
-        "required": ["type"],
+        **({} if choice.usual else {"required": ["type"]}),
         "properties": {"type": {"description": choice.of, **kinds}},
         **choice.keywords,
     }
     if not choice.kinds:
         return {**schema, "additionalProperties": False}
-    return {**schema, "allOf": _branches(choice.kinds)}
+    return {**schema, "allOf": _branches(choice.kinds, choice.usual)}
 
 
 def _object(name: str) -> dict[str, Any]:
@@ -123,7 +126,10 @@ def _object(name: str) -> dict[str, Any]:
     context = next((c for c in CHOICES.values() if name in c.kinds.values()), None)
     if context is not None:
         of = next(type_ for type_, other in context.kinds.items() if other == name)
-        first["type"] = {"description": context.each or context.of, "const": of}, True
+        is_usual = of == context.usual
+        said = {"description": context.each or context.of, "const": of}
+        # Digests of cfgs that do not say it stay.
+        first["type"] = said | ({"x-sparse": True} if is_usual else {}), not is_usual
         last = _shared(context, kind)
     says = changes.get("DESCRIPTION") or description(kind)
     if context is not None and context.says:

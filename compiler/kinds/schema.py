@@ -128,7 +128,7 @@ def _flatten(schema: JsonObject, value: Any) -> tuple[dict[str, Any], bool]:
     is_number = False
     for branch in (schema, *schema.get("allOf", ())):
         if "if" in branch:
-            taken = "then" if _fits(value, branch["if"]) else "else"
+            taken = "then" if fits(value, branch["if"]) else "else"
             keywords, number = _flatten(branch.get(taken, {}), value)
             _merge(merged, keywords)
             is_number = is_number or number
@@ -222,7 +222,7 @@ def _referred(reference: str) -> JsonObject:
     return law_schema
 
 
-def _fits(value: Any, condition: JsonObject) -> bool:
+def fits(value: Any, condition: JsonObject) -> bool:
     """Whether a value is as an ``if`` says: of a type, or with such values at its keys."""
     if "type" in condition and not is_of(value, condition["type"]):
         return False
@@ -231,7 +231,7 @@ def _fits(value: Any, condition: JsonObject) -> bool:
     if not isinstance(value, dict):
         return True
     return all(key in value for key in condition.get("required", ())) and all(
-        _fits(value[key], below)
+        fits(value[key], below)
         for key, below in condition.get("properties", {}).items()
         if key in value
     )

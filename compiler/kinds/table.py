@@ -33,6 +33,7 @@ class KindChoice:
         shared: Which function of ``shared`` says what keys each kind has after its own; "" none.
         keywords: More that JSON Schema says of it.
         check: Whose check holds for kinds that have none of their own, as in ``CLASSES``.
+        usual: The ``type`` of what says none; "": it has to.
     """
 
     title: str
@@ -46,6 +47,7 @@ class KindChoice:
     shared: str = ""
     keywords: JsonObject = field(default_factory=dict)
     check: str = ""
+    usual: str = ""
 
 
 #: What declares each kind, within ``scenec.compiler``; the order is that of messages and schema.
@@ -55,6 +57,7 @@ _KINDS = {
         "plane": "terrain.sources.plane:Plane",
         "dem": "terrain.sources.dem:Dem",
         "mesh": "terrain.sources.mesh_base:MeshBase",
+        "downscale": "terrain.operators.downscale:Downscale",
         "multifractal": "terrain.operators.multifractal:Multifractal",
         "worley": "terrain.operators.worley:Worley",
         "polygons": "terrain.operators.polygons:Polygons",
@@ -178,6 +181,7 @@ _OBJECTS = {
     "cfg": "cfg.root:Cfg",
     "clouds_cirrus": "light.cloud_fields:CirrusClouds",
     "clouds_cumulus": "light.cloud_fields:CumulusClouds",
+    "dem_window": "terrain.sources.dem:DemWindow",
     "condition_ragged": "terrain.condition:Ragged",
     "focus": "cameras.lens:FocusKeys",
     "ground_base": "mesh.terrain:GroundBase",
@@ -191,6 +195,8 @@ _OBJECTS = {
     "imaging_vignetting": "cameras.imaging:Vignetting",
     "intrinsics": "cameras.sensor:Intrinsics",
     "label_choice": "cfg.root:LabelChoice",
+    "imu": "cameras.imu:ImuKeys",
+    "imu_noise": "cameras.imu:ImuNoiseKeys",
     "labels": "cfg.root:LabelKeys",
     "lidar": "cameras.ranging:LidarKeys",
     "lidar_noise": "cameras.ranging:LidarNoiseKeys",
@@ -222,11 +228,14 @@ _OBJECTS = {
     "sky_label_map": "light.panorama:LabelMap",
     "sky_label_maps": "light.panorama:LabelMaps",
     "sun": "light.suns:SunKeys",
+    "sun_ephemeris": "light.sun_ephemeris:SunEphemeris",
     "terrain": "mesh.terrain:Terrain",
     "terrain_horizon": "mesh.terrain:TerrainHorizon",
     "terrain_mesh": "mesh.mesh:Meshing",
+    "terrain_planet": "terrain.planet:TerrainPlanet",
     "terrain_shade": "terrain.shade:Shade",
     "trigger": "cameras.mount:Trigger",
+    "vehicle": "cameras.vehicle:VehicleKeys",
 }
 #: Objects and kinds of a cfg by name: what declares each, within ``scenec.compiler``.
 CLASSES = _OBJECTS | {
@@ -400,6 +409,14 @@ CHOICES = {
         group="scenec.skies",
         shared="of_skies",
         kinds=_of("sky"),
+    ),
+    "suns": KindChoice(
+        title="Sun",
+        description="The sun: where the cfg says, or where it stands at a place and a time.",
+        of="Kind of sun; left out: disc.",
+        kinds={"disc": "sun", "ephemeris": "sun_ephemeris"},
+        keywords={"type": ["object", "null"]},
+        usual="disc",
     ),
     "surface": KindChoice(
         title="Surface",

@@ -107,7 +107,7 @@ def build_light(
         return SceneLight(None, None, {}, None, label_maps, np.zeros(samples))
     sky: SkyLight | None = None
     sun = plan.sun
-    facts: dict[str, Any] = {}
+    facts: dict[str, Any] = {"sun": plan.sun_facts} if plan.sun_facts else {}
     if plan.sky is not None:
         sky, sun, facts["sky"] = _held(plan.sky, plan.sky.build(sun, samples))
         if plan.clouds is not None:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Context, Finding, Node, black, forms, is_black, key
+from scenec.compiler.light.ephemeris import EARTH_RADIUS_KM
 from scenec.compiler.light.suns import of_luminance_one
 from scenec.compiler.scene.light import SunDisc
 
-EARTH_RADIUS_KM = 6371.0
 MOON_DISTANCE_KM = 384400.0
 _ROUNDING = 1e-12
 
@@ -85,17 +85,19 @@ def earthshine_irradiance(
     phase_deg: NDArray[np.float64],
     solar_irradiance: NDArray[np.float64],
     geometric_albedo: NDArray[np.float64],
+    distance_km: NDArray[np.float64] | float = MOON_DISTANCE_KM,
 ) -> NDArray[np.float64]:
     """Irradiance on a surface of the Moon that faces the Earth, W/m^2, [s].
 
     Args:
         phase_deg: Between Sun and Moon, seen from the Earth: 0 is a full Earth.
         solar_irradiance: Of the Sun at the Earth, W/m^2.
+        distance_km: Of the Earth's center.
     """
     angle = phase_deg * (elementary.PI / 180.0)
     law = elementary.sin_array(angle) + (elementary.PI - angle) * elementary.cos_array(angle)
     # Near 180 degrees the two terms cancel, but for a rounding error of either sign.
     law = np.where(law > _ROUNDING, law, 0.0)
-    ratio = EARTH_RADIUS_KM / MOON_DISTANCE_KM
+    ratio = EARTH_RADIUS_KM / distance_km
     full = geometric_albedo * solar_irradiance * (ratio * ratio)
     return full * (law / elementary.PI)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.kinds import Context, Finding, an, draw_kind, draw_object, key, kind_of, named
 from scenec.compiler.kinds.node import Node
-from scenec.schemas.codec import JsonObject
+from scenec.compiler.light.suns import SunTrack
+from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class Lights:
         "haze": {"visibility_m": 4000},
     }
 
-    sun: JsonObject | None = key(an("sun"), default={})
+    sun: JsonObject | None = key(an("suns"), default={})
     """The sun; null for none."""
     sky: JsonObject = key(an("sky"), default={"type": "clear"})
     """The sky."""
@@ -50,6 +51,8 @@ class Lights:
     def check(node: Node) -> Iterator[Finding]:
         """Yields names that stand twice: all lights stand beside each other in the stage."""
         taken = {"Sun": "the sun", "Dome": "the sky"}
+        if node.at("sun")["earthshine"]:
+            taken["Earth"] = "the earthshine of the sun"
         for group in ("more", "lamps"):
             for name in node.at(group).entries:
                 if name in taken:
@@ -68,7 +71,12 @@ class Lights:
             light["sun"] = None
         elif light["sun"] is not None:
             given = keys.get("sun", {})
-            light["sun"] |= {name: value for name, value in usual.items() if name not in given}
+            # What the sun computes has no default.
+            light["sun"] |= {
+                name: value
+                for name, value in usual.items()
+                if name not in given and light["sun"].get(name) is not None
+            }
 
     def draw(self, context: Context) -> LightPlan:
         """Returns the light of a batch."""
@@ -80,15 +88,21 @@ class Lights:
             return draw_object(name, node, path, context).draw(*given, context.at(path))
 
         sky = {name: value for name, value in self.sky.items() if name not in _LABELS}
+        sun = None
+        if self.sun is not None:
+            sun = draw_kind("suns", self.sun, f"{context.path}/sun", context)
+        track = sun if isinstance(sun, SunTrack) else SunTrack(sun, {}, {})
         return LightPlan(
-            sun=drawn("sun", "sun", self.sun),
+            sun=track.disc,
             sky=draw_kind("sky", sky, f"{context.path}/sky", context),
             haze=drawn("light_haze", "haze", self.haze),
             clouds=drawn("light_clouds", "clouds", self.clouds),
             more_suns={
                 name: draw_kind("light_more", node, f"{context.path}/more/{name}", context)
                 for name, node in self.more.items()
-            },
+            }
+            | track.more,
+            sun_facts=track.facts,
             lamps=tuple(
                 drawn("light_lamp", f"lamps/{name}", node, name)
                 for name, node in self.lamps.items()
@@ -112,6 +126,7 @@ class LightPlan:
         sky: What surrounds the scene; None for black.
         clouds: Before an atmosphere or a clear sky.
         more_suns: Further distant discs, by prim name.
+        sun_facts: Of a sun that was computed, for report.json.
     """
 
     sun: SunDisc | None
@@ -120,6 +135,7 @@ class LightPlan:
     haze: Haze | None = None
     clouds: Clouds | None = None
     lamps: tuple[LampPlan, ...] = ()
+    sun_facts: Facts = field(default_factory=dict)
 
     @property
     def lit(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Array, Context, Finding, Node, black, forms, is_black, key
+from scenec.schemas.codec import Facts
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
@@ -22,6 +23,28 @@ def of_luminance_one(color: Array) -> Array:
 
     level = luminance(color)
     return color / np.where(level > 0.0, level, 1.0)[:, None]
+
+
+def check_color(node: Node) -> Iterator[Finding]:
+    """Yields whether a sun can be black."""
+    if is_black(node):
+        is_sun = node.path == ("light", "sun")
+        yield node.fault(black("an irradiance" if is_sun else "what is asked for"), "color")
+
+
+@dataclass(frozen=True)
+class SunTrack:
+    """Holds the sun of a place and a time at every sample.
+
+    Attributes:
+        disc: The sun; None for none.
+        more: Further discs that follow from the time, by prim name.
+        facts: For report.json.
+    """
+
+    disc: SunDisc | None
+    more: dict[str, SunDisc]
+    facts: Facts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +88,7 @@ class SunKeys:
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
         """Yields whether it can be black."""
-        if is_black(node):
-            is_sun = node.path == ("light", "sun")
-            yield node.fault(black("an irradiance" if is_sun else "what is asked for"), "color")
+        yield from check_color(node)
 
     def draw(self, context: Context) -> SunDisc:
         """Returns the sun at every sample; one without a color is white."""

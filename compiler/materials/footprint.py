@@ -148,7 +148,10 @@ def _balls(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Balls about triangles: middles [n, 3] and radii [n]."""
     middle = (a + b + c) / 3.0
-    away = [((corner - middle) * (corner - middle)).sum(axis=1) for corner in (a, b, c)]
+    away = []
+    for corner in (a, b, c):
+        x, y, z = (corner - middle).T
+        away.append(x * x + y * y + z * z)
     return middle, np.sqrt(np.maximum(np.maximum(away[0], away[1]), away[2]))
 
 

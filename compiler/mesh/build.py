@@ -31,7 +31,9 @@ def build_relief(drawn_terrain: TerrainPlan) -> tuple[ReliefResult, Samples, Fac
     """Runs the relief's program; what its samples take up of noises the layers share."""
     grid = Grid.with_spacing(drawn_terrain.size_m, drawn_terrain.spacing_m)
     noises = Samples.of(grid)
-    relief = run(drawn_terrain.relief, grid, drawn_terrain.meshing.max_triangles, noises)
+    # Last: water, sand and slopes go by the local vertical.
+    operators = *drawn_terrain.relief, *filter(None, [drawn_terrain.planet])
+    relief = run(operators, grid, drawn_terrain.meshing.max_triangles, noises)
     return relief, noises, {"relief": relief.steps}
 
 
@@ -58,10 +60,13 @@ def build_land(drawn_terrain: TerrainPlan, surface: GroundSurface) -> tuple[Land
     horizon = drawn_terrain.horizon
     if horizon is None:
         return None, {}
+    planet = drawn_terrain.planet
     east, north = (size + 2.0 * horizon.reach_m for size in drawn_terrain.size_m)
     relief = run(horizon.relief, Grid.with_spacing((east, north), horizon.spacing_m))
     far = GroundSurface(relief.field, details=relief.details)
-    return Land.around(surface, far, horizon.blend_m), {"horizon": {"relief": relief.steps}}
+    curved = {} if planet is None else {"planet": planet.report((east, north))}
+    land = Land.around(surface, far, horizon.blend_m, planet)
+    return land, {"horizon": {"relief": relief.steps, **curved}}
 
 
 def see_ground(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 
 from scenec.compiler.distributions.resolve import resolve
-from scenec.compiler.kinds import Context, draw_kind
+from scenec.compiler.kinds import Context, draw_kind, draw_object
 from scenec.compiler.mesh.cover import MaterialCondition
 from scenec.compiler.mesh.merge import Merge
 from scenec.compiler.mesh.mesh import Meshing
@@ -14,9 +15,11 @@ from scenec.compiler.mesh.plan import HorizonPlan, TerrainPlan
 from scenec.compiler.scene.ground import GroundLayer
 from scenec.compiler.terrain.condition import Interval, ReliefCondition, draw_condition
 from scenec.compiler.terrain.detail import Detail
+from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.shade import Shade
+from scenec.compiler.terrain.sources.dem import georeference_of
 from scenec.schemas.codec import JsonObject
 
 #: Samples across the relief of a horizon that says nothing of them.
@@ -34,12 +37,16 @@ def draw_terrain(
     streams = context.streams
     node = resolve({key: cfg[key] for key in ("size_m", "spacing_m", "ground")}, streams, "terrain")
     size_m = (node["size_m"][0], node["size_m"][1])
-    context = replace(context, size_m=size_m, ground=node["ground"])
+    spacing_m = node["spacing_m"]
+    context = replace(context, size_m=size_m, spacing_m=spacing_m, ground=node["ground"])
     context = _on_relief(cfg["relief"], "terrain/relief", context)
+    relief, grid = context.relief, Grid.with_spacing(size_m, spacing_m)
+    # Few ask, and DEMs are read for it.
+    context = replace(context, georeference=cache(lambda: georeference_of(relief, grid)))
     merges, coverage = draw_merges(context)
     plan = TerrainPlan(
         size_m=size_m,
-        spacing_m=node["spacing_m"],
+        spacing_m=spacing_m,
         relief=tuple(context.relief),
         layers=tuple(
             GroundLayer(
@@ -64,6 +71,9 @@ def draw_terrain(
             )
             for i, shade in enumerate(cfg.get("shades", ()))
         ),
+        planet=draw_object("terrain_planet", cfg["planet"], "terrain/planet", context)
+        if "planet" in cfg
+        else None,
     )
     return plan, context
 
@@ -73,10 +83,11 @@ def _horizon(cfg: JsonObject, context: Context) -> HorizonPlan:
     path = "terrain/horizon"
     node = resolve({k: v for k, v in cfg.items() if k != "relief"}, context.streams, path)
     east, north = (size + 2.0 * node["reach_m"] for size in context.size_m)
-    context = replace(context, size_m=(east, north), relief=())
+    spacing_m = node["spacing_m"] or max(east, north) / HORIZON_SAMPLES
+    context = replace(context, size_m=(east, north), spacing_m=spacing_m, relief=())
     return HorizonPlan(
         node["reach_m"],
-        node["spacing_m"] or max(east, north) / HORIZON_SAMPLES,
+        spacing_m,
         node["blend_m"],
         tuple(_on_relief(cfg["relief"], f"{path}/relief", context).relief),
         GroundLayer(node["material"], context.label_ids(node["labels"])),

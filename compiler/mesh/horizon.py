@@ -23,6 +23,7 @@ from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.mesh.tiles import albedo_variation
 from scenec.compiler.scene.ground import GroundLayer, Horizon, MeshTile
 from scenec.compiler.terrain.grid import Grid, HeightField
+from scenec.compiler.terrain.planet import TerrainPlanet
 from scenec.compiler.views.resolution import Views, pixels_of_balls
 from scenec.schemas.codec import Facts
 
@@ -57,24 +58,34 @@ class Land:
         border_m: Heights of the terrain's border, counterclockwise from the southwest corner, at
             even angles along each side, float64 [4 k].
         blend_m: Width over which these give way to the relief.
+        planet: Sphere that both are heights over; None: they are over a plane.
     """
 
     surface: GroundSurface
     half_m: tuple[float, float]
     border_m: NDArray[np.float64]
     blend_m: float
+    planet: TerrainPlanet | None = None
 
     @classmethod
-    def around(cls, terrain: GroundSurface, surface: GroundSurface, blend_m: float) -> Land:
+    def around(
+        cls,
+        terrain: GroundSurface,
+        surface: GroundSurface,
+        blend_m: float,
+        planet: TerrainPlanet | None = None,
+    ) -> Land:
         """Land whose heights begin as those of a terrain's border."""
         half = terrain.field.grid.size_m[0] * 0.5, terrain.field.grid.size_m[1] * 0.5
         columns = 4 * _SIDE * _MOST_SIDES
         x, y = _rectangles(half, np.zeros(1), columns)
         height = terrain.field.height_at(x[0], y[0])
+        if planet is not None:
+            height += planet.drop_m(x[0], y[0])
         # So many columns to each side, of a side's at its middle, where they are widest.
         over = round(0.5 * _BORDER_M / (0.785 * max(half) / (columns // 8)))
         near = [np.roll(height, k) for k in range(-over, over + 1)]
-        return cls(surface, half, np.sum(near, axis=0) / len(near), blend_m)
+        return cls(surface, half, np.sum(near, axis=0) / len(near), blend_m, planet)
 
     def distance_m(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance of points from the terrain along the nearer axis, float64 [n]."""
@@ -91,6 +102,8 @@ class Land:
         own = self.surface.height_at(x, y)
         some = np.flatnonzero(share < 1.0)
         own[some] += (1.0 - share[some]) * (self._border_at(x[some], y[some]) - own[some])
+        if self.planet is not None:
+            own -= self.planet.drop_m(x, y)
         return own
 
     def near(self, beyond_m: float) -> GroundSurface:

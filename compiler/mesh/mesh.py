@@ -291,11 +291,17 @@ def _normals(height, dx, dy, samples):  # type: ignore[no-untyped-def]
     return out
 
 
-def _cells(faces: NDArray[np.int32], nx: int) -> NDArray[np.int32]:
-    """Cell that holds the middle of each face."""
-    column = (faces % nx).sum(axis=1) // 3
-    row = (faces // nx).sum(axis=1) // 3
-    return (row * (nx - 1) + column).astype(np.int32)
+@kernel
+def _cells(faces: NDArray, nx: int) -> NDArray:
+    """Cell that holds the middle of each face, int32."""
+    out = np.empty(len(faces), np.int32)
+    for f in range(len(faces)):
+        column = row = 0
+        for vertex in faces[f]:
+            column += vertex % nx
+            row += vertex // nx
+        out[f] = row // 3 * (nx - 1) + column // 3
+    return out
 
 
 @kernel

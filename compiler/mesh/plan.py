@@ -9,6 +9,7 @@ from scenec.compiler.mesh.mesh import Meshing
 from scenec.compiler.scene.ground import GroundLayer
 from scenec.compiler.terrain.detail import Detail
 from scenec.compiler.terrain.operator import ReliefOperator
+from scenec.compiler.terrain.planet import TerrainPlanet
 from scenec.compiler.terrain.shade import Shade
 
 
@@ -42,6 +43,7 @@ class TerrainPlan:
         displacements: Of each layer's material, or None.
         horizon: What lies around it, or None.
         shades: Where the albedo varies with more than its noise.
+        planet: Sphere that it curves as, or None.
     """
 
     size_m: tuple[float, float]
@@ -55,3 +57,4 @@ class TerrainPlan:
     displacements: tuple[Detail | None, ...] = ()
     horizon: HorizonPlan | None = None
     shades: tuple[Shade, ...] = ()
+    planet: TerrainPlanet | None = None

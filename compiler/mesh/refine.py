@@ -142,8 +142,9 @@ def _doubtful(
     off = detail + bend
     crossed = np.zeros(len(leg), bool)
     for side in work.sides.rows.T:
-        above = side[faces] >= 0.0
-        crossed |= above.any(axis=1) & ~above.all(axis=1)
+        above = side >= 0.0
+        a, b, c = (above[faces[:, k]] for k in range(3))
+        crossed |= (a != b) | (a != c)
     return np.flatnonzero(
         (np.where(crossed, leg, off) * pixels > limits.tolerance_px) & (leg > limits.finest_m)
     )

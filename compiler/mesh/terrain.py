@@ -63,6 +63,8 @@ class Terrain:
     horizon: JsonObject = key(an("terrain_horizon"), sparse=True)
     """Land beyond the terrain's border: hills, crater rims, mesas. Left out, the terrain ends
     there."""
+    planet: JsonObject = key(an("terrain_planet"), sparse=True)
+    """The sphere that the ground curves as. Left out, it lies on a plane."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.model import MeshModel
+from scenec.compiler.geometry.boxes import boxes_of
 from scenec.compiler.geometry.pieces import pieces_of
 from scenec.compiler.noise.lattice import mix
 from scenec.compiler.objects.rocks import Chain
@@ -116,9 +117,7 @@ def _pieces(model: MeshModel, partner: NDArray[np.int64]) -> _Pieces:
         [np.bincount(of_face, area_of_face * middle[:, i], count) for i in range(3)], axis=1
     )
     center /= area[:, None]
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, of_vertex, model.points)
-    np.maximum.at(high, of_vertex, model.points)
+    low, high = boxes_of(model.points, of_vertex, count)
     extent = ((high - low) * (high - low)).sum(axis=1)
     triangles = np.bincount(of_face, minlength=count)
     # A strip is pairs of vertices, and perhaps a tip.
@@ -216,7 +215,9 @@ def _rms(
     """Returns the root mean square of the moves of kept leaves' corners, weighted by leaf area."""
     own = pieces.of_face[left]
     weight = np.where(pieces.group[own] >= 0, pieces.area[own] / pieces.triangles[own], 0.0)
-    square = (move * move).sum(axis=1)[corners].mean(axis=1)
+    x, y, z = move.T
+    a, b, c = (x * x + y * y + z * z)[corners].T
+    square = (a + b + c) / 3.0
     return float(np.sqrt((weight * square).sum() / weight.sum()))
 
 

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.geometry.boxes import boxes_of
 from scenec.compiler.geometry.rotations import turned
 from scenec.compiler.kinds import forms, key
 from scenec.compiler.objects.rocks import Chain
@@ -176,15 +177,15 @@ def _balls(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     extent = high - low
     side = max(0.6 * float(extent.min()), 0.2 * float(extent.max()))
     cells = np.minimum((points - low) / side, 5.0).astype(np.int64)
-    _, cell = np.unique(cells[:, 0] + 8 * (cells[:, 1] + 8 * cells[:, 2]), return_inverse=True)
-    count = int(cell.max()) + 1
-    lowest, highest = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(lowest, cell, points)
-    np.maximum.at(highest, cell, points)
+    cell = cells[:, 0] + 8 * (cells[:, 1] + 8 * cells[:, 2])
+    number = np.cumsum(np.bincount(cell) > 0) - 1
+    cell, count = number[cell], int(number[-1]) + 1
+    lowest, highest = boxes_of(points, cell, count)
     middles = 0.5 * (lowest + highest)
     away = points - middles[cell]
     squares = np.zeros(count)
-    np.maximum.at(squares, cell, (away * away).sum(axis=1))
+    away *= away
+    np.maximum.at(squares, cell, away[:, 0] + away[:, 1] + away[:, 2])
     # Of the numbers' rounding, too.
     return middles, np.sqrt(squares) * (1.0 + 1e-6)
 

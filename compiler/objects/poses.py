@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.pose_table import PoseTable, read_poses
+from scenec.compiler.assets.tables import GEOGRAPHIC, PLACE
+from scenec.compiler.geometry.places import on_plane
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, file, key, list_of
 from scenec.compiler.kinds.forms import CHOICE, COUNT, LENGTH_PER_BATCH, PER_BATCH, TRUTH
 from scenec.compiler.objects.models import (
@@ -39,10 +41,14 @@ class ObjectPose:
     EXAMPLE: ClassVar = {"x_m": 0, "y_m": 4, "rotation_deg": [0, 0, 30]}
 
     TITLE: ClassVar = "Pose of an object"
-    x_m: float = key(LENGTH_PER_BATCH, at_least=-1000000000.0, at_most=1000000000.0)
-    """East."""
-    y_m: float = key(LENGTH_PER_BATCH, at_least=-1000000000.0, at_most=1000000000.0)
+    x_m: float = key(LENGTH_PER_BATCH, sparse=True, at_least=-1000000000.0, at_most=1000000000.0)
+    """East. Given with y_m, or else latitude_deg with longitude_deg."""
+    y_m: float = key(LENGTH_PER_BATCH, sparse=True, at_least=-1000000000.0, at_most=1000000000.0)
     """North."""
+    latitude_deg: float = key(PER_BATCH, sparse=True, at_least=-90, at_most=90, unit="deg")
+    """Geodetic latitude, where the terrain is on a DEM whose file has a georeference."""
+    longitude_deg: float = key(PER_BATCH, sparse=True, at_least=-360, at_most=360, unit="deg")
+    """Longitude, to the east."""
     z_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-1000000000.0, at_most=1000000000.0)
     """Height of the object's origin, see heights."""
     rotation_deg: Any = key(
@@ -54,6 +60,21 @@ class ObjectPose:
     """Factor on its size."""
     model: int = key(COUNT, default=0, at_least=0, at_most=999)
     """Which of the models: its index, from 0."""
+
+    @staticmethod
+    def check(node: Node) -> Iterator[Finding]:
+        """Yields a place in two ways, in none, or by latitude where no DEM has one."""
+        for metric, geographic in zip(PLACE[:2], GEOGRAPHIC[:2], strict=True):
+            yield from node.either(metric, geographic, "where the object is")
+        if (GEOGRAPHIC[0] in node) != (GEOGRAPHIC[1] in node):
+            yield node.fault("expected latitude_deg and longitude_deg, or x_m and y_m")
+        dems = [o["type"] for o in node.whole().each("terrain", "relief", "*")]
+        if GEOGRAPHIC[0] in node and "dem" not in dems:
+            yield node.key_fault(
+                "the terrain lies nowhere on a body: expected x_m and y_m, or a DEM whose file has "
+                "a georeference",
+                GEOGRAPHIC[0],
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +104,8 @@ class PlacedKeys:
     )
     """Where the objects are, one entry each; or give file."""
     file: Path | None = key(file("poses"), optional=True)
-    """A CSV file of poses whose header names its columns: x_m, y_m; z_m (else 0); qw, qx, qy, qz
+    """A CSV file of poses whose header names its columns: x_m, y_m, or latitude_deg, longitude_deg
+    (where the terrain is on a DEM whose file has a georeference); z_m (else 0); qw, qx, qy, qz
     (else not turned); scale (else 1); model (index into models, else 0); id (the object's local
     instance id, from 1); time_s. Rows of one id are one object at several times, between which it
     moves; without id, rows with time_s are one object and rows without are copies. Relative to the
@@ -118,10 +140,14 @@ class PlacedKeys:
         # Imported here: cfgs are checked without.
         from scenec.compiler.objects.placed import PlacedPlan, PoseKeys
 
+        what = context.path
         if self.file is not None:
-            poses = read_poses(self.file, len(self.models))
+            poses, what = read_poses(self.file, len(self.models)), f"{what}: {self.file.name}"
         else:
-            poses = _listed(self.poses or ())
+            poses = _listed(self.poses or (), context)
+        if poses.is_geographic:
+            position = on_plane(poses.position_m, context.georeference(), what)
+            poses = replace(poses, position_m=position)
         ids, first = np.unique(poses.id, return_index=True)
         columns = poses.time_s, poses.position_m, poses.quaternion, poses.scale
         bounds = [*first.tolist(), len(poses.id)]
@@ -141,16 +167,24 @@ class PlacedKeys:
         )
 
 
-def _listed(nodes: Sequence[JsonObject]) -> PoseTable:
+def _listed(nodes: Sequence[JsonObject], context: Context) -> PoseTable:
     count = len(nodes)
+    position = np.array([[node[key] for key in _place(node)] for node in nodes])
+    for n in np.flatnonzero([GEOGRAPHIC[0] in node for node in nodes]).tolist():
+        what = f"{context.path}/poses/{n}"
+        position[n] = on_plane(position[n : n + 1], context.georeference(), what)[0]
     return PoseTable(
         id=np.arange(1, count + 1),
         time_s=np.zeros(count),
-        position_m=np.array([[node[key] for key in ("x_m", "y_m", "z_m")] for node in nodes]),
+        position_m=position,
         quaternion=np.array([quaternion_of(node["rotation_deg"]) for node in nodes]),
         scale=np.array([float(node["scale"]) for node in nodes]),
         model=np.array([node["model"] for node in nodes], np.int64),
     )
+
+
+def _place(node: Mapping[str, Any]) -> tuple[str, ...]:
+    return GEOGRAPHIC if GEOGRAPHIC[0] in node else PLACE
 
 
 def quaternion_of(degrees: Sequence[float]) -> NDArray[np.float64]:

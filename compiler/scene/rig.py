@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
+from scenec.schemas.imu import Imu
 from scenec.schemas.lens import Lens
 from scenec.schemas.shutter import Shutter
+from scenec.schemas.vehicle import Vehicle
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,7 @@ class Sensor:
         focus: What is sharp at each sample, or None: everything.
         effects: What other packages do to its pictures, in order: JSON of the type, the package, a
             key of chance and the rest of the cfg's keys.
+        vehicle: Whom the pass ``traversable`` is for, or None: ``Vehicle()``.
     """
 
     name: str
@@ -98,6 +101,7 @@ class Sensor:
     shutter: OpenShutter | None = None
     focus: Focus | None = None
     effects: tuple[str, ...] = ()
+    vehicle: Vehicle | None = None
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,7 @@ class Rig:
         times: Of the samples, seconds, [s]; None: its motion has none.
         lidars: What it carries beside cameras.
         between: Poses while its cameras' shutters are open, or None.
+        imus: What it carries beside them, with what they read.
     """
 
     name: str
@@ -155,6 +160,7 @@ class Rig:
     times: NDArray[np.float64] | None = None
     lidars: tuple[Lidar, ...] = ()
     between: Between | None = None
+    imus: tuple[Imu, ...] = ()
 
 
 def sample_times(rigs: Sequence[Rig], samples: int) -> NDArray[np.float64]:

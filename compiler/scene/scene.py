@@ -20,21 +20,24 @@ from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed
 from scenec.compiler.scene.rig import Rig
 from scenec.schemas.errors import SceneError
+from scenec.schemas.georeference import Georeference
 
 
 @dataclass(frozen=True)
-class Georeference:
+class DemOrigin:
     """Locates the terrain on a planet; recorded, and never part of any arithmetic.
 
     Attributes:
         crs: Coordinate reference system: an authority's code, or WKT.
         center: The world's origin in it, in its units.
         height_offset_m: Added to the (scaled) heights of the DEM.
+        place: The same by latitude and longitude; None where the file does not say on which body.
     """
 
     crs: str
     center: tuple[float, float]
     height_offset_m: float
+    place: Georeference | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class Scene:
     rigs: tuple[Rig, ...]
     outputs: tuple[str, ...]
     bounds: NDArray[np.float64]
-    georeference: Georeference | None = None
+    georeference: DemOrigin | None = None
     more_suns: dict[str, SunDisc] = field(default_factory=dict)
     lamps: tuple[Lamp, ...] = ()
     haze: Haze | None = None

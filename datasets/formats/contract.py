@@ -8,13 +8,14 @@ record of JSON values and, if that is much, a file.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.codec import JsonObject
+from scenec.schemas.imu import RigState
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,29 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Rigs:
+    """Reads the rigs of a batch's stage when they are asked for; without a reader there are none.
+
+    Attributes:
+        read: Of a stage's root layer, as ``backends.stage.rigs.read_rigs``.
+        stages: Name of a batch -> root layer of its stage.
+    """
+
+    read: Callable[[Path], tuple[RigState, ...]] | None = None
+    stages: Mapping[str, Path] = field(default_factory=dict)
+
+    def of(self, batch: str) -> dict[str, RigState]:
+        """Returns a batch's rigs by name.
+
+        Raises:
+            StageError: Its stage cannot be read.
+        """
+        if self.read is None:
+            return {}
+        return {rig.name: rig for rig in self.read(self.stages[batch])}
+
+
+@dataclass(frozen=True)
 class Info:
     """The dataset as a whole.
 
@@ -68,6 +92,7 @@ class Info:
         beside: Pictures that any camera has beside its picture (``schemas.frames.BESIDE``).
         anywhere: Passes that any camera has.
         imaging: Whether any camera's pictures are a sensor's.
+        rigs: Of each batch.
     """
 
     name: str
@@ -81,6 +106,7 @@ class Info:
     beside: tuple[str, ...] = ()
     anywhere: tuple[str, ...] = ()
     imaging: bool = False
+    rigs: Rigs = field(default_factory=Rigs)
 
 
 @dataclass(frozen=True)
@@ -217,6 +243,10 @@ class Format(ABC):
             splits: As for ``tasks``.
         """
         yield from ()
+
+    def sources(self, task: Task) -> list[Path]:
+        """Files beside the frames that a task's files depend on; another dataset if they change."""
+        return []
 
     @abstractmethod
     def write(

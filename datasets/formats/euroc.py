@@ -7,12 +7,14 @@
     .../mav0/cam0/data/<ns>.png             8-bit gray, or color (option ``pictures``)
     .../mav0/cam0/data.csv                  "#timestamp [ns],filename"
     .../mav0/cam0/sensor.yaml               T_BS, resolution, intrinsics, distortion
+    .../mav0/imu0/{data.csv,sensor.yaml}    what the IMUs of the rig read
     .../mav0/state_groundtruth_estimate0/{data.csv,sensor.yaml}
 
 As M. Burri and others describe it (The EuRoC micro aerial vehicle datasets, IJRR 2016). The body
-frame B is that of cam0, x right, y down, z forward: frames know no other of their rig. There is no
-imu0. Velocities of the ground truth are central differences of its positions (one-sided at the
-ends), biases are 0.
+frame B is that of imu0, x ahead, y left, z up, and the ground truth its state at each reading:
+exact poses, velocities and biases. A rig without an IMU has the body frame of cam0, x right, y
+down, z forward; velocities are then central differences of its positions (one-sided at the ends),
+biases 0.
 """
 
 from __future__ import annotations
@@ -34,11 +36,13 @@ from scenec.datasets.formats.poses import (
     number,
     numbers,
     pinhole,
+    product,
     relative,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
+from scenec.schemas.imu import Imu, RigState
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
 from scenec.schemas.quaternions import quaternion
 
@@ -55,6 +59,13 @@ _TRUTH_HEAD = (
     "b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], "
     "b_a_RS_S_z [m s^-2]\n"
 )
+_IMU_HEAD = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
+)
+#: What ASL says of an IMU's noise; there is no place for bias instability.
+_IMU_NOISE = ("gyroscope_noise_density", "gyroscope_random_walk",
+              "accelerometer_noise_density", "accelerometer_random_walk")  # fmt: skip
 _COLUMNS = ("sequence", "split", "batch", "rig", "camera", "name", "frames")
 
 
@@ -63,7 +74,7 @@ class Euroc(Format):
 
     name = "euroc"
     summary = "EuRoC MAV (ASL): pictures of all cameras of a rig, calibration, ground truth"
-    version = 2
+    version = 3
     needs = ("rgb",)
     # Pictures are taken from the PNG.
     unused = ("rgb",)
@@ -124,9 +135,15 @@ class Euroc(Format):
         written = [trajectory.SEQUENCES]
         table: list[list[object]] = []
         for place, group in itertools.groupby(done, lambda d: _place(d.task)):
-            records = ((d.task, d.record) for d in group if d.record is not None)
-            sequence = _Sequence(self, folder / place)
+            tasks = list(group)
+            records = ((d.task, d.record) for d in tasks if d.record is not None)
+            sequence = _Sequence(self, folder / place, self._rig(tasks[0].task))
             sequence.write(records)
+            written += [
+                f"{place}/imu{i}/{name}"
+                for i in range(len(sequence.imus))
+                for name in ("data.csv", "sensor.yaml")
+            ]
             for camera, state in sorted(sequence.cameras.items()):
                 written += [f"{place}/cam{camera}/{name}" for name in ("data.csv", "sensor.yaml")]
                 ref = state.task.frames[0]
@@ -140,6 +157,17 @@ class Euroc(Format):
         trajectory.write_table(folder / trajectory.SEQUENCES, _COLUMNS, table)
         return written
 
+    def _rig(self, task: Task) -> RigState | None:
+        """Returns the rig of a sequence, of a stage that has times; None: its frames are known."""
+        if self.option("times") == "samples":
+            return None
+        return self.info.rigs.of(task.frames[0].batch_name).get(str(task.place[0]))
+
+    def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
+        """Says that IMUs are left out where stamps are no times."""
+        if self.option("times") == "samples":
+            yield trajectory.NO_IMUS
+
     def usage(self) -> str:
         """The layout, the frames, what is made up."""
         velocity = (
@@ -152,9 +180,11 @@ class Euroc(Format):
         return (
             "EuRoC MAV (ASL): one folder a sequence, `<split>/<batch>_<rig>/mav0/`, with `camN/` "
             "(`data.csv`, `data/<ns>.png`, `sensor.yaml`) and `state_groundtruth_estimate0/`; "
-            "`sequences.csv` says which camera camN is. The body frame is cam0's (x right, y down, "
-            f"z forward), `T_BS` the pose of a camera in it; velocities are {velocity}; biases "
-            "are 0; there is no imu0. Time stamps are nanoseconds, "
+            "`sequences.csv` says which camera camN is, `T_BS` is the pose of a sensor in the body "
+            "frame. Rigs with an IMU have `imuN/`; the body frame is imu0's (x ahead, y left, z "
+            "up), and the ground truth its exact state at each reading, biases included. Else the "
+            "body frame is cam0's (x right, y down, "
+            f"z forward), velocities are {velocity}, and biases 0. Time stamps are nanoseconds, "
             f"{self.option('start_s')} s added. Load the trajectory with evo: "
             "`evo_traj euroc state_groundtruth_estimate0/data.csv`."
         )
@@ -176,9 +206,11 @@ class _Camera:
 class _Sequence:
     """The text files of a sequence, written in one go through its frames."""
 
-    def __init__(self, form: Euroc, folder: Path) -> None:
+    def __init__(self, form: Euroc, folder: Path, rig: RigState | None) -> None:
         self.form = form
         self.folder = folder
+        self.rig = rig
+        self.imus = () if rig is None else rig.imus
         self.cameras: dict[int, _Camera] = {}
         self._truth: list[tuple[int, NDArray[np.float64]]] = []
 
@@ -194,19 +226,50 @@ class _Sequence:
         with ExitStack() as stack:
             truth = self._open(stack, f"{_TRUTH}/data.csv")
             truth.write(_TRUTH_HEAD)
+            for i, imu in enumerate(self.imus):
+                readings = self._open(stack, f"imu{i}/data.csv")
+                readings.write(_IMU_HEAD)
+                self._lines(readings, imu, np.hstack([imu.gyroscope, imu.accelerometer]))
+            if self.imus:
+                imu = self.imus[0]
+                biases = [imu.gyroscope_bias, imu.accelerometer_bias]
+                state = [imu.position_m, imu.orientation, imu.velocity_m_s, *biases]
+                self._lines(truth, imu, np.hstack(state))
             both = itertools.chain([first], records)
             for _, sample in itertools.groupby(both, lambda r: r[0].frames[0].sample):
                 body: NDArray[np.float64] | None = None
                 for task, record in sample:
                     camera = self._camera(stack, task, record)
                     pose = np.array(record["pose"])
-                    if task.place[1] == 0:
+                    if self.rig is not None and self.imus:
+                        of_rig = self.rig.to_world[task.frames[0].sample]
+                        body = product(of_rig, self.imus[0].to_rig)
+                    elif task.place[1] == 0:
                         body = pose
                         self._add_truth(truth, record["stamp"], pose)
                     if body is not None:
                         self._place_camera(camera, relative(body, pose), task)
             self._add_truth(truth, None, None)
         self._write_yaml()
+
+    def _lines(self, file: TextIO, imu: Imu, values: NDArray[np.float64]) -> None:
+        """A line of time stamp and values [n, k] for each of an IMU's readings.
+
+        Raises:
+            OutputError: Two have one time stamp, or there is none for one.
+        """
+        before = -1
+        for seconds, row in zip(imu.time_s.tolist(), values, strict=True):
+            nanos = trajectory.ticks_of(self.form, seconds, _NANO)
+            if nanos <= before:
+                raise OutputError(
+                    f"format euroc: the IMU {imu.name} of {self.folder.parent.name} reads at "
+                    f"{trajectory.as_seconds(nanos, _NANO)} s after "
+                    f"{trajectory.as_seconds(max(before, 0), _NANO)} s: expected time stamps of "
+                    "nanoseconds that rise from 0; give the option start_s, or times=samples"
+                )
+            before = nanos
+            file.write(f"{nanos},{numbers(row, ',')}\n")
 
     def _open(self, stack: ExitStack, name: str) -> TextIO:
         temporary = stack.enter_context(atomic(self.folder / name))
@@ -274,7 +337,20 @@ class _Sequence:
 
     def _write_yaml(self) -> None:
         identity = _matrix(np.eye(4))
-        _text(self.folder / "body.yaml", "comment: body frame B is that of cam0\n")
+        body = "imu0" if self.imus else "cam0"
+        _text(self.folder / "body.yaml", f"comment: body frame B is that of {body}\n")
+        for i, imu in enumerate(self.imus):
+            in_body = relative(self.imus[0].to_rig, imu.to_rig)
+            noise = "".join(f"{n}: {number(getattr(imu.noise, n))}\n" for n in _IMU_NOISE)
+            _text(
+                self.folder / f"imu{i}" / "sensor.yaml",
+                f"sensor_type: imu\ncomment: {imu.name}, gravity {number(imu.gravity_m_s2)} m/s^2\n"
+                "# Pose of the sensor in the body frame.\n"
+                f"T_BS:\n{_matrix(in_body)}"
+                f"rate_hz: {number(imu.rate_hz)}\n"
+                "# rad/s/sqrt(Hz), rad/s^2/sqrt(Hz), m/s^2/sqrt(Hz), m/s^3/sqrt(Hz)\n"
+                f"{noise}",
+            )
         _text(
             self.folder / _TRUTH / "sensor.yaml",
             "sensor_type: state_estimate\n"

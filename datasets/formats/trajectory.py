@@ -20,6 +20,8 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.picture import write_png
 
+#: Said of datasets whose time stamps are numbers of samples.
+NO_IMUS = "times=samples: what IMUs read has no place among the numbers of samples"
 #: At the root of such datasets: what each sequence is.
 SEQUENCES = "sequences.csv"
 
@@ -72,7 +74,7 @@ def stamp(form: Format, frame: LoadedFrame, ticks: int) -> int:
         OutputError: It is negative, or more than a format holds.
     """
     seconds = float(frame.ref.sample) if form.option("times") == "samples" else frame.time_s
-    value = _to_ticks(form, seconds, ticks)
+    value = ticks_of(form, seconds, ticks)
     if value < 0:
         raise OutputError(
             f"{frame.ref.name}: its time is {as_seconds(value, ticks)} s, and format {form.name} "
@@ -119,14 +121,15 @@ def check_after(form: Format, frame: LoadedFrame, before: int, ticks: int) -> No
 def stamp_on_disk(form: Format, ref: FrameRef, ticks: int) -> int | None:
     """Reads the time stamp of a frame that is not loaded; None where its sidecar has none."""
     if form.option("times") == "samples":
-        return _to_ticks(form, float(ref.sample), ticks)
+        return ticks_of(form, float(ref.sample), ticks)
     record = record_of(ref)
     if record is None or record.time_s is None:
         return None
-    return _to_ticks(form, record.time_s, ticks)
+    return ticks_of(form, record.time_s, ticks)
 
 
-def _to_ticks(form: Format, seconds: float, ticks: int) -> int:
+def ticks_of(form: Format, seconds: float, ticks: int) -> int:
+    """Seconds as a whole number of ticks, the option ``start_s`` added."""
     return start_ticks(form, ticks) + round(Decimal(seconds) * ticks)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from scenec.schemas.codec import encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.glb import ARRAY, INDICES, GlbBuffer
@@ -97,6 +98,9 @@ class _GltfFile:
                 for level in self._levels
             },
         }
+        if model.georeference is not None:
+            # Of the world, whose origin and axes the root's children have after its own turn.
+            extras["georeference"] = encode(model.georeference)
         root: dict[str, Any] = {
             "name": model.name,
             "rotation": _Y_UP,

@@ -1,4 +1,4 @@
-"""Is an export of models as it was written?"""
+"""Is an export of models, or of maps, as it was written?"""
 
 from __future__ import annotations
 
@@ -7,29 +7,32 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.datasets.export_records import EXPORT
+from scenec.datasets.maps import MAP
 from scenec.datasets.models import MODEL_FORMATS
 from scenec.datasets.verify import Flaw
 from scenec.schemas.codec import UNSET, Natural, Unset, read_record
 from scenec.schemas.errors import OutputError
-from scenec.schemas.files import read_json, sha256
+from scenec.schemas.files import inside, read_json, sha256
+from scenec.schemas.manifest import FileEntry
 
 _WHAT = f"{EXPORT} of scenec"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
-    """The file of a batch, as it was written."""
+    """The file of a batch, as it was written; batches of maps have none of their own."""
 
-    file: str
-    bytes: Natural
+    file: str | Unset = UNSET
+    bytes: Natural | Unset = UNSET
     sha256: str | Unset = UNSET
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelsRecord:
-    """Records the content of the models' ``export.json``: the file of each batch."""
+    """Records the content of the models' ``export.json``: the file of each batch, or all files."""
 
     batches: Mapping[str, ModelFile]
+    files: Mapping[str, FileEntry] | Unset = UNSET
 
 
 def is_models(folder: Path) -> bool:
@@ -38,7 +41,7 @@ def is_models(folder: Path) -> bool:
         found = read_json(folder / EXPORT, OutputError, _WHAT)
     except (FileNotFoundError, OutputError):
         return False
-    return isinstance(found, dict) and found.get("format") in tuple(MODEL_FORMATS)
+    return isinstance(found, dict) and found.get("format") in (MAP, *MODEL_FORMATS)
 
 
 def verify_models(folder: Path) -> list[Flaw]:
@@ -47,17 +50,21 @@ def verify_models(folder: Path) -> list[Flaw]:
     Raises:
         OutputError: Its ``export.json`` is none.
     """
-    batches = read_record(folder / EXPORT, ModelsRecord, OutputError, _WHAT).batches
+    record = read_record(folder / EXPORT, ModelsRecord, OutputError, _WHAT)
+    files: dict[str, ModelFile | FileEntry] = dict(record.files or {})
+    files |= {str(one.file): one for one in record.batches.values() if one.file is not UNSET}
     flaws = []
-    for entry in batches.values():
-        file = folder / entry.file
+    for name, entry in files.items():
+        file = inside(folder, name, f"{folder / EXPORT}: /files")
         if not file.is_file():
-            flaws.append(Flaw(entry.file, "is missing"))
+            flaws.append(Flaw(name, "is missing"))
         elif file.stat().st_size != entry.bytes:
             what = f"has {file.stat().st_size:,} bytes; {EXPORT} says {entry.bytes:,}"
-            flaws.append(Flaw(entry.file, what))
+            flaws.append(Flaw(name, what))
         elif entry.sha256 is not UNSET and sha256(file) != entry.sha256:
-            flaws.append(Flaw(entry.file, f"was changed: its sha256 is not that of {EXPORT}"))
-    names = {entry.file for entry in batches.values()}
-    others = (p.name for p in sorted(folder.glob("batch_*")) if p.name not in names)
+            flaws.append(Flaw(name, f"was changed: its sha256 is not that of {EXPORT}"))
+    folders = {Path(name).parts[0] for name in files}
+    there = [p.relative_to(folder).as_posix() for p in sorted(folder.glob("batch_*/*"))]
+    there += [p.name for p in sorted(folder.glob("batch_*")) if p.name not in folders]
+    others = (name for name in there if name not in files)
     return flaws + [Flaw(name, f"is no part of it: {EXPORT} does not list it") for name in others]

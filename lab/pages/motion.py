@@ -19,6 +19,7 @@ from scenec.compiler.build import BuildLog, build_to
 from scenec.compiler.cameras.rigs import place_rigs
 from scenec.compiler.cfg.load import load
 from scenec.compiler.draw import draw
+from scenec.compiler.geometry.pose_spline import spline_poses
 from scenec.compiler.geometry.se3 import METHODS, interpolate
 from scenec.compiler.mesh.build import build_surface
 from scenec.lab.runner import Cell, Page, run, times
@@ -93,24 +94,39 @@ def quaternions(r: Rotation) -> NDArray[np.float64]:
     return np.roll(r.as_quat(), 1, axis=1)
 
 
+def between(
+    t: NDArray[np.float64],
+    p: NDArray[np.float64],
+    q: NDArray[np.float64],
+    at: NDArray[np.float64],
+    method: str,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions and quaternions by any of the methods."""
+    if method != "spline":
+        return interpolate(t, p, q, at, method)
+    found = spline_poses(t, p, q, at)
+    assert found is not None
+    return found.position, found.quaternion
+
+
 def tracks(page: Page) -> None:
     """Errors between keys."""
     at = np.linspace(1.0, 9.0, 2000)
     place, turn = motion(at)
     rates = [3, 10, 30, 100]
     rows, found = [], {}
-    for method in METHODS:
+    for method in (*METHODS, "spline"):
         for rate in rates:
             t = np.arange(10 * rate + 1) / rate
             p, r = motion(t)
-            pp, qq = interpolate(t, p, quaternions(r), at, method)
+            pp, qq = between(t, p, quaternions(r), at, method)
             off = (turn.inv() * Rotation.from_quat(np.roll(qq, -1, axis=1))).magnitude().max()
             found[method, rate] = 1e3 * _length(pp - place).max(), np.degrees(off)
             away, angle = found[method, rate]
             rows.append([method, str(rate), f"{away:.4f}", f"{angle:.5f}"])
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), constrained_layout=True)
     for k, (axis, what) in enumerate(zip(axes, ("position, mm", "turn, degrees"), strict=True)):
-        for method in METHODS:
+        for method in (*METHODS, "spline"):
             axis.loglog(rates, [found[method, rate][k] for rate in rates], "o-", label=method)
         axis.set_xlabel("keys a second")
         axis.set_title(f"largest error of {what}")
@@ -137,8 +153,8 @@ def cost(page: Page) -> None:
             CubicSpline(t, p)(at)
 
         theirs = [min(times(work, runs).wall) for work in (linear, cubic)]
-        for method in METHODS:
-            own = min(times(lambda m=method, t=t, p=p, q=q: interpolate(t, p, q, at, m), runs).wall)
+        for method in (*METHODS, "spline"):
+            own = min(times(lambda m=method, t=t, p=p, q=q: between(t, p, q, at, m), runs).wall)
             rows.append([str(keys), method, 1e3 * own, *(one / own for one in theirs)])
     page.rows(rows)
 

@@ -28,6 +28,7 @@ from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.views.needed import Keep
+from scenec.lab.robustness import extreme_dems
 from scenec.lab.runner import Cell, Study, apart, names, run
 from scenec.schemas.errors import ScenecError
 from scenec.testing.extreme_scenes import (
@@ -39,6 +40,7 @@ from scenec.testing.extreme_scenes import (
     many_poses_cfg,
     true_rays,
 )
+from scenec.testing.sphere_views import seen_horizon, true_horizon
 
 #: What is found: in words, and an error or None.
 Found = tuple[str, float | None]
@@ -88,6 +90,20 @@ def plane(
     error = float((np.abs(seen[both] - t[both]) / t[both]).max()) if both.any() else None
     wrong = int((true != found).sum())
     return f"{both.sum():,} pixels of ground, {wrong} wrong at its border", error
+
+
+def sphere(folder: Path, radius: float, reach: float, up: float) -> Found:
+    """Dip of the horizon from so far above smooth ground."""
+    cfg = _cfg(folder, (0.0, 0.0, up), EYE)
+    level = [{"type": "plane"}]
+    cfg["terrain"] |= {"relief": level, "planet": {"radius_m": radius}, "mesh": {"tolerance_px": 0}}
+    material = cfg["terrain"]["ground"][0]["material"]
+    cfg["terrain"]["horizon"] = {"reach_m": reach, "relief": level, "material": material}
+    cfg["objects"]["rocks"]["count"] = 0
+    dip, away = seen_horizon(_scene(folder, cfg), up)
+    dipped, expected = true_horizon(radius, up)
+    off = f"{np.abs(away - expected).max():.2g} m of {expected:,.0f} m off"
+    return f"horizon {off}; error of its dip", float(np.abs(dip / dipped - 1.0).max())
 
 
 def rocks(folder: Path, count: int, **more: Any) -> Found:
@@ -362,6 +378,16 @@ def rows() -> list[Row]:
     ):
         work = partial(plane, eye=(0.0, 0.0, 5.0), size=size, spacing=spacing)
         found.append(Row(f"scene: {what}", work, exact))
+    for what, radius, reach, up in (
+        ("1.7 m above the Moon", 1_737_400.0, 6e3, 1.7),
+        ("10 km above the Moon", 1_737_400.0, 3e5, 1e4),
+        ("1.7 m above the Earth", 6_371_008.4, 1e4, 1.7),
+        ("100 m above a sphere of 1 km, to 928 m", 1e3, 400.0, 100.0),
+        ("1.7 m above a sphere of a million km", 1e9, 1e5, 1.7),
+        ("beyond a sphere of 1 km", 1e3, 500.0, 100.0),
+    ):
+        work = partial(sphere, radius=radius, reach=reach, up=up)
+        found.append(Row(f"planet: {what}", work, "1e-4 of the dip, or refused"))
     for count in (0, 1, 1_000_000, 10_000_000):
         work = partial(rocks, count=count)
         found.append(Row(f"objects: {count:,}", work, "all, or refused", count > 1_000_000))
@@ -425,7 +451,7 @@ def rows() -> list[Row]:
         Row("steps: wear of craters", wear, "3e-4 of the depth"),
         Row("steps: thermal", slides, "within a sample at a ramp's ends"),
     ]  # fmt: skip
-    return found
+    return found + [Row(*case) for case in extreme_dems.cases()]
 
 
 def high(folder: Path, height: float) -> Found:

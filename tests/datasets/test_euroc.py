@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,9 +21,11 @@ from scenec.testing.made_frames import (
     camera_matrix,
     camera_pose,
     lift,
+    made_rigs,
     make_out,
     misprediction,
     off_surface,
+    rig_pose,
 )
 from scenec.testing.made_output import edit
 
@@ -166,3 +169,63 @@ def test_equal_time_stamps_are_refused_before_one_picture_takes_anothers_name(tm
     out = make_out(tmp_path / "out", (LEFT,), 2, times=[1.0, 1.0 + 1e-10]).out
     with pytest.raises(OutputError, match=r"rover_left/000001: its time stamp .*times=samples"):
         export(out, "euroc")
+
+
+def lines(path):
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    return head, [(int(row.split(",")[0]), list(map(float, row.split(",")[1:]))) for row in rows]
+
+
+def test_a_rig_with_an_imu_has_its_body_there_and_readings_and_true_states_beside(made, tmp_path):
+    choice = Choice(rigs=lambda _stage: made_rigs(), options={"start_s": "2.5"})
+    export(made.out, "euroc", tmp_path / "d", choice)
+    mav0 = tmp_path / "d/all/batch_0000_rover/mav0"
+    (rig,) = made_rigs()
+    imu, more = rig.imus
+    stamps = [2_500_000_000 + 100_000_000 * k for k in range(4)]
+    head, rows = lines(mav0 / "imu0/data.csv")
+    assert head.startswith("#timestamp [ns],w_RS_S_x [rad s^-1]")
+    assert rows == [
+        (stamp, [*imu.gyroscope[k], *imu.accelerometer[k]]) for k, stamp in enumerate(stamps)
+    ]
+    _, truths = lines(mav0 / "state_groundtruth_estimate0/data.csv")
+    assert truths == [
+        (stamp, [*imu.position_m[k], *imu.orientation[k], *imu.velocity_m_s[k],
+                 *imu.gyroscope_bias[k], *imu.accelerometer_bias[k]])
+        for k, stamp in enumerate(stamps)
+    ]  # fmt: skip
+    for sample, body in enumerate(truth(mav0).poses_se3):
+        assert np.abs(body - rig_pose(sample) @ imu.to_rig).max() < 1e-12
+        for camera, sensor in enumerate(SENSORS):
+            t_bs = calibration(mav0, camera)[1]
+            assert np.abs(body @ t_bs - camera_pose(sensor, sample)).max() < 1e-12
+    said = yaml.safe_load((mav0 / "imu0/sensor.yaml").read_text(encoding="utf-8"))
+    assert said["T_BS"]["data"] == np.eye(4).ravel().tolist()
+    assert said["rate_hz"] == 10.0
+    # There is no place for bias instability.
+    assert {name: value for name, value in said.items() if name[0] in "ag"} == {
+        name: value for name, value in vars(imu.noise).items() if "instability" not in name
+    }
+    other = yaml.safe_load((mav0 / "imu1/sensor.yaml").read_text(encoding="utf-8"))
+    t_bs = np.reshape(other["T_BS"]["data"], (4, 4))
+    assert np.abs(imu.to_rig @ t_bs - more.to_rig).max() < 1e-12
+
+
+def test_stamps_that_are_numbers_of_samples_leave_imus_out_and_say_so(made, tmp_path):
+    said = []
+    choice = Choice(rigs=lambda _stage: made_rigs(), options={"times": "samples"})
+    export(made.out, "euroc", tmp_path / "d", choice, say=said.append)
+    mav0 = tmp_path / "d/all/batch_0000_rover/mav0"
+    assert not list(mav0.glob("imu*"))
+    assert any("what IMUs read has no place" in line for line in said)
+    assert np.abs(truth(mav0).poses_se3[1] - camera_pose(LEFT, 1)).max() < 1e-14
+
+
+def test_readings_closer_than_the_format_s_ticks_are_refused(made, tmp_path):
+    def dense(_stage):
+        (rig,) = made_rigs()
+        fast = replace(rig.imus[0], time_s=1e-10 * np.arange(4))
+        return (replace(rig, imus=(fast,)),)
+
+    with pytest.raises(OutputError, match="the IMU unit of batch_0000_rover reads at"):
+        export(made.out, "euroc", tmp_path / "d", Choice(rigs=dense))

@@ -22,7 +22,9 @@ from scenec.datasets.formats.registry import find_format, format_names
 from scenec.datasets.remap import parse_remap
 from scenec.datasets.splits import parse_splits
 from scenec.datasets.verify import verify
+from scenec.schemas.codec import encode
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.lock import LOCK, Lock
 from scenec.testing.made_output import edit, make_output, some_passes
 from scenec.testing.processes import python, ran
@@ -62,6 +64,16 @@ def test_a_format_of_another_package_is_found_beside_ours(plugin):
     assert find_format("tiny").summary == "for tests"
     with pytest.raises(OutputError, match="did you mean"):
         find_format("cocoa")
+
+
+def test_an_export_says_where_on_a_body_its_batches_lie(copy, tmp_path, plugin):
+    manifest = json.loads((copy / "manifest.json").read_text())
+    place = Georeference("Moon", 1_737_400.0, 1_737_400.0, -89.5, 40.25)
+    manifest["batches"][1]["georeference"] = encode(place)
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    export(copy, "tiny", tmp_path / "dataset")
+    found = json.loads((tmp_path / "dataset" / "export.json").read_text())
+    assert found["georeferences"] == {"1": encode(place)}
 
 
 def lines_of(dataset: Path) -> list[dict[str, str]]:

@@ -14,12 +14,11 @@ from evo.tools.file_interface import read_bag_trajectory
 from mcap.reader import make_reader
 from PIL import Image
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
-from scipy.spatial.transform import Rotation
 
 from scenec.datasets.export import Choice, export
-from scenec.datasets.formats.rosbag2 import _rig_frames
+from scenec.datasets.formats.rosbag2_names import rig_frames
 from scenec.schemas.errors import FrameError, OutputError
+from scenec.testing.bags import OPTICAL, matrix, read, stamp
 from scenec.testing.made_frames import (
     LEFT,
     RIGHT,
@@ -49,17 +48,6 @@ def bag(made):
     return made.out / "datasets/rosbag2/all/batch_0001"
 
 
-def read(bag):
-    """Topic -> [(log time, message)], in the order that a player has."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    found = {}
-    with Reader(bag) as reader:
-        for connection, time, data in reader.messages():
-            message = store.deserialize_cdr(data, connection.msgtype)
-            found.setdefault(connection.topic, []).append((time, message))
-    return found
-
-
 def pixels(message):
     """As cv_bridge has it."""
     kind = np.dtype(TYPES[message.encoding])
@@ -69,14 +57,6 @@ def pixels(message):
     assert len(message.data) == message.step * message.height
     shape = (message.height, message.width, 3)[: 2 + (channels == 3)]
     return np.frombuffer(message.data.tobytes(), kind).reshape(shape)
-
-
-def matrix(transform):
-    pose = np.eye(4)
-    q, t = transform.rotation, transform.translation
-    pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    pose[:3, 3] = t.x, t.y, t.z
-    return pose
 
 
 def motion_frames(tmp_path):
@@ -92,10 +72,6 @@ def motion_frames(tmp_path):
         stem = made.out / f"batch_0000/frames/mitsuba/{camera}/{sample:06d}"
         rewrite(stem, passes, partner=other)
     return made
-
-
-def stamp(message):
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def test_every_topic_holds_every_frame_of_its_camera_in_time(bag):
@@ -149,23 +125,23 @@ def test_tf_puts_depth_of_every_camera_on_the_scene(bag):
         assert t.header.frame_id == "world"
         if t.child_frame_id == "rover":
             continue
-        name = t.child_frame_id.removesuffix("_optical")
+        name = t.child_frame_id.removesuffix("_link")
         sample = stamp(t) // 10**8
         depth = pixels(found[f"/{name}/depth/image_raw"][sample][1]).astype(float)
         k = found[f"/{name}/camera_info"][sample][1].k.reshape(3, 3)
         near = np.where(depth < 50.0, depth, 0.0)
-        assert off_surface(lift(near, k, matrix(t.transform))).max() < 1e-5
+        assert off_surface(lift(near, k, matrix(t.transform) @ OPTICAL)).max() < 1e-5
         assert (depth[~np.isfinite(depth)] == np.inf).all()
 
 
 def test_depth_and_pose_of_one_camera_predict_depth_in_another(bag):
     found = read(bag)
     poses = {
-        (t.child_frame_id, stamp(t) // 10**8): matrix(t.transform)
+        (t.child_frame_id, stamp(t) // 10**8): matrix(t.transform) @ OPTICAL
         for _, message in found["/tf"]
         for t in message.transforms
     }
-    b_from_a = np.linalg.inv(poses["rover_side_optical", 2]) @ poses["rover_left_optical", 0]
+    b_from_a = np.linalg.inv(poses["rover_side_link", 2]) @ poses["rover_left_link", 0]
     a, b = (
         np.nan_to_num(pixels(found[f"/{n}/depth/image_raw"][i][1]).astype(float), posinf=0.0)
         for n, i in (("rover_left", 0), ("rover_side", 2))
@@ -182,11 +158,12 @@ def test_depth_and_pose_of_one_camera_predict_depth_in_another(bag):
 def test_links_have_x_forward_y_left_z_up(bag):
     (_, message), *others = read(bag)["/tf_static"]
     assert not others
-    assert {t.child_frame_id for t in message.transforms} == {"rover_left_link", "rover_side_link"}
+    assert {t.child_frame_id for t in message.transforms} == {
+        "rover_left_optical", "rover_side_optical"
+    }  # fmt: skip
     for t in message.transforms:
-        assert t.header.frame_id == t.child_frame_id.replace("_link", "_optical")
-        axes = matrix(t.transform)[:3, :3]
-        assert np.abs(axes - [[0, -1, 0], [0, 0, -1], [1, 0, 0]]).max() < 1e-15
+        assert t.header.frame_id == t.child_frame_id.replace("_optical", "_link")
+        assert np.abs(matrix(t.transform) - OPTICAL).max() < 1e-15
 
 
 def test_evo_reads_the_trajectory(bag):
@@ -319,21 +296,18 @@ def test_disparity_of_the_left_camera_gives_its_depth_by_the_messages_own_formul
 
 
 def test_a_rig_has_a_frame_of_its_own_where_the_link_of_its_first_camera_is(bag):
-    found = read(bag)
-    links = [t for _, m in found["/tf"] for t in m.transforms]
-    (static,) = found["/tf_static"]
-    link = next(t for t in static[1].transforms if t.child_frame_id == "rover_left_link")
-    rig = {stamp(t): matrix(t.transform) for t in links if t.child_frame_id == "rover"}
-    left = {
-        stamp(t): matrix(t.transform) for t in links if t.child_frame_id == "rover_left_optical"
-    }
+    links = [t for _, m in read(bag)["/tf"] for t in m.transforms]
+    rig, left = (
+        {stamp(t): matrix(t.transform) for t in links if t.child_frame_id == name}
+        for name in ("rover", "rover_left_link")
+    )
     assert sorted(rig) == sorted(left)
     for time, pose in rig.items():
-        assert np.abs(left[time] @ matrix(link.transform) - pose).max() < 1e-12
+        assert np.abs(left[time] - pose).max() < 1e-12
 
 
 def test_no_rig_is_named_as_the_world_or_as_a_frame_of_a_camera():
-    names = _rig_frames(["world", "left_link", "rover"], {"left": "left"})
+    names = rig_frames(["world", "left_link", "rover"], ["left_link", "left_optical"])
     assert names == {"world": "world_rig", "left_link": "left_link_rig", "rover": "rover"}
 
 

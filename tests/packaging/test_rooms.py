@@ -65,7 +65,7 @@ FLOORS = {
         ("export_records",),
         ("export_part", "holdings"),
         ("export",),
-        ("verify",),
+        ("verify", "maps"),
         ("models",),
     ),
     "importers": (
@@ -80,6 +80,7 @@ FLOORS = {
         ("options",),
         ("explain", "shown", "steps"),
         ("outputs", "models"),
+        ("maps",),
         (
             "check",
             "evaluate",

@@ -7,16 +7,20 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.cameras.paths.motion import (
+    Kinematics,
     MotionContext,
     RigPoses,
     frames,
     level_bearing,
     poses,
 )
-from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.kinds import Finding, Node, forms, key
+from scenec.schemas.codec import read_facts
+from scenec.schemas.report import DescentFacts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,3 +104,16 @@ class Descent:
         return RigPoses(
             poses(np.column_stack([xy, z]), frames(bearing, self.pitch_deg)), times, facts
         )
+
+    def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
+        """The motion at times; see ``Kinematics``."""
+        made = poses_at(self, context, at_s)
+        told = read_facts(made.facts, DescentFacts)
+        brake, left = told.deceleration_m_s2, told.duration_s - at_s
+        down = self.touchdown_speed_m_s + brake * left
+        slowing = self.drift_m_s / told.duration_s
+        bearing = level_bearing(self.drift_deg)
+        velocity = np.column_stack([slowing * left[:, None] * bearing, -down])
+        acceleration = np.tile([*(-slowing * bearing), brake], (len(at_s), 1))
+        still = np.zeros(velocity.shape)
+        return Kinematics(made.to_world, velocity, acceleration, still, still)

@@ -9,9 +9,17 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, bearing_of, frames, poses
+from scenec.compiler.cameras.paths.motion import (
+    Kinematics,
+    MotionContext,
+    RigPoses,
+    bearing_of,
+    frames,
+    poses,
+    upward_spin,
+)
 from scenec.compiler.cameras.paths.spline import Spline, largest, within
-from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.geometry.rotations import products, upright_to
 from scenec.compiler.kinds import Context, forms, key
 from scenec.schemas.errors import SceneError
@@ -71,22 +79,10 @@ class Mav:
 
     def built(self, context: MotionContext) -> RigPoses:
         """The poses; see ``Motion``."""
-        if self.waypoints_m is not None:
-            points = np.array(self.waypoints_m, np.float64)
-        else:
-            points = self.drawn * np.array(context.surface.field.grid.size_m)
-        context.require_on_terrain(points, "a waypoint")
-        points = points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
+        points = self._points(context)
         if len(points) == 1:
             return self._hovering(points, context)
-        way = points[1:] - points[:-1]
-        chords = np.sqrt((way * way).sum(axis=1))
-        # Centripetal (Lee 1989): the curve swings out least where long and short legs meet.
-        plan = Spline.through(np.cumsum(np.append(0.0, np.sqrt(chords))), points)
-        height, lowest = self._height(plan, float(chords.sum()), context)
-        plan, height = within(
-            (plan, height), self.speed_m_s, self.acceleration_m_s2, self.jerk_m_s3
-        )
+        plan, height, lowest = self._course(points, context)
         duration = float(plan.time_s[-1])
         times = self.sampling.times(duration, context.samples, context.what)
         position = np.column_stack([plan.at(times), height.at(times)])
@@ -98,6 +94,58 @@ class Mav:
         if self.tilt:
             axes = self._tilted(axes, np.column_stack([plan.at(times, 2), height.at(times, 2)]))
         return RigPoses(poses(position, axes), times, facts)
+
+    def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
+        """The motion at times, of a flight that does not tilt; see ``Kinematics``.
+
+        Its heading is the velocity's, so its angular acceleration has jumps where the jerk has.
+
+        Raises:
+            SceneError: It turns about on the spot.
+        """
+        plan, height, _ = self._course(self._points(context), context)
+        made = poses_at(self, context, at_s)
+        inner = self._moving(plan, at_s)
+        v, a, j = (plan.at(inner, order) for order in (1, 2, 3))
+        back = np.flatnonzero(~((v[1:] * v[:-1]).sum(axis=1) > 0.0))
+        if back.size:
+            raise SceneError(
+                f"{context.what}: at {at_s[back[0]]:.6g} s the flight turns about at once, and an "
+                "IMU needs an angular velocity: expected waypoints that do not lead straight back"
+            )
+        square = (v * v).sum(axis=1)
+        rate = (v[:, 0] * a[:, 1] - v[:, 1] * a[:, 0]) / square
+        turned = v[:, 0] * j[:, 1] - v[:, 1] * j[:, 0] - 2.0 * rate * (v * a).sum(axis=1)
+        return Kinematics(
+            made.to_world,
+            np.column_stack([plan.at(at_s, 1), height.at(at_s, 1)]),
+            np.column_stack([plan.at(at_s, 2), height.at(at_s, 2)]),
+            upward_spin(made.to_world, rate),
+            upward_spin(made.to_world, turned / square),
+        )
+
+    def _points(self, context: MotionContext) -> NDArray[np.float64]:
+        """Waypoints, of which neighbors differ, float64 [n, 2]."""
+        if self.waypoints_m is not None:
+            points = np.array(self.waypoints_m, np.float64)
+        else:
+            points = self.drawn * np.array(context.surface.field.grid.size_m)
+        context.require_on_terrain(points, "a waypoint")
+        return points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
+
+    def _course(
+        self, points: NDArray[np.float64], context: MotionContext
+    ) -> tuple[Spline, Spline, float]:
+        """The splines in plan and of heights over time, and how near it comes to the ground."""
+        way = points[1:] - points[:-1]
+        chords = np.sqrt((way * way).sum(axis=1))
+        # Centripetal (Lee 1989): the curve swings out least where long and short legs meet.
+        plan = Spline.through(np.cumsum(np.append(0.0, np.sqrt(chords))), points)
+        height, lowest = self._height(plan, float(chords.sum()), context)
+        plan, height = within(
+            (plan, height), self.speed_m_s, self.acceleration_m_s2, self.jerk_m_s3
+        )
+        return plan, height, lowest
 
     def _hovering(self, points: NDArray[np.float64], context: MotionContext) -> RigPoses:
         """A flight without a way: it stays, looking north."""
@@ -146,11 +194,13 @@ class Mav:
         )
 
     def _bearing(self, plan: Spline, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Along the flight; at rest, along what follows or went before."""
-        end = float(plan.time_s[-1])
-        inner = np.clip(times, 1e-6 * end, (1.0 - 1e-6) * end)
-        velocity = plan.at(inner, 1)
+        velocity = plan.at(self._moving(plan, times), 1)
         return bearing_of(velocity[:, 0], velocity[:, 1])
+
+    def _moving(self, plan: Spline, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Times along the flight; of rest, what follows or went before."""
+        end = float(plan.time_s[-1])
+        return np.clip(times, 1e-6 * end, (1.0 - 1e-6) * end)
 
     def _tilted(
         self, axes: NDArray[np.float64], acceleration: NDArray[np.float64]

@@ -124,6 +124,23 @@ class MotionContext:
             )
 
 
+class Kinematics(NamedTuple):
+    """Describes a rig's motion at n times; velocity and acceleration have no jumps.
+
+    Attributes:
+        to_world: Rig-to-world, OpenCV axes, float64 [n, 4, 4].
+        velocity, acceleration: Of the rig's origin, in the world, m/s and m/s², [n, 3].
+        spin, spin_rate: Angular velocity and acceleration, in the rig's axes, rad/s and rad/s²,
+            [n, 3].
+    """
+
+    to_world: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    spin: NDArray[np.float64]
+    spin_rate: NDArray[np.float64]
+
+
 class Way(NamedTuple):
     """Describes a rig's motion at any time.
 
@@ -233,6 +250,15 @@ def rolled(axes: NDArray[np.float64], roll_deg: NDArray[np.float64] | float) -> 
     c, s = elementary.cos_array(roll)[:, None], elementary.sin_array(roll)[:, None]
     right, down, forward = (axes[:, :, k] for k in range(3))
     return np.stack([c * right + s * down, c * down - s * right, forward], axis=2)
+
+
+def upward_spin(to_world: NDArray[np.float64], rate: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angular velocities in a rig's axes, [n, 3], of poses [n, 4, 4] that turn about the vertical.
+
+    Args:
+        rate: Counterclockwise from above, rad/s, float64 [n].
+    """
+    return rate[:, None] * to_world[:, 2, :3]
 
 
 def poses(position: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,8 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
-from scenec.compiler.cameras.paths.motion import MotionContext, RigPoses, poses, toward
-from scenec.compiler.cameras.tracks import Sampling
+from scenec.compiler.cameras.paths.motion import (
+    Kinematics,
+    MotionContext,
+    RigPoses,
+    poses,
+    toward,
+    upward_spin,
+)
+from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.kinds import Context, Finding, Node, an, forms, given, key, unknown
 from scenec.schemas.errors import SceneError
 
@@ -152,6 +159,31 @@ class Orbit:
                  "duration_s": duration,
                  "lifted": int((z > center[2] + self.height_m).sum())}  # fmt: skip
         return RigPoses(poses(position, toward(way, -away)), times, facts)
+
+    def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
+        """The motion at times; see ``Kinematics``.
+
+        Raises:
+            SceneError: It rises over the ground somewhere.
+        """
+        made = poses_at(self, context, at_s)
+        level = self.center.at(context)
+        z = made.to_world[:, 2, 3]
+        risen = np.flatnonzero(z > level[2] + self.height_m)
+        if risen.size:
+            raise SceneError(
+                f"{context.what}: at {at_s[risen[0]]:.6g} s the orbit rises over the ground, with "
+                "accelerations that have jumps, and an IMU needs such without: expected a larger "
+                f"height_m than {self.height_m:g}, or a smaller clearance_m"
+            )
+        # Clockwise from above; the whole rig turns with it.
+        rate = 2.0 * elementary.PI / self.period_s * (1.0 if self.sweep_deg >= 0.0 else -1.0)
+        away = made.to_world[:, :2, 3] - level[:2]
+        zero = np.zeros(len(at_s))
+        velocity = np.column_stack([rate * away[:, 1], -rate * away[:, 0], zero])
+        acceleration = np.column_stack([-rate * rate * away, zero])
+        spin = upward_spin(made.to_world, zero - rate)
+        return Kinematics(made.to_world, velocity, acceleration, spin, np.zeros(spin.shape))
 
     def _times(self, duration: float, context: MotionContext) -> NDArray[np.float64]:
         free = self.sampling == Sampling()

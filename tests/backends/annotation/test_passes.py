@@ -29,7 +29,7 @@ from scenec.testing.lens_scenes import CAMERAS, around, with_lens
 from scenec.testing.scenes import scene
 from scenec.testing.small import small_cfg, write_cfg
 
-BOTH = {"slope": third_passes.SLOPE, "place": third_passes.PLACE}
+BOTH = {"aspect": third_passes.ASPECT, "place": third_passes.PLACE}
 VIEWS = {"pinhole": with_lens(None, 96, 72), **CAMERAS}
 
 
@@ -49,13 +49,14 @@ def test_a_pass_of_another_package_is_that_of_its_formula_whole_and_in_bands(
 ) -> None:
     third_passes.install(tmp_path, monkeypatch, BOTH)
     camera = VIEWS[name]
-    found = annotate(*world, camera, ("place", "slope", "normal", "depth"), 0).arrays
-    assert list(found) == ["slope", "normal", "depth", "place"]
+    found = annotate(*world, camera, ("place", "aspect", "normal", "depth"), 0).arrays
+    assert list(found) == ["aspect", "normal", "depth", "place"]
     hit = found["normal"].any(axis=-1)
     assert hit.any()
-    steep = np.degrees(np.arccos(np.abs(found["normal"][hit][:, 2]).clip(0.0, 1.0)))
-    np.testing.assert_array_equal(found["slope"][hit], steep)
-    assert np.isnan(found["slope"][~hit]).all()
+    n = found["normal"][hit]
+    away = np.degrees(np.arctan2(n[:, 0], n[:, 1])) % 360.0
+    np.testing.assert_array_equal(found["aspect"][hit], away)
+    assert np.isnan(found["aspect"][~hit]).all()
     v, u = np.indices(hit.shape) + 0.5
     np.testing.assert_allclose(found["place"][hit], np.stack([u, v], -1)[hit], atol=1e-6)
     monkeypatch.setattr(tiles, "PIXELS", 17 * camera.width)
@@ -67,31 +68,31 @@ def test_a_pass_of_another_package_is_that_of_its_formula_whole_and_in_bands(
 @pytest.fixture(scope="module")
 def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Compiled with the pass among its outputs, annotated, and checked."""
-    folder = tmp_path_factory.mktemp("slope")
+    folder = tmp_path_factory.mktemp("aspect")
     with pytest.MonkeyPatch.context() as monkeypatch:
         third_passes.install(folder, monkeypatch, BOTH)
-        cfg = small_cfg(samples=2, outputs=["place", "depth", "slope", "flow"])
+        cfg = small_cfg(samples=2, outputs=["place", "depth", "aspect", "flow"])
         compile_cfg(write_cfg(folder, cfg), seed=2, out=folder / "out")
         stage = folder / "out" / "batch_0000" / "stage.usda"
-        assert read_stage(stage).cameras[0][0].outputs == ("place", "depth", "slope", "flow")
+        assert read_stage(stage).cameras[0][0].outputs == ("place", "depth", "aspect", "flow")
         report = render(folder / "out", "annotation")
         assert (report.rendered, list(report.failed)) == (2, [])
         again = render(folder / "out", "annotation")
         assert (again.rendered, again.skipped) == (0, 2)
         checked = check_exact(folder / "out")
-        assert {c.channel for c in checked.comparisons} >= {"place", "depth", "slope", "flow"}
+        assert {c.channel for c in checked.comparisons} >= {"place", "depth", "aspect", "flow"}
         assert all(c.differing == 0 < c.pixels for c in checked.comparisons)
     return folder
 
 
 def test_frames_hold_it_and_are_read_without_its_package(output: Path) -> None:
     stem = output / "out" / "batch_0000" / "frames" / "annotation" / "rover_front" / "000000"
-    frame = read_frame(stem, ["slope", "place"])
-    assert list(frame.passes) == ["depth", "slope", "place", "flow"]
-    assert frame.passes["slope"].dtype == np.float32
+    frame = read_frame(stem, ["aspect", "place"])
+    assert list(frame.passes) == ["depth", "aspect", "place", "flow"]
+    assert frame.passes["aspect"].dtype == np.float32
     assert frame.passes["place"].shape == (64, 96, 2)
-    assert frame.sidecar.conventions["slope"].startswith("angle between the surface")
-    assert frame.sidecar.annotation["slope"].startswith("scenec_slope 1.0 (code ")
+    assert frame.sidecar.conventions["aspect"].startswith("degrees clockwise")
+    assert frame.sidecar.annotation["aspect"].startswith("scenec_aspect 1.0 (code ")
     source = Source(output / "out")
     assert source.load(source.frames[0]).annotation_digest()
 
@@ -101,15 +102,15 @@ def test_a_renderers_frame_takes_it_from_there(
     output: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     third_passes.install(tmp_path, monkeypatch, BOTH)
-    report = render(output / "out", "mitsuba", spp=1, samples=[0], passes=["rgb", "slope"])
+    report = render(output / "out", "mitsuba", spp=1, samples=[0], passes=["rgb", "aspect"])
     assert not report.failed
     frames = output / "out" / "batch_0000" / "frames"
     made, first = (
         read_frame(frames / name / "rover_front" / "000000") for name in ("mitsuba", "annotation")
     )
-    assert list(made.passes) == ["rgb", "slope"]
+    assert list(made.passes) == ["rgb", "aspect"]
     assert "annotate" not in made.sidecar.seconds
-    np.testing.assert_array_equal(made.passes["slope"], first.passes["slope"])
+    np.testing.assert_array_equal(made.passes["aspect"], first.passes["aspect"])
 
 
 @pytest.mark.skipif(importlib.util.find_spec("h5py") is None, reason="needs h5py")
@@ -123,48 +124,48 @@ def test_datasets_hold_it(output: Path, tmp_path: Path) -> None:
     folder = export(output / "out", "webdataset", tmp_path / "w", choice).folder
     (path,) = folder.glob("*.tar")
     with tarfile.open(path) as shard:
-        assert sum(".slope." in name for name in shard.getnames()) == 2
+        assert sum(".aspect." in name for name in shard.getnames()) == 2
     folder = export(output / "out", "hdf5", tmp_path / "h", Choice(backend="annotation")).folder
     types = {}
     for path in folder.rglob("*.h*5"):
         with h5py.File(path) as file:
             file.visititems(lambda name, item: types.update({name: getattr(item, "dtype", None)}))
-    assert [kind for name, kind in types.items() if name.endswith("slope")] == [np.float32]
+    assert [kind for name, kind in types.items() if name.endswith("aspect")] == [np.float32]
 
 
 def test_another_version_is_made_again(
     output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site = third_passes.install(tmp_path, monkeypatch, BOTH)
-    ask = {"passes": ["slope"], "samples": [1], "folder": tmp_path / "frames"}
+    ask = {"passes": ["aspect"], "samples": [1], "folder": tmp_path / "frames"}
     stage = output / "out" / "batch_0000" / "stage.usda"
     assert render(stage, "annotation", **ask).rendered == 1
     assert render(stage, "annotation", **ask).rendered == 0
-    info = site / "scenec_slope-1.0.dist-info"
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: scenec_slope\nVersion: 1.1\n")
+    info = site / "scenec_aspect-1.0.dist-info"
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: scenec_aspect\nVersion: 1.1\n")
     assert render(stage, "annotation", **ask).rendered == 1
 
 
 def test_names_are_known_by_entry_points_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cfg = write_cfg(tmp_path, small_cfg(outputs=["depth", "slop"]))
-    with pytest.raises(CfgError, match=r'/outputs/1: "slop": expected one of .*depth_measured$'):
+    cfg = write_cfg(tmp_path, small_cfg(outputs=["depth", "aspecct"]))
+    with pytest.raises(CfgError, match=r'/outputs/1: "aspecct": expected one of .*depth_measured$'):
         compile_cfg(cfg, seed=1, out=tmp_path / "out")
-    with pytest.raises(argparse.ArgumentTypeError, match='no pass "slope"'):
-        passes_argument("depth,slope")
+    with pytest.raises(argparse.ArgumentTypeError, match='no pass "aspect"'):
+        passes_argument("depth,aspect")
     # What would fail if it were imported.
-    third_passes.install(tmp_path, monkeypatch, {"slope": "raise RuntimeError"})
-    with pytest.raises(CfgError, match='did you mean "slope"'):
+    third_passes.install(tmp_path, monkeypatch, {"aspect": "raise RuntimeError"})
+    with pytest.raises(CfgError, match='did you mean "aspect"'):
         compile_cfg(cfg, seed=1, out=tmp_path / "out")
-    with pytest.raises(argparse.ArgumentTypeError, match='did you mean "slope"'):
-        passes_argument("depth,slop")
-    assert passes_argument("depth,slope,label.class") == ("depth", "slope", "label.class")
+    with pytest.raises(argparse.ArgumentTypeError, match='did you mean "aspect"'):
+        passes_argument("depth,aspecct")
+    assert passes_argument("depth,aspect,label.class") == ("depth", "aspect", "label.class")
 
 
 def changed(old: str, new: str) -> str:
-    assert old in third_passes.SLOPE
-    return third_passes.SLOPE.replace(old, new)
+    assert old in third_passes.ASPECT
+    return third_passes.ASPECT.replace(old, new)
 
 
 @pytest.mark.parametrize(
@@ -174,19 +175,19 @@ def changed(old: str, new: str) -> str:
             changed("    return np", "    return view.once(normal)\n    np"),
             r"returned float64 \[6912, 3\], expected float32 or float64 \[6912\]",
         ),
-        (changed("np.nan, steep)", "0, 1)"), "returned int64"),
+        (changed("np.nan, away)", "0, 1)"), "returned int64"),
         (changed("    return np", "    np"), "returned NoneType"),
         (changed("view.once", "view.twice"), r"AttributeError: .*twice.* \(\w+.py, line 9\)"),
         (changed('("angle",)', '("b", "a")'), "alphabetical"),
-        (changed('name="slope"', 'name="slop"'), 'its name is "slop"'),
-        (changed("SLOPE = Pass", "SLOPE = dict"), "expected a .*contract.Pass, not dict"),
-        (changed("SLOPE = ", "OTHER = "), "cannot be imported: AttributeError"),
+        (changed('name="aspect"', 'name="aspecct"'), 'its name is "aspecct"'),
+        (changed("ASPECT = Pass", "ASPECT = dict"), "expected a .*contract.Pass, not dict"),
+        (changed("ASPECT = ", "OTHER = "), "cannot be imported: AttributeError"),
         (
-            changed("compute=slope", "compute=1 / 0"),
+            changed("compute=aspect", "compute=1 / 0"),
             "cannot be imported: ZeroDivisionError",
         ),
-        (changed("compute=slope", "compute=slope, needs=('rgb',)"), "it needs rgb"),
-        (changed("compute=slope", "compute=slope, needs=('dept',)"), 'did you mean "depth"'),
+        (changed("compute=aspect", "compute=aspect, needs=('rgb',)"), "it needs rgb"),
+        (changed("compute=aspect", "compute=aspect, needs=('dept',)"), 'did you mean "depth"'),
     ],
 )
 def test_what_is_wrong_with_it_names_its_entry_point(
@@ -196,13 +197,13 @@ def test_what_is_wrong_with_it_names_its_entry_point(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    third_passes.install(tmp_path, monkeypatch, {"slope": source})
-    place = r'pass "slope" \(scenec_slope_slope:SLOPE of scenec_slope\): .*'
+    third_passes.install(tmp_path, monkeypatch, {"aspect": source})
+    place = r'pass "aspect" \(scenec_aspect_aspect:ASPECT of scenec_aspect\): .*'
     with pytest.raises(BackendError, match=("" if "depth" in message else place) + message):
-        annotate(*world, VIEWS["pinhole"], ["slope"], 0)
+        annotate(*world, VIEWS["pinhole"], ["aspect"], 0)
 
 
-@pytest.mark.parametrize("name", ["slope", "depth"])
+@pytest.mark.parametrize("name", ["aspect", "depth"])
 def test_two_passes_of_one_name_are_refused(
     name: str,
     world: tuple[RenderScene, ExactCaster],
@@ -210,7 +211,7 @@ def test_two_passes_of_one_name_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for package in ("first", "second"):
-        third_passes.install(tmp_path, monkeypatch, {name: third_passes.SLOPE}, package)
+        third_passes.install(tmp_path, monkeypatch, {name: third_passes.ASPECT}, package)
     several = rf'several passes have the name "{name}": .*of second, .*of first'
     with pytest.raises(BackendError, match=several):
         select(world[0], [name])

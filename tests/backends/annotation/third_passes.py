@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 #: The pass of docs/recipes.md, as it stands there.
-SLOPE = re.search(
-    r"<!-- file: slope/scenec_slope.py -->\n```python\n(.*?)```",
+ASPECT = re.search(
+    r"<!-- file: aspect/scenec_aspect.py -->\n```python\n(.*?)```",
     (Path(__file__).resolve().parents[3] / "docs" / "recipes.md").read_text(encoding="utf-8"),
     re.DOTALL,
 )[1]
@@ -40,7 +40,7 @@ def install(
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
     passes: Mapping[str, str],
-    package: str = "scenec_slope",
+    package: str = "scenec_aspect",
 ) -> Path:
     """Make a package known; returns its folder.
 

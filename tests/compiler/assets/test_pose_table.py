@@ -42,9 +42,18 @@ def test_ids_group_rows_and_columns_stand_in_any_order(tmp_path):
     assert poses.scale.tolist() == [2, 0.5, 0.5]
 
 
+def test_latitude_and_longitude_stand_for_x_and_y(tmp_path):
+    poses = table(tmp_path, "z_m,longitude_deg,latitude_deg\n5,30,-89\n")
+    assert poses.is_geographic
+    assert poses.position_m.tolist() == [[-89, 30, 5]]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("latitude_deg,y_m\n1,2\n", ':1: no column is called "y_m"'),
+        ("x_m,longitude_deg\n1,2\n", ':1: no column is called "longitude_deg"'),
+        ("latitude_deg,z_m\n1,2\n", ':1: no column "longitude_deg"; expected columns of id'),
         ("", "no poses"),
         ("x_m,y_m\n", "no poses below the header"),
         ("x_m\n1\n", ':1: no column "y_m"'),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_cfg import changed, faults_of, load_cfg
 
-from scenec.compiler.assets.tracks import read_track
+from scenec.compiler.assets.tracks import read_stamped, read_track
 from scenec.schemas.errors import SceneError
 
 _ROWS = "0,1,2,3,1,0,0,0\n0.5,1,2,3,0.6,0,0.8,0\n"
@@ -34,6 +34,15 @@ def test_a_track_is_read_with_and_without_a_header(tmp_path, text):
     assert track.time_s.tolist() == [0.0, 0.5]
     assert track.position_m.tolist() == [[1.0, 2.0, 3.0]] * 2
     assert np.allclose(track.quaternion, [[1, 0, 0, 0], [0.6, 0, 0.8, 0]], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("read", [read_track, read_stamped])
+def test_latitude_and_longitude_stand_for_x_and_y_in_a_header(read, tmp_path):
+    header = _HEADER.replace("x_m", "latitude_deg").replace("y_m", "longitude_deg")
+    (tmp_path / "track.csv").write_text(header + _ROWS)
+    track = read(tmp_path / "track.csv")
+    assert track.is_geographic
+    assert track.position_m.tolist() == [[1.0, 2.0, 3.0]] * 2
 
 
 def test_quaternions_are_normalized(tmp_path):

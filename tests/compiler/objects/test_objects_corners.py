@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scenec.compiler.geometry.boxes import boxes_of
 from scenec.compiler.geometry.icosphere import icosphere
 from scenec.compiler.geometry.normals import face_normals, vertex_normals
+from scenec.compiler.objects import corners as corners_
 from scenec.compiler.objects.corners import corner_normals, split
 from scenec.testing.examples import examples
 
@@ -76,3 +78,26 @@ def test_normals_of_any_soup_are_unit_and_never_against_their_face(seed, crease,
     copies, made, normals = split(faces, corners.astype(np.float32))
     assert np.array_equal(copies[made], faces)
     assert np.array_equal(normals[made], corners.astype(np.float32))
+
+
+@pytest.mark.parametrize("vertices", [1, 30, 3000])
+def test_corners_are_sorted_as_numpy_sorts_them(vertices, monkeypatch):
+    drawn = np.random.default_rng(vertices)
+    faces = drawn.integers(0, vertices, (80 if vertices == 1 else vertices, 3)).astype(np.int32)
+    # Few values, zeros of both signs among them: many corners share a normal or a part of it.
+    normals = drawn.choice(np.array([-1.0, -0.0, 0.0, 0.5], np.float32), (len(faces), 3, 3))
+    own = split(faces, normals)
+    monkeypatch.setattr(corners_, "_FAN", 0)
+    for one, other in zip(own, split(faces, normals), strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_boxes_are_those_of_each_part_and_infinite_without_points():
+    drawn = np.random.default_rng(5)
+    points, part = drawn.normal(size=(500, 3)), drawn.integers(0, 9, 500)
+    low, high = boxes_of(points, part, 10)
+    for k in range(9):
+        assert np.array_equal(low[k], points[part == k].min(axis=0))
+        assert np.array_equal(high[k], points[part == k].max(axis=0))
+    assert (low[9] == np.inf).all()
+    assert (high[9] == -np.inf).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from elsewhere import printed_elsewhere, printed_here
 from test_relief_masks import MASK, PROGRAM, write_program
@@ -34,7 +35,11 @@ def program(tmp_path_factory) -> Path:
         "type": "stream_power", "erodibility": 1e-5, "slope_exponent": 1.4, "area_exponent": 0.6,
         "duration_a": 1e4, "uplift_m_per_a": 1e-5, "steps": 2,
     }  # fmt: skip
-    return write_program(tmp_path_factory.mktemp("bytes"), [*PROGRAM, powers, *masked])
+    folder = tmp_path_factory.mktemp("bytes")
+    np.save(folder / "dem.npy", np.random.default_rng(3).normal(size=(64, 64)).cumsum(axis=0))
+    dem = {"type": "dem", "file": "dem.npy", "pixel_m": 0.4, "height_scale": 0.01}
+    finer = {"type": "downscale", "slope": 3.1}
+    return write_program(folder, [*PROGRAM, powers, *masked, dem, finer])
 
 
 @pytest.mark.invariant
@@ -42,5 +47,5 @@ def program(tmp_path_factory) -> Path:
 def test_every_operator_gives_the_same_bytes_in_all_circumstances_at_once(program):
     # Hash of heights and report after each operator.
     reference = printed_here(_HEIGHTS, program)
-    assert len(reference.splitlines()) == len(PROGRAM) + 4
+    assert len(reference.splitlines()) == len(PROGRAM) + 6
     assert printed_elsewhere(_HEIGHTS, program) == reference

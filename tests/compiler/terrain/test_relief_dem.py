@@ -250,14 +250,6 @@ def test_what_a_dem_lacks_is_said_where_it_is_missing(tmp_path, keys, pointer, w
 # What files can hold.
 
 
-def test_a_file_whose_columns_run_west_is_not_laid_mirrored(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", field())
-    with rasterio.open(path, "r+") as file:
-        file.transform = rasterio.Affine(-1.0, 0.0, 500.0, 0.0, -1.0, 700.0)
-    with pytest.raises(SceneError, match="first column in the east"):
-        apply(replace(DEM, file=path))
-
-
 @pytest.mark.parametrize("place", [np.nan, np.inf, 1e300])
 def test_a_transform_that_is_no_place_is_refused(tmp_path, place):
     path = write_geotiff(tmp_path / "a.tif", field(), origin=(place, 0.0))

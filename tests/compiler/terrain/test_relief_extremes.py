@@ -84,7 +84,7 @@ def operators(size: float, folder) -> list:
         Tracks(file=folder / "path.csv", wheel_distance_m=0.3 * size, wheel_width_m=0.12 * size,
                depth_m=0.01 * size, grouser_spacing_m=0.1 * size, grouser_depth_m=0.01 * size),
     ]  # fmt: skip
-    there = {"dem", "mesh", *(name_of("relief", type(operator)) for operator in large)}
+    there = {"dem", "downscale", "mesh", *(name_of("relief", type(operator)) for operator in large)}
     rest = [name for name in CHOICES["relief"].kinds if name not in there]
     return [*large, *(scattered(dict(kind_of("relief", name).EXAMPLE)) for name in rest)]
 

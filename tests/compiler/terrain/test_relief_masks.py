@@ -272,7 +272,7 @@ PROGRAM = [
 PROGRAM += [
     kind_of("relief", name).EXAMPLE
     for name in CHOICES["relief"].kinds
-    if name not in {"plane", "dem", "mesh", *(node["type"] for node in PROGRAM)}
+    if name not in {"plane", "dem", "downscale", "mesh", *(node["type"] for node in PROGRAM)}
 ]
 MASK = [
     {"type": "height", "min_m": -10, "softness_m": 0.2},
