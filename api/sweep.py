@@ -31,7 +31,7 @@ from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, SweepPoint, points, read_all
 from scenec.compiler.views.needed import Keep
 from scenec.schemas.codec import Facts, Natural, decode
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, check_writable, read_json, write_json
 from scenec.schemas.manifest import MANIFEST
@@ -164,7 +164,7 @@ class SweepTable:
 def _as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Returns the table of points as CSV, a line each below their keys."""
     text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
+    lines = csv_writer(text)
     lines.writerows(map(guarded_line, [list(rows[0]), *(row.values() for row in rows)]))
     return text.getvalue()
 

@@ -14,7 +14,6 @@ export that was cut short has done is not done again.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import shutil
 from collections.abc import Iterator, Sequence
@@ -45,7 +44,7 @@ from scenec.datasets.source import FrameFault
 from scenec.datasets.statistics import Statistics
 from scenec.datasets.sums import SUMS, listed, note, settle, tidy, write_sums
 from scenec.schemas.codec import encode
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
 from scenec.schemas.lock import LOCK, Lock
@@ -302,7 +301,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
     sums: dict[str, str] = {}
     last = {ref.batch_name: task.number for task in plan.tasks() for ref in task.frames}
     with (data / INDEX).open("w", encoding="utf-8", newline="") as index_file:
-        index = csv.writer(index_file, lineterminator="\n")
+        index = csv_writer(index_file)
         index.writerow(INDEX_COLUMNS)
         for task, entry in records.entries():
             index.writerows(map(guarded_line, entry.index))

@@ -7,7 +7,9 @@ formula to a spreadsheet, which may fetch or run something; with an apostrophe b
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable
+from typing import Any, NamedTuple, TextIO
 
 #: Of OWASP's list, with the wide forms that spreadsheets of East Asia take for them.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # noqa: RUF001
@@ -26,6 +28,23 @@ def unguarded(text: str) -> str:
 def guarded_line(cells: Iterable[object]) -> list[object]:
     """A line's cells: texts guarded, others as they are."""
     return [guarded(cell) if isinstance(cell, str) else cell for cell in cells]
+
+
+class _Lines(NamedTuple):
+    """Writes lines that end in a line feed, whatever a writer of CSV ends them with."""
+
+    file: TextIO
+
+    def write(self, line: str) -> int:
+        return self.file.write(line.removesuffix("\r\n") + "\n")
+
+
+def csv_writer(file: TextIO) -> Any:
+    """Returns a ``csv.writer`` that puts each text with an end of a line in it between quotes.
+
+    Asked for line feeds at once, Python 3.12 leaves a carriage return within a text as it is.
+    """
+    return csv.writer(_Lines(file))
 
 
 def _is_formula(text: str) -> bool:

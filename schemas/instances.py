@@ -45,7 +45,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.csv_cells import guarded, unguarded
+from scenec.schemas.csv_cells import csv_writer, guarded, unguarded
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import NUMPY_FAULTS, atomic, frame_stem_of
 
@@ -241,7 +241,7 @@ def write_frame_table(path: Path, columns: dict[str, NDArray[Any]]) -> None:
         for values in columns.values()
     ]
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv_writer(file)
         writer.writerow(columns)
         writer.writerows(zip(*texts, strict=True))
 

@@ -18,7 +18,7 @@ for version in 3.12 3.13 3.14; do
   fi
   folder=.venv-$version
   echo "== Installing scenec into $folder"
-  $uv venv --quiet --clear --python "$python" "$folder"
+  $uv venv --quiet --seed --clear --python "$python" "$folder"
   .venv/bin/python tools/locked.py "$@" >"$folder/lock.txt"
   $uv pip install --quiet --python "$folder/bin/python" --require-hashes --no-deps --only-binary :all: -r "$folder/lock.txt"
   $uv pip install --quiet --python "$folder/bin/python" --no-deps --no-build-isolation --editable .

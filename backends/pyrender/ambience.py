@@ -126,12 +126,14 @@ def make_ground(
     step = size[:2] / CELLS
     horizon = np.zeros((CELLS, CELLS, AZIMUTHS), np.float32)
     seen = np.zeros((CELLS, CELLS, AZIMUTHS), np.int32)
-    over_threads(_horizons, CELLS, heights, step, STEPS, _directions(), horizon, seen)
+    padded = np.pad(heights, (0, 1), mode="edge")
+    over_threads(_horizons, CELLS, padded, step, STEPS, _directions(), horizon, seen)
     filled = np.where(there, heights, np.nanmean(heights))
     dy, dx = np.gradient(filled, step[1], step[0])
     normals = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
     normals /= np.sqrt((normals**2).sum(axis=-1, keepdims=True))
-    along = (normals[..., None, :2] * _directions()).sum(axis=-1)
+    right, up = _directions().T
+    along = normals[..., :1] * right + normals[..., 1:2] * up
     own = np.arctan(np.maximum(-along / normals[..., 2:], 0.0)) / (0.5 * np.pi)
     over = np.maximum(np.arctan(horizon) / (0.5 * np.pi), own)
     return Ground(
@@ -150,7 +152,8 @@ def make_ground(
 def _directions() -> NDArray[np.float64]:
     """Unit vectors of the azimuths, from +X towards +Y, float64 [AZIMUTHS, 2]."""
     phi = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-    return np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+    # Along an axis exactly: a cell beside it that is no number would count with a weight of 1e-16.
+    return np.stack([np.cos(phi), np.sin(phi)], axis=-1).round(15)
 
 
 def is_flat(bounds: NDArray[np.float64]) -> bool:
@@ -189,32 +192,44 @@ def _albedo(
 
 @kernel
 def _horizons(first, last, heights, step, steps, directions, horizon, cells):  # type: ignore[no-untyped-def]
-    n = heights.shape[0]
+    """``heights`` has a row and a column more than there are cells.
+
+    A row of cells at once: all look as far to the side, so that several are taken at a time.
+    """
+    n = len(heights) - 1
+    best = np.empty(n)
+    found = np.empty(n, np.int64)
     for row in range(first, last):
-        for column in range(n):
-            here = heights[row, column]
-            for a in range(len(directions)):
-                right, up = directions[a]
-                length = np.sqrt((step[0] * right) ** 2 + (step[1] * up) ** 2)
-                best = 0.0
-                found = row * n + column
-                for s in range(len(steps)):
-                    x = column + steps[s] * right
-                    y = row + steps[s] * up
-                    if x < 0.0 or y < 0.0 or x > n - 1.0 or y > n - 1.0:
-                        break
-                    c = min(int(x), n - 2)
-                    r = min(int(y), n - 2)
-                    u, v = x - c, y - r
-                    low = (1.0 - u) * heights[r, c] + u * heights[r, c + 1]
-                    high = (1.0 - u) * heights[r + 1, c] + u * heights[r + 1, c + 1]
-                    rise = (1.0 - v) * low + v * high - here
+        for a in range(len(directions)):
+            right, up = directions[a]
+            length = np.sqrt((step[0] * right) ** 2 + (step[1] * up) ** 2)
+            for column in range(n):
+                best[column] = 0.0
+                found[column] = row * n + column
+            for s in range(len(steps)):
+                x, y = steps[s] * right, row + steps[s] * up
+                start, end = max(int(np.ceil(-x)), 0), min(int(np.floor(n - 1.0 - x)) + 1, n)
+                if y < 0.0 or y > n - 1.0 or start >= end:
+                    break
+                r, c = int(y), int(np.floor(x))
+                u, v = x - c, y - r
+                low = heights[r, start + c : end + c + 1]
+                high = heights[r + 1, start + c : end + c + 1]
+                here = heights[row, start:end]
+                rise, to = best[start:end], found[start:end]
+                cell = int(y + 0.5) * n + int(np.floor(x + 0.5)) + start
+                away = 1.0 / (steps[s] * length)
+                for k in range(end - start):
+                    below = (1.0 - u) * low[k] + u * low[k + 1]
+                    above = (1.0 - u) * high[k] + u * high[k + 1]
+                    slope = ((1.0 - v) * below + v * above - here[k]) * away
                     # False for what is no number: nothing is there.
-                    if rise > best * steps[s] * length:
-                        best = rise / (steps[s] * length)
-                        found = int(y + 0.5) * n + int(x + 0.5)
-                horizon[row, column, a] = best
-                cells[row, column, a] = found
+                    more = slope > rise[k]
+                    rise[k] = slope if more else rise[k]
+                    to[k] = cell + k if more else to[k]
+            for column in range(n):
+                horizon[row, column, a] = best[column]
+                cells[row, column, a] = found[column]
 
 
 @dataclass(frozen=True)

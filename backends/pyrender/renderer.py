@@ -48,8 +48,10 @@ UNITS = (
 #: Share of a shadow map's texel that a surface may lie farther from the sun than itself.
 _BIAS = 0.25
 
-
+#: All renderers of a process share what takes longer to make than a small scene to draw: programs,
+#: and shadow maps by size (48 MB of memory that a system has to clear).
 _PROGRAMS = ShaderProgramCache(shader_dir=str(SHADERS))
+_SHADOWS: dict[int, resources.Target] = {}
 
 
 class Part(pyrender.Primitive):
@@ -119,7 +121,6 @@ class Renderer(pyrender.Renderer):
         if self._freed or not platforms.alive():
             return
         self._freed = True
-        # All renderers share the programs, which take longer to compile than a small scene to draw.
         self._program_cache = ShaderProgramCache()
         super().delete()
         for table in self._tables.values():
@@ -354,9 +355,9 @@ class Renderer(pyrender.Renderer):
         return target
 
     def _shadows(self) -> resources.Target:
-        if "shadows" not in self._targets:
-            self._targets["shadows"] = resources.shadow_target(self.shadow_size, CASCADES)
-        return self._targets["shadows"]
+        if self.shadow_size not in _SHADOWS:
+            _SHADOWS[self.shadow_size] = resources.shadow_target(self.shadow_size, CASCADES)
+        return _SHADOWS[self.shadow_size]
 
     def _set_state(self) -> None:
         """OpenGL's state as all passes begin with it, whoever used the context before."""

@@ -53,7 +53,6 @@ class Context:
         samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
         spacing_m: Of the samples of the relief.
-        georeference: Returns where on a body the terrain lies; None where no DEM of it says so.
     """
 
     streams: Streams

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -183,7 +183,7 @@ def _listed(nodes: Sequence[JsonObject], context: Context) -> PoseTable:
     )
 
 
-def _place(node: Mapping[str, Any]) -> tuple[str, ...]:
+def _place(node: JsonObject) -> tuple[str, ...]:
     return GEOGRAPHIC if GEOGRAPHIC[0] in node else PLACE
 
 

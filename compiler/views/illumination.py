@@ -170,25 +170,42 @@ def squared_distances(top):  # type: ignore[no-untyped-def]
     rows, columns = top.shape
     # Along columns first, then the lowest of their parabolas along rows: Meijster, Roerdink and
     # Hesselink, "A general algorithm for computing distance transforms in linear time" (2000).
-    along = np.full(top.shape, np.inf)
-    for i in range(columns):
-        for start, stop, step in ((0, rows, 1), (rows - 1, -1, -1)):
-            blocks = np.inf
-            for j in range(start, stop, step):
-                blocks = 0.0 if top[j, i] > -np.inf else blocks + 1.0
-                along[j, i] = min(along[j, i], blocks)
-    out = np.empty(top.shape)
+    far = rows + columns
+    along = np.empty(top.shape, np.int64)
     for j in range(rows):
         for i in range(columns):
-            least = along[j, i] * along[j, i]
-            for away in range(1, columns):
-                if away * away >= least:
+            before = along[j - 1, i] if j > 0 else far
+            along[j, i] = 0 if top[j, i] > -np.inf else before + 1
+    for j in range(rows - 2, -1, -1):
+        for i in range(columns):
+            along[j, i] = min(along[j, i], along[j + 1, i] + 1)
+    out = np.full(top.shape, np.inf)
+    # Parabolas about columns, and from where each is the lowest one.
+    about, start = np.empty(columns, np.int64), np.empty(columns, np.int64)
+    for j in range(rows):
+        height = along[j] * along[j]
+        last = -1
+        for i in range(columns):
+            if along[j, i] >= far:
+                continue
+            first = 0
+            while last >= 0:
+                other = about[last]
+                before, beyond = start[last] - other, start[last] - i
+                if before * before + height[other] <= beyond * beyond + height[i]:
+                    squares = i * i - other * other + height[i] - height[other]
+                    first = 1 + squares // (2 * (i - other))
                     break
-                for other in (i - away, i + away):
-                    if 0 <= other < columns:
-                        square = along[j, other] * along[j, other]
-                        least = min(least, away * away + square)
-            out[j, i] = least
+                last -= 1
+            if first < columns:
+                last += 1
+                about[last], start[last] = i, first
+        for i in range(columns - 1, -1, -1):
+            if last < 0:
+                break
+            away = i - about[last]
+            out[j, i] = away * away + height[about[last]]
+            last -= i == start[last]
     return out
 
 

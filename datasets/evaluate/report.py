@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 from scenec.datasets.evaluate.evaluation import Evaluation
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.files import atomic, write_json
 
 JSON, CSV = "evaluation.json", "evaluation.csv"
@@ -26,7 +25,7 @@ def write(folder: Path, evaluation: Evaluation) -> None:
     else:
         evaluation.files += plots.draw(folder, evaluation)
     with atomic(folder / CSV) as temporary, temporary.open("w", newline="", encoding="utf-8") as f:
-        writer = csv.writer(f, lineterminator="\n")
+        writer = csv_writer(f)
         writer.writerow(("table", "row", "measure", "value"))
         writer.writerows(map(guarded_line, evaluation.lines()))
     write_json(folder / JSON, evaluation.as_json())

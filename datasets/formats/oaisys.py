@@ -17,7 +17,6 @@ id digit = round(value * c / 255).
 
 from __future__ import annotations
 
-import csv
 import itertools
 import operator
 from collections.abc import Iterable, Mapping
@@ -32,7 +31,7 @@ from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, W
 from scenec.datasets.formats.encode import encoded, picture_png, write_bytes
 from scenec.datasets.source import LoadedFrame
 from scenec.datasets.splits import ALL
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.errors import OutputError
 from scenec.schemas.exr import write_rgb
 from scenec.schemas.files import atomic, write_json
@@ -170,7 +169,7 @@ class Oaisys(Format):
                 temporary.open("w", encoding="utf-8", newline="") as file,
             ):
                 lines = (guarded_line(record["pose"]) for record in group)
-                csv.writer(file, lineterminator="\n").writerows(lines)
+                csv_writer(file).writerows(lines)
         code = self.generation
         write_json(
             folder / LABELS,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from scenec.datasets.formats.contract import Format, Option
 from scenec.datasets.pictures import picture
 from scenec.datasets.source import FrameRef, LoadedFrame, record_of
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.picture import write_png
@@ -228,6 +227,6 @@ def write_table(path: Path, columns: Sequence[str], lines: Iterable[Sequence[obj
         OutputError: It cannot be written.
     """
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv_writer(file)
         writer.writerow(columns)
         writer.writerows(map(guarded_line, lines))

@@ -6,7 +6,6 @@ GeoJSON of 2008 did, which GDAL reads; without a georeference these are the stag
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.files import atomic
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.site_map import Table
@@ -45,7 +44,7 @@ def write_table(folder: Path, name: str, table: Table, place: Georeference | Non
         atomic(folder / f"{name}.csv") as path,
         path.open("w", encoding="utf-8", newline="") as out,
     ):
-        lines = csv.writer(out, lineterminator="\n")
+        lines = csv_writer(out)
         lines.writerow(table)
         for row in _rows(table):
             lines.writerow(guarded_line("" if value is None else value for value in row.values()))

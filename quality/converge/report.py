@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 from scenec.backends.check.radiance import flip, write_differences
 from scenec.quality.converge.ladder import Climbed
 from scenec.quality.converge.measure import References, Row
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.extras import install
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.frames import Frame
@@ -38,7 +37,7 @@ def write(folder: Path, report: ConvergeReport) -> None:
     table = folder / CSV
     with atomic(table) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         names = [field.name for field in fields(Row)]
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv_writer(file)
         writer.writerow(names)
         writer.writerows(guarded_line(asdict(row).values()) for row in report.rows)
     report.files.append(table)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -13,7 +12,7 @@ from scenec.quality.ladder.cost import Clock
 from scenec.quality.ladder.points import Floats, rms, worst
 from scenec.quality.ladder.slopes import Slope, slope
 from scenec.schemas.codec import Facts
-from scenec.schemas.csv_cells import guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded_line
 
 #: All there are, in the order of reports.
 APPROXIMATIONS = ("tessellation", "lod", "sky", "smoothing", "craters", "textures")
@@ -184,7 +183,7 @@ class LadderReport:
     def as_csv(self) -> str:
         """One line a rung, with a header; details are left out."""
         out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
+        writer = csv_writer(out)
         writer.writerow(
             ["scene", "batch", "ladder", "what", "value", "used", "unit", "worst", "rms",
              "claimed", "claim_of", "claim_holds", "seconds", "bytes", "triangles"]

@@ -15,6 +15,7 @@ from scenec.compiler.light.latlong import read_picture
 from scenec.compiler.plan import Plan
 from scenec.schemas.errors import SceneError
 from scenec.schemas.exr import write_rgb
+from scenec.testing.extras import needs
 from scenec.testing.small import small_cfg, write_cfg
 
 BPY_SKY = "package:bpy/*/datafiles/studiolights/world/{}.exr"
@@ -139,6 +140,7 @@ def test_a_picture_that_is_not_finite_is_refused(tmp_path):
         sky_of(tmp_path, image_cfg(["a.exr"]))
 
 
+@needs("cycles", "bpy")
 def test_real_panoramas_are_found_in_an_installed_package(tmp_path):
     spec = load(write_cfg(tmp_path, image_cfg([BPY_SKY.format(n) for n in ("forest", "city")])))
     sky = build(draw(spec, 1, 0), BuildLog()).sky

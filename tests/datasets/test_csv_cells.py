@@ -95,7 +95,8 @@ def test_every_module_that_writes_csv_guards_its_cells():
             "importers",
         )
         for path in (root / room).rglob("*.py")
-        if "csv.writer(" in (source := path.read_text()) or "csv.DictWriter(" in source
+        if path.name != "csv_cells.py"
+        if any(name in path.read_text() for name in (" csv_writer(", "csv.writer(", "DictWriter("))
     ]
     assert len(writers) >= 5
     guards = ("guarded_line(", "map(guarded_line,", "map(guarded,")

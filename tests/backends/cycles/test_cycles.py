@@ -20,6 +20,9 @@ from scenec.backends.testing import Conformance, Lacks, Tolerance, geometry, loo
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import BackendError
 from scenec.schemas.maps import decode
+from scenec.testing.extras import needs
+
+pytestmark = needs("cycles", "bpy")
 
 TOLERANCES = {
     "intrinsics[skewed]": Lacks("Blender has no cameras with a skew"),

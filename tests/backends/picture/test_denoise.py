@@ -22,6 +22,7 @@ from scenec.backends.run.plan import RenderPlan
 from scenec.backends.stage.scene import RenderScene
 from scenec.backends.testing import scenes as ms
 from scenec.schemas.errors import BackendError
+from scenec.testing.extras import needs
 
 
 def ball_on_a_plane() -> RenderScene:
@@ -36,7 +37,11 @@ def ball_on_a_plane() -> RenderScene:
 
 
 @pytest.mark.parametrize(
-    ("name", "most"), [("mitsuba", 0.5), pytest.param("cycles", 0.7, marks=pytest.mark.slow)]
+    ("name", "most"),
+    [
+        ("mitsuba", 0.5),
+        pytest.param("cycles", 0.7, marks=[pytest.mark.slow, needs("cycles", "bpy")]),
+    ],
 )
 def test_denoising_leaves_the_halves_alone_and_the_sky_dark(name, most):
     scene = ball_on_a_plane()
@@ -99,7 +104,7 @@ def test_what_was_not_denoised_has_the_error_that_its_halves_tell():
     assert estimate_denoised([]).relative_rms is None
 
 
-@pytest.mark.parametrize("name", ["mitsuba", "cycles"])
+@pytest.mark.parametrize("name", ["mitsuba", pytest.param("cycles", marks=needs("cycles", "bpy"))])
 def test_the_error_of_a_denoised_picture_is_stated(name):
     scene = ball_on_a_plane()
     view, backend = scene.cameras[0][0], open_backend(name, "cpu")

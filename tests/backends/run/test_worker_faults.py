@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import json
 import os
@@ -313,6 +314,8 @@ def test_a_worker_that_cannot_be_started_is_said_with_the_reason_and_may_be_late
 ):
     unit = OpenStage(Opening(str(stage), "plain"))
     soft, hard = resource.getrlimit(which)
+    # What earlier tests left to be collected would be closed meanwhile.
+    gc.collect()
     before = psutil.Process().num_fds()
     with closing(Supervisor()) as worker:
         resource.setrlimit(which, (most(), hard))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from scenec.backends.stage.scene import Reflectance
 from scenec.backends.surface import cells, lamps, lobes, merges, projections, reflectance
 from scenec.backends.surface.algebra import FLOAT64, Algebra
 from scenec.backends.testing import scenes as ms
+from scenec.testing.extras import needs
 
 POINTS = 64
 
@@ -36,7 +36,7 @@ class Formula:
 
 def vectors(fn: Algebra, numbers: Sequence[Any]) -> list[Any]:
     """Vectors of three numbers each, in [-1, 1]."""
-    threes = itertools.batched(numbers, 3, strict=True)
+    threes = zip(*[iter(numbers)] * 3, strict=True)
     return [fn.vector(*(2.0 * x - 1.0 for x in three)) for three in threes]
 
 
@@ -242,7 +242,9 @@ def nodes(formula: Formula, monkeypatch: pytest.MonkeyPatch) -> NDArray:
 
 
 @pytest.mark.parametrize("name", FORMULAS)
-@pytest.mark.parametrize("language", ["Dr.Jit", "GLSL", "nodes"])
+@pytest.mark.parametrize(
+    "language", ["Dr.Jit", "GLSL", pytest.param("nodes", marks=needs("cycles", "bpy"))]
+)
 def test_a_formula_is_the_definition(name, language, monkeypatch):
     formula = FORMULAS[name]
     if language == "nodes":

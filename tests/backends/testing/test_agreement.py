@@ -23,6 +23,7 @@ from scenec.backends.testing.scenes import (
     sun,
     surface,
 )
+from scenec.testing.extras import needs
 
 
 def halves(name: str, made: RenderScene, spp: int) -> NDArray:
@@ -84,6 +85,7 @@ SCENES: dict[str, Callable[[], RenderScene]] = {
 }
 
 
+@needs("cycles", "bpy")
 @pytest.mark.invariant
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
@@ -98,6 +100,7 @@ def test_mean_radiance_of_path_tracers_is_within_half_a_percent(name):
     assert (np.abs(ours - theirs) <= 5 * error + 0.01 * theirs).all()
 
 
+@needs("cycles", "bpy")
 @pytest.mark.slow
 def test_bumpy_ground_of_the_moon_is_the_same():
     # With what surfaces throw at each other, a twentieth of the light.
@@ -113,6 +116,7 @@ def test_bumpy_ground_of_the_moon_is_the_same():
     assert means[0] == pytest.approx(means[1], rel=0.02)
 
 
+@needs("cycles", "bpy")
 def test_all_three_agree_on_rocks_by_lamplight():
     sphere, faces = icosphere(3)
     rows = [(0, affine())] + [

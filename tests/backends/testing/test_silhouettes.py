@@ -10,6 +10,7 @@ from scenec.backends.registry import open_backend
 from scenec.backends.stage.scene import RenderScene
 from scenec.backends.testing import scenes as ms
 from scenec.testing import scenes
+from scenec.testing.extras import needs
 
 ALBEDO = 0.5
 
@@ -26,7 +27,10 @@ def coarse_ball(flipped: bool) -> RenderScene:
     return ms.scene([mesh], [ms.surface((ALBEDO,) * 3)], cameras=[view], lights=[ms.dome()])
 
 
-@pytest.fixture(scope="module", params=["cycles", "mitsuba", "pyrender"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param("cycles", marks=needs("cycles", "bpy")), "mitsuba", "pyrender"],
+)
 def backend(request: pytest.FixtureRequest) -> Backend:
     return open_backend(request.param)
 

@@ -11,6 +11,7 @@ from scenec.backends.stage.scene import RenderScene, Surface
 from scenec.backends.surface import lobes
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.testing import scenes as ms
+from scenec.testing.extras import needs
 
 ROUGHNESS = (0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)
 #: (specular, metallic): metals, white gloss, and both beside a dull lobe.
@@ -61,7 +62,7 @@ def means(picture: NDArray, seen: ms.Camera) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     # Mitsuba's samples are independent; nothing in pyrender is random.
     ("name", "samples"),
-    [("mitsuba", 8192), ("cycles", 512), ("pyrender", 4)],
+    [("mitsuba", 8192), pytest.param("cycles", 512, marks=needs("cycles", "bpy")), ("pyrender", 4)],
 )
 def test_white_surfaces_vanish(name, samples):
     backend = registry.open_backend(name)
