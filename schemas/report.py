@@ -253,6 +253,14 @@ class MotionFacts:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DescentFacts:
+    """How long a descent takes, and how it slows down, among the facts of its motion."""
+
+    duration_s: float
+    deceleration_m_s2: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class PrunedLight:
     """Records the light that pruning neglects."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -18,7 +18,7 @@ from scenec.compiler.terrain.grid import Applied, Grid, bicubic
 from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.compiler.terrain.spectral_law import SpectralLaw, fit_spectral_law
-from scenec.schemas.codec import decode, encode
+from scenec.schemas.codec import JsonObject, decode, encode
 from scenec.schemas.errors import SceneError
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.kernels import inlined, kernel
@@ -383,7 +383,7 @@ class Dem:
         }
 
 
-def recorded_place(report: Mapping[str, Any]) -> Georeference | None:
+def recorded_place(report: JsonObject) -> Georeference | None:
     """Returns where on a body a terrain lies, by what a DEM reported; None where it does not."""
     place = report.get("georeference", {}).get("on_body")
     if place is None:
