@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from scenec.compiler.kinds import Context, Finding, an, draw_kind, draw_object, key, kind_of, named
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.light.suns import SunTrack
-from scenec.schemas.codec import JsonObject
+from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class LightPlan:
     haze: Haze | None = None
     clouds: Clouds | None = None
     lamps: tuple[LampPlan, ...] = ()
-    sun_facts: dict[str, Any] = field(default_factory=dict)
+    sun_facts: Facts = field(default_factory=dict)
 
     @property
     def lit(self) -> bool:
