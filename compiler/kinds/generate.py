@@ -90,7 +90,9 @@ def _branches(kinds: Mapping[str, str], usual: str = "") -> list[dict[str, Any]]
         {
             "if": {
                 "properties": {"type": {"const": kind}},
+                # Of null, where that is allowed, `required` holds.
                 **({} if kind == usual else {"required": ["type"]}),
+                **({"type": "object"} if usual and kind != usual else {}),
             },
             "then": {"$ref": f"{DEFS}{name}"},
         }
