@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scenec.api.check_text import agreement_lines, comparison_lines
 from scenec.api.declare import Spread
@@ -25,6 +25,7 @@ from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import OutputError, ScenecError, StageError
 from scenec.schemas.manifest import find_batches, read_manifest
 from scenec.schemas.passes import ANNOTATION_NAMES
@@ -70,7 +71,7 @@ class CheckReport:
         other = self.compared is not None and not self.compared.same
         return not (self.errors or differing or other)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """For scripts."""
         if self.is_dataset:
             other = self.compared
@@ -207,7 +208,7 @@ def find(out: Path, allow_missing: bool = False) -> list[Finding]:
     return findings
 
 
-def agreement_json(agreement: Agreement) -> dict[str, Any]:
+def agreement_json(agreement: Agreement) -> Facts:
     """For scripts; what is unknown is null."""
     return {
         "frames": agreement.frames,

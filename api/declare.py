@@ -159,6 +159,22 @@ def held_to_types[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+class _Translated:
+    """Stands before a listener and hands it lines in the caller's words."""
+
+    def __init__(self, listener: Listener, worded: Callable[[str], str]) -> None:
+        self._listener, self._worded = listener, worded
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._listener, name)
+
+    def say(self, line: str) -> None:
+        self._listener.say(self._worded(line))
+
+    def warn(self, line: str) -> None:
+        self._listener.warn(self._worded(line))
+
+
 class Spread[**P, T: CallOptions]:
     """Makes a function that takes a record take the record's fields, as typed keywords.
 
@@ -202,10 +218,14 @@ class Spread[**P, T: CallOptions]:
             for parameter, value in zip(before, args, strict=True):
                 require(parameter.name, value, str(parameter.annotation))
             made = record(**options)
+            if made.listener.flags:
+                return function(*args, made)
+            if type(made.listener) is not Listener:
+                object.__setattr__(made, "listener", _Translated(made.listener, self._named))
             try:
                 return function(*args, made)
             except ScenecError as error:
-                if not made.listener.flags and error.args:
+                if error.args:
                     error.args = (self._named(str(error)), *error.args[1:])
                 raise
 

@@ -190,7 +190,8 @@ def _track(
 def _without_unrendered(evaluation: Evaluation, source: Source | None) -> Evaluation:
     """Says which frames of the truth there are none of."""
     if source is not None:
-        evaluation.settings["frames_not_rendered"] = len(source.missing)
+        missing = {"frames_not_rendered": len(source.missing)}
+        evaluation.settings = {**evaluation.settings, **missing}
         evaluation.notes += unrendered(source)
     return evaluation
 

@@ -14,6 +14,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.datasets.models import TEXELS
 from scenec.datasets.models.gltf import ModelContent, write_gltf
 from scenec.datasets.models.usdz import write_usdz
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, sha256
 from scenec.schemas.manifest import Batch, find_batches
@@ -42,7 +43,7 @@ class ModelsReport:
     folder: Path
     format: str
     files: tuple[Path, ...]
-    content: dict[str, Any]
+    content: JsonObject
 
     @property
     def losses(self) -> tuple[str, ...]:

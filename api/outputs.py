@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenec.api.declare import held_to_types, require
+from scenec.api.declare import Spread, held_to_types, require
 from scenec.api.options import RenderOptions
 from scenec.api.steps import render_output
 from scenec.schemas.codec import UNSET
@@ -64,8 +64,7 @@ class OutputFolder:
         Raises:
             StageError, BackendError, OutputError: As of ``scenec.render``.
         """
-        asked = RenderOptions(backend=backend, **options)
-        return replace(self, rendered=render_output(self.path, asked))
+        return replace(self, rendered=_rendered(self.path, backend=backend, **options))
 
     def frames(self, backend: str | None = None) -> list[FrameView]:
         """Frames that are there; as of ``open_frames``."""
@@ -96,6 +95,11 @@ class OutputFolder:
         except FrameError:
             shown = "".join(stage._repr_html_() for stage in self.stages[:3])
         return table_html(rows) + shown
+
+
+@Spread(RenderOptions).one
+def _rendered(out: Path | str, options: RenderOptions) -> RenderReport:
+    return render_output(out, options)
 
 
 @held_to_types

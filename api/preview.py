@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scenec.api.declare import Spread
 from scenec.api.options import PreviewOptions
 from scenec.api.steps import AnyCfg, cache_folder, read_cfg
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.files import Stamp, atomic, check_output, stamp
 from scenec.schemas.scratch import scratch_folder
@@ -146,11 +147,11 @@ class PreviewState:
             self._facts = {**self._facts, **facts, "version": self._facts["version"] + 1}
             self._changed.notify_all()
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> JsonObject:
         """All of it."""
         return self._facts
 
-    def after(self, version: int) -> dict[str, Any]:
+    def after(self, version: int) -> JsonObject:
         """All of it, once it is another version, or after some time."""
         with self._changed:
             self._changed.wait_for(lambda: self._facts["version"] != version, _WAIT_S)
@@ -333,7 +334,7 @@ def shaded(heights: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.round(255.0 * picture[::-1]).astype(np.uint8)
 
 
-def page(facts: dict[str, Any], *, live: bool) -> bytes:
+def page(facts: JsonObject, *, live: bool) -> bytes:
     """The page, with what it shows first.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from scenec.backends.stage.scene import Camera, RenderScene
 from scenec.datasets import pictures
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, paint_labels
 from scenec.datasets.source import FrameRef, LoadedFrame, Source
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.manifest import REPORT, Batch, find_batches
 from scenec.schemas.records import FrameRecord
 from scenec.schemas.report import BatchReport, read_output_record
@@ -196,7 +197,7 @@ def picture_html(pixels: NDArray[np.uint8], width: int = _WIDE) -> str:
     return f'<img width="{min(width, pixels.shape[1])}" src="data:image/png;base64,{text}">'
 
 
-def table_html(rows: Mapping[str, Any]) -> str:
+def table_html(rows: JsonObject) -> str:
     """A table of names and values as HTML."""
     cells = "".join(
         f"<tr><th style='text-align:left'>{html.escape(key)}</th>"

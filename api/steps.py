@@ -21,6 +21,7 @@ from scenec.api.options import (
     StageOptions,
     WorkOptions,
 )
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import CfgError, ScenecError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 #: A cfg: its file, what it holds, or one that is written in Python (``compiler.cfg.builder``).
 #: Files that the latter two name are relative to the working directory.
-type AnyCfg = Path | str | Mapping[str, Any] | CompleteCfg
+type AnyCfg = Path | str | JsonObject | CompleteCfg
 type Folder = Path | str
 #: Names a cfg that is in no file, in faults.
 _PYTHON = "cfg"

@@ -16,6 +16,7 @@ from scenec.api import forms
 from scenec.api.declare import Spread, held, option
 from scenec.api.options import PictureOptions, StageOptions
 from scenec.api.steps import AnyCfg, cache_folder, hire, plan_of, read_cfg, refuse_early
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import BackendError, FrameError, ScenecError, SceneError
 from scenec.schemas.passes import LABEL
 from scenec.schemas.units import Keeper, LocalExecutor, Rest, Unit
@@ -309,7 +310,7 @@ class Scene:
     text: bytes
     digest: str
     plan: RenderPlan
-    stages: Mapping[str, Any]
+    stages: JsonObject
     kept: bool
     index: int = 0
     seed: int = 0

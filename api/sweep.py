@@ -30,7 +30,7 @@ from scenec.api.steps import (
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, SweepPoint, points, read_all
 from scenec.compiler.views.needed import Keep
-from scenec.schemas.codec import Natural, decode
+from scenec.schemas.codec import Facts, Natural, decode
 from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, check_writable, read_json, write_json
@@ -138,7 +138,7 @@ class SweepTable:
         with atomic(self.out / f"{TABLE}.csv") as temporary:
             temporary.write_text(_as_csv(list(self._rows.values())), encoding="utf-8", newline="")
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Facts:
         """For scripts."""
         return {"name": self._name, "points": list(self._rows.values())}
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
 
 from scenec.api.text import table
 from scenec.cli.output import print_json
 from scenec.compiler.assets.library import Asset, shipped, snippet
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.spelling import nearest
 
@@ -44,12 +44,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _as_json(asset: Asset) -> dict[str, Any]:
+def _as_json(asset: Asset) -> Facts:
     size = [round(extent, 3) for extent in asset.size_m]
     return {**asset._asdict(), "size_m": size, "triangles": asset.triangles}
 
 
-def _indented(value: dict[str, Any], depth: int = 0) -> str:
+def _indented(value: Facts, depth: int = 0) -> str:
     """JSON that a person reads: one line for what fits into one."""
     line = json.dumps(value)
     if len(line) + 2 * depth <= _WIDTH and depth > 1:

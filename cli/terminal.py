@@ -114,7 +114,7 @@ class Terminal(Listener):
                     f"{read.offset:g}) * {read.unit_m:.9g} m of band {read.band}"
                 )
             went = decode(entry.facts, IterationFacts, OutputError, at)
-            if went.error_rms_m > went.error_aim_m:
+            if went.error_rms_m is not None and went.error_rms_m > went.error_aim_m:
                 say(
                     f"{name}: warning: {at} ({entry.type}) errs by about "
                     f"{went.error_rms_m:.2g} m rms after {went.steps:,} steps, its aim is "

@@ -45,7 +45,8 @@ from scenec.compiler.scene.scene import DemOrigin, Scene, require_finite
 from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.terrain.sources.dem import recorded_place
 from scenec.compiler.views.needed import Keep, Needs
-from scenec.schemas.left_out import Facts, Record
+from scenec.schemas.codec import JSON, Facts
+from scenec.schemas.left_out import Record
 from scenec.schemas.memory import keep_freed
 from scenec.schemas.threads import run_graph
 
@@ -64,7 +65,7 @@ class BuildLog:
         record: Why each instance is in the Scene or is not; None where none is missing.
     """
 
-    facts: Facts = field(default_factory=dict)
+    facts: dict[str, JSON] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     tell: Callable[[str], None] | None = None
     record: Record | None = None
@@ -84,7 +85,7 @@ class BuildLog:
         """Adds a step's facts; what several say of a thing is one object, or one list."""
         for key, value in facts.items():
             if key in self.facts:
-                known = self.facts[key]
+                known: Any = self.facts[key]
                 self.facts[key] = known | value if isinstance(value, dict) else known + value
             elif value or key != "left_out":
                 self.facts[key] = value
@@ -133,7 +134,7 @@ def assemble(
 ) -> tuple[Scene, Facts]:
     """Puts the Scene together."""
     # The first DEM that says where it lies.
-    placed = next((step for step in relief.steps if "georeference" in step), None)
+    placed: Any = next((step for step in relief.steps if "georeference" in step), None)
     georeference = None
     if placed is not None:
         crs, (east, north) = placed["georeference"]["crs"], placed["georeference"]["center"]

@@ -16,6 +16,7 @@ from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.output import held
 from scenec.compiler.views.needed import Keep
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import CfgError, Fault, OutputError, ScenecError
 from scenec.schemas.manifest import MANIFEST
 from scenec.schemas.units import Keeper
@@ -40,7 +41,7 @@ class SweepPoint:
     seed: int
 
     @property
-    def values(self) -> dict[str, Any]:
+    def values(self) -> Facts:
         """Value by path; a word that is no JSON stands for itself."""
         pairs = (setting.partition("=") for setting in self.settings)
         return {path: _typed(value) for path, _, value in pairs}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.kernels import kernel
 
 Counts = dict[str, int]
@@ -45,7 +46,7 @@ class Bins:
     def _array(self) -> NDArray[np.float64]:
         return np.array(self.edges)
 
-    def table(self, counts: Mapping[str, int]) -> dict[str, Any]:
+    def table(self, counts: Mapping[str, int]) -> JsonObject:
         """Returns the table for ``statistics.json``: edges of the bins in use, and counts.
 
         ``below`` and ``above`` are what is outside of all edges.
@@ -98,7 +99,7 @@ def share_counts(part: NDArray[np.int64], total: NDArray[np.int64]) -> Counts:
     return sparse(np.bincount(np.where(rest == 0, 0, tenth)))
 
 
-def share_table(counts: Mapping[str, int]) -> dict[str, Any]:
+def share_table(counts: Mapping[str, int]) -> JsonObject:
     """``share_counts`` as it stands in ``statistics.json``."""
     return {
         "unit": "1",

@@ -16,6 +16,7 @@ from typing import Any
 
 from scenec.datasets import card_tables as tables
 from scenec.datasets.formats.contract import Narrowed
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import CONVENTIONS
 
@@ -28,8 +29,8 @@ _ALWAYS = ("pixel", "intrinsics", "camera_to_world")
 
 def write_card(
     path: Path,
-    summary: dict[str, Any],
-    statistics: dict[str, Any],
+    summary: JsonObject,
+    statistics: JsonObject,
     usage: str,
     cfg: str | None = None,
 ) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+
+from scenec.schemas.codec import JsonObject
 
 _BAR = 24
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -57,7 +58,7 @@ def bar(count: int, most: int) -> str:
     return (_EIGHTHS[8] * (eighths // 8) + _EIGHTHS[eighths % 8]).strip()
 
 
-def histogram(entry: Mapping[str, Any], what: str, counted: str) -> str:
+def histogram(entry: JsonObject, what: str, counted: str) -> str:
     """A histogram of ``statistics.json`` as a table with bars.
 
     Args:
@@ -85,7 +86,7 @@ def histogram(entry: Mapping[str, Any], what: str, counted: str) -> str:
     return table([what, counted, ""], [(t, c, bar(c, most)) for t, c in rows], "lr")
 
 
-def levels(entries: Mapping[str, Any]) -> str:
+def levels(entries: JsonObject) -> str:
     """Labels of all levels, with what is seen of them."""
     parts = []
     for level, entry in entries.items():
@@ -113,7 +114,7 @@ def levels(entries: Mapping[str, Any]) -> str:
 _COCO_DETECTIONS = 100
 
 
-def instances(part: Mapping[str, Any]) -> str:
+def instances(part: JsonObject) -> str:
     """Classes of instances, and histograms over all of them."""
     rows = [
         (code(name), entry["seen"], entry["distinct"], entry["frames"], entry["at_border"])
@@ -152,7 +153,7 @@ def instances(part: Mapping[str, Any]) -> str:
     return text
 
 
-def viewpoints(part: Mapping[str, Any]) -> str:
+def viewpoints(part: JsonObject) -> str:
     """Tabulates positions and directions of cameras."""
     rows = [(axis, float(low), float(high)) for axis, (low, high) in part["position_m"].items()]
     text = "Positions of cameras, meters:\n\n" + table(["axis", "least", "most"], rows, "lrr")
@@ -168,7 +169,7 @@ def viewpoints(part: Mapping[str, Any]) -> str:
     return text
 
 
-def sun(part: Mapping[str, Any]) -> str:
+def sun(part: JsonObject) -> str:
     """Elevations by bearings of the sun."""
     edges = part["azimuth_edges_deg"]
     header = ["elevation \\ bearing", *(f"{low:g}°" for low in edges[:-1])]

@@ -17,7 +17,7 @@ from scenec.datasets.pictures import is_from_sensor, kinds
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source, one_of_each
 from scenec.datasets.splits import assign
-from scenec.schemas.codec import UNSET, encode
+from scenec.schemas.codec import UNSET, Facts, JsonObject, encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE
@@ -121,7 +121,7 @@ class Plan:
         names = self.format().needs
         return tuple(f"label.{self.info.level}" if name == "label" else name for name in names)
 
-    def key(self) -> dict[str, Any]:
+    def key(self) -> JsonObject:
         """Returns the key of all that decides the files, apart from the frames."""
         choice = self.choice
         package = origin_of(self.format_name)
@@ -189,7 +189,7 @@ class Plan:
             state.update(f"{fault.name} {fault.kind}\n".encode())
         return state.hexdigest()
 
-    def origin(self) -> dict[str, Any]:
+    def origin(self) -> Facts:
         """Returns the origin of the frames, as the manifest has it."""
         manifest = self.source.manifest
         if manifest is None:

@@ -12,7 +12,7 @@ from scenec.datasets.export_plan import Plan
 from scenec.datasets.filters import Tally
 from scenec.datasets.formats.contract import Done, Narrowed, Task
 from scenec.datasets.source import FrameFault
-from scenec.schemas.codec import Natural, decode, encode, natural, rest
+from scenec.schemas.codec import JSON, Facts, JsonObject, Natural, decode, encode, natural, rest
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import as_json, inside, read_json, write_json
 
@@ -52,8 +52,8 @@ class ExportRecord:
     faults: tuple[FrameFault, ...]
     backend: str | None = None
     format: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    settings: Mapping[str, Any] = rest()
+    options: Facts = field(default_factory=dict)
+    settings: Mapping[str, JSON] = rest()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class TaskRecord:
     index: tuple[tuple[str, ...], ...]
     faults: tuple[FrameFault, ...]
     tally: Tally
-    statistics: Mapping[str, Any]
+    statistics: JsonObject
 
 
 def read_export(path: Path) -> ExportRecord:

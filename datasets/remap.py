@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.source import LoadedFrame
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import OutputError
 from scenec.schemas.spelling import nearest
 
@@ -92,7 +93,7 @@ class Remap:
                 )
         frame.labels = self.labels(frame.labels)
 
-    def as_json(self) -> dict[str, dict[str, Any]]:
+    def as_json(self) -> dict[str, Facts]:
         """Returns the JSON form, as written in a file."""
         return {
             level: {

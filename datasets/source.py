@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas import rle
 from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
-from scenec.schemas.codec import encode
+from scenec.schemas.codec import Facts, encode
 from scenec.schemas.consistency import frame_faults, table_faults
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import sha256
@@ -142,7 +142,7 @@ class LoadedFrame:
         return lens_of(self.sidecar.lens)
 
     @property
-    def optics(self) -> dict[str, Any]:
+    def optics(self) -> Facts:
         """``lens`` and ``shutter`` as the sidecar has them, of cameras that have such."""
         held = {"lens": self.sidecar.lens, "shutter": self.sidecar.shutter}
         return {name: encode(one) for name, one in held.items() if one is not None}

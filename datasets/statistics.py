@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from scenec.datasets import bins
 from scenec.datasets.idset import IdSet, packed
 from scenec.datasets.source import LoadedFrame
-from scenec.schemas.codec import UNSET, encode
+from scenec.schemas.codec import UNSET, JsonObject, encode
 from scenec.schemas.picture import luminance
 
 #: Version of what stands in ``statistics.json``.
 VERSION = 1
 
 #: Nested dictionaries whose leaves are whole numbers.
-Counts = dict[str, Any]
+Counts = JsonObject
 
 _UNLABELED = ""
 #: Angles are rounded to this many decimals before they are put in a bin, since the last bit of an
@@ -36,7 +36,7 @@ _DECIMALS = 6
 #: Of a sidecar's shutter, what is the camera's.
 
 
-def measure(frame: LoadedFrame) -> dict[str, Any]:
+def measure(frame: LoadedFrame) -> JsonObject:
     """A frame's part of the statistics: JSON values, small, that ``Statistics.add`` takes."""
     counts: Counts = {"frames": 1, "pixels": frame.width * frame.height}
     bounds: dict[str, list[float]] = {}
@@ -84,7 +84,7 @@ class Statistics:
         """Counts the frames added."""
         return int(self._counts.get("frames", 0))
 
-    def add(self, measured: Mapping[str, Any]) -> None:
+    def add(self, measured: JsonObject) -> None:
         """Add what ``measure`` or ``state`` returned."""
         _sum_into(self._counts, measured["counts"])
         for name, (low, high) in measured["bounds"].items():
@@ -103,7 +103,7 @@ class Statistics:
         for name, found in self._seen.pop(batch, {}).items():
             self._closed[name] = self._closed.get(name, 0) + len(found)
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> JsonObject:
         """All of it as JSON values that ``merge`` takes; the same whatever order frames came in."""
         return {
             "counts": _sorted(self._counts),
@@ -115,7 +115,7 @@ class Statistics:
             "closed": _sorted(self._closed),
         }
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """Returns the content of ``statistics.json``: histograms with edges, shares, angles."""
         counts = _sorted(self._counts)
         result: dict[str, Any] = {

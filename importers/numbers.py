@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from scenec.schemas.codec import JsonObject
 
-Number = float | int | dict[str, Any]
+Number = float | int | JsonObject
 
 
 def uniform(low: float, high: float, *, per: str = "") -> Number:

@@ -6,11 +6,11 @@ import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from scenec.compiler.cfg.load import load
 from scenec.importers.report import Report
 from scenec.importers.writers import Writer
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import CfgError, Fault, OutputError
 from scenec.schemas.files import as_json, atomic, check_output, temporary_folder
 
@@ -28,7 +28,7 @@ class Imported:
     """
 
     out: Path
-    cfg: dict[str, Any] = field(default_factory=dict)
+    cfg: JsonObject = field(default_factory=dict)
     report: Report = field(default_factory=Report)
     made: dict[str, Writer] = field(default_factory=dict)
     options: list[str] = field(default_factory=list)

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 #: Carried over as it was meant.
@@ -74,7 +75,7 @@ class Report:
         found = Counter(entry.fate for entry in self.entries)
         return {fate: found[fate] for fate in FATES}
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """For ``write_json``."""
         return {"counts": self.counts(), "values": [asdict(entry) for entry in self.entries]}
 

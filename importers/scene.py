@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.importers.numbers import tidy, uniform
+from scenec.schemas.codec import JsonObject
 
 #: The level of labels that scenes get.
 LEVEL = "class"
@@ -50,13 +51,13 @@ class Taxonomy:
         return {LEVEL: free}
 
 
-def soil() -> dict[str, Any]:
+def soil() -> JsonObject:
     """A material for ground that nobody described."""
     maps = {"procedural": {"type": "soil", "resolution": 512}}
     return {"base_color": [0.2, 0.14, 0.09], "maps": maps}
 
 
-def intrinsics(k: Sequence[float], corner: float = 0.5) -> dict[str, Any]:
+def intrinsics(k: Sequence[float], corner: float = 0.5) -> JsonObject:
     """Returns a sensor's intrinsics from a camera's matrix.
 
     Args:
@@ -69,12 +70,12 @@ def intrinsics(k: Sequence[float], corner: float = 0.5) -> dict[str, Any]:
     return {"intrinsics": {name: tidy(value) for name, value in found.items()}}
 
 
-def varied_sun() -> dict[str, Any]:
+def varied_sun() -> JsonObject:
     """A sun that stands anywhere by day."""
     return {"elevation_deg": uniform(15, 75), "azimuth_deg": uniform(0, 360)}
 
 
-def varied_pose(pose: NDArray[np.float64], extent_m: float) -> dict[str, Any]:
+def varied_pose(pose: NDArray[np.float64], extent_m: float) -> JsonObject:
     """Poses about one.
 
     Args:
@@ -110,7 +111,7 @@ def varied_pose(pose: NDArray[np.float64], extent_m: float) -> dict[str, Any]:
     }
 
 
-def orbit(extent_m: float) -> dict[str, Any]:
+def orbit(extent_m: float) -> JsonObject:
     """A way around the middle, where a scene has no camera."""
     radius, height = tidy(0.3 * extent_m), tidy(0.1 * extent_m)
     return {
@@ -119,7 +120,7 @@ def orbit(extent_m: float) -> dict[str, Any]:
     }
 
 
-def scattered_rocks(area_m2: float, material: str, labels: dict[str, str]) -> dict[str, Any]:
+def scattered_rocks(area_m2: float, material: str, labels: dict[str, str]) -> JsonObject:
     """Some small rocks all over the ground."""
     size = math.sqrt(area_m2)
     return {

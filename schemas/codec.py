@@ -39,11 +39,16 @@ from typing import (
     get_type_hints,
 )
 
-from scenec.schemas.errors import ScenecError
+from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import read_json
 from scenec.schemas.spelling import closest, shown
 
 type JSON = bool | int | float | str | Sequence[JSON] | Mapping[str, JSON] | None
+#: An object of a document that a schema of its own describes, from which whoever reads it knows its
+#: keys: a cfg or a part of one, a JSON Schema, COCO, glTF.
+JsonObject = dict[str, Any]
+#: What is reported freely, or goes to scripts: whoever reads it here reads it as a record.
+Facts = Mapping[str, JSON]
 
 #: What types of JSON are called.
 NAMES = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number",
@@ -116,6 +121,15 @@ def decode[T](value: Any, kind: type[T], error: type[ScenecError], where: str) -
         place = "".join(f"/{escaped(part)}" for part in reversed(fault.place))
         raise error(f"{where}: {place or '/'}: {fault.text}") from None
     return decoded
+
+
+def read_facts[T](facts: JSON, kind: type[T]) -> T:
+    """Returns the record that ``report.json`` has of what a step reports.
+
+    Raises:
+        SceneError: It lacks something, or says something else.
+    """
+    return decode(encode(facts), kind, SceneError, kind.__name__)
 
 
 def encode(value: Any) -> Any:

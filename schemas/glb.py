@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import OutputError
 
 #: What a buffer view is for: attributes of vertices, or indices.
@@ -76,7 +77,7 @@ class GlbBuffer:
         self.accessors.append(entry)
         return len(self.accessors) - 1
 
-    def chunks(self, document: dict[str, Any]) -> tuple[bytes | bytearray, ...]:
+    def chunks(self, document: JsonObject) -> tuple[bytes | bytearray, ...]:
         """Returns a file's bytes, in parts, of a document, which receives what is here.
 
         Raises:
@@ -99,7 +100,7 @@ class GlbBuffer:
         )
 
 
-def decode_glb(data: bytes) -> tuple[dict[str, Any], list[bytes], list[NDArray[Any]]]:
+def decode_glb(data: bytes) -> tuple[JsonObject, list[bytes], list[NDArray[Any]]]:
     """Returns the JSON, the views and the accessors' values of a file that is written here."""
     size = struct.unpack_from("<I", data, 12)[0]
     document = json.loads(data[20 : 20 + size])

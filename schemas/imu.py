@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: Of planets that skies know: standard gravity (CGPM 1901), and NASA's Mars fact sheet.
-GRAVITY_M_S2: Final = {"earth": 9.80665, "mars": 3.73}
+#: Standard gravity (CGPM 1901), and that of NASA's fact sheets of Mars and Moon.
+GRAVITY_M_S2: Final = {"earth": 9.80665, "mars": 3.73, "moon": 1.62}
 
 
 @dataclass(frozen=True)

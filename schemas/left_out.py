@@ -32,13 +32,11 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.codec import UNSET, Natural, Unset, read_record
+from scenec.schemas.codec import UNSET, Facts, Natural, Unset, read_record
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import write_json
 from scenec.schemas.manifest import LEFT_OUT as LEFT_OUT
 
-#: What a step or a kind reports of its own for report.json: JSON.
-Facts = dict[str, Any]
 _FORMAT = 2
 #: Classes with fewer objects than one in so many numbers have their ids listed.
 _SPARSE = 4
@@ -162,7 +160,7 @@ class Record:
 
 def entry(
     of_pass: str, what: str, why: str, *, instances: int = 0, triangles: int = 0, size: int = 0
-) -> dict[str, Any]:
+) -> Facts:
     """One entry of ``left_out`` in ``report.json``.
 
     Args:

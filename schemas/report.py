@@ -44,8 +44,17 @@ class IterationFacts:
     """Records how far an iteration came, among the facts of its step."""
 
     steps: Natural = 0
-    error_rms_m: float = 0.0
+    error_rms_m: float | None = None
     error_aim_m: float = math.inf
+    last_iteration_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CraterFacts:
+    """Counts craters, and those too narrow for the grid, among the facts of their step."""
+
+    craters: Natural
+    craters_below_grid: Natural
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +136,15 @@ class LevelFacts:
     """A level of detail: meters from the finest, of an object of scale 1."""
 
     error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodFacts:
+    """Records the levels of detail that were chosen, among the facts of a class of objects."""
+
+    triangles: Natural
+    lod_error_max_px: float = 0.0
+    lod_error_max_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,6 +242,22 @@ class SurfaceFacts:
     pictures: Mapping[str, PictureFacts] = field(default_factory=dict)
     bytes: JSON = None
     facts: Mapping[str, JSON] = rest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFacts:
+    """A rig's motion: how long it takes, where it is one over time."""
+
+    duration_s: float | None = None
+    facts: Mapping[str, JSON] = rest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DescentFacts:
+    """How long a descent takes, and how it slows down, among the facts of its motion."""
+
+    duration_s: float
+    deceleration_m_s2: float
 
 
 @dataclass(frozen=True, kw_only=True)

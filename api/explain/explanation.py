@@ -6,13 +6,13 @@ import html
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from scenec.api.declare import held_to_types
 from scenec.api.explain.data import BatchData, read_batches
 from scenec.api.explain.left_out import as_json, left_out_of, left_out_text, parts_of, rates_of
 from scenec.api.explain.passes import frames_text, passes_text, rows_of
 from scenec.api.explain.stage import StageContents, read_contents
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import read_json
 from scenec.schemas.manifest import REPORT
@@ -55,7 +55,7 @@ class BatchExplanation:
         ]
         return "\n\n".join(part for part in parts if part)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """Returns what is in the stage and what is left out, for scripts."""
         left = left_out_of(self.data.report, rates_of(self.data, self._contents))
         kept = vars(parts_of(self.data.report, self._contents, left))
@@ -79,7 +79,7 @@ class Explanation:
         """For people; see ``BatchExplanation.text``."""
         return "\n\n".join(batch.text(width) for batch in self.batches)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """For scripts."""
         data = [one.data for one in self.batches]
         return {

@@ -5,10 +5,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from scenec.api.explain.data import BatchData
 from scenec.api.explain.stage import StageContents
+from scenec.schemas.codec import Facts
 from scenec.schemas.report import BatchReport, ClassFacts, MeshFacts, SurfaceFacts
 
 #: Bytes that stand for a triangle where nothing was rendered: three corners in float32.
@@ -179,7 +179,7 @@ def left_out_text(left: Sequence[LeftOut], rates: Rates, width: int) -> str:
     return "\n".join(lines)
 
 
-def as_json(left: Sequence[LeftOut]) -> list[dict[str, Any]]:
+def as_json(left: Sequence[LeftOut]) -> list[Facts]:
     """The list for scripts."""
     return [dict(vars(one)) for one in left]
 

@@ -6,7 +6,6 @@ import html
 import textwrap
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from scenec.api.explain.data import BatchData, read_batches
 from scenec.api.explain.sight import Sight, nearest_camera
 from scenec.api.explain.stage import ClassContents, StageContents, read_contents
 from scenec.schemas import stage as names
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import OutputError
 from scenec.schemas.left_out import Reason, Record, read_left_out
 from scenec.schemas.report import ClassFacts
@@ -102,7 +102,7 @@ class Why:
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(self.text)}</pre>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """For scripts: the attributes, by name."""
         found = dict(vars(self))
         found["level"] = None if self.level is None else dict(vars(self.level))

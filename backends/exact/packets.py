@@ -249,6 +249,28 @@ def _limit(p):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def _push(box, link, shift, s, limit, stack, top):  # type: ignore[no-untyped-def]
+    """Pushes the two nodes below one that may be hit, the nearer on top; the stack's new top.
+
+    A leaf is pushed as a negative number: its first entry, and in ``shift`` bits how many.
+    """
+    t0 = _enter(box, 0, s, limit)
+    t1 = _enter(box, 6, s, limit)
+    one = link[12] if link[14] == 0 else ~(link[12] << shift | link[14])
+    two = link[13] if link[15] == 0 else ~(link[13] << shift | link[15])
+    if t1 < t0:
+        t0, t1 = t1, t0
+        one, two = two, one
+    if t1 < math.inf:
+        stack.nodes[top], stack.keys[top] = two, t1
+        top += 1
+    if t0 < math.inf:
+        stack.nodes[top], stack.keys[top] = one, t0
+        top += 1
+    return top
+
+
+@inlined
 def _trace_row(g, beams, row, frame, size, p, limit, stack):  # type: ignore[no-untyped-def]
     """Improves the hits of a packet by one row; the new limit, and how many triangles it spent."""
     bits, fine = _near_row(g, row, frame, size, p)
@@ -297,20 +319,7 @@ def _trace_row(g, beams, row, frame, size, p, limit, stack):  # type: ignore[no-
             if spent > _MOST:
                 return limit, spent
             continue
-        box, link = g.face_nodes[node], g.face_links[node]
-        t0 = _enter(box, 0, s, limit)
-        t1 = _enter(box, 6, s, limit)
-        one = link[12] if link[14] == 0 else ~(link[12] << 3 | link[14])
-        two = link[13] if link[15] == 0 else ~(link[13] << 3 | link[15])
-        if t1 < t0:
-            t0, t1 = t1, t0
-            one, two = two, one
-        if t1 < math.inf:
-            stack.nodes[top], stack.keys[top] = two, t1
-            top += 1
-        if t0 < math.inf:
-            stack.nodes[top], stack.keys[top] = one, t0
-            top += 1
+        top = _push(g.face_nodes[node], g.face_links[node], 3, s, limit, stack, top)
     return limit, spent
 
 
@@ -340,20 +349,7 @@ def _trace_packet(g, beams, frame, world, p, stack):  # type: ignore[no-untyped-
                 if spent > _MOST:
                     return False
             continue
-        box, link = g.row_nodes[node], g.row_links[node]
-        t0 = _enter(box, 0, s, limit)
-        t1 = _enter(box, 6, s, limit)
-        one = link[12] if link[14] == 0 else ~(link[12] << 2 | link[14])
-        two = link[13] if link[15] == 0 else ~(link[13] << 2 | link[15])
-        if t1 < t0:
-            t0, t1 = t1, t0
-            one, two = two, one
-        if t1 < math.inf:
-            stack.nodes[top], stack.keys[top] = two, t1
-            top += 1
-        if t0 < math.inf:
-            stack.nodes[top], stack.keys[top] = one, t0
-            top += 1
+        top = _push(g.row_nodes[node], g.row_links[node], 2, s, limit, stack, top)
     return True
 
 

@@ -78,8 +78,7 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
         paths=paths_table(scene),
         sun=sun,
         losses=scene.losses,
-        # Of stages whose reader knows where they lie.
-        place=getattr(scene, "georeference", None),
+        place=scene.georeference,
     )
 
 

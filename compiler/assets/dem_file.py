@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.raster import DRIVERS, read_raster, require_memory
 from scenec.compiler.assets.raster_plane import RasterFrame
 from scenec.compiler.assets.raster_window import RasterWindow
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
 from scenec.schemas.maps import require_all_bits
@@ -79,7 +80,7 @@ class DemFile:
     values: NDArray[np.float64]
     holes: NDArray[np.bool_]
     frame: RasterFrame | None
-    facts: dict[str, Any]
+    facts: Facts
     void: tuple[float, float] | None
     zeros: Zeros | None
     spot: tuple[float, float] | None = None

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scenec.compiler.assets.gltf_file import chunks
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import ScenecError
 
 FOLDER = Path(__file__).resolve().parents[2] / "assets" / "models"
@@ -88,7 +89,7 @@ def _read(file: Path) -> Asset:
     )  # fmt: skip
 
 
-def snippet(asset: Asset, assets: dict[str, Asset]) -> dict[str, Any]:
+def snippet(asset: Asset, assets: dict[str, Asset]) -> Facts:
     """Returns what a cfg needs for an asset: its labels and a class of objects.
 
     Ids are the same whichever assets are pasted together.

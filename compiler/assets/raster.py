@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.raster_plane import RasterFrame, frame_of, plane_of, spot_at
 from scenec.compiler.assets.raster_window import Box, RasterWindow, box_of
 from scenec.schemas import memory
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.notice import tell
 
@@ -70,7 +71,7 @@ class Raster:
     unit_m: float
     frame: RasterFrame | None
     spot: tuple[float, float] | None = None
-    part: dict[str, Any] | None = None
+    part: Facts | None = None
 
 
 def read_raster(

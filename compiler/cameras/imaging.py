@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, ClassVar, Literal
@@ -14,6 +14,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds import Context, Finding, Node, bounded, forms, key, kind_of
 from scenec.compiler.kinds.forms import an, list_of, one_of
 from scenec.schemas import imaging as formulas
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import SceneError
 from scenec.schemas.imaging import MAX_JPEG_SIDE, MIN_DETERMINANT, MIN_WHITE, determinant
 from scenec.schemas.spelling import shown
@@ -52,7 +53,7 @@ class ImagingKeys:
         "jpeg": {"quality": 90},
     }
 
-    exposure: Mapping[str, Any] = key(an("imaging_exposure"), default={"type": "metered"})
+    exposure: JsonObject = key(an("imaging_exposure"), default={"type": "metered"})
     """Exposure time and speed."""
     f_number: Number = key(forms.PER_SAMPLE, default=4, at_least=0.5, at_most=1000)
     """Focal length over aperture."""
@@ -80,13 +81,13 @@ class ImagingKeys:
         forms.PER_BATCH, default=2.3, at_least=0, at_most=1_000_000, unit="e-"
     )
     """Standard deviation of what reading adds."""
-    dark_current: Mapping[str, Any] = key(an("imaging_dark_current"), default={})
+    dark_current: JsonObject = key(an("imaging_dark_current"), default={})
     """Electrons without light."""
     prnu: float = key(forms.FRACTION_PER_BATCH, default=0.006)
     """Standard deviation of the pixels' sensitivity (photo response non-uniformity), relative."""
     dsnu_e: float = key(forms.PER_BATCH, default=0.6, at_least=0, at_most=1_000_000, unit="e-")
     """Standard deviation of the pixels' offset (dark signal non-uniformity)."""
-    defects: Mapping[str, Any] = key(an("imaging_defects"), default={})
+    defects: JsonObject = key(an("imaging_defects"), default={})
     """Hot and dead pixels."""
     mosaic: Literal["rggb", "bggr", "grbg", "gbrg", "none"] = key(forms.CHOICE, default="rggb")
     """Colors of the first two rows of pixels; none: each pixel sees all three. Pictures of one row
@@ -101,11 +102,11 @@ class ImagingKeys:
         default=[1, 1, 1],
     )
     """Factors on top of those that show white light as white."""
-    vignetting: Mapping[str, Any] | None = key(an("imaging_vignetting"), optional=True)
+    vignetting: JsonObject | None = key(an("imaging_vignetting"), optional=True)
     """How the picture darkens towards its corners; left out, it does not."""
-    bloom: Mapping[str, Any] | None = key(an("imaging_bloom"), optional=True)
+    bloom: JsonObject | None = key(an("imaging_bloom"), optional=True)
     """Light that lens and glass scatter; left out, none."""
-    jpeg: Mapping[str, Any] | None = key(an("imaging_jpeg"), optional=True)
+    jpeg: JsonObject | None = key(an("imaging_jpeg"), optional=True)
     """Compression that the picture has gone through; left out, none."""
     clean: bool = key(forms.TRUTH, default=False)
     """Also write 000000.clean.png: same light, optics and exposure, without noise, fixed pattern,
@@ -312,7 +313,7 @@ class Defects:
     """Share of pixels that see nothing."""
 
 
-def _at_sample(cfg: Mapping[str, Any], pattern: int, noise: int) -> formulas.Imaging:
+def _at_sample(cfg: JsonObject, pattern: int, noise: int) -> formulas.Imaging:
     dark, defects = cfg["dark_current"], cfg["defects"]
     warmer = (dark["temperature_c"] - dark["reference_c"]) / dark["doubling_c"]
     # Within what a double holds; hotter than that all pixels are full anyway.

@@ -98,7 +98,7 @@ class ImuKeys:
     gravity_m_s2: float | None = key(
         forms.PER_BATCH, optional=True, at_least=0, at_most=1000, unit="m/s²"
     )
-    """Gravity, straight down; left out, that of the sky's planet."""
+    """Gravity, straight down; left out, that of the terrain's planet, else of the sky's."""
     noise: ImuNoiseKeys = key(an("imu_noise", drawn=True), default={})
     """What is wrong with its readings."""
 
@@ -110,8 +110,8 @@ class ImuKeys:
         for group, what in (("sensors", "sensor"), ("lidars", "lidar")):
             if name in rig.at(group):
                 yield node.fault(f"a {what} has the name {shown(name)}, too")
-        sky = cfg.at("light", "sky")
-        if "gravity_m_s2" not in node and sky["planet"] not in imu.GRAVITY_M_S2:
+        body = cfg.at("terrain", "planet")["body"] or cfg.at("light", "sky")["planet"]
+        if "gravity_m_s2" not in node and body not in imu.GRAVITY_M_S2:
             yield node.fault("nothing says on which planet it is: expected the key gravity_m_s2")
         why = _why_rough(rig.at("pose"), node)
         if why:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from scenec.compiler.cameras.imu import ImuPlan
 from scenec.compiler.cameras.paths.motion import RigMotion
 from scenec.compiler.cameras.sensor import SensorPlan
 from scenec.compiler.kinds import an, forms, key, named
 from scenec.compiler.scene.rig import Lidar
+from scenec.schemas.codec import JsonObject
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,15 +25,13 @@ class RigKeys:
         "sensors": {"front": {"resolution": [640, 480], "fov_deg": 65}},
     }
 
-    pose: Mapping[str, Any] = key(an("pose"))
+    pose: JsonObject = key(an("pose"))
     """Where the rig is in each sample."""
-    sensors: Mapping[str, Any] = key(named(an("sensor"), "One sensor.", by="sensor", least=1))
+    sensors: JsonObject = key(named(an("sensor"), "One sensor.", by="sensor", least=1))
     """Sensors by name."""
-    lidars: Mapping[str, Any] = key(
-        named(an("lidar"), "One lidar.", by="lidar", least=1), sparse=True
-    )
+    lidars: JsonObject = key(named(an("lidar"), "One lidar.", by="lidar", least=1), sparse=True)
     """Lidars by name."""
-    imus: Mapping[str, Any] = key(named(an("imu"), "One IMU.", by="imu", least=1), sparse=True)
+    imus: JsonObject = key(named(an("imu"), "One IMU.", by="imu", least=1), sparse=True)
     """Inertial measurement units by name."""
     allow_below: bool = key(forms.TRUTH, default=False, sparse=True)
     """Whether its sensors may be below the ground, inside of objects or off the terrain. Otherwise

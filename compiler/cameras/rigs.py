@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +22,8 @@ from scenec.compiler.scene.exposure import incident_exposure
 from scenec.compiler.scene.objects import Objects
 from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.schemas import imaging as formulas
+from scenec.schemas.codec import Facts
 from scenec.schemas.imaging import Imaging
-from scenec.schemas.left_out import Facts
 
 
 def build_rigs(
@@ -32,7 +31,7 @@ def build_rigs(
     surface: GroundSurface,
     irradiance: NDArray[np.float64] | None,
     bodies: Mapping[str, MotionBodies],
-) -> tuple[tuple[Rig, ...], dict[str, Any]]:
+) -> tuple[tuple[Rig, ...], Facts]:
     """All rigs, and what is to be said of motions that were made, by rig.
 
     Args:
@@ -56,7 +55,7 @@ def build_rigs(
             read = tuple(read_along(one, plan.pose, built, around) for one in plan.imus)
             rig = replace(rig, imus=read)
         rigs.append(rig)
-        said = built.facts | ({"shutter": opened} if opened else {})
+        said = {**built.facts} | ({"shutter": opened} if opened else {})
         if said:
             facts[plan.name] = said
     return tuple(rigs), facts

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from scenec.compiler.cameras.mount import Mount, Trigger
 from scenec.compiler.geometry.lenses import sound_intrinsics
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, draw_kind, key, list_of
 from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, COUNT, OUTPUT, PER_BATCH, TEXT
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import SceneError
@@ -104,16 +105,16 @@ class SensorKeys:
     the lenses kannala_brandt and equirectangular."""
     intrinsics: Intrinsics | None = key(an("intrinsics", drawn=True), optional=True)
     """Intrinsics."""
-    lens: Mapping[str, Any] | None = key(an("lens"), sparse=True)
+    lens: JsonObject | None = key(an("lens"), sparse=True)
     """How the lens bends the picture; left out, it does not: a pinhole."""
     mount: Mount = key(an("mount", drawn=True), default={})
     """Where the sensor sits on the rig."""
-    exposure: Mapping[str, Any] = key(an("exposure"), default={"type": "auto"})
+    exposure: JsonObject = key(an("exposure"), default={"type": "auto"})
     """Exposure of the 8-bit picture."""
     imaging: ImagingKeys | None = key(an("imaging", drawn=True), sparse=True)
     """Optics, noise and processing of a real camera; left out, the picture shows the radiance as it
     is."""
-    effects: tuple[Mapping[str, Any], ...] | None = key(list_of(an("effect"), least=1), sparse=True)
+    effects: tuple[JsonObject, ...] | None = key(list_of(an("effect"), least=1), sparse=True)
     """What other packages do to the picture after all else, in order; rgb stays as it is."""
     focus: FocusKeys | None = key(an("focus", drawn=True), sparse=True)
     """What is sharp, and how shallow; left out, everything is sharp."""
@@ -122,7 +123,7 @@ class SensorKeys:
     one instant."""
     trigger: Trigger | None = key(an("trigger", drawn=True), sparse=True)
     """At which samples it takes a frame; left out, at all."""
-    depth_camera: Mapping[str, Any] | None = key(an("depth_camera"), sparse=True)
+    depth_camera: JsonObject | None = key(an("depth_camera"), sparse=True)
     """How the sensor measures depth, for the output depth_measured."""
     vehicle: VehicleKeys | None = key(an("vehicle", drawn=True), sparse=True)
     """Whom the output traversable is for; left out, about a Mars Exploration Rover."""
@@ -189,7 +190,7 @@ class SensorKeys:
         return SensorPlan(sensor, exposure.METERED, imaging, opened)
 
 
-def _effect(node: Mapping[str, Any], context: Context) -> str:
+def _effect(node: JsonObject, context: Context) -> str:
     """See ``rig.Sensor.effects``."""
     kind = node["type"]
     found = {"type": kind, "from": origin("scenec.effects", kind), "key": context.key()}

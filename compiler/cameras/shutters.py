@@ -24,6 +24,8 @@ from scenec.compiler.cameras.tracks import poses_at
 from scenec.compiler.geometry.lenses import FUNCTIONS, sight_of
 from scenec.compiler.geometry.poses import composed
 from scenec.compiler.scene.rig import Between, OpenShutter, Rig, Sensor
+from scenec.schemas.codec import Facts, read_facts
+from scenec.schemas.report import MotionFacts
 from scenec.schemas.shutter import Shutter, between
 
 #: What interpolation may err by, pixels.
@@ -43,7 +45,7 @@ _SAME_CODE: Final = 1e-9
 
 def open_shutters(
     rig: Rig, plans: tuple[SensorPlan, ...], way: Way | None, context: MotionContext
-) -> tuple[Rig, dict[str, Any]]:
+) -> tuple[Rig, Facts]:
     """A rig whose sensors know where they are while their shutters are open.
 
     Args:
@@ -75,7 +77,7 @@ def open_shutters(
 
 def way_of(pose: RigMotion, built: RigPoses, context: MotionContext) -> Way | None:
     """Returns how a rig moves between its samples; None where it does not."""
-    duration = built.facts.get("duration_s")
+    duration = read_facts(built.facts, MotionFacts).duration_s
     if built.way is not None or built.times is None or duration is None:
         return built.way
     what = f"while a shutter is open: {context.what}"

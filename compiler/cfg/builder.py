@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.kinds import schema
+from scenec.schemas.codec import Facts, JsonObject
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec
@@ -33,7 +34,7 @@ class Part:
     #: The key ``type`` (or ``version``) and its one value, where there is one.
     _CONST: tuple[tuple[str, Any], ...] = ()
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """Returns its value in a cfg: the keys that are given, in the schema's order."""
         given = ((name, getattr(self, name)) for name in self.__dataclass_fields__)  # type: ignore[attr-defined]
         kept = {name: _plain(value) for name, value in given if value is not LEFT_OUT}
@@ -111,7 +112,7 @@ def names() -> Mapping[str, str]:
     return references
 
 
-def keys(reference: str) -> dict[str, Any]:
+def keys(reference: str) -> Facts:
     """The schema of each key of an object; of keys that have one value, ``const`` says it."""
     properties = schema.describe({"$ref": reference}, {}).keywords["properties"]
     return {key: entry for key, entry in properties.items() if not entry.get("x-ignored")}
@@ -178,7 +179,7 @@ def _parsed(of: Any, value: Any) -> Any:
     return part_class(reference)(**given)
 
 
-def _reference(of: Mapping[str, Any], value: Mapping[str, Any]) -> str | None:
+def _reference(of: JsonObject, value: JsonObject) -> str | None:
     """The schema of an object that has a class; None for one that maps names."""
     reference = of.get("$ref")
     if reference == schema.NUMBER or schema.describe(of, value).is_number:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from decimal import Decimal
 from itertools import pairwise
 from typing import Any
@@ -20,6 +20,7 @@ from scenec.compiler.distributions.numbers import Distribution, Number
 from scenec.compiler.kinds.finding import Finding, Path
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.support import ends_of, support
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 # Beyond it, whole numbers are no longer told apart by a double.
@@ -63,13 +64,13 @@ def _check_tiny(path: Path, value: Any) -> Iterator[Finding]:
         yield Finding(path, f"{shown(value)}: expected 0, or at least {_SMALLEST:g} from it")
 
 
-def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
+def read_number(value: Any, keywords: JsonObject) -> Number:
     """A sound number: a float (an int, where the key takes whole numbers) or a ``Distribution``."""
     whole = _is_integer_key(keywords)
     if not isinstance(value, dict):
         # + 0.0 makes -0.0 into 0.0, so that equal cfgs have equal digests.
         return int(value) if whole else float(value) + 0.0
-    kind, per = value["type"], value.get("per", keywords["x-per"])
+    kind, per = value["type"], value.get("per") or keywords["x-per"]
     low, high = support(value, keywords)
     if kind in ("choice", "histogram"):
         values = tuple(float(v) + 0.0 for v in value.get("values") or value["edges"])
@@ -91,7 +92,7 @@ def read_number(value: Any, keywords: Mapping[str, Any]) -> Number:
     )
 
 
-def _is_integer_key(keywords: Mapping[str, Any]) -> bool:
+def _is_integer_key(keywords: JsonObject) -> bool:
     return keywords.get("x-kind") == "integer"
 
 
@@ -109,7 +110,7 @@ def _check_per(field: Field) -> Iterator[Finding]:
         )
 
 
-def _check_shape(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+def _check_shape(value: JsonObject) -> Iterator[tuple[tuple[str | int, ...], str]]:
     """Faults inside the distribution, whatever key it stands at."""
     low, high = value.get("min"), value.get("max")
     if low is not None and high is not None and low > high:
@@ -165,7 +166,7 @@ def _log(x: float) -> float:
     return float(Decimal(x).ln())
 
 
-def _bounds_given(value: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], float]]:
+def _bounds_given(value: JsonObject) -> Iterator[tuple[tuple[str | int, ...], float]]:
     for key in ("min", "max"):
         if key in value:
             yield (key,), value[key]

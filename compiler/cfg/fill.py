@@ -8,10 +8,11 @@ from scenec.compiler.cfg.check_numbers import read_number
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.imu import GRAVITY_M_S2
 
 #: A cfg in full, by key; what it holds is said by the declarations of ``kinds.table``.
-type Cfg = dict[str, Any]
+type Cfg = JsonObject
 
 
 def fill(document: Any) -> Cfg:
@@ -33,7 +34,8 @@ def fill(document: Any) -> Cfg:
                 sensor["outputs"] = list(cfg["outputs"])
         for imu in rig.get("imus", {}).values():
             if imu["gravity_m_s2"] is None:
-                imu["gravity_m_s2"] = GRAVITY_M_S2[cfg["light"]["sky"]["planet"]]
+                body = (cfg["terrain"].get("planet") or {}).get("body")
+                imu["gravity_m_s2"] = GRAVITY_M_S2[body or cfg["light"]["sky"]["planet"]]
     given = document["terrain"]["ground"]
     for layer, own in zip(cfg["terrain"]["ground"][1:], given[1:], strict=True):
         if layer["coverage"] is not None:

@@ -27,6 +27,7 @@ from typing import Any
 
 from scenec.compiler.cfg.resources import PREFIX, distribution_of
 from scenec.compiler.kinds.context import InputFile
+from scenec.schemas.codec import Facts
 
 _LICENSE = re.compile(r"SPDX-License-Identifier:[ \t]*(.+)")
 _COPYRIGHT = re.compile(r"SPDX-FileCopyrightText:[ \t]*(.+)")
@@ -65,7 +66,7 @@ def terms(file: InputFile) -> License:
     return _of_gltf(file.path) or License()
 
 
-def as_json(file: InputFile) -> dict[str, Any]:
+def as_json(file: InputFile) -> Facts:
     """The same as it stands in the manifest, with the file's name as the cfg has it."""
     name = file.reference
     if not name.startswith(PREFIX) and Path(name).is_absolute():

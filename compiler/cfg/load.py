@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
-from typing import Any
 
 from scenec.compiler.cfg.check_files import check_files
 from scenec.compiler.cfg.check_names import check_names
@@ -22,6 +21,7 @@ from scenec.compiler.kinds import Finding, InputFile, Node, schema
 from scenec.compiler.kinds.node import Tree
 from scenec.compiler.kinds.schema import Field
 from scenec.compiler.kinds.table import loaded
+from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.errors import CfgError, Fault, PluginError
 from scenec.schemas.plugins import blaming, load_kind, named
 from scenec.schemas.spelling import shown
@@ -159,11 +159,9 @@ def _offered_findings(group: str, name: str, node: Node) -> list[Finding]:
     return found
 
 
-def digest_of(
-    cfg: Mapping[str, Any], files: Mapping[str, InputFile], plugins: Mapping[str, str]
-) -> str:
+def digest_of(cfg: JsonObject, files: Mapping[str, InputFile], plugins: Mapping[str, str]) -> str:
     """sha256 over a cfg, or a part of one, the hashes of its files, and packages; see ``Spec``."""
-    content = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
+    content: JsonObject = {"cfg": cfg, "files": {name: file.sha256 for name, file in files.items()}}
     if plugins:
         content["plugins"] = plugins
     # Keys are not sorted: the order of objects decides their instance ids.
@@ -173,7 +171,7 @@ def digest_of(
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
-def _as_json(value: object) -> dict[str, Any]:
+def _as_json(value: object) -> Facts:
     if isinstance(value, Distribution):
         return value.as_dict()
     raise TypeError(f"{type(value)} in a cfg")

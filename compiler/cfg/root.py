@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.kinds import Finding, Form, Node, an, forms, key, list_of, named, unknown
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 
@@ -40,24 +41,20 @@ class Cfg:
         list_of(forms.OUTPUT, least=1, unique=True), default=["rgb", "label", "instance", "depth"]
     )
     """Channels that are rendered and written."""
-    labels: Mapping[str, Any] = key(an("labels"), default={})
+    labels: JsonObject = key(an("labels"), default={})
     """The label levels, with the names and ids of each."""
-    terrain: Mapping[str, Any] = key(an("terrain"))
+    terrain: JsonObject = key(an("terrain"))
     """The ground: its shape and what covers it."""
-    materials: Mapping[str, Any] = key(
-        named(an("material"), "One material.", by="material", least=1)
-    )
+    materials: JsonObject = key(named(an("material"), "One material.", by="material", least=1))
     """Surface materials by name. Each must be used."""
-    objects: Mapping[str, Any] = key(
-        named(an("objects"), "One class of objects.", by="class"), default={}
-    )
+    objects: JsonObject = key(named(an("objects"), "One class of objects.", by="class"), default={})
     """Classes of objects by name; their order decides instance ids, and what each finds in its
     place."""
-    object_detail: Mapping[str, Any] = key(an("object_detail"), default={})
+    object_detail: JsonObject = key(an("object_detail"), default={})
     """How much geometry all objects have together."""
-    light: Mapping[str, Any] = key(an("light"), default={})
+    light: JsonObject = key(an("light"), default={})
     """Sun and sky; left out, both are there with their defaults."""
-    rigs: Mapping[str, Any] = key(named(an("rig"), "One rig.", by="rig", least=1))
+    rigs: JsonObject = key(named(an("rig"), "One rig.", by="rig", least=1))
     """Camera rigs by name."""
 
 

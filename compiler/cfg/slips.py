@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.arithmetic.srgb import linear_codes
 from scenec.compiler.kinds.finding import Finding
 from scenec.compiler.kinds.schema import Field
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import closest, shown
 
 _DEGREES = 180.0 / math.pi
@@ -37,7 +38,7 @@ _FOCAL = re.compile(r"focal(_length)?(_mm)?")
 _DECIMALS, _ROUND_DEG = 3, 5.0
 
 
-def meant_key(key: str, value: Any, properties: Mapping[str, Any]) -> str:
+def meant_key(key: str, value: Any, properties: JsonObject) -> str:
     """The key that has the unit of the schema, and the value in it, as a question; or ""."""
     if _FOCAL.fullmatch(key) and "fov_deg" in properties and _is_number(value) and value > 0:
         half = elementary.atan(0.5 * _FULL_FRAME_MM / value)

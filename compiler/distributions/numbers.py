@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.distributions import laws, normal
 from scenec.compiler.distributions.streams import Streams
+from scenec.schemas.codec import Facts
 
 Per = Literal["batch", "sample", "instance"]
 Kind = Literal[
@@ -46,7 +47,7 @@ class Distribution:
     weights: tuple[float, ...] = ()
     shape: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Facts:
         """The fields as JSON values, infinite bounds as None."""
         return {
             "type": self.type,

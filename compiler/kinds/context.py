@@ -14,6 +14,7 @@ from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.distributions.resolve import per_sample
 from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.declare import keys_of
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.georeference import Georeference
 
 #: A number of each sample, or a list of numbers, once it is drawn: float64 [samples, ...].
@@ -52,13 +53,12 @@ class Context:
         samples: How many the batch has.
         choice: Which it is one of (``table.CHOICES``): a kind may be other in another.
         spacing_m: Of the samples of the relief.
-        georeference: Returns where on a body the terrain lies; None where no DEM of it says so.
     """
 
     streams: Streams
     size_m: tuple[float, float] = (1.0, 1.0)
     files: Mapping[str, InputFile] = field(default_factory=dict)
-    ground: Sequence[Mapping[str, Any]] = ()
+    ground: Sequence[JsonObject] = ()
     relief: Sequence[Any] = ()
     label_table: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     georeference: Callable[[], Georeference | None] = lambda: None
@@ -67,7 +67,6 @@ class Context:
     between: bool = False
     choice: str = ""
     spacing_m: float = 1.0
-    georeference: Callable[[], Georeference | None] = lambda: None
 
     def at(self, path: str) -> Context:
         """Returns the context of what is drawn at a place."""
@@ -104,14 +103,14 @@ class Context:
             if _is_of_samples(keywords) and not isinstance(value := getattr(kind, name), str | None)
         }
 
-    def layers_of(self, node: Mapping[str, Any]) -> tuple[int, ...]:
+    def layers_of(self, node: JsonObject) -> tuple[int, ...]:
         """Ground layers that a condition by material names: one, or all of its material."""
         if node["layer"] is not None:
             return (node["layer"],)
         return tuple(i for i, own in enumerate(self.ground) if own["material"] == node["material"])
 
 
-def _keywords_of(kind: type[Any]) -> dict[str, Mapping[str, Any]]:
+def _keywords_of(kind: type[Any]) -> Mapping[str, Mapping[str, Any]]:
     """Returns what the schema says of a kind's keys; another package's may say it itself."""
     if not hasattr(kind, "SCHEMA"):
         return {name: declared.form.keywords for name, declared in keys_of(kind).items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
@@ -11,6 +10,7 @@ from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.declare import Form, keys_of, values_from_context
 from scenec.compiler.kinds.forms import RAGGED, SAMPLING, file
 from scenec.compiler.kinds.table import CHOICES, base_of, class_of, is_builtin, kind_of, lacking
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import give_name, named
 
@@ -18,7 +18,7 @@ from scenec.schemas.plugins import give_name, named
 _FOREIGN = {"file": file(""), "ragged": RAGGED, "sampling": SAMPLING}
 
 
-def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
+def draw_kind(choice: str, node: JsonObject, path: str, context: Context) -> Any:
     """Returns what a node's ``type`` names, with its numbers drawn.
 
     A kind's fields are its keys, and what it takes of the context (``declare.given``). What
@@ -50,12 +50,12 @@ def draw_kind(choice: str, node: Mapping[str, Any], path: str, context: Context)
     return made
 
 
-def draw_object(name: str, node: Mapping[str, Any], path: str, context: Context) -> Any:
+def draw_object(name: str, node: JsonObject, path: str, context: Context) -> Any:
     """Returns an object of a cfg, by its name in ``table.CLASSES``, with its numbers drawn."""
     return _instantiate(class_of(name), node, path, context)
 
 
-def _instantiate(kind: type[Any], node: Mapping[str, Any], path: str, context: Context) -> Any:
+def _instantiate(kind: type[Any], node: JsonObject, path: str, context: Context) -> Any:
     keys, drawn = keys_of(kind), resolve(node, context.streams, path)
     added = {}
     if "x-kinds" in vars(kind).get("KEYWORDS", {}):
@@ -65,9 +65,7 @@ def _instantiate(kind: type[Any], node: Mapping[str, Any], path: str, context: C
     return kind(**values, **added, **values_from_context(kind, context.at(path), values))
 
 
-def values_of(
-    kind: type[Any], drawn: Mapping[str, Any], path: str, context: Context
-) -> dict[str, Any]:
+def values_of(kind: type[Any], drawn: JsonObject, path: str, context: Context) -> dict[str, Any]:
     """Returns what a class gets of its keys: tuples, paths of files, objects that have a class.
 
     Args:

@@ -11,6 +11,7 @@ from scenec.compiler.kinds.forms import DEFS
 from scenec.compiler.kinds.laws import LAWS
 from scenec.compiler.kinds.shared import Keys
 from scenec.compiler.kinds.table import CHOICES, CLASSES, KindChoice, class_of
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.plugins import plugin_name
 
 #: Forms by the names that other packages' schemas call them by.
@@ -30,7 +31,7 @@ _NUMBER = {
 }
 
 
-def bundle() -> dict[str, Any]:
+def bundle() -> JsonObject:
     """Returns the schema of a whole cfg, with one definition for each object and each kind."""
     names = sorted([*CLASSES, *CHOICES, "number"])
     return {
@@ -42,7 +43,7 @@ def bundle() -> dict[str, Any]:
     }
 
 
-def definition(name: str) -> dict[str, Any]:
+def definition(name: str) -> JsonObject:
     """Returns the definition of an object, of a kind in its context, or of a choice of kinds."""
     if name == "number":
         return _number()
@@ -89,7 +90,9 @@ def _branches(kinds: Mapping[str, str], usual: str = "") -> list[dict[str, Any]]
         {
             "if": {
                 "properties": {"type": {"const": kind}},
+                # Of null, where that is allowed, `required` holds.
                 **({} if kind == usual else {"required": ["type"]}),
+                **({"type": "object"} if usual and kind != usual else {}),
             },
             "then": {"$ref": f"{DEFS}{name}"},
         }
@@ -174,7 +177,7 @@ def _title(name: str, context: KindChoice | None) -> str:
     return first.capitalize() + (f": {rest.replace('_', ' ')}" if rest else "")
 
 
-def foreign(group: str, kind: type[Any]) -> dict[str, Any]:
+def foreign(group: str, kind: type[Any]) -> JsonObject:
     """Returns what another package's kind says of its keys, and those that its group shares."""
     choice = next((choice for choice in CHOICES.values() if choice.group == group), None)
     common = {} if choice is None else _shared(choice, kind)

@@ -20,6 +20,7 @@ from typing import Any
 
 from scenec.compiler.kinds.finding import Path
 from scenec.compiler.kinds.forms import DEFS
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import KINDS, entry_points_of, named, names_of, origin, place
 from scenec.schemas.spelling import shown
@@ -28,7 +29,7 @@ ROOT, NUMBER = f"{DEFS}cfg", f"{DEFS}number"
 
 
 @cache
-def load_bundle() -> Mapping[str, Any]:
+def load_bundle() -> JsonObject:
     """Returns the schema as it stands in the file that ships."""
     file = importlib.resources.files("scenec.schemas") / "cfg.schema.json"
     bundle: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
@@ -36,12 +37,12 @@ def load_bundle() -> Mapping[str, Any]:
 
 
 @cache
-def load_schemas() -> Mapping[str, dict[str, Any]]:
+def load_schemas() -> Mapping[str, JsonObject]:
     """Returns every definition by the reference to it, sorted by name."""
     return {f"{DEFS}{name}": schema for name, schema in load_bundle()["$defs"].items()}
 
 
-def bundled(*, partial: bool = False) -> dict[str, Any]:
+def bundled(*, partial: bool = False) -> JsonObject:
     """One JSON Schema for editors; with kinds of other packages.
 
     Args:
@@ -107,11 +108,11 @@ class Field:
 
     path: Path
     value: Any
-    keywords: Mapping[str, Any]
+    keywords: JsonObject
     is_number: bool
 
 
-def describe(schema: Mapping[str, Any], value: Any, path: Path = ()) -> Field:
+def describe(schema: JsonObject, value: Any, path: Path = ()) -> Field:
     """The field of one value under one schema."""
     keywords, is_number = _flatten(schema, value)
     return Field(path, value, keywords, is_number)
@@ -122,7 +123,7 @@ def root(document: Any) -> Field:
     return describe({"$ref": ROOT}, document)
 
 
-def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], bool]:
+def _flatten(schema: JsonObject, value: Any) -> tuple[dict[str, Any], bool]:
     merged: dict[str, Any] = {}
     is_number = False
     for branch in (schema, *schema.get("allOf", ())):
@@ -148,7 +149,7 @@ def _flatten(schema: Mapping[str, Any], value: Any) -> tuple[dict[str, Any], boo
     return merged, is_number
 
 
-def _offered(key: Mapping[str, Any], name: Any) -> dict[str, Any]:
+def _offered(key: JsonObject, name: Any) -> dict[str, Any]:
     """Returns the schema that another package's kind adds; ``key`` is the schema of its name."""
     group = key["x-open"]
     if not isinstance(name, str) or not (points := entry_points_of(group, name)):
@@ -183,7 +184,7 @@ def origins(fields: Iterable[Field]) -> dict[str, str]:
 
 
 @cache
-def kind_schema(group: str, name: str) -> Mapping[str, Any]:
+def kind_schema(group: str, name: str) -> JsonObject:
     """The keys of another package's kind.
 
     Raises:
@@ -199,7 +200,7 @@ def kind_schema(group: str, name: str) -> Mapping[str, Any]:
     try:
         whole = foreign(group, kind)
         Draft202012Validator.check_schema(whole)
-        schema: Mapping[str, Any] = with_forms(whole)
+        schema: JsonObject = with_forms(whole)
         for keywords in schema["properties"].values():
             _flatten(keywords, None)
     except (SchemaError, KeyError, NameError) as error:
@@ -210,18 +211,18 @@ def kind_schema(group: str, name: str) -> Mapping[str, Any]:
     return schema
 
 
-def _referred(reference: str) -> Mapping[str, Any]:
+def _referred(reference: str) -> JsonObject:
     """A definition, or one of the laws of numbers."""
     if reference in load_schemas():
         return load_schemas()[reference]
     of, _, law = reference.rpartition("/$defs/")
     if of not in load_schemas():
         raise KeyError(reference)
-    law_schema: Mapping[str, Any] = load_schemas()[of]["$defs"][law]
+    law_schema: JsonObject = load_schemas()[of]["$defs"][law]
     return law_schema
 
 
-def fits(value: Any, condition: Mapping[str, Any]) -> bool:
+def fits(value: Any, condition: JsonObject) -> bool:
     """Whether a value is as an ``if`` says: of a type, or with such values at its keys."""
     if "type" in condition and not is_of(value, condition["type"]):
         return False
@@ -256,7 +257,7 @@ _JOINED = frozenset({"properties", "required"})
 _APPLICATORS = frozenset({"$ref", "$schema", "$defs", "allOf", "if", "then", "else"})
 
 
-def _merge(into: dict[str, Any], keywords: Mapping[str, Any]) -> None:
+def _merge(into: dict[str, Any], keywords: JsonObject) -> None:
     for key, entry in keywords.items():
         if key == "properties":
             # Of each keyword the first wins: a file of one type says more of "type" than the switch

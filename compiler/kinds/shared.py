@@ -10,9 +10,10 @@ from typing import Any
 from scenec.compiler.kinds import forms
 from scenec.compiler.kinds.declare import Form, bounded
 from scenec.compiler.kinds.table import is_builtin
+from scenec.schemas.codec import JsonObject
 
 #: Keys with their keywords, and whether they must be given.
-Keys = dict[str, tuple[dict[str, Any], bool]]
+Keys = dict[str, tuple[JsonObject, bool]]
 
 
 def _optional(**keys: Form) -> Keys:

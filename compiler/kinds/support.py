@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
+from scenec.schemas.codec import JsonObject
 
-def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
+
+def support(value: Any, keywords: JsonObject) -> tuple[float, float]:
     """The smallest and largest number that a sound number can be."""
     if not isinstance(value, dict):
         ends = value, value
@@ -19,7 +20,7 @@ def support(value: Any, keywords: Mapping[str, Any]) -> tuple[float, float]:
     return float(ends[0]) + 0.0, float(ends[1]) + 0.0
 
 
-def ends_of(value: Mapping[str, Any], keywords: Mapping[str, Any]) -> tuple[float, float]:
+def ends_of(value: JsonObject, keywords: JsonObject) -> tuple[float, float]:
     """The same of a law that may have bounds of its own, or the key's."""
     low, high = -math.inf, math.inf
     if value["type"] in ("normal", "log_normal"):

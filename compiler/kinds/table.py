@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.plugins import load_kind, named, plugin_name
 
@@ -44,7 +45,7 @@ class KindChoice:
     each: str = ""
     says: str = ""
     shared: str = ""
-    keywords: Mapping[str, Any] = field(default_factory=dict)
+    keywords: JsonObject = field(default_factory=dict)
     check: str = ""
     usual: str = ""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.kinds import Array, Finding, Node, forms, key
 from scenec.compiler.light.sky import ROWS, Sky, SkyAndSun
+from scenec.schemas.codec import JsonObject
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
@@ -23,7 +24,7 @@ _RADIAN = elementary.PI / 180.0
 
 #: What the sun is above a planet's atmosphere, where the cfg is silent: mean irradiance (Kopp
 #: and Lean 2011, Geophys. Res. Lett. 38:L01706; on Mars over 1.524 au squared) and diameter.
-SUNS: dict[str, dict[str, Any]] = {
+SUNS: dict[str, JsonObject] = {
     "earth": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
     "mars": {"irradiance": 590.0, "diameter_deg": 0.35, "color": None},
     "moon": {"irradiance": 1361.0, "diameter_deg": 0.53, "color": None},
@@ -80,7 +81,7 @@ class AtmosphereSky(Sky):
         return bool(sky["planet"] == "earth")
 
     @staticmethod
-    def usual_sun(sky: Mapping[str, Any]) -> Mapping[str, Any]:
+    def usual_sun(sky: JsonObject) -> JsonObject:
         """Returns what the sun is above the planet."""
         return SUNS[sky["planet"]]
 

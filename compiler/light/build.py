@@ -24,8 +24,9 @@ from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunDisc
 from scenec.compiler.scene.rig import Rig
 from scenec.compiler.views.needed import Needs
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
-from scenec.schemas.left_out import Facts, entry
+from scenec.schemas.left_out import entry
 from scenec.schemas.plugins import named, plugin_name
 
 
@@ -84,7 +85,7 @@ class SceneLight:
     haze: Haze | None
     sky_label_maps: SkyLabelMaps | None
     irradiance: NDArray[np.float64]
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
 
 
 @memoized("light")

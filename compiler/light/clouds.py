@@ -29,6 +29,7 @@ from scenec.compiler.light.cloud_shadows import LandBox, Shadows, cloud_shadows
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, resampled
 from scenec.compiler.light.overcast import NIL
 from scenec.compiler.scene.light import Gobo, SkyLight, SunDisc
+from scenec.schemas.codec import Facts
 from scenec.schemas.threads import over_threads
 
 _RADIAN = elementary.PI / 180.0
@@ -45,7 +46,7 @@ def add_clouds(
     ground_color: NDArray[np.float64],
     samples: int,
     land: LandBox | None = None,
-) -> tuple[SkyLight, SunDisc | None, dict[str, Any]]:
+) -> tuple[SkyLight, SunDisc | None, Facts]:
     """A sky with clouds, what is left of its sun, and facts of that at each sample.
 
     Samples that see the same clouds in the same light share a picture.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
@@ -15,6 +15,7 @@ from scenec.compiler.kinds import Array, Context, Finding, an, bounded, draw_kin
 from scenec.compiler.kinds.node import Node, black, is_black, off_terrain, unknown
 from scenec.compiler.light.suns import of_luminance_one
 from scenec.compiler.scene.light import SpotLight
+from scenec.schemas.codec import Facts, JsonObject
 
 _COORDINATE = bounded(forms.LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=1_000_000_000)
 
@@ -46,7 +47,7 @@ class RigMount:
 class LampTarget:
     """A place that a lamp shines to."""
 
-    EXAMPLE: ClassVar[dict[str, Any]] = {"x_m": 4, "y_m": 0, "z_m": 0.5}
+    EXAMPLE: ClassVar[Facts] = {"x_m": 4, "y_m": 0, "z_m": 0.5}
 
     TITLE: ClassVar = "Lamp's target"
     x_m: Array = key(_COORDINATE)
@@ -121,7 +122,7 @@ class SpotLamp:
     }
 
     TITLE: ClassVar = "Lamp"
-    mount: Mapping[str, Any] = key(an("light_mount"))
+    mount: JsonObject = key(an("light_mount"))
     """Where it is and where it shines."""
     intensity: Number = key(forms.PER_SAMPLE, at_least=0, at_most=1_000_000_000_000, unit="W/sr")
     """On the axis, far away. An LED of F lumens that shines evenly into a cone of half angle a has

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -19,6 +19,7 @@ from scenec.compiler.light.latlong import horizontal_irradiance, luminance, read
 from scenec.compiler.light.picture_sun import DIAMETER_DEG, PictureSun, extract_sun
 from scenec.compiler.light.sky import Sky, SkyAndSun
 from scenec.compiler.scene.light import SkyLabelMaps, SkyLight, SunDisc
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 
@@ -125,8 +126,8 @@ class ImageSky(Sky):
     the same irradiance, color and direction, so that its shadows do not depend on the picture's
     resolution; light.sun must be left out or null then. A picture in which no sun is found
     (overcast, indoors) stays as it is, which the report says."""
-    labels: Mapping[str, Any] = key(forms.SKY_LABELS)
-    labels_below: Mapping[str, Any] = key(
+    labels: JsonObject = key(forms.SKY_LABELS)
+    labels_below: JsonObject = key(
         forms.SKY_LABELS_BELOW.but(
             description=f"{forms.SKY_LABELS_BELOW.keywords['description']} A level with a label "
             "map has the map's."
@@ -157,7 +158,7 @@ class ImageSky(Sky):
             )
 
     @staticmethod
-    def usual_sun(sky: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    def usual_sun(sky: JsonObject) -> JsonObject | None:
         """Returns None where the pictures' sun is taken."""
         return None if sky["sun"] == "extract" else {}
 

@@ -15,13 +15,13 @@ is at least ``SHARE`` of what else falls on level ground (less throws no shadow 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.light.latlong import directions_of_rows, horizontal_irradiance, luminance
+from scenec.schemas.codec import Facts
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -74,7 +74,7 @@ class _Spot:
 
 def extract_sun(
     picture: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], PictureSun | None, dict[str, Any]]:
+) -> tuple[NDArray[np.float32], PictureSun | None, Facts]:
     """Takes the sun out of a picture, if it has one.
 
     The sun's direction and irradiance are those of the sum of radiance * direction over solid angle

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.kinds import Context, Finding, an, draw_kind, draw_object, key, kind_of, named
 from scenec.compiler.kinds.node import Node
 from scenec.compiler.light.suns import SunTrack
+from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -32,18 +33,18 @@ class Lights:
         "haze": {"visibility_m": 4000},
     }
 
-    sun: Mapping[str, Any] | None = key(an("suns"), default={})
+    sun: JsonObject | None = key(an("suns"), default={})
     """The sun; null for none."""
-    sky: Mapping[str, Any] = key(an("sky"), default={"type": "clear"})
+    sky: JsonObject = key(an("sky"), default={"type": "clear"})
     """The sky."""
-    more: Mapping[str, Any] = key(named(an("light_more"), "One disc.", by="disc"), default={})
+    more: JsonObject = key(named(an("light_more"), "One disc.", by="disc"), default={})
     """Further distant discs by name: earthshine, a second sun."""
-    lamps: Mapping[str, Any] = key(named(an("light_lamp"), "One lamp.", by="lamp"), default={})
+    lamps: JsonObject = key(named(an("light_lamp"), "One lamp.", by="lamp"), default={})
     """Spot lights by name. Metered exposures count their light where they fall on what the middle
     of a picture shows."""
-    clouds: Mapping[str, Any] | None = key(an("light_clouds"), sparse=True)
+    clouds: JsonObject | None = key(an("light_clouds"), sparse=True)
     """Clouds in the sky, which shade the scene; left out: none."""
-    haze: Mapping[str, Any] | None = key(an("light_haze"), optional=True)
+    haze: JsonObject | None = key(an("light_haze"), optional=True)
     """Dust or mist between the cameras and what they see; left out or null: none."""
 
     @staticmethod
@@ -63,7 +64,7 @@ class Lights:
                 taken.setdefault(name, f"light/{group}/{name}")
 
     @staticmethod
-    def fill(light: dict[str, Any], keys: Mapping[str, Any]) -> None:
+    def fill(light: JsonObject, keys: JsonObject) -> None:
         """Puts what the sky says of its sun where the cfg is silent."""
         usual = kind_of("sky", light["sky"]["type"]).usual_sun(light["sky"])
         if usual is None:
@@ -80,7 +81,7 @@ class Lights:
     def draw(self, context: Context) -> LightPlan:
         """Returns the light of a batch."""
 
-        def drawn(name: str, below: str, node: Mapping[str, Any] | None, *given: str) -> Any:
+        def drawn(name: str, below: str, node: JsonObject | None, *given: str) -> Any:
             if node is None:
                 return None
             path = f"{context.path}/{below}"
@@ -109,7 +110,7 @@ class Lights:
         )
 
 
-def draw_light(node: Mapping[str, Any], context: Context) -> LightPlan:
+def draw_light(node: JsonObject, context: Context) -> LightPlan:
     """Returns the light of a batch, as the cfg's ``light`` says."""
     lights: Lights = draw_object("light", node, "light", context)
     return lights.draw(context.at("light"))
@@ -134,7 +135,7 @@ class LightPlan:
     haze: Haze | None = None
     clouds: Clouds | None = None
     lamps: tuple[LampPlan, ...] = ()
-    sun_facts: dict[str, Any] = field(default_factory=dict)
+    sun_facts: Facts = field(default_factory=dict)
 
     @property
     def lit(self) -> bool:

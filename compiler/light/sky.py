@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from scenec.compiler.kinds import Array, Context, Node, bounded, forms
+from scenec.schemas.codec import Facts, JsonObject
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
@@ -20,7 +20,7 @@ ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
 
 
 #: Pictures of a sky, None for black; its sun, None for none; facts for report.json.
-type SkyAndSun = tuple[SkyLight | None, SunDisc | None, dict[str, Any]]
+type SkyAndSun = tuple[SkyLight | None, SunDisc | None, Facts]
 
 
 class Sky(ABC):
@@ -47,7 +47,7 @@ class Sky(ABC):
         return None
 
     @staticmethod
-    def usual_sun(sky: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    def usual_sun(sky: JsonObject) -> JsonObject | None:
         """Returns keys of the sun where the cfg is silent; None: the sky gives the sun itself.
 
         Args:

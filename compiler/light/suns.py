@@ -10,6 +10,7 @@ import numpy as np
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Array, Context, Finding, Node, black, forms, is_black, key
+from scenec.schemas.codec import Facts
 
 if TYPE_CHECKING:
     # A cfg is checked without what shines.
@@ -43,7 +44,7 @@ class SunTrack:
 
     disc: SunDisc | None
     more: dict[str, SunDisc]
-    facts: dict[str, Any]
+    facts: Facts
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,8 @@ from scenec.compiler.views.lamps import without_idle
 from scenec.compiler.views.needed import Keep, Needs, note_outputs, without_unused
 from scenec.compiler.views.prune import prune
 from scenec.compiler.views.resolution import Views
-from scenec.schemas.left_out import Facts, Record
+from scenec.schemas.codec import Facts
+from scenec.schemas.left_out import Record
 
 
 def select_outputs(

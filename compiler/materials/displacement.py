@@ -7,11 +7,10 @@ texels' centers); the picture repeats, or lies in cells as its colors do
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from scenec.compiler.scene.material import TilingCells
 from scenec.compiler.terrain.detail import Detail, Spectrum, Sum
 from scenec.compiler.terrain.grid import bicubic
 from scenec.schemas.cells import SIDE, STEPS, table
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.files import Stamp
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
@@ -70,7 +70,7 @@ class Displacement:
 
 
 def draw_displacement(
-    nodes: Sequence[Mapping[str, Any]] | None, material: str, drawn: MaterialPlan, context: Context
+    nodes: Sequence[JsonObject] | None, material: str, drawn: MaterialPlan, context: Context
 ) -> Detail | None:
     """Returns what a ground material adds to the relief, at any fineness; None: nothing.
 

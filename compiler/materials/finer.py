@@ -10,8 +10,6 @@ what is lost there is too low to move anything by the tolerance.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
@@ -21,6 +19,7 @@ from scenec.compiler.materials.reduce import rms_of, slopes
 from scenec.compiler.materials.resample import box, doubled
 from scenec.compiler.materials.tile import step
 from scenec.compiler.materials.values import Source, normal_picture, normals, unit
+from scenec.schemas.codec import Facts
 
 #: Heights in tolerances between which an octave goes from the picture to the mesh.
 _FROM, _TO = 0.5, 1.0
@@ -29,7 +28,7 @@ _FROM, _TO = 0.5, 1.0
 @memoized("finer normals")
 def finer_normals(
     source: Source, size_m: float, pixels_per_m: float, tolerance_px: float, finest_m: float
-) -> tuple[Source, dict[str, Any]]:
+) -> tuple[Source, Facts]:
     """A picture of normals without the slopes that a mesh shows.
 
     Args:

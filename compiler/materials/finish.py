@@ -18,6 +18,7 @@ from scenec.compiler.materials.reduce import halvings, mean_lean, reduced
 from scenec.compiler.materials.values import Source, forget_pixels, size_of, stored
 from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.material import Material
+from scenec.schemas.codec import Facts
 from scenec.schemas.left_out import entry
 from scenec.schemas.maps import COLORS, MAP_CHANNELS
 from scenec.schemas.threads import on_threads
@@ -47,8 +48,8 @@ class Finished:
     """
 
     materials: dict[str, Material] = field(default_factory=dict)
-    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
-    left_out: list[dict[str, Any]] = field(default_factory=list)
+    facts: dict[str, Facts] = field(default_factory=dict)
+    left_out: list[Facts] = field(default_factory=list)
 
 
 def finish(
@@ -108,7 +109,8 @@ def _finished(
             _entry(name, "the procedural pictures", "no camera sees the material: its means do", 0)
         )
     else:
-        material, facts = with_pictures(drawn, high)
+        material, told = with_pictures(drawn, high)
+        facts |= told
     material, done = baked(material, sources)
     if done:
         facts["made"] = done
@@ -161,7 +163,7 @@ def _note_folder(name: str, sources: MapSources | None, out: Finished) -> None:
         out.left_out += [_entry(name, file, why, None) for file in files]
 
 
-def _entry(material: str, what: str, why: str, size: int | None) -> dict[str, Any]:
+def _entry(material: str, what: str, why: str, size: int | None) -> Facts:
     return entry("surfaces", f"materials/{material}: {what}", why, size=size or 0)
 
 

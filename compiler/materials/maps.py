@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scenec.compiler.kinds import Context, Finding, Node, an, draw_kind, file, forms, key
 from scenec.compiler.kinds.finding import Path as Place
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.maps import MAP_CHANNELS
 from scenec.schemas.spelling import shown
 
@@ -79,7 +80,7 @@ class MapsKeys:
     """seen: a picture that has more texels than pixels wherever a camera of the batch sees it is
     made smaller, by powers of two; one that no camera sees becomes its mean. as_is: files stay as
     they are."""
-    procedural: Mapping[str, Any] | None = key(an("surface"), optional=True)
+    procedural: JsonObject | None = key(an("surface"), optional=True)
     """Pictures that the compiler makes, another pattern in each batch. A file beside it takes the
     place of one of them. Not with the projection uv."""
     base_color: Path | None = key(file("map"), optional=True)
@@ -109,10 +110,10 @@ class MapsKeys:
     out, it stays flat."""
     emission: Path | None = key(file("map"), optional=True)
     """Colors that multiply the material's emission: sRGB, or linear Rec.709 in OpenEXR."""
-    cells: Mapping[str, Any] | None = key(an("material_cells"), optional=True)
+    cells: JsonObject | None = key(an("material_cells"), optional=True)
     """Keeps pictures that are projected from above from repeating. {} takes the usual size; left
     out, they repeat."""
-    far: Mapping[str, Any] | None = key(an("material_far"), optional=True)
+    far: JsonObject | None = key(an("material_far"), optional=True)
     """Varies the colors of pictures that are projected from above over a larger scale, too."""
 
     @staticmethod

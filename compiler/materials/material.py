@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from scenec.compiler.kinds import Context, Finding, Form, Node, bounded, draw_kind, draw_object, key
 from scenec.compiler.kinds.forms import FRACTION_PER_BATCH, PER_BATCH, an, list_of
 from scenec.compiler.materials.maps import MapsKeys, becomes_geometry, users
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class MaterialKeys:
     clipped to [0, 1], a roughness map's value likewise. v is that of variation, so that color and
     roughness change together, as where ground is damp or trodden; below 0, lighter places are
     smoother."""
-    reflectance: Mapping[str, Any] | None = key(an("reflectance"), optional=True)
+    reflectance: JsonObject | None = key(an("reflectance"), optional=True)
     """How the dull part scatters light, where it is not Lambert's law; moons and dusty planets do
     otherwise."""
     emission: tuple[float, float, float] | None = key(
@@ -115,7 +116,7 @@ class MaterialKeys:
         return MaterialPlan(material, surface, sources)
 
 
-def draw_materials(cfg: Mapping[str, Any], context: Context) -> dict[str, MaterialPlan]:
+def draw_materials(cfg: JsonObject, context: Context) -> dict[str, MaterialPlan]:
     """All materials of a batch, in the cfg's order."""
     things = list(cfg["objects"].values())
     parts = [part for thing in things for part in (thing.get("parts") or {}).values()]

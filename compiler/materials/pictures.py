@@ -17,6 +17,7 @@ from scenec.compiler.materials.surface import Surface
 from scenec.compiler.materials.tile import Tile
 from scenec.compiler.materials.values import encoded, picture_of
 from scenec.compiler.scene.material import ImageFile, Material, MaterialMaps
+from scenec.schemas.codec import Facts
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -24,7 +25,7 @@ from scenec.schemas.threads import over_threads
 _DARKEST = 0.06
 
 
-def with_pictures(drawn: MaterialPlan, high: bool = False) -> tuple[Material, dict[str, Any]]:
+def with_pictures(drawn: MaterialPlan, high: bool = False) -> tuple[Material, Facts]:
     """A material whose procedural surface has become pictures, and what there is to tell.
 
     Its numbers stay the means: its ``base_color`` becomes a factor on the picture of colors so that

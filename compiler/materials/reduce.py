@@ -7,7 +7,6 @@ is only what varies within them. Normals are summed as vectors and brought to un
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from scenec.compiler.materials.values import (
     unit,
 )
 from scenec.compiler.scene.material import ImageFile
+from scenec.schemas.codec import Facts
 from scenec.schemas.maps import COLORS
 
 #: Texels to a pixel that are kept at least. With 1, picture and pixels end at the same wavelength;
@@ -57,7 +57,7 @@ class Reduced:
 
     picture: ImageFile
     factor: tuple[float, float, float]
-    facts: dict[str, Any]
+    facts: Facts
 
 
 def halvings(high: int, wide: int, pixels: float) -> int:

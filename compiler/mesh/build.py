@@ -22,7 +22,9 @@ from scenec.compiler.terrain.shade import shade
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.needed import Keep, Needs, with_color
 from scenec.compiler.views.resolution import Views, pixels_per_meter, views_of
-from scenec.schemas.left_out import Facts, entry
+from scenec.schemas.codec import Facts, read_facts
+from scenec.schemas.left_out import entry
+from scenec.schemas.report import GroundFacts
 
 
 def build_relief(drawn_terrain: TerrainPlan) -> tuple[ReliefResult, Samples, Facts]:
@@ -129,8 +131,9 @@ def build_ground(
             surface, land, tiles, layer, reach_m, key, meshing, views, color=color
         )
         ground = replace(ground, horizon=around)
-    reached_px = meshed.get("mesh", {}).get("tolerance_reached_px")
-    return ground, float(meshed["float32_error_max_m"]), reached_px, facts
+    told = read_facts(meshed, GroundFacts)
+    reached_px = told.mesh.tolerance_reached_px if told.mesh else None
+    return ground, told.float32_error_max_m, reached_px, facts
 
 
 def note_plain_mesh(

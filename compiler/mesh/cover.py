@@ -16,6 +16,7 @@ from scenec.compiler.mesh.signed_bound import SignedBound, signed_bound
 from scenec.compiler.terrain.condition import ReliefCondition
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.quantities import Quantities, Samples
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 
 # Shares are counted on so many samples at most.
@@ -28,7 +29,7 @@ def fit_merges(
     coverage: Sequence[float | None],
     field: HeightField,
     samples: Samples | None = None,
-) -> tuple[tuple[Merge, ...], list[dict[str, Any]]]:
+) -> tuple[tuple[Merge, ...], list[Facts]]:
     """Merges that know where they lie, and for each what it covers.
 
     Args:
@@ -126,7 +127,7 @@ def _center(layer: _SampledLayer, part: float, name: str, strict: bool) -> float
     return center_for_coverage(layer.noise[holds], min(part / room, 1.0)) if holds.any() else 0.0
 
 
-def _report(layers: Sequence[_SampledLayer]) -> list[dict[str, Any]]:
+def _report(layers: Sequence[_SampledLayer]) -> list[Facts]:
     """Reports what layers cover, at the samples that count."""
     if not layers:
         return []

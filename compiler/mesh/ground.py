@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 from scenec.compiler.distributions.resolve import resolve
 from scenec.compiler.kinds import Context, draw_kind, draw_object
@@ -21,13 +20,14 @@ from scenec.compiler.terrain.mask import Masked
 from scenec.compiler.terrain.operator import ReliefOperator
 from scenec.compiler.terrain.shade import Shade
 from scenec.compiler.terrain.sources.dem import georeference_of
+from scenec.schemas.codec import JsonObject
 
 #: Samples across the relief of a horizon that says nothing of them.
 HORIZON_SAMPLES = 256
 
 
 def draw_terrain(
-    cfg: Mapping[str, Any], context: Context, displacements: Iterable[Detail | None]
+    cfg: JsonObject, context: Context, displacements: Iterable[Detail | None]
 ) -> tuple[TerrainPlan, Context]:
     """Returns the terrain, and the context of what stands on it.
 
@@ -78,7 +78,7 @@ def draw_terrain(
     return plan, context
 
 
-def _horizon(cfg: Mapping[str, Any], context: Context) -> HorizonPlan:
+def _horizon(cfg: JsonObject, context: Context) -> HorizonPlan:
     """Returns what lies around the terrain; its relief is as wide as it."""
     path = "terrain/horizon"
     node = resolve({k: v for k, v in cfg.items() if k != "relief"}, context.streams, path)
@@ -94,7 +94,7 @@ def _horizon(cfg: Mapping[str, Any], context: Context) -> HorizonPlan:
     )
 
 
-def _on_relief(nodes: Sequence[Mapping[str, Any]], path: str, context: Context) -> Context:
+def _on_relief(nodes: Sequence[JsonObject], path: str, context: Context) -> Context:
     """Returns the context with a relief: each operator is drawn from those before it."""
     for i, node in enumerate(nodes):
         own = {key: value for key, value in node.items() if key != "mask"}
@@ -105,9 +105,7 @@ def _on_relief(nodes: Sequence[Mapping[str, Any]], path: str, context: Context) 
     return context
 
 
-def _mask(
-    nodes: Sequence[Mapping[str, Any]], path: str, context: Context
-) -> tuple[ReliefCondition, ...]:
+def _mask(nodes: Sequence[JsonObject], path: str, context: Context) -> tuple[ReliefCondition, ...]:
     """Returns the mask of an operator."""
     context = replace(context, choice="relief_mask")
     return tuple(
@@ -118,7 +116,7 @@ def _mask(
     )
 
 
-def _where(nodes: Sequence[Mapping[str, Any]], path: str, context: Context) -> tuple[Interval, ...]:
+def _where(nodes: Sequence[JsonObject], path: str, context: Context) -> tuple[Interval, ...]:
     """Returns conditions on where a layer lies, or a shade."""
     context = replace(context, choice="ground_where")
     return tuple(draw_condition(node, context.at(f"{path}/{i}")) for i, node in enumerate(nodes))

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from scenec.compiler.scene.ground import GroundLayer, Horizon, MeshTile
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.planet import TerrainPlanet
 from scenec.compiler.views.resolution import Views, pixels_of_balls
+from scenec.schemas.codec import Facts
 
 #: Prim of it.
 NAME = "horizon"
@@ -149,7 +149,7 @@ def build_horizon(
     views: Views,
     *,
     color: bool = True,
-) -> tuple[Horizon, dict[str, Any]]:
+) -> tuple[Horizon, Facts]:
     """The land about a terrain.
 
     Args:

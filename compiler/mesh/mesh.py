@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import count
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.terrain.grid import HeightField, cuts_main_diagonal, gradient
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import Views
+from scenec.schemas.codec import Facts
 from scenec.schemas.kernels import kernel
 
 #: What a shading deviation is allowed to be: of a weight, of the albedo variation, of a slope.
@@ -98,7 +99,7 @@ def adaptive_mesh(
     pixels_per_m: NDArray[np.float64],
     views: Views,
     meshing: Meshing,
-) -> tuple[CutMesh, GroundAppearance, dict[str, Any]]:
+) -> tuple[CutMesh, GroundAppearance, Facts]:
     """Triangles as large as the tolerance lets them be.
 
     Args:

@@ -14,8 +14,8 @@ from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
-from scenec.schemas.left_out import Facts
 
 #: Precision promised of a position: this part of the extent, the step of float32 (2**-24).
 FLOAT32_STEP = 6e-8

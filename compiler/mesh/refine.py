@@ -14,6 +14,7 @@ from scenec.compiler.geometry.normals import normal_of
 from scenec.compiler.mesh.cut import CutMesh
 from scenec.compiler.mesh.surface import GroundSurface
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
+from scenec.schemas.codec import Facts
 from scenec.schemas.kernels import kernel
 
 #: Part of the amplitude of what is finer than a triangle that it may be wrong by: octaves of noise
@@ -80,7 +81,7 @@ def refine(
     surface: GroundSurface,
     views: Views,
     limits: RefineLimits,
-) -> tuple[CutMesh, NDArray[np.float64], dict[str, Any]] | None:
+) -> tuple[CutMesh, NDArray[np.float64], Facts] | None:
     """A mesh of a grid's samples, made finer where a view shows that it is too coarse.
 
     A face is halved while the surface above the middle of one of its edges, or the detail finer

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from scenec.compiler.kinds import Finding, Form, Node, an, bounded, forms, key, list_of, unknown
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 #: Height samples of a terrain at most (2 GiB of float64).
@@ -57,12 +58,12 @@ class Terrain:
         list_of(an("terrain_shade"), "One kind of place.", least=1), sparse=True
     )
     """Where the ground is darker or lighter by what it is there."""
-    mesh: Mapping[str, Any] = key(an("terrain_mesh"), default={})
+    mesh: JsonObject = key(an("terrain_mesh"), default={})
     """How fine the mesh is."""
-    horizon: Mapping[str, Any] = key(an("terrain_horizon"), sparse=True)
+    horizon: JsonObject = key(an("terrain_horizon"), sparse=True)
     """Land beyond the terrain's border: hills, crater rims, mesas. Left out, the terrain ends
     there."""
-    planet: Mapping[str, Any] = key(an("terrain_planet"), sparse=True)
+    planet: JsonObject = key(an("terrain_planet"), sparse=True)
     """The sphere that the ground curves as. Left out, it lies on a plane."""
 
     @staticmethod
@@ -126,7 +127,7 @@ class TerrainHorizon:
     material: str = key(forms.TEXT)
     """Name of a material; its displacement does not show. Pictures of a size_m of some hundred
     meters give far slopes stones and hollows down to the pixel."""
-    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    labels: JsonObject = key(an("label_choice"), default={})
     """Its label on every level."""
 
     @staticmethod
@@ -164,7 +165,7 @@ class GroundBase:
 
     material: str = key(forms.TEXT)
     """Name of a material."""
-    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    labels: JsonObject = key(an("label_choice"), default={})
     """The layer's label on every level."""
 
 
@@ -184,9 +185,9 @@ class GroundLayerKeys:
 
     material: str = key(forms.TEXT)
     """Name of a material."""
-    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    labels: JsonObject = key(an("label_choice"), default={})
     """The layer's label on every level."""
-    noise: Mapping[str, Any] = key(an("ground_noise"), default={})
+    noise: JsonObject = key(an("ground_noise"), default={})
     """The noise that says where the layer lies. Left out beside where, the layer lies wherever that
     says."""
     where: Any | None = key(list_of(an("ground_where"), "One condition.", least=1), optional=True)

@@ -27,6 +27,7 @@ from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NO_VIEWS, Views
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 
@@ -53,7 +54,7 @@ def build_tiles(
     cut_labels: bool = True,
     samples: Samples | None = None,
     border_exact: bool = False,
-) -> tuple[tuple[MeshTile, ...], dict[str, Any]]:
+) -> tuple[tuple[MeshTile, ...], Facts]:
     """The terrain's tiles.
 
     Args:

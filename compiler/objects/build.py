@@ -35,7 +35,8 @@ from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig, sample_times
 from scenec.compiler.views.needed import Needs
 from scenec.compiler.views.resolution import Views, views_of
-from scenec.schemas.left_out import Facts
+from scenec.schemas.codec import JSON, Facts, read_facts
+from scenec.schemas.report import ClassFacts
 from scenec.schemas.threads import on_threads
 
 Plans = tuple[ScatterPlan | PlacedPlan, ...]
@@ -72,7 +73,7 @@ class Shaped(NamedTuple):
     """
 
     chains: tuple[Chain, ...]
-    facts: dict[str, Any]
+    facts: Facts
 
 
 def shape_objects(
@@ -155,12 +156,13 @@ def build_objects(
     placing = placing.copy()
     placing.place(drawn_objects[len(placing.placed) :], shaped)
     objects, facts = placing.choose(drawn_object_triangles)
-    own, beyond = facts["objects"], placing.context.beyond
+    beyond = placing.context.beyond
     for plan, one in zip(drawn_objects, objects, strict=True):
         if land and isinstance(plan, ScatterPlan) and isinstance(one, Scatter) and plan.beyond_m:
             off_m = land.off_m(beyond[plan.beyond_m].surface, one.positions)
-            own[plan.name]["land_error_max_m"] = off_m
-    return objects, tuple(float(of["float32_error_max_m"]) for of in own.values()), facts
+            placing.facts[plan.name]["land_error_max_m"] = off_m
+    told = [read_facts(own, ClassFacts) for own in placing.facts.values()]
+    return objects, tuple(own.float32_error_max_m for own in told), facts
 
 
 @dataclass
@@ -179,7 +181,7 @@ class Placing:
     times: NDArray[np.float64]
     timed: Timed
     placed: list[Levels | Placed] = field(default_factory=list)
-    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    facts: dict[str, dict[str, JSON]] = field(default_factory=dict)
 
     def copy(self) -> Placing:
         """Returns one that can be gone on with, while this one stays."""
@@ -208,7 +210,6 @@ class Placing:
                     _without_files(plan), chains, near, context.views, context.unseen
                 )
                 own |= facts
-                own["float32_error_max_m"] += _rounding_m(levels.scatter)
                 self.placed.append(levels)
                 context.objects[plan.name] = plan_circles(levels.scatter)
                 if plan.fillet is not None:
@@ -218,12 +219,12 @@ class Placing:
 
     def choose(self, max_triangles: int | None) -> tuple[Objects, Facts]:
         """Chooses the levels of what is placed; all together have so many triangles at most."""
-        report: dict[str, Any] = {"objects": self.facts}
+        report: dict[str, JSON] = {"objects": self.facts}
         scattered = [levels for levels in self.placed if isinstance(levels, Levels)]
         singles = [one for one in self.placed if isinstance(one, Placed)]
         factor = None
         if max_triangles is not None:
-            single = sum(self.facts[one.name]["triangles"] for one in singles)
+            single = sum(read_facts(self.facts[one.name], ClassFacts).triangles for one in singles)
             factor = budget_factor(scattered, max_triangles, single)
             error_factor = factor or 1.0
             report["object_budget"] = {"max_triangles": max_triangles, "error_factor": error_factor}
@@ -264,6 +265,8 @@ def _scattered_without_meshes(
     """The same without its meshes, which the chains hold."""
     facts: dict[str, Any] = {}
     laid = scatter(plan, chains, context, facts)
+    # That of its prototypes comes to that of its place.
+    facts["float32_error_max_m"] += _rounding_m(laid)
     leaves = isinstance(plan.source, ModelSource)
     levels = see_levels(laid, chains, views, unseen, plan.lod_px, leaves)
     return replace(levels, scatter=replace(laid, prototypes=()), meshes=()), facts

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from scenec.compiler.objects.families.shape import Turn
 from scenec.compiler.objects.plan import ModelSource, ObjectCount, RockShapes, ScatterPlan
 from scenec.compiler.objects.scattered import Scattered
 from scenec.compiler.terrain.condition import draw_condition
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import SceneError
 
 #: Objects of one class at most.
@@ -116,7 +117,7 @@ def _counted(law: Scattered, size: Number, context: Context) -> tuple[ObjectCoun
     return ObjectCount(None, float(per_m2), rounding), int(expected + rounding)
 
 
-def _place(node: Mapping[str, Any], path: str, context: Context) -> PlacementCondition:
+def _place(node: JsonObject, path: str, context: Context) -> PlacementCondition:
     if node["type"] == "material":
         return OnMaterial(context.layers_of(node))
     if node["type"] in ("camera", "object"):

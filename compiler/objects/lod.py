@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from scenec.compiler.kinds import forms, key
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.views.resolution import NEAREST_M, Views, pixels_of_balls
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 
 #: A ball of this radius is looked at in parts.
@@ -231,7 +232,7 @@ def budget_factor(classes: Sequence[Levels], max_triangles: int, base: int = 0) 
     return reached * (1.0 + 1e-12)
 
 
-def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter, dict[str, Any]]:
+def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter, Facts]:
     """Gives every instance its level.
 
     Only the shape changes: places, ids and all else stay, and so does the order of instances.
@@ -245,7 +246,7 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
     used, prototype = np.flatnonzero(in_use), (np.cumsum(in_use) - 1)[chosen]
     reached = levels.errors[chosen] * levels.size
     near = 0.0 if levels.near is None else levels.near
-    facts = {
+    facts: Facts = {
         "prototypes": len(used),
         "prototypes_of": len(levels.meshes),
         "triangles": int(levels.triangles[chosen].sum()),

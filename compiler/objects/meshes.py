@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Context, Finding, Node, forms, key
@@ -17,6 +17,7 @@ from scenec.compiler.objects.models import (
     draw_rules,
 )
 from scenec.compiler.objects.scattered import Scattered
+from scenec.schemas.codec import JsonObject
 
 if TYPE_CHECKING:
     from scenec.compiler.objects.plan import ScatterPlan
@@ -34,9 +35,9 @@ class Meshes(Scattered):
         "apart": {"gap_m": 1},
     }
 
-    models: tuple[Mapping[str, Any], ...] = key(MODELS)
+    models: tuple[JsonObject, ...] = key(MODELS)
     material: str | None = key(MATERIAL, optional=True)
-    parts: Mapping[str, Any] = key(PARTS, default={})
+    parts: JsonObject = key(PARTS, default={})
     scale: Number = key(forms.PER_INSTANCE, default=1, above=0, at_most=1_000_000)
     """Factor on a model's size."""
     variation: float = key(forms.FRACTION_PER_BATCH, default=0)

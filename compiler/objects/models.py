@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from scenec.compiler.kinds import Context, Finding, Form, InputFile, Node, bounded, draw_object, key
 from scenec.compiler.kinds.forms import CHOICE, CONSTANT, TEXT, WORDS, an, file, list_of, word_or
 from scenec.compiler.scene.labels import Labels
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import SceneError
 from scenec.schemas.spelling import nearest, shown
 
@@ -74,7 +75,7 @@ class ModelPart:
     TITLE: ClassVar = "Part of a model"
     material: str | None = key(TEXT, optional=True)
     """Name of a material, in place of the file's."""
-    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    labels: JsonObject = key(an("label_choice"), default={})
     """Its label on the levels where it differs from the class's."""
 
 
@@ -93,13 +94,13 @@ class PartRule:
     labels: Labels
 
 
-def draw_models(nodes: Sequence[Mapping[str, Any]], context: Context) -> tuple[ModelKeys, ...]:
+def draw_models(nodes: Sequence[JsonObject], context: Context) -> tuple[ModelKeys, ...]:
     """Returns the models of a class."""
     path = f"{context.path}/models"
     return tuple(draw_object("model", own, f"{path}/{i}", context) for i, own in enumerate(nodes))
 
 
-def draw_rules(parts: Mapping[str, Any], context: Context) -> tuple[PartRule, ...]:
+def draw_rules(parts: JsonObject, context: Context) -> tuple[PartRule, ...]:
     """Returns what a class says of parts of its models."""
     table = context.label_table
     return tuple(

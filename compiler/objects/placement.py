@@ -22,6 +22,7 @@ from scenec.compiler.terrain.fillets import Fillets
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NEAREST_M, pixels_of_balls
+from scenec.schemas.codec import Facts
 
 #: Instances whose seat is measured again: all, up to so many, then as many spread over all.
 _MEASURED = 16_384
@@ -175,7 +176,7 @@ def seating_report(
     embed: NDArray[np.float64],
     placement: ClassPlacement,
     which: NDArray[np.int64],
-) -> dict[str, Any]:
+) -> Facts:
     """Measures how well finished instances sit, on the arrays as the stage will have them.
 
     ``float_max_m`` and ``sink_max_m`` are how far the deepest vertex is above and below the depth

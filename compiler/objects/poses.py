@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +25,7 @@ from scenec.compiler.objects.models import (
     draw_models,
     draw_rules,
 )
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.quaternions import quaternion_product
 
 if TYPE_CHECKING:
@@ -91,14 +92,14 @@ class PlacedKeys:
         "orientation": "normal",
     }
 
-    models: tuple[Mapping[str, Any], ...] = key(MODELS)
+    models: tuple[JsonObject, ...] = key(MODELS)
     material: str | None = key(MATERIAL, optional=True)
-    parts: Mapping[str, Any] = key(PARTS, default={})
-    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    parts: JsonObject = key(PARTS, default={})
+    labels: JsonObject = key(an("label_choice"), default={})
     """The objects' label on every level."""
     instances: bool = key(TRUTH, default=True)
     """Whether each object has an instance id."""
-    poses: tuple[Mapping[str, Any], ...] | None = key(
+    poses: tuple[JsonObject, ...] | None = key(
         list_of(an("object_pose"), "One object.", least=1, most=100000), optional=True
     )
     """Where the objects are, one entry each; or give file."""
@@ -166,7 +167,7 @@ class PlacedKeys:
         )
 
 
-def _listed(nodes: Sequence[Mapping[str, Any]], context: Context) -> PoseTable:
+def _listed(nodes: Sequence[JsonObject], context: Context) -> PoseTable:
     count = len(nodes)
     position = np.array([[node[key] for key in _place(node)] for node in nodes])
     for n in np.flatnonzero([GEOGRAPHIC[0] in node for node in nodes]).tolist():
@@ -182,7 +183,7 @@ def _listed(nodes: Sequence[Mapping[str, Any]], context: Context) -> PoseTable:
     )
 
 
-def _place(node: Mapping[str, Any]) -> tuple[str, ...]:
+def _place(node: JsonObject) -> tuple[str, ...]:
     return GEOGRAPHIC if GEOGRAPHIC[0] in node else PLACE
 
 

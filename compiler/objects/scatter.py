@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +21,14 @@ from scenec.compiler.objects.scattered import Spacing
 from scenec.compiler.objects.spacing import MOST_TRIES, Disks
 from scenec.compiler.scene.objects import Prototype, Scatter
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
+from scenec.schemas.codec import JSON
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 
 def scatter(
-    plan: ScatterPlan, chains: Sequence[Chain], context: PlacementContext, facts: dict[str, Any]
+    plan: ScatterPlan, chains: Sequence[Chain], context: PlacementContext, facts: dict[str, JSON]
 ) -> Scatter:
     """The instances of one class, all at their finest level.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Finding, Node, an, forms, key, list_of, unknown
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 #: Least ``beyond_m`` in the terrain's longer sides: 8 cells of the 384 that the land is taken in
@@ -54,13 +55,13 @@ class Scattered:
     )
     """Number per square meter of the terrain in plan: the count is this times the terrain's area,
     times the part of the density that where leaves, rounded up or down at random."""
-    labels: Mapping[str, Any] = key(an("label_choice"), default={})
+    labels: JsonObject = key(an("label_choice"), default={})
     """The objects' label on every level."""
     instances: bool = key(forms.TRUTH, default=True)
     """Whether each object has an instance id."""
-    density: Mapping[str, Any] = key(an("density"), default={"type": "uniform"})
+    density: JsonObject = key(an("density"), default={"type": "uniform"})
     """How many there are in one place compared with another."""
-    where: tuple[Mapping[str, Any], ...] = key(list_of(an("objects_where")), default=[])
+    where: tuple[JsonObject, ...] = key(list_of(an("objects_where")), default=[])
     """Conditions on the place, multiplied with the density."""
     beyond_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
     """Where given, they lie on the land of terrain.horizon instead: from the terrain's border up to

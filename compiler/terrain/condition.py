@@ -33,6 +33,7 @@ from scenec.compiler.noise.fractal import Fractal, fbm2
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.multifractal import octaves_resolved
 from scenec.compiler.terrain.quantities import Quantities, Samples
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.kernels import kernel
 
 
@@ -81,7 +82,7 @@ class Quantity(ABC):
     """Evaluates a relief, a noise or a distance at places."""
 
     #: Values of keys that are left out, where that depends on where the condition stands.
-    USUAL: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    USUAL: ClassVar[Mapping[str, JsonObject]] = {}
 
     @abstractmethod
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
@@ -434,7 +435,7 @@ class FromPath(Quantity):
         return quantities.distance_to_path_m(self.file, reach)
 
 
-def draw_condition(node: Mapping[str, Any], context: Context) -> Interval:
+def draw_condition(node: JsonObject, context: Context) -> Interval:
     """Returns a condition that stands at the context's path: a quantity, and its bounds.
 
     Args:

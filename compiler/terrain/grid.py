@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import Facts
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: Heights after a step of the relief program, float64 [ny, nx], and what the step reports.
-Applied = tuple[NDArray[np.float64], dict[str, Any]]
+Applied = tuple[NDArray[np.float64], Facts]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from scenec.compiler.terrain.operator import ReliefOperator, applied
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 
 #: Squares of heights must be numbers in float32 too: renderers take them.
@@ -36,7 +36,7 @@ class ReliefResult:
 
     field: HeightField
     details: tuple[Detail, ...]
-    steps: list[dict[str, Any]]
+    steps: list[Facts]
 
 
 @memoized("relief")
@@ -58,7 +58,7 @@ def run(
     height = np.zeros(grid.shape)
     base: MeshSurface | None = None
     details: list[Detail] = []
-    steps = []
+    steps: list[Facts] = []
     samples = samples or Samples.of(grid)
     # Overflow is found once, at the end, and said in the user's words.
     with np.errstate(over="ignore", invalid="ignore"):

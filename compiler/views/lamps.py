@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.views.needed import PASS
+from scenec.schemas.codec import Facts
 from scenec.schemas.left_out import entry
 
 #: What rounding can do to angles and distances, relative: far more than it does.
@@ -21,7 +21,7 @@ _SLACK = 1e-6
 
 def without_idle(
     lamps: Sequence[Lamp], ground: Ground, objects: Sequence[Scatter | Placed]
-) -> tuple[tuple[Lamp, ...], list[dict[str, Any]]]:
+) -> tuple[tuple[Lamp, ...], list[Facts]]:
     """The lamps that light something at one sample at least; entries about the others.
 
     Conservative: geometry counts as the balls around tiles and instances, at all samples; a lamp as

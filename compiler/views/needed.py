@@ -22,7 +22,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed, Prototype, Scatter
 from scenec.compiler.scene.rig import Rig
+from scenec.schemas.codec import Facts
 from scenec.schemas.left_out import entry
 from scenec.schemas.passes import BUILT_IN
 
@@ -112,7 +113,7 @@ class Used[Kind]:
     materials: dict[str, Kind]
     ground: Ground
     objects: Objects
-    left_out: list[dict[str, Any]] = field(default_factory=list)
+    left_out: list[Facts] = field(default_factory=list)
 
 
 def without_unused[Kind](
@@ -129,7 +130,7 @@ def without_unused[Kind](
     Args:
         materials: By name; empty where no color is asked for.
     """
-    left_out: list[dict[str, Any]] = []
+    left_out: list[Facts] = []
     kept = [_without_unused_prototypes(one, left_out) for one in objects]
     if needs.color:
         ground = _without_hidden_layers(ground, left_out)
@@ -145,9 +146,7 @@ def without_unused[Kind](
     )
 
 
-def _without_unused_prototypes(
-    one: Scatter | Placed, left_out: list[dict[str, Any]]
-) -> Scatter | Placed:
+def _without_unused_prototypes(one: Scatter | Placed, left_out: list[Facts]) -> Scatter | Placed:
     used, prototype = np.unique(one.prototype, return_inverse=True)
     if len(used) == len(one.prototypes):
         return one
@@ -174,7 +173,7 @@ def _bytes_of(mesh: Prototype | MeshTile) -> int:
     return int(mesh.points.nbytes + mesh.faces.nbytes + _NUMBER * len(mesh.faces))
 
 
-def _without_hidden_layers(ground: Ground, left_out: list[dict[str, Any]]) -> Ground:
+def _without_hidden_layers(ground: Ground, left_out: list[Facts]) -> Ground:
     """The ground without layers whose weight is 0 at every vertex.
 
     Those change no color, with or without heights, and lie on no face.
@@ -221,7 +220,7 @@ def note_outputs(
     *,
     levels: int,
     lit: bool,
-) -> list[dict[str, Any]]:
+) -> list[Facts]:
     """Entries about what no output shows, with the bytes of the arrays that it would take.
 
     Args:

@@ -38,6 +38,7 @@ from scenec.compiler.views.illumination import (
 from scenec.compiler.views.needed import Keep, Needs, without_unused
 from scenec.compiler.views.occlusion import BlockRelief, relief_of_tiles, with_horizon
 from scenec.compiler.views.visible import BEHIND, OUTSIDE, SHOWN, visible
+from scenec.schemas.codec import Facts
 from scenec.schemas.left_out import ORDER, ClassRecord, Reason, Record, entry
 
 #: Name of this pass in reports.
@@ -68,9 +69,9 @@ class Pruned:
     """
 
     scene: Scene
-    left_out: list[dict[str, Any]] = field(default_factory=list)
+    left_out: list[Facts] = field(default_factory=list)
     record: Record | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
 
 
 @dataclass
@@ -141,7 +142,7 @@ def prune(
         _mark_lit(scene, classes, showing, relief, everywhere)
     else:
         removed = _unseen_tiles(tiles, views)
-    left_out: list[dict[str, Any]] = []
+    left_out: list[Facts] = []
     objects = tuple(
         _without(one, balls, needs.color, left_out)
         for one, balls in zip(scene.objects, classes, strict=True)
@@ -234,7 +235,7 @@ def _unseen_tiles(tiles: Sequence[MeshTile], views: Views) -> dict[str, Reason]:
 
 
 def _without(
-    one: Scatter | Placed, balls: _Balls, color: bool, left_out: list[dict[str, Any]]
+    one: Scatter | Placed, balls: _Balls, color: bool, left_out: list[Facts]
 ) -> Scatter | Placed:
     """A class without the instances that go; entries about them."""
     kept = ~balls.open
@@ -259,9 +260,7 @@ def _without(
     return replace(one, **{name: array[kept] for name, array in arrays.items()})
 
 
-def _without_tiles(
-    ground: Ground, removed: dict[str, Reason], left_out: list[dict[str, Any]]
-) -> Ground:
+def _without_tiles(ground: Ground, removed: dict[str, Reason], left_out: list[Facts]) -> Ground:
     for reason, why in _WHY.items():
         tiles = [tile for tile in ground.tiles if removed.get(tile.name) is reason]
         if tiles:

@@ -18,7 +18,7 @@ from scenec.datasets.evaluate.instances import NEEDED, Coco, quiet
 from scenec.datasets.formats.coco import instance_annotations
 from scenec.datasets.formats.coco_parts import NO_LEVEL, image_entry
 from scenec.datasets.source import Source
-from scenec.schemas.codec import Natural, decode, is_number, natural
+from scenec.schemas.codec import JsonObject, Natural, decode, is_number, natural
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import read_json
 from scenec.schemas.records import Row4
@@ -122,7 +122,7 @@ def truth_of(source: Source, level: str | None = None) -> Coco:
     return {"images": images, ANNOTATIONS: found, "categories": categories}
 
 
-def read_detections(path: Path, truth: Coco) -> list[dict[str, Any]]:
+def read_detections(path: Path, truth: Coco) -> list[JsonObject]:
     """Detections as COCO's results have them, held against the truth that they are for.
 
     Each is ``{"image_id", "category_id", "score"}`` with ``bbox``, ``segmentation`` or both.

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import Facts
+
 #: None stands where a measure is not defined, as the IoU of a class that nothing shows.
 Cell = str | float | None
 
@@ -52,7 +54,7 @@ class Evaluation:
     task: str
     predictions: Path
     against: Path
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: Facts = field(default_factory=dict)
     measures: dict[str, float | None] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     tables: list[Table] = field(default_factory=list)
@@ -60,7 +62,7 @@ class Evaluation:
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
     files: list[Path] = field(default_factory=list)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """All but the arrays."""
         return {
             "task": self.task,

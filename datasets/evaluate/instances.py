@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.evaluate.breakdown import SUN, Attribute, Attributes, filled
 from scenec.datasets.evaluate.evaluation import Cell, Evaluation, Table
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import OutputError
 
 NEEDED = "instances are judged by pycocotools: pip install 'scenec[coco]'"
@@ -28,12 +29,12 @@ _TITLES = {"segm": "masks", "bbox": "boxes"}
 #: Row of COCO's precision and recall -> name of the area's range.
 _AREAS = ("", "_small", "_medium", "_large")
 
-Coco = dict[str, Any]
+Coco = JsonObject
 
 
 def evaluate_instances(
     path: Path,
-    detections: Sequence[dict[str, Any]],
+    detections: Sequence[JsonObject],
     against: Path,
     truth: Coco,
     attributes: Attributes,

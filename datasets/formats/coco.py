@@ -40,6 +40,7 @@ from scenec.datasets.formats.contract import Done, Format, Option, Task, Written
 from scenec.datasets.outlines import outlines
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas import rle
+from scenec.schemas.codec import JsonObject
 
 #: Key of an annotation -> quantity of ``scenec.datasets.filters``, where the table has it.
 _EXTRAS = {
@@ -139,7 +140,7 @@ class Coco(Format):
 
 def instance_annotations(
     frame: LoadedFrame, level: str, polygons: bool = False
-) -> tuple[list[dict[str, Any]], NDArray[np.int64]]:
+) -> tuple[list[JsonObject], NDArray[np.int64]]:
     """Returns a frame's instances in COCO's form; labeled parts are annotations of their own.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scenec.datasets.formats.contract import Done, Info, Option
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas import rle
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.kernels import kernel
@@ -73,7 +74,7 @@ def place_picture(frame: LoadedFrame, path: Path, how: str) -> bool:
     return True
 
 
-def image_entry(frame: LoadedFrame, number: int, file_name: str) -> dict[str, Any]:
+def image_entry(frame: LoadedFrame, number: int, file_name: str) -> JsonObject:
     """A frame's line of ``images``: what COCO has, then what else is known of it."""
     sun = frame.sidecar.sun
     return {
@@ -174,7 +175,7 @@ class CategoryUse:
         """Something of this category has this name there."""
         self.names.setdefault(level, {}).setdefault(category, set()).add(name)
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> JsonObject:
         """JSON values that ``merge`` takes."""
         return {
             "things": sorted(self.things),
@@ -185,7 +186,7 @@ class CategoryUse:
             },
         }
 
-    def merge(self, record: Mapping[str, Any]) -> None:
+    def merge(self, record: JsonObject) -> None:
         """Add what ``record`` returned."""
         self.things.update(record["things"])
         self.stuff.update(record["stuff"])
@@ -194,7 +195,7 @@ class CategoryUse:
                 for name in names:
                     self.name(level, category, name)
 
-    def categories(self, info: Info, which: str) -> list[dict[str, Any]]:
+    def categories(self, info: Info, which: str) -> list[JsonObject]:
         """``categories`` of COCO, in order of ids.
 
         ``supercategory`` is the name on the next coarser level where each category has but one
@@ -286,7 +287,7 @@ def write_fragment(scratch: Path, number: int, lines: Iterable[str]) -> None:
 def write_document(
     path: Path,
     info: Info,
-    categories: list[dict[str, Any]],
+    categories: list[JsonObject],
     images: Iterator[str],
     annotations: Iterator[str],
 ) -> None:

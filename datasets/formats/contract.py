@@ -11,9 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.imu import RigState
 
 
@@ -150,7 +151,7 @@ class Written:
     """
 
     files: list[str] = field(default_factory=list)
-    record: dict[str, Any] = field(default_factory=dict)
+    record: JsonObject = field(default_factory=dict)
     left_out: dict[str, int] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     held: dict[str, int] = field(default_factory=dict)
@@ -167,7 +168,7 @@ class Done:
     """
 
     task: Task
-    record: dict[str, Any] | None
+    record: JsonObject | None
 
 
 @dataclass(frozen=True)

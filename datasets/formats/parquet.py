@@ -40,6 +40,7 @@ from scenec.datasets.formats.encode import (
 from scenec.datasets.formats.poses import require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.datasets.splits import ALL
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import BESIDE
@@ -50,7 +51,7 @@ _GROUP = 32_000_000
 _GROUP_ROWS = 100
 _HIGHEST_PICTURE = 65535
 
-_Feature = dict[str, Any]
+_Feature = JsonObject
 
 
 def _value(dtype: str) -> _Feature:
@@ -189,7 +190,7 @@ class Parquet(Format):
             [(name, _arrow(feature)) for name, feature in features.items()], metadata=metadata
         )
 
-    def row(self, frame: LoadedFrame, written: Written) -> dict[str, Any]:
+    def row(self, frame: LoadedFrame, written: Written) -> JsonObject:
         """A frame's row; what its numbers do not hold is added to what was written."""
         require_pinhole(frame)
         row: dict[str, Any] = {

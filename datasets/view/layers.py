@@ -24,6 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.codec import JsonObject
+
 _ID_EFFORT = 9
 _STEP_EFFORT = 6
 #: Widest picture that a JPEG holds: libjpeg's JPEG_MAX_DIMENSION.
@@ -65,7 +67,7 @@ class Layer:
         data: The bytes.
     """
 
-    facts: dict[str, Any]
+    facts: JsonObject
     data: bytes
 
     def text(self) -> bytes:
@@ -131,7 +133,7 @@ def store_depth(name: str, depth: NDArray[np.floating], bits: int) -> Layer:
     return Layer(facts, zlib.compress(differences(codes), _STEP_EFFORT))
 
 
-def depth_error(facts: dict[str, Any]) -> float:
+def depth_error(facts: JsonObject) -> float:
     """Most that a stored depth is off: relative to it, or in meters where it is ``even``."""
     steps = 2.0 * (facts["top"] - 2)
     if facts.get("even"):

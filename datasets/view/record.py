@@ -17,6 +17,7 @@ from scenec.datasets.motion_colors import UNITS, lengths
 from scenec.datasets.source import LoadedFrame
 from scenec.datasets.view.layers import Fineness, Layer, depth_error
 from scenec.datasets.view.storing import store_frame
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.records import FrameRecord
 
 #: Edges of the histograms' bins: bin k is from edge k - 1 to edge k. Bin 0 of ``hidden`` is exactly
@@ -28,7 +29,7 @@ EDGES = {
 }
 #: Columns of a frame's table of instances that the page shows.
 _TOLD = ("pixels", "amodal", "depth_min", "truncated")
-#: Facts of a sidecar that the page shows as they are.
+#: JsonObject of a sidecar that the page shows as they are.
 _FACTS = ("backend_version", "device", "spp", "noise_seed", "exposure_ev", "denoised", "time_s")
 
 
@@ -64,7 +65,7 @@ class Tally:
         for name, counts in other.motion.items():
             self.motion.setdefault(name, Counter()).update(counts)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """In a fixed order: pairs of bin and count."""
         return {
             "pixels": {level: sorted(c.items()) for level, c in sorted(self.pixels.items())},
@@ -89,7 +90,7 @@ class Record:
     """
 
     text: bytes
-    index: dict[str, Any]
+    index: JsonObject
     tally: Tally
     depth_error: float
     stored: bool

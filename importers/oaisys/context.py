@@ -11,6 +11,7 @@ from scenec.importers.assets import Assets
 from scenec.importers.output import Imported
 from scenec.importers.scene import identifier, unused
 from scenec.importers.source import Item, Source
+from scenec.schemas.codec import JsonObject
 
 #: Why a key is dropped that OAISYS itself has no use for.
 DEAD = "OAISYS reads it nowhere"
@@ -97,7 +98,7 @@ class Context:
     sources: list[Source] = field(default_factory=list)
 
     @property
-    def cfg(self) -> dict[str, Any]:
+    def cfg(self) -> JsonObject:
         """The cfg."""
         return self.imported.cfg
 

@@ -17,6 +17,7 @@ from typing import Any
 from scenec.importers.numbers import tidy, uniform
 from scenec.importers.oaisys.context import DEAD, Context, label_vector
 from scenec.importers.source import Item, Source
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import CfgError
 
 #: Parts of names of picture files by kind, in the order in which they are looked for.
@@ -46,7 +47,7 @@ _REPLACEMENTS: tuple[tuple[tuple[str, ...], str, tuple[float, float, float]], ..
 )
 
 
-def replacement_material(name: str) -> dict[str, Any]:
+def replacement_material(name: str) -> JsonObject:
     """A procedural material for what a name suggests."""
     surface, color = next(
         (surface, color)

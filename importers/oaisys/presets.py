@@ -5,10 +5,10 @@ Lengths are in units of a mesh of ``mesh_size_x``; types of noise by A.N.T.'s na
 
 from __future__ import annotations
 
-from typing import Any
+from scenec.schemas.codec import JsonObject
 
 #: What A.N.T. takes where nothing is said.
-USUAL: dict[str, Any] = {
+USUAL: JsonObject = {
     "subdivision_x": 128, "mesh_size_x": 2.0, "mesh_size_y": 2.0, "noise_size_x": 1.0,
     "noise_size_y": 1.0, "noise_size": 1.0, "noise_type": "hetero_terrain",
     "basis_type": "BLENDER", "distortion": 1.0, "hard_noise": "0", "noise_depth": 8,
@@ -18,7 +18,7 @@ USUAL: dict[str, Any] = {
 }  # fmt: skip
 
 #: What each preset says otherwise.
-PRESETS: dict[str, dict[str, Any]] = {
+PRESETS: dict[str, JsonObject] = {
     "another_noise": {
         "subdivision_x": 160, "noise_size": 1.25, "noise_type": "ant_turbulence",
         "noise_depth": 9, "amplitude": 0.48, "frequency": 1.9, "height_invert": True,

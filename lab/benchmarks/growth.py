@@ -57,8 +57,9 @@ from scenec.lab.runner import (
     peak_mib,
     run,
 )
+from scenec.schemas.codec import read_facts
 from scenec.schemas.errors import ScenecError
-from scenec.schemas.report import BatchReport, read_output_record
+from scenec.schemas.report import BatchReport, GroundFacts, read_output_record
 from scenec.schemas.sidecars import read_sidecar
 
 _SIZE = 400.0
@@ -159,7 +160,11 @@ def built(small: Path, cfg: Path) -> tuple[float, float, float]:
     build(draw(load(small), 1, 0), BuildLog())
     before, log = peak_mib(), BuildLog()
     build(draw(load(cfg), 1, 0), log)
-    return log.seconds["ground"], log.facts["ground"]["faces"], peak_mib() - before
+    return (
+        log.seconds["ground"],
+        read_facts(log.facts["ground"], GroundFacts).faces,
+        peak_mib() - before,
+    )
 
 
 def mesh(study: Study) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from scenec.quality.converge.fits import band, fit
 from scenec.quality.converge.ladder import Climbed, Ladder, climb
 from scenec.quality.converge.measure import Row
 from scenec.quality.converge.metrics import root
-from scenec.quality.converge.series import ConvergeReport, Floor, Series, Step
+from scenec.quality.converge.series import BackendConvergence, ConvergeReport, Floor, Series, Step
 from scenec.schemas.errors import BackendError
 from scenec.schemas.files import check_writable
 from scenec.schemas.manifest import find_batches
@@ -94,24 +94,24 @@ def _check(names: Sequence[str], ladder: Ladder) -> None:
 
 def _add(report: ConvergeReport, one: Climbed, truth: measure.References, ladder: Ladder) -> None:
     noises = [truth.references[one.backend, shown.place] for shown in one.references[0]]
-    entry = report.backends.setdefault(
-        one.backend,
-        {
-            "version": one.version,
-            "device": one.device,
-            "denoiser": one.denoiser,
-            "stochastic": one.stochastic,
-            "losses": [],
-            "reference_spp": 2 * ladder.reference if one.stochastic else None,
-            "reference_relative_rms": 0.0,
-            "start_s": one.start_s,
-            "annotation_s": measure.annotation_seconds(one),
-            "pixels": measure.pixels(one),
-        },
-    )
-    entry["losses"] += [line for line in one.losses if line not in entry["losses"]]
     worst = max((noise.relative_rms for noise in noises), default=0.0)
-    entry["reference_relative_rms"] = max(entry["reference_relative_rms"], worst)
+    known = report.backends.get(one.backend) or BackendConvergence(
+        version=one.version,
+        device=one.device,
+        denoiser=one.denoiser,
+        stochastic=one.stochastic,
+        losses=(),
+        reference_spp=2 * ladder.reference if one.stochastic else None,
+        reference_relative_rms=0.0,
+        start_s=one.start_s,
+        annotation_s=measure.annotation_seconds(one),
+        pixels=measure.pixels(one),
+    )
+    report.backends[one.backend] = replace(
+        known,
+        losses=tuple(dict.fromkeys(known.losses + one.losses)),
+        reference_relative_rms=max(known.reference_relative_rms, worst),
+    )
 
 
 def _floor(each: Sequence[measure.ReferenceGap]) -> Floor:
@@ -132,7 +132,7 @@ def _floor(each: Sequence[measure.ReferenceGap]) -> Floor:
     )
 
 
-def _series(rows: Sequence[Row], backends: dict[str, dict[str, Any]]) -> list[Series]:
+def _series(rows: Sequence[Row], backends: Mapping[str, BackendConvergence]) -> list[Series]:
     groups: dict[tuple[str, bool, str], dict[str, list[Row]]] = defaultdict(
         lambda: defaultdict(list)
     )
@@ -141,7 +141,7 @@ def _series(rows: Sequence[Row], backends: dict[str, dict[str, Any]]) -> list[Se
     found = []
     for (backend, denoised, against), rungs in groups.items():
         steps = tuple(_step(name, of_rung) for name, of_rung in rungs.items())
-        stochastic = bool(backends[backend]["stochastic"])
+        stochastic = backends[backend].stochastic
         errors = [step.relative_rms for step in steps]
         costs = [step.spp for step in steps], [step.seconds for step in steps]
         own = stochastic and backend == against

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 from scenec.quality.converge.fits import Fit
 from scenec.quality.converge.measure import Row
 from scenec.quality.converge.metrics import FORMULAS
+from scenec.schemas.codec import Facts, encode
 
 STEP_HEADER = ["spp", "s", "rel. rms", "estimated", "relMSE", "trimmed", "FLIP", "bias"]
 FLOOR_HEADER = ["backends", "rel. rms", "95 %", "relMSE", "FLIP", "bias"]
@@ -92,6 +92,32 @@ class Floor:
     flip: float | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class BackendConvergence:
+    """Records what is known of a backend beside its series.
+
+    Attributes:
+        denoiser: What denoised, or None.
+        losses: What it leaves out of the stages.
+        reference_spp, reference_relative_rms: Samples of its references, and the noisiest's noise;
+            samples are None where there is no noise.
+        start_s: Seconds until its first picture; None where nothing was drawn anew.
+        annotation_s: Seconds of a frame's annotation.
+        pixels: Of a picture.
+    """
+
+    version: str
+    device: str
+    denoiser: str | None
+    stochastic: bool
+    losses: tuple[str, ...]
+    reference_spp: int | None
+    reference_relative_rms: float
+    start_s: float | None
+    annotation_s: float
+    pixels: float
+
+
 @dataclass
 class ConvergeReport:
     """Reports the convergence of backends.
@@ -99,8 +125,7 @@ class ConvergeReport:
     Attributes:
         series: Errors over samples and seconds.
         floors: What differs between backends' references, pair by pair.
-        backends: By backend: version, device, losses, samples and noise of its reference, seconds
-            until its first picture and of a frame's annotation, pixels of a picture.
+        backends: What is known of each, by name.
         stages: By batch: ``RenderScene.digest``.
         rows: One a picture and reference.
         files: What was written.
@@ -109,18 +134,18 @@ class ConvergeReport:
 
     series: list[Series] = field(default_factory=list)
     floors: list[Floor] = field(default_factory=list)
-    backends: dict[str, dict[str, Any]] = field(default_factory=dict)
+    backends: dict[str, BackendConvergence] = field(default_factory=dict)
     stages: dict[str, str] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """The numbers, for scripts; every picture's are in the CSV."""
         return {
             "formulas": FORMULAS,
             "stages": self.stages,
-            "backends": self.backends,
+            "backends": encode(self.backends),
             "series": [{**asdict(one), "own": one.own, "name": one.name} for one in self.series],
             "floors": [asdict(one) for one in self.floors],
             "notes": self.notes,

@@ -17,6 +17,8 @@ from scenec.quality.ladder.cost import Clock
 from scenec.quality.ladder.points import square
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.window import Window, emitted, in_pixels
+from scenec.schemas.codec import read_facts
+from scenec.schemas.report import CraterFacts
 
 #: Cells across the reference; points at which errors are measured.
 _CELLS, _POINTS = 2048, 100_000
@@ -85,6 +87,6 @@ def _heights(craters: list[Craters], grid: Grid) -> tuple[GroundSurface, int, in
     shown = left_out = 0
     for one in craters:
         height, report = one.apply(grid, height)
-        shown += int(report["craters"])
-        left_out += int(report["craters_below_grid"])
+        told = read_facts(report, CraterFacts)
+        shown, left_out = shown + told.craters, left_out + told.craters_below_grid
     return GroundSurface(HeightField(grid, height)), shown, left_out

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,9 @@ from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.distance import mesh_distance
 from scenec.quality.ladder.points import Floats, Integers
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
+from scenec.schemas.codec import read_facts
 from scenec.schemas.errors import SceneError
+from scenec.schemas.report import LodFacts
 
 _REFERENCE = (
     "the finest mesh of each prototype: distances of points of both meshes from all triangles of "
@@ -139,13 +140,14 @@ def _rung(base: Base, classes: Sequence[_Group], factor: float, largest: float, 
     clock = Clock()
     most = base.plan.object_triangles
 
-    def choose() -> tuple[float | None, list[tuple[Scatter, dict[str, Any]]]]:
+    def choose() -> tuple[float | None, list[tuple[Scatter, LodFacts]]]:
         budget = None if most is None else budget_factor(asked, most, fixed)
-        return budget, [choose_levels(levels, budget) for levels in asked]
+        both = [choose_levels(levels, budget) for levels in asked]
+        return budget, [(scatter, read_facts(facts, LodFacts)) for scatter, facts in both]
 
     budget, chosen = clock.mean(choose)
     found = _measure(base, classes, [levels.chosen(budget) for levels in asked], chosen, clock)
-    claimed = max(float(facts["lod_error_max_px"]) for _, facts in chosen)
+    claimed = max(facts.lod_error_max_px for _, facts in chosen)
     return replace(
         found,
         value=largest * factor,
@@ -159,7 +161,7 @@ def _measure(
     base: Base,
     classes: Sequence[_Group],
     meshes: Sequence[Integers],
-    chosen: Sequence[tuple[Scatter, dict[str, Any]]],
+    chosen: Sequence[tuple[Scatter, LodFacts]],
     clock: Clock,
 ) -> Rung:
     """Errors of chosen levels, and what they take in the stage; in meters without cameras."""
@@ -182,7 +184,7 @@ def _measure(
         worst_m = max(worst_m, float(far.max(initial=0.0)))
         squares += float((mean * mean).sum())
         count += len(mean)
-        triangles += int(facts["triangles"])
+        triangles += facts.triangles
     return Rung(
         value=0.0,
         used=False,
@@ -194,7 +196,7 @@ def _measure(
         triangles=triangles,
         details={
             "worst_m": worst_m,
-            "claimed_m": max(float(facts["lod_error_max_m"]) for _, facts in chosen),
+            "claimed_m": max(facts.lod_error_max_m for _, facts in chosen),
             "prototypes": sum(len(scatter.prototypes) for scatter, _ in chosen),
             "instances": count,
         },
@@ -226,15 +228,15 @@ def _by_level(base: Base, classes: Sequence[_Group]) -> Ladder:
 
 def _at_levels(
     classes: Sequence[_Group], meshes: Sequence[Integers]
-) -> list[tuple[Scatter, dict[str, Any]]]:
+) -> list[tuple[Scatter, LodFacts]]:
     return [_at_level(one.levels, mesh) for one, mesh in zip(classes, meshes, strict=True)]
 
 
-def _at_level(levels: Levels, mesh: Integers) -> tuple[Scatter, dict[str, Any]]:
+def _at_level(levels: Levels, mesh: Integers) -> tuple[Scatter, LodFacts]:
     used, prototype = np.unique(mesh, return_inverse=True)
     prototypes: tuple[Prototype, ...] = tuple(levels.meshes[i] for i in used)
     scatter = replace(levels.scatter, prototypes=prototypes, prototype=prototype.astype(np.int32))
-    return scatter, {
-        "triangles": int(levels.triangles[mesh].sum()),
-        "lod_error_max_m": float((levels.errors[mesh] * levels.size).max(initial=0.0)),
-    }
+    return scatter, LodFacts(
+        triangles=int(levels.triangles[mesh].sum()),
+        lod_error_max_m=float((levels.errors[mesh] * levels.size).max(initial=0.0)),
+    )

@@ -6,11 +6,12 @@ import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 from scenec.quality.ladder.cost import Clock
 from scenec.quality.ladder.points import Floats, rms, worst
 from scenec.quality.ladder.slopes import Slope, slope
+from scenec.schemas.codec import Facts
 from scenec.schemas.csv_cells import csv_writer, guarded_line
 
 #: All there are, in the order of reports.
@@ -48,8 +49,13 @@ class Rung:
 
     @classmethod
     def of(
-        cls, error: Floats, clock: Clock, size: int, triangles: int | None = None, **details: Any
-    ) -> Rung:
+        cls,
+        error: Floats,
+        clock: Clock,
+        size: int,
+        triangles: int | None = None,
+        **details: float | bool,
+    ) -> Rung:  # fmt: skip
         """Makes a rung of errors at points, float64 [n]; its value is set when it is known."""
         seconds, worst_, rms_ = clock.seconds, worst(error), rms(error)
         return cls(0.0, False, worst_, rms_, None, seconds, size, triangles, details)
@@ -102,7 +108,7 @@ class Ladder:
             found["triangles"] = slope([float(count) for count in triangles], errors)
         return found
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """Everything, finite numbers only."""
         return {
             "name": self.name,
@@ -164,7 +170,7 @@ class LadderReport:
     ladders: tuple[Ladder, ...]
     absent: dict[str, str]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Facts:
         """Everything, finite numbers only."""
         return {
             "scene": self.scene,

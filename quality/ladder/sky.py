@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,9 @@ from scenec.quality.ladder.cost import Clock, written
 from scenec.quality.ladder.points import Floats, Integers, rms, upper_half, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.sky_truth import atmosphere_along, bilinear, clear_along
+from scenec.schemas.codec import Facts, read_facts
 from scenec.schemas.exr import write_rgb
+from scenec.schemas.report import SkyFacts
 
 #: Directions that are looked along; those that an irradiance is summed over.
 _DIRECTIONS, _MANY = 5_000, 200_000
@@ -151,7 +152,7 @@ def _of_rows(
         inner = (to[:, 2] > elementary.sin(min(1.5 * texel, 1.5))) & (
             to[:, 2] < elementary.cos(min(1.5 * texel, 1.5))
         )
-        error = facts.get(light.texture[0], {}).get("resolution_error")
+        shown = read_facts(facts, SkyFacts).pictures.get(light.texture[0])
         arriving = float(luminance(horizontal_irradiance(picture)))
         rung = Rung.of(
             away,
@@ -164,7 +165,7 @@ def _of_rows(
             irradiance_noise=level[1],
             directions=len(to),
         )
-        claimed = None if error is None else float(error)
+        claimed = shown.resolution_error if shown else None
         found.append(replace(rung, value=float(rows), used=used, claimed=claimed))
     return found
 
@@ -195,7 +196,7 @@ def irradiance(light: Floats, to: Floats) -> tuple[float, float]:
     return level, error / level if level > 0.0 else 0.0
 
 
-def _picture(build: _SkyOfRows, rows: int) -> tuple[tuple[SkyLight, dict[str, Any]], int]:
+def _picture(build: _SkyOfRows, rows: int) -> tuple[tuple[SkyLight, Facts], int]:
     """A sky of so many rows, its facts, and its bytes in the stage."""
     light, sun, facts = build(rows)
     assert light is not None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -24,13 +23,15 @@ from scenec.quality.ladder.cost import Clock
 from scenec.quality.ladder.points import Floats, rms
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.window import Window, emitted, in_pixels
+from scenec.schemas.codec import Facts, read_facts
+from scenec.schemas.report import IterationFacts
 
 #: Cells across the reference: of one transform; of an operator that iterates; of rivers.
 _CELLS, _ITERATED, _RIVERS = 2048, 512, 256
 #: Points of the window's border that do not count, in lengths of the smoothing.
 _BORDER = 5.0
 
-type _Field = tuple[Floats, dict[str, Any]]
+type _Field = tuple[Floats, Facts]
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ def _in_time(base: Base, operator: StreamPower, step: _Step, rungs: int) -> Ladd
         notes.append(f"on a grid of {grid.spacing_m[0]:.3g} m, which costs less than the cfg's")
     height = step.before.height_at(*grid.points()).reshape(grid.shape)
     finer, coarser = split(rungs)
-    used = operator.apply(grid, height)[1]["steps"]
+    used = read_facts(operator.apply(grid, height)[1], IterationFacts).steps
     numbers = sorted({max(round(used / f), 1) for f in steps(finer, coarser)})
     truth = operator.run(grid, height, 8 * numbers[-1])[0]
     found = []
@@ -213,6 +214,8 @@ def _rung(
         "change_rms_m": rms((out - height).ravel()[inside]),
         "points": len(error),
     }
-    details |= {key: report[key] for key in ("last_iteration_m", "error_rms_m") if key in report}
+    told = read_facts(report, IterationFacts)
+    stated = {"last_iteration_m": told.last_iteration_m, "error_rms_m": told.error_rms_m}
+    details |= {name: value for name, value in stated.items() if value is not None}
     details |= in_pixels(base, x[inside], y[inside], error)
     return Rung.of(error, clock, size, triangles, **details)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,8 @@ from scenec.quality.ladder.points import Bools, Floats, rms, worst
 from scenec.quality.ladder.results import Ladder, Rung, split, steps
 from scenec.quality.ladder.tin import Heights, heights
 from scenec.quality.ladder.visible import Truth, horizons
-from scenec.quality.ladder.window import ground_facts
+from scenec.schemas.codec import Facts, read_facts
+from scenec.schemas.report import GroundFacts
 
 #: How far float32 vertices may lie within the terrain's border, parts of its size.
 _ROUNDING = 1e-6
@@ -77,7 +77,7 @@ def tessellation(base: Base, rungs: int) -> list[Ladder] | str:
     ]
 
 
-def _tiles(base: Base, tolerance_px: float) -> tuple[tuple[MeshTile, ...], dict[str, Any]]:
+def _tiles(base: Base, tolerance_px: float) -> tuple[tuple[MeshTile, ...], Facts]:
     terrain = base.plan.terrain
     return build_tiles(
         base.built["surface"],
@@ -111,7 +111,7 @@ def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Flo
     terrain = base.plan.terrain
     clock = Clock()
     tiles, report = clock.mean(partial(_tiles, base, tolerance_px))
-    facts = ground_facts(report)
+    facts = read_facts(report, GroundFacts)
     if used:
         base.tiles = tiles
     table = base.plan.label_table if base.labels else {}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -17,8 +15,7 @@ from scenec.compiler.views.resolution import pixels_per_meter
 from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.cost import written
 from scenec.quality.ladder.points import Floats, rms, worst
-from scenec.schemas.codec import decode, encode
-from scenec.schemas.errors import SceneError
+from scenec.schemas.codec import read_facts
 from scenec.schemas.report import GroundFacts
 
 
@@ -58,11 +55,6 @@ class Window:
         return Grid(self.size_m, (cells + 1, cells + 1))
 
 
-def ground_facts(report: Mapping[str, Any]) -> GroundFacts:
-    """Returns what ``build_tiles`` reports as the report of a batch has it."""
-    return decode(encode(report), GroundFacts, SceneError, "ground")
-
-
 def emitted(base: Base, field: HeightField) -> tuple[int, int]:
     """Bytes and triangles of a piece of ground, meshed as the cfg asks for, without its colors."""
     near = pixels_per_meter(field, base.views, base.unseen) if base.rigs else None
@@ -78,7 +70,7 @@ def emitted(base: Base, field: HeightField) -> tuple[int, int]:
     )
     ground = Ground(base.plan.terrain.layers[:1], tiles)
     size = written(lambda folder: write_terrain(folder / "terrain.usdc", ground, {}, [{}]))
-    return size, ground_facts(report).faces
+    return size, read_facts(report, GroundFacts).faces
 
 
 def in_pixels(base: Base, x: Floats, y: Floats, error: Floats) -> dict[str, float]:

@@ -16,7 +16,7 @@ import pytest
 import scenec
 from scenec.api import make, measure, options, outputs
 from scenec.api.check import CheckReport
-from scenec.api.declare import declared
+from scenec.api.declare import Spread, declared
 from scenec.api.sweep import _lists
 from scenec.backends.check.compare import Agreement, Comparison
 from scenec.backends.run.plan import RenderPlan
@@ -271,8 +271,32 @@ def test_a_message_names_an_option_as_its_caller_does(out, tmp_path, capsys):
     again = {"backend": "annotation", "passes": "normal", "folder": tmp_path, "workers": 0}
     with pytest.raises(ScenecError, match=r"; replace renders it again"):
         scenec.render(out, **again)
+    with pytest.raises(ScenecError, match=r"; replace renders it again"):
+        scenec.OutputFolder(out).render(**again)
     with pytest.raises(ScenecError, match=r"^settings 'a': expected NAME=VALUE"):
         scenec.export(out, "coco", settings="a", workers=0)
+
+
+def test_a_listener_hears_of_options_as_their_caller_names_them():
+    class Noting(scenec.Listener):
+        """Counts what it hears, and keeps it."""
+
+        lines = ()
+
+        def say(self, line: str) -> None:
+            """Keeps a line."""
+            self.lines += (line,)
+
+    @Spread(options.RenderOptions).one
+    def warned(out: str, options: options.RenderOptions) -> None:
+        options.listener.warn(f"{out}: --noise-seed or --replace, not --other")
+
+    heard, flagged = Noting(), Noting()
+    flagged.flags = True
+    warned("a", listener=heard)
+    warned("a", listener=flagged)
+    assert heard.lines == ("warning: a: noise_seed or replace, not --other",)
+    assert flagged.lines == ("warning: a: --noise-seed or --replace, not --other",)
 
 
 def test_no_batch_is_no_stage_to_render(out):

@@ -19,6 +19,8 @@ from scenec.compiler.cameras.paths.motion import (
 )
 from scenec.compiler.cameras.tracks import Sampling, poses_at
 from scenec.compiler.kinds import Finding, Node, forms, key
+from scenec.schemas.codec import read_facts
+from scenec.schemas.report import DescentFacts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,10 +108,10 @@ class Descent:
     def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
         """The motion at times; see ``Kinematics``."""
         made = poses_at(self, context, at_s)
-        brake = made.facts["deceleration_m_s2"]
-        left = made.facts["duration_s"] - at_s
+        told = read_facts(made.facts, DescentFacts)
+        brake, left = told.deceleration_m_s2, told.duration_s - at_s
         down = self.touchdown_speed_m_s + brake * left
-        slowing = self.drift_m_s / made.facts["duration_s"]
+        slowing = self.drift_m_s / told.duration_s
         bearing = level_bearing(self.drift_deg)
         velocity = np.column_stack([slowing * left[:, None] * bearing, -down])
         acceleration = np.tile([*(-slowing * bearing), brake], (len(at_s), 1))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.geometry.rotations import turned
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class RigPoses:
 
     to_world: NDArray[np.float64]
     times: NDArray[np.float64] | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: Facts = field(default_factory=dict)
     way: Way | None = None
 
 

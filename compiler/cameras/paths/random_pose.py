@@ -29,6 +29,7 @@ from scenec.compiler.geometry.poses import compose
 from scenec.compiler.geometry.voxels import Cubes
 from scenec.compiler.kinds import Context, an, forms, key, list_of
 from scenec.compiler.noise.lattice import hash2, unit
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
 
@@ -123,7 +124,7 @@ class RandomPose:
         for reasons in rejected:
             for why, count in reasons.items():
                 in_all[why] = in_all.get(why, 0) + count
-        facts = {"tries": tried, "rejected": dict(sorted(in_all.items()))}
+        facts: Facts = {"tries": tried, "rejected": dict(sorted(in_all.items()))}
         return RigPoses(found, None, facts)
 
     def _require_wide(self, context: MotionContext) -> None:

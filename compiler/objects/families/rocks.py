@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,6 +13,7 @@ from scenec.compiler.kinds.draw import values_of
 from scenec.compiler.kinds.table import ROCKS, loaded, offered_kind
 from scenec.compiler.objects.families.shape import Shape
 from scenec.compiler.objects.scattered import Scattered
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -80,14 +81,14 @@ class Rocks(Scattered):
     bedded 0.35, breccia 0.4."""
     bumpiness: float = key(forms.FRACTION_PER_BATCH, default=0.3)
     """Height of the small relief on a rock; 0 is smooth."""
-    coatings: tuple[Mapping[str, Any], ...] = key(
+    coatings: tuple[JsonObject, ...] = key(
         list_of(an("objects_rocks_coating"), "One coating.", most=8), default=[]
     )
     """What lies on the rocks, the lowest first: dust, snow, moss, a wet foot. Rocks turned at
     random have none, for they have no top in common."""
     fillet: Fillet | None = key(an("objects_rocks_fillet", drawn=True), optional=True)
     """Fines heaped about the feet of the rocks; left out, there are none."""
-    added: Mapping[str, Any] = field(default_factory=dict)
+    added: JsonObject = field(default_factory=dict)
     """Keys that another package's family has."""
 
     @staticmethod

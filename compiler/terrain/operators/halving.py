@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic.ranks import ranked
+from scenec.schemas.codec import Facts
 
 
 def halving_error(
@@ -35,7 +36,7 @@ def halving_error(
     }
 
 
-def changed(after: NDArray[np.float64], before: NDArray[np.float64]) -> dict[str, float]:
+def changed(after: NDArray[np.float64], before: NDArray[np.float64]) -> Facts:
     """For the report: how far heights have moved, meters."""
     change = after - before
     return {"change_rms_m": rms(change), "change_max_m": float(np.abs(change).max())}

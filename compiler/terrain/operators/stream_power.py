@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from scenec.compiler.terrain.operators.drainage import (
 )
 from scenec.compiler.terrain.operators.halving import changed, halving_error, rms
 from scenec.compiler.terrain.operators.hillslopes import Hillslopes
+from scenec.schemas.codec import Facts
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -110,7 +111,7 @@ class StreamPower:
 
     def _aimed(
         self, grid: Grid, height: NDArray[np.float64], slopes: Hillslopes
-    ) -> tuple[NDArray[np.float64], dict[str, Any], dict[str, float]]:
+    ) -> tuple[NDArray[np.float64], Facts, dict[str, float]]:
         """A run that meets the aim, or takes the most steps: heights, report, error."""
         most = self.steps or (USUAL_STEPS if self.error_m is None else MOST_STEPS)
         steps = min(_FIRST_STEPS, (most + 1) // 2)

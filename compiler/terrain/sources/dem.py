@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -18,7 +18,7 @@ from scenec.compiler.terrain.grid import Applied, Grid, bicubic
 from scenec.compiler.terrain.mask import unmasked
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.compiler.terrain.spectral_law import SpectralLaw, fit_spectral_law
-from scenec.schemas.codec import decode, encode
+from scenec.schemas.codec import JsonObject, decode, encode
 from scenec.schemas.errors import SceneError
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.kernels import inlined, kernel
@@ -211,7 +211,7 @@ class Dem:
         """
         return recorded_place(self._scaled(grid)[1])
 
-    def _scaled(self, grid: Grid) -> Applied:
+    def _scaled(self, grid: Grid) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Scaled heights, and the report with their spectrum."""
         pixel = self.pixel_m if self.pixel_m is None else _pair(self.pixel_m)
         window = None if self.window is None else self.window.part(pixel, min(grid.spacing_m))
@@ -266,11 +266,15 @@ class Dem:
                     )
         rows, columns = _under(v, ny, 0), _under(u, nx, 0)
         wide_part = _under(v, ny, _FILL_MARGIN), _under(u, nx, _FILL_MARGIN)
-        samples, report = self._filled(samples, holes, int(holes[rows, columns].sum()), wide_part)
+        samples, filled = self._filled(samples, holes, int(holes[rows, columns].sum()), wide_part)
         base = np.empty(grid.shape)
         over_threads(_bicubic_part, v.size, np.ascontiguousarray(samples), u, v, base)
         law = fit_spectral_law(self.height_scale * samples[rows, columns], size)
-        report = {"pixels_used": _used(u, v, samples.shape), "spectrum": law, **report}
+        report: dict[str, Any] = {
+            "pixels_used": _used(u, v, samples.shape),
+            "spectrum": law,
+            **filled,
+        }
         if dem.frame is not None and dem.frame.crs:
             column, row = self._middle(dem.frame, dem.values.shape)
             report["georeference"] = self._place(
@@ -324,14 +328,14 @@ class Dem:
             _under(np.array([u.min(), u.max()]), nx, _FILL_MARGIN),
         )
         count = _holes_under(dem.holes, u, v) if dem.holes.any() else 0
-        samples, report = self._filled(dem.values, dem.holes, count, span)
+        samples, filled = self._filled(dem.values, dem.holes, count, span)
         base = np.empty(grid.shape)
         over_threads(_bicubic_at, y.size, np.ascontiguousarray(samples), u, v, base)
         used = [int(min(at.max(), n - 1) - max(at.min(), 0.0)) + 1 for at, n in ((u, nx), (v, ny))]
         part = tuple(_under(np.array([at.min(), at.max()]), n, 0) for at, n in ((v, ny), (u, nx)))
         size_m = plane.pixel_m((0.5 * grid.size_m[0], 0.5 * grid.size_m[1]))
         law = size_m and fit_spectral_law(self.height_scale * samples[part], size_m)
-        report = {"pixels_used": used, "spectrum": law, **report}
+        report: dict[str, Any] = {"pixels_used": used, "spectrum": law, **filled}
         if frame.crs:
             report["georeference"] = self._place(grid, plane, frame, plane.spot)
         return base, report
@@ -379,7 +383,7 @@ class Dem:
         }
 
 
-def recorded_place(report: Mapping[str, Any]) -> Georeference | None:
+def recorded_place(report: JsonObject) -> Georeference | None:
     """Returns where on a body a terrain lies, by what a DEM reported; None where it does not."""
     place = report.get("georeference", {}).get("on_body")
     if place is None:

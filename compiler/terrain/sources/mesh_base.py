@@ -18,6 +18,7 @@ from scenec.compiler.terrain.operators.multifractal import octaves_resolved
 from scenec.compiler.terrain.sources.fill_holes import fill_holes
 from scenec.compiler.terrain.sources.mesh_plan import SAME, Above, see
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface, roughened, subdivided
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 
 #: Budget of a mesh where nobody gives one: the schema's default.
@@ -141,7 +142,7 @@ class MeshBase:
         top, filled = self._filled(view)
         return height + top, {**_read_report(mesh), **report, **filled}
 
-    def stage(self, grid: Grid, max_triangles: int) -> tuple[MeshSurface, dict[str, Any]]:
+    def stage(self, grid: Grid, max_triangles: int) -> tuple[MeshSurface, Facts]:
         """The mesh as a surface, its edges no longer than the grid's spacing.
 
         Args:

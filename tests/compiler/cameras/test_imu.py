@@ -237,10 +237,19 @@ def test_faults_of_an_imu_name_their_place(tmp_path, imu, said):
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(("planet", "gravity"), [("earth", 9.80665), ("mars", 3.73)])
-def test_gravity_is_that_of_the_sky_s_planet_where_none_is_given(tmp_path, planet, gravity):
+@pytest.mark.parametrize(
+    ("planet", "ground", "gravity"),
+    [
+        ("earth", {}, 9.80665),
+        ("mars", {}, 3.73),
+        ("mars", {"planet": {"radius_m": 1e6}}, 3.73),
+        ("mars", {"planet": {"body": "moon"}}, 1.62),
+    ],
+)
+def test_gravity_is_that_of_the_grounds_planet_else_of_the_skys(tmp_path, planet, ground, gravity):
     cfg = small_cfg(samples=2)
     cfg["light"]["sky"] = cfg["light"]["sky"] | {"type": "atmosphere", "planet": planet}
+    cfg["terrain"] |= ground
     cfg["rigs"]["rover"] |= {
         "pose": {"type": "orbit", "radius_m": 2, "height_m": 3}, "imus": {"a": {}, "b": {}}
     }  # fmt: skip
