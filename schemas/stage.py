@@ -85,7 +85,15 @@ ATTR_MAPS = {
     "normal": "scenec:surface:maps:normal",
     "emission": "scenec:surface:maps:emission",
     "height": "scenec:surface:maps:height",
+    "opacity": "scenec:surface:maps:opacity",
 }
+#: float, 0 where not authored: faces are cut out where the map of opacity, which lies by ``st``, is
+#: below this. token[2], "repeat" where not authored: how that map goes on along u and along v.
+ATTR_OPACITY_THRESHOLD = "scenec:surface:maps:opacityThreshold"
+ATTR_OPACITY_WRAP = "scenec:surface:maps:opacityWrap"
+WRAPS = ("repeat", "clamp", "mirror")
+#: Of opacity that a file means to be blended.
+OPACITY_THRESHOLD = 0.5
 #: token, "above" where not authored: along the world's z (u = x / size, v = y / size), along its
 #: three axes, mixed by the shading normal's fourth powers, or by the mesh's primvar ``st``.
 ATTR_MAP_PROJECTION = "scenec:surface:maps:projection"

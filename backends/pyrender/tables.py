@@ -218,7 +218,7 @@ def _surface_rows(
 
 
 def _files(maps: Maps) -> tuple[object, ...]:
-    return tuple(map_file(maps, kind) for kind in MAP_CHANNELS)
+    return tuple(map_file(maps, kind) for kind in MAP_CHANNELS if kind != "opacity")
 
 
 def _pictures(surface: Surface, maps: Maps) -> list[NDArray[np.float32]]:

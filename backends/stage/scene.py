@@ -33,7 +33,7 @@ class Reading:
     """Decodes a picture's numbers where they are not as ``Maps`` says: UsdUVTexture's inputs.
 
     Attributes:
-        channel: "r", "g" or "b": where a single number stands.
+        channel: "r", "g", "b" or "a": where a single number stands.
         srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
         scale, bias: value * scale + bias is what is meant; of each channel, [3].
     """
@@ -89,6 +89,9 @@ class Maps:
             picture factor times as large ("above" only); or None.
         lean: Mean sine of the angles by which normals of ``normal`` lean: its facets hide and shade
             each other (``surface.facets``); 0: they do not.
+        opacity: Raw, by texture coordinates alone: where it is below ``opacity_threshold`` nothing
+            is there (``surface.cutouts`` defines it).
+        opacity_wrap: How that picture goes on beyond its sides, along u and v (``stage.WRAPS``).
     """
 
     size_m: float
@@ -106,6 +109,9 @@ class Maps:
     cells: Cells | None = None
     far: tuple[float, float] | None = None
     lean: float = 0.0
+    opacity: Path | None = None
+    opacity_threshold: float = 0.0
+    opacity_wrap: tuple[str, str] = ("repeat", "repeat")
 
 
 @dataclass(frozen=True)
@@ -166,6 +172,12 @@ class Surface:
         """Whether it has a GGX lobe anywhere."""
         mapped = self.maps is not None and self.maps.metallic is not None
         return mapped or self.specular > 0.0 or self.metallic > 0.0
+
+    @property
+    def cutout(self) -> Maps | None:
+        """The maps whose opacity cuts parts of it out, if any does."""
+        maps = self.maps
+        return maps if maps and maps.opacity and maps.opacity_threshold > 0.0 else None
 
     @property
     def emits(self) -> bool:
@@ -564,6 +576,15 @@ class RenderScene:
     georeference: Georeference | None = None
     #: A line for each thing in the stage that was not read, whatever the backend and the pass.
     losses: tuple[str, ...] = ()
+
+    def cutout_of(self, mesh: Mesh) -> Maps | None:
+        """What cuts parts of a mesh out: opacity of its only surface; None: nothing does."""
+        return self.surfaces[mesh.layers[0]].cutout if len(mesh.layers) == 1 else None
+
+    @property
+    def has_cutouts(self) -> bool:
+        """Whether parts of any mesh are cut out."""
+        return any(self.cutout_of(mesh) is not None for mesh in self.meshes)
 
     def rows_at(self, sample: int) -> Rows:
         """The rows with the matrices of a sample; the very same object where nothing moves."""

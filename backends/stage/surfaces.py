@@ -28,6 +28,7 @@ _RANGES = {
     names.ATTR_MEAN_SLOPE: (0.0, True, 90.0, False),
     names.ATTR_DIFFUSE_TRANSMISSION: (0.0, True, 1.0, True),
     names.ATTR_MAP_LEAN: (0.0, True, 1.0, True),
+    names.ATTR_OPACITY_THRESHOLD: (0.0, True, 1.0, True),
 }
 
 
@@ -182,8 +183,29 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
         cells=_cells_of(prim, projection),
         far=_far_of(prim, projection),
         lean=_number(prim, names.ATTR_MAP_LEAN) if "normal" in files else 0.0,
+        opacity_threshold=_opacity_threshold(prim, projection) if "opacity" in files else 0.0,
+        opacity_wrap=_opacity_wrap(prim),
         **files,
     )
+
+
+def _opacity_threshold(prim: Usd.Prim, projection: str) -> float:
+    if projection != "uv":
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_MAPS['opacity']} lies by texture coordinates alone, "
+            f"not by the projection {projection}"
+        )
+    return _number(prim, names.ATTR_OPACITY_THRESHOLD)
+
+
+def _opacity_wrap(prim: Usd.Prim) -> tuple[str, str]:
+    found = values.words(prim.GetAttribute(names.ATTR_OPACITY_WRAP)) or ["repeat", "repeat"]
+    if len(found) != 2 or not set(found) <= set(names.WRAPS):
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_OPACITY_WRAP} is {found}, expected two of "
+            f"{', '.join(names.WRAPS)}"
+        )
+    return found[0], found[1]
 
 
 def _length(prim: Usd.Prim, name: str) -> float:

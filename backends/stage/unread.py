@@ -20,7 +20,13 @@ from scenec.backends.stage.implicit import LENGTHS, kind_of
 from scenec.backends.stage.products import settings_of_products
 from scenec.backends.stage.rigid import flat, sheared, stretched
 from scenec.backends.stage.sources import Sources
-from scenec.backends.stage.textures import INPUTS, connected, constant, texture_maps
+from scenec.backends.stage.textures import (
+    INPUTS,
+    connected,
+    constant,
+    opacity_threshold,
+    texture_maps,
+)
 from scenec.schemas import stage as names
 from scenec.schemas.passes import is_pass
 
@@ -92,6 +98,11 @@ _WITHOUT_EFFECT = {
     "clearcoat": 0.0,
     "normal": Gf.Vec3f(0.0, 0.0, 1.0),
 }
+#: What is said of opacity that is no cut-out.
+BLENDED = (
+    "opacity of UsdPreviewSurface without opacityThreshold is no blend: what is below "
+    f"{names.OPACITY_THRESHOLD} is cut out"
+)
 #: Those that may be textures, by the kind of map that they become.
 _TEXTURED = {name: kind for kind, name in INPUTS.items()}
 #: Those that only say how one of the others is meant, or of no effect on traced light.
@@ -373,7 +384,10 @@ class Unread:
                 continue
             if maps is not None and getattr(maps, _TEXTURED.get(name, ""), None) is not None:
                 modes = {values.word(constant(node, w), "", _FIRST) for w in ("wrapS", "wrapT")}
-                if modes & {"black", "clamp", "mirror"}:
+                if name == "opacity":
+                    if not opacity_threshold(shader)[1]:
+                        self.add(BLENDED, prim)
+                elif modes & {"black", "clamp", "mirror"}:
                     self.add("wrap modes of textures are not followed, they repeat", prim)
                 if name == "normal" and not _is_usual(node):
                     self.add("scale and bias of a texture of normals are not followed", prim)

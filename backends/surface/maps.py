@@ -67,8 +67,8 @@ def load_map(
 
     Args:
         path: The picture.
-        kind: "base_color", "emission" (linear Rec.709), "roughness", "metallic", "height" (raw, in
-            [0, 1]) or "normal" (unit vectors, x along +u, y along +v).
+        kind: "base_color", "emission" (linear Rec.709), "roughness", "metallic", "height",
+            "opacity" (raw, in [0, 1]) or "normal" (unit vectors, x along +u, y along +v).
         flip_green: See ``stage.scene.Maps``.
         reading: How its numbers are meant.
 
@@ -78,7 +78,7 @@ def load_map(
     if not path.is_file():
         raise StageError(f"{path}: the map is missing")
     try:
-        pixels = maps.read_pixels(path)
+        pixels = maps.read_pixels(path, alpha=reading.channel == "a")
         if reading == _PLAIN:
             values = maps.decode(pixels, kind, flip_green)
         else:

@@ -151,7 +151,9 @@ def as_material(source: ModelMaterial, variation: float, has_uv: bool) -> Materi
     """A file's material in the scene's terms; pictures need texture coordinates."""
     maps = None
     if source.pictures and has_uv:
-        maps = MaterialMaps(1.0, dict(source.pictures), source.normal_convention, "uv")
+        maps = MaterialMaps(
+            1.0, dict(source.pictures), source.normal_convention, "uv", cutout=source.cutout
+        )
     return Material(
         base_color=source.base_color,
         roughness=source.roughness,
