@@ -43,6 +43,8 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
         # Imported here: few pictures are.
         from scenec.schemas.exr import read_rgb
 
+        if alpha:
+            raise ValueError("alpha of an OpenEXR picture is not taken; store it as PNG")
         picture = read_rgb(path, gray=True)
         if not np.isfinite(picture).all():
             raise ValueError("holds values that are not finite")

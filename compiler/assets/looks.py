@@ -158,6 +158,8 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
         )
         if picture is not None:
             pictures[kind] = picture
+        elif kind == "opacity" and look.cutout and numbers[kind] < look.cutout.threshold:
+            notes.append(f"{look.title}: {OPACITY}")
     red, green, blue = (min(max(float(c), 0.0), 1.0) for c in look.base_color)
     if (red, green, blue) != tuple(map(float, look.base_color)):
         notes.append(f"{look.title}: its base color is clipped to [0, 1]")
