@@ -111,7 +111,7 @@ def make_materials(
         material.cycles.use_bump_map_correction = False
         surfaces = tuple(scene.surfaces[i] for i in layers) or (DEFAULT_SURFACE,)
         graph = Graph(material.node_tree)
-        pictures = Pictures(graph, frame, image, table)
+        pictures = Pictures(graph, frame, image, table, partial(picture_image, bpy))
         laws = None if light is None else Laws(graph, light, partial(picture_image, bpy))
         _Look(graph, pictures, reach, laws).write(surfaces, depths)
         made[key] = material
@@ -163,11 +163,18 @@ class _Look:
                 total = self._mixed(total, self._close(layer), weight)
         else:
             total = self._close(_merged(layers, weights))
+        cutout = surfaces[0].cutout if len(surfaces) == 1 else None
+        kept: Any = 1.0
+        if cutout is not None:
+            kept = self._pictures.kept(cutout)
+            nothing = graph.node("ShaderNodeBsdfTransparent")
+            total = self._mixed(nothing.outputs[0], total, kept)
         graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
         for name, attribute, of in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
             out = graph.node("ShaderNodeOutputAOV")
             out.aov_name = name
-            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of))
+            # Cycles adds up what a ray passes and what it meets.
+            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of) * kept)
 
     def _close(self, layer: Layer) -> Any:
         """A layer's closures, added up; one at least, or rays would pass through."""
