@@ -15,6 +15,9 @@ from scenec.backends.mitsuba.arrays import ARRAYS
 from scenec.backends.stage.scene import Maps
 from scenec.backends.surface.cutouts import field, folded
 
+#: How far behind what is cut out rays go on, in parts of coordinates: some 30 roundings.
+_BEYOND = 2.0**-19
+
 
 class Mask:
     """What is left of one surface."""
@@ -45,31 +48,25 @@ def meet(scene: Any, ray: Any, coherent: bool, active: Any = True) -> Any:
         ``mi.PreliminaryIntersection3f``; its ``t`` is along ``ray``.
     """
     count = max(dr.width(ray.d), dr.width(ray.o))
-    start, end = ray.o + dr.zeros(mi.Point3f, count), ray.maxt + dr.zeros(mi.Float, count)
     none = dr.zeros(mi.PreliminaryIntersection3f, count)
-    parts = (none.t, none.prim_uv, none.prim_index, none.shape)
+    parts = none.t, none.prim_uv, none.prim_index, none.shape
 
-    def step(
-        seeking: Any, valid: Any, gone: Any, at: Any, t: Any, uv: Any, face: Any, shape: Any
-    ) -> tuple[Any, ...]:
-        part = mi.Ray3f(at, ray.d, end - gone, ray.time, ray.wavelengths)
+    def step(seeking: Any, valid: Any, gone: Any, *parts: Any) -> tuple[Any, ...]:
+        # Not as Mitsuba spawns rays, which moves them sideways.
+        part = mi.Ray3f(ray.o + ray.d * gone, ray.d, ray.maxt - gone, ray.time, ray.wavelengths)
         hit = scene.ray_intersect_preliminary(part, coherent=coherent, active=seeking)
         met = seeking & hit.is_valid()
         si = hit.compute_surface_interaction(part, mi.RayFlags.All, met)
         cut = met & (si.bsdf().eval_null_transmission(si, met).x > 0.0)
         kept = met & ~cut
         found = gone + hit.t, hit.prim_uv, hit.prim_index, hit.shape
-        kept_parts = tuple(
-            dr.select(kept, new, old)
-            for new, old in zip(found, (t, uv, face, shape), strict=True)
-        )
-        onward = si.spawn_ray(ray.d).o
-        return cut, valid | kept, gone + dr.select(cut, hit.t, 0.0), dr.select(cut, onward, at), *kept_parts
+        parts = tuple(dr.select(kept, new, old) for new, old in zip(found, parts, strict=True))
+        beyond = hit.t + _BEYOND * (dr.max(dr.abs(si.p)) + dr.abs(gone) + hit.t)
+        return cut, valid | kept, gone + dr.select(cut, beyond, 0.0), *parts
 
-    state = (active & dr.full(mi.Bool, True, count), dr.full(mi.Bool, False, count),
-             dr.zeros(mi.Float, count), start, *parts)  # fmt: skip
-    _, valid, _, _, *found = dr.while_loop(state, lambda seeking, *_: seeking, step)
-    hit = dr.zeros(mi.PreliminaryIntersection3f, count)
-    hit.valid = valid
-    hit.t, hit.prim_uv, hit.prim_index, hit.shape = found
-    return hit
+    seeking, valid = active & dr.full(mi.Bool, True, count), dr.full(mi.Bool, False, count)
+    state = seeking, valid, dr.zeros(mi.Float, count), *parts
+    _, hit_valid, _, *found = dr.while_loop(state, lambda seeking, *_: seeking, step)
+    none.valid = hit_valid
+    none.t, none.prim_uv, none.prim_index, none.shape = found
+    return none

@@ -190,12 +190,13 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
 
 
 def _opacity_threshold(prim: Usd.Prim, projection: str) -> float:
-    if projection != "uv":
+    threshold = _number(prim, names.ATTR_OPACITY_THRESHOLD)
+    if threshold > 0.0 and projection != "uv":
         raise StageError(
             f"{prim.GetPath()}: {names.ATTR_MAPS['opacity']} lies by texture coordinates alone, "
             f"not by the projection {projection}"
         )
-    return _number(prim, names.ATTR_OPACITY_THRESHOLD)
+    return threshold
 
 
 def _opacity_wrap(prim: Usd.Prim) -> tuple[str, str]:

@@ -248,6 +248,7 @@ def test_nodes_that_are_not_visible_are_not_read(tmp_path):
 # What is not drawn is told on the screen.
 
 
+BLENDED = "its opacity is no blend: what is below 0.5 is cut out"
 SOLID = "its opacity is not shown: it is drawn, and labeled, as if it were solid"
 AVERAGE = "the colors of its vertices are shown as their average"
 
@@ -267,13 +268,16 @@ def told(folder: Path, name: str, material: str | None = None, **model: Any) -> 
     return [line.message for line in lines]
 
 
-@pytest.mark.parametrize("line", ["d 0.4", "Tr 0.6", "map_d tex/rough.png"])
-def test_the_opacity_of_an_obj_is_told(tmp_path, line):
+@pytest.mark.parametrize(
+    ("line", "lines"),
+    [("d 0.4", [SOLID]), ("Tr 0.6", [SOLID]), ("map_d tex/rough.png", [BLENDED])],
+)
+def test_the_opacity_of_an_obj_is_told(tmp_path, line, lines):
     write(tmp_path / "box.obj")
     (tmp_path / "box.mtl").write_text(f"newmtl plain\n{line}\nnewmtl painted\nd 1\nTr 0\n")
-    assert told(tmp_path, "box.obj") == [f"box.obj: material 'plain': {SOLID}"]
+    assert told(tmp_path, "box.obj") == [f"box.obj: material 'plain': {what}" for what in lines]
     # A cfg's material gives other colors, but no leaf its outline.
-    assert told(tmp_path, "box.obj", "stone") == [f"box.obj: material 'plain': {SOLID}"]
+    assert f"box.obj: material 'plain': {SOLID}" in told(tmp_path, "box.obj", "stone")
 
 
 @pytest.mark.parametrize("mode", ["MASK", "BLEND", "OPAQUE"])
@@ -327,7 +331,7 @@ def test_the_opacity_of_a_usd_model_is_told(tmp_path, opacity):
         )
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     stage.Save()
-    expected = [] if opacity == 1.0 else [f"a.usda: material 'leaf': {SOLID}"]
+    expected = [f"a.usda: material 'leaf': {SOLID}"] if opacity == 0.5 else []
     assert told(tmp_path, "a.usda") == expected
 
 
