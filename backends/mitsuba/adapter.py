@@ -21,12 +21,12 @@ from scenec.backends.contract import (
 )
 from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.aligned import aligned
-from scenec.backends.surface.corners import split_corners
 from scenec.backends.mitsuba.instanced import InstancedScene
 from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
+from scenec.backends.surface.corners import split_corners
 from scenec.schemas.errors import BackendError
 
 #: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.surface.corners import vertex_uv
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.backends.surface.corners import vertex_uv
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 

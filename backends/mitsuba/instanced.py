@@ -19,9 +19,9 @@ from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.trace import Beams, BestHits, trace_all
 from scenec.backends.mitsuba.aligned import aligned_columns
-from scenec.backends.surface.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
 from scenec.backends.stage.scene import RenderScene
+from scenec.backends.surface.corners import vertex_uv
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 

@@ -251,8 +251,9 @@ def cutout_scene(folder: Path) -> RenderScene:
         meshes.append(dataclasses.replace(mesh(square, faces, (number + 1,)), uv=uv))
         turn = rotation(np.random.default_rng(number))
         rows.append((0, affine(1.0, middle)))
-        rows += [(number + 1, affine(turn, middle + [0.0, 0.0, height])) for height in (1.5, 2.5)]
-        cameras.append(look_at(middle + [1.0, -4.0, 6.0], middle + [0.0, 0.0, 1.0], 64, 48, 40.0))
+        x, y, z = middle.tolist()
+        rows += [(number + 1, affine(turn, (x, y, z + height))) for height in (1.5, 2.5)]
+        cameras.append(look_at((x + 1.0, y - 4.0, z + 6.0), (x, y, z + 1.0), 64, 48, 40.0))
         lighting.append(Lighting((sun(50.0, 70.0, diameter_deg=0.1),), ()))
     return at_samples(scene(meshes, surfaces, rows=rows), lighting, cameras)
 

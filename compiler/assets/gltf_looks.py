@@ -125,7 +125,8 @@ class GltfLooks:
     def _cutout(self, info: Any, threshold: float) -> Cutout | None:
         """What alpha leaves of a surface; None where it cuts nothing."""
         across, up = (
-            _WRAPS.get(self._sampler(info).get(key, _REPEAT), "repeat") for key in ("wrapS", "wrapT")
+            _WRAPS.get(self._sampler(info).get(key, _REPEAT), "repeat")
+            for key in ("wrapS", "wrapT")
         )
         return Cutout(min(threshold, 1.0), (across, up)) if threshold > 0.0 else None
 
