@@ -85,9 +85,9 @@ class Pictures:
         graph, values = self._graph, cutouts.field(maps)
         uv = NODES.parts(graph.attribute(UV))[:2]
         sides = zip(uv, maps.opacity_wrap, values.shape[::-1], strict=True)
-        place = [cutouts.folded(NODES, x, wrap, texels) for x, wrap, texels in sides]
+        u, v = (cutouts.folded(NODES, x, wrap, texels) for x, wrap, texels in sides)
         # Blender's images are stored as they are given: row 0 at the top.
-        found = graph.picture(self._picture(values[::-1, :, None]), *place, "REPEAT")
+        found = graph.picture(self._picture(values[::-1, :, None]), u, v, "REPEAT")
         return graph.apply("GREATER_THAN", NODES.parts(found)[0], 0.0)
 
     def look_up(self, maps: Maps, wanted: Sequence[str]) -> dict[str, Any]:
