@@ -19,7 +19,7 @@ from scenec.backends.surface.cutouts import field, folded
 _BEYOND = 2.0**-19
 
 
-class Mask:
+class SurfaceMask:
     """What is left of one surface."""
 
     def __init__(self, maps: Maps) -> None:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import mix
 from scenec.backends.mitsuba.arrays import ARRAYS
-from scenec.backends.mitsuba.cutouts import Mask
+from scenec.backends.mitsuba.cutouts import SurfaceMask
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.pictures import Pictures
 from scenec.backends.stage.scene import Surface
@@ -130,7 +130,7 @@ def make_look(surfaces: Sequence[Surface], flat: FlatMesh, center: NDArray[np.fl
     cutout = surfaces[0].cutout if len(surfaces) == 1 else None
     # Rays of kept instances are the exact caster's, which has asked.
     if cutout is not None and flat.lanes is None:
-        made.cut_out(Mask(cutout))
+        made.cut_out(SurfaceMask(cutout))
     glow = None
     if any(surface.emits for surface in surfaces):
         shining = []
@@ -153,7 +153,7 @@ class Stack(mi.BSDF):
         self.m_components = [flags | mi.BSDFFlags.SpatiallyVarying]
         self.m_flags = self.m_components[0]
         self.kept: tuple[Any, Any] | None = None
-        self.mask: Mask | None = None
+        self.mask: SurfaceMask | None = None
 
     def prepare(self, packed: mix.Mix, layers: list[Layer], height_blends: Sequence[float]) -> None:
         self.mix, self.layers = packed, layers
@@ -162,7 +162,7 @@ class Stack(mi.BSDF):
         self.glossy = any(layer.glossy for layer in layers)
         self.transmits = any(layer.transmits for layer in layers)
 
-    def cut_out(self, mask: Mask) -> None:
+    def cut_out(self, mask: SurfaceMask) -> None:
         self.mask = mask
         self.m_components = [*self.m_components, mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0] | self.m_components[1]

@@ -61,14 +61,14 @@ class Part(pyrender.Primitive):
     """A pyrender primitive whose vertex indices are not rounded to float32 on their way."""
 
     def __init__(
-        self, mesh: Mesh, faces: NDArray[np.uint32], cutouts: bool, mask: Mask | None
+        self, mesh: Mesh, faces: NDArray[np.uint32], cutouts: bool, mask: MaskTexture | None
     ) -> None:
         uv = vertex_uv(mesh) if cutouts else None
         super().__init__(positions=mesh.points, texcoord_0=uv)
         self._indices, self.mask = faces, mask
 
 
-class Mask(NamedTuple):
+class MaskTexture(NamedTuple):
     """What is left of a surface: the texture of ``surface.cutouts.field``, and how it wraps."""
 
     texture: int
@@ -133,14 +133,14 @@ class Renderer(pyrender.Renderer):
         self._no_attributes = int(GL.glGenVertexArrays(1))
         self._points = int(GL.glGenTextures(1))
 
-    def _mask(self, maps: Maps | None) -> Mask | None:
+    def _mask(self, maps: Maps | None) -> MaskTexture | None:
         if maps is None:
             return None
         name = f"{maps.opacity} {maps.opacity_threshold} {maps.readings}"
         if name not in self._pictures:
             self._pictures[name] = resources.lookup_texture(field(maps))
         across, up = map(WRAPS.index, maps.opacity_wrap)
-        return Mask(self._pictures[name], (across, up))
+        return MaskTexture(self._pictures[name], (across, up))
 
     def delete(self) -> None:
         """Free everything that OpenGL holds for it."""
