@@ -9,7 +9,7 @@ MARKED := -m "not slow or invariant"
 # Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
 EXAMPLES := quick
 
-BENCHMARKS := adapters agreement annotation cold datasets estimate exposure foliage growth imaging \
+BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate exposure foliage growth imaging \
   incremental optics preview prune throughput
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
