@@ -3,7 +3,7 @@
     python lab/benchmarks/cutouts.py [--cards 20000] [--width 640] [--height 480] [--spp 16]
 
 Each card is a square of two triangles whose picture of opacity leaves a disk; the same leaf as
-geometry is a fan of 32 triangles. CPU seconds, each in a process of its own. Alike are pixels in
+geometry is a fan of 30 triangles. CPU seconds, each in a process of its own. Alike are pixels in
 which both trees show the same leaf, or none; contours run through the others.
 """
 
