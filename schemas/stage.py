@@ -62,6 +62,8 @@ PRIMVAR_WEIGHT = "scenec_weight_{merge}"
 #: Vertex primvar in [-1, 1]: albedo of every material is base * (1 + variation * this).
 #: On a PointInstancer the same name is one value an instance.
 PRIMVAR_VARIATION = "scenec_variation"
+#: color3f primvar, linear: multiplies the base color; of vertices, or of faces' corners.
+PRIMVAR_COLOR = "scenec_color"
 #: Uniform (or constant) int primvar: label id of each face, per level; 0 is "no label".
 PRIMVAR_LABEL = "scenec_label_{level}"
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from scenec.backends.cycles.geometry import (
+    COLOR,
     FACE,
     ROW,
     VARIATION,
@@ -61,11 +62,13 @@ class Reach:
     Attributes:
         vertex, row: Whether any varies.
         smooth: Whether there are shading normals.
+        colored: Whether corners have colors.
     """
 
     vertex: bool = False
     row: bool = False
     smooth: bool = False
+    colored: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def make_materials(
         lambda seed: picture_image(bpy, (cell_table(seed) * radians)[::-1])
     )
     for key, reach in _reaches(scene).items():
-        layers, depths = key
+        layers, depths, colored = key
         material = bpy.data.materials.new("scenec_look")
         material.node_tree.nodes.clear()
         # It would bend shading normals at grazing angles, which no other renderer does.
@@ -113,7 +116,9 @@ def make_materials(
         graph = Graph(material.node_tree)
         pictures = Pictures(graph, frame, image, table, partial(picture_image, bpy))
         laws = None if light is None else Laws(graph, light, partial(picture_image, bpy))
-        _Look(graph, pictures, reach, laws).write(surfaces, depths)
+        _Look(graph, pictures, dataclasses.replace(reach, colored=colored), laws).write(
+            surfaces, depths
+        )
         made[key] = material
     return made
 
@@ -233,6 +238,8 @@ class _Look:
         wanted += ["height"] if heeded else []
         wanted += ["emission"] if surface.emits else []
         found = {} if maps is None else self._pictures.look_up(maps, wanted)
+        if self._reach.colored:
+            found["base_color"] = graph.attribute(COLOR) * found.get("base_color", 1.0)
         own = lobes.lobes_of(NODES, lobes.numbers_of(NODES, surface), found, self._variations())
         normal = found.get("normal", self._pictures.facing if self._reach.smooth else None)
         facing = graph.geometry("Normal") if normal is None else normal

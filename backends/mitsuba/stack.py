@@ -189,6 +189,10 @@ class Stack(mi.BSDF):
         pictured: dict[str, Any] = {}
         if layer.pictures is not None and layer.pictures.kinds:
             pictured = _where_needed(layer.pictures, share, si, active)
+        if self.mix.color is not None:
+            color = mi.Vector3f(*channels[self.mix.color : self.mix.color + 3])
+            shown = pictured.get("base_color")
+            pictured["base_color"] = color if shown is None else shown * color
         variations = [channels[i] for i in (self.mix.own, self.mix.row) if i is not None]
         own = lobes.lobes_of(ARRAYS, layer.numbers, pictured, variations)
         return LayerPoint(share, own, pictured.get("normal"), pictured.get("height", merges.FLAT))

@@ -118,6 +118,7 @@ class _LayerHits(NamedTuple):
         share: Of what is seen, float64 [n, 1].
         own, of_row: Variations of the vertices and of the row, floating [n].
         uv: Float64 [n, 2], or None.
+        color: Factor of the base color, floating [n, 3].
     """
 
     number: int
@@ -127,6 +128,7 @@ class _LayerHits(NamedTuple):
     own: NDArray[np.float64]
     of_row: NDArray[np.floating]
     uv: NDArray[np.float64] | None
+    color: NDArray[np.floating]
 
 
 def _joined(layers: list[_LayerHits]) -> list[_LayerHits]:
@@ -353,6 +355,9 @@ class _Paths:
         if mesh.variation is not None:
             own = (corners * mesh.variation[vertices]).sum(axis=1)
         uv = None if mesh.uv is None else (corners[..., None] * mesh.uv[face]).sum(axis=1)
+        color = np.ones((len(index), 3))
+        if mesh.color is not None:
+            color = (corners[..., None] * mesh.color[face]).sum(axis=1)
         # From the top down: what a merge leaves is for those below.
         left = np.ones(len(index))
         for layer in range(len(surfaces) - 1, -1, -1):
@@ -360,13 +365,14 @@ class _Paths:
             if layer:
                 weight = (corners * mesh.weights[layer - 1][vertices]).sum(axis=1)
                 share, left = left * weight, left * (1.0 - weight)
-            yield _LayerHits(layer, surfaces[layer], index, share[:, None], own, of_row, uv)
+            yield _LayerHits(layer, surfaces[layer], index, share[:, None], own, of_row, uv, color)
 
 
 def _add_layer(out: _Points, layer: _LayerHits) -> None:
     surface, index, part = layer.surface, layer.which, layer.share
     at, normal = out.at[index], out.normal[index]
-    picture = {"base_color": _map(surface, "base_color", at, normal, layer.uv)}
+    shown = _map(surface, "base_color", at, normal, layer.uv)
+    picture = {"base_color": shown * layer.color.T}
     numbers = lobes.numbers_of(FLOAT64, surface)
     found = lobes.lobes_of(FLOAT64, numbers, picture, (layer.own, layer.of_row))
     color, dull = found.color.T, found.dull

@@ -21,8 +21,9 @@ from scenec.backends.stage.surfaces import (
     read_height_blends,
     read_layers,
     read_variation,
+    shows_display_color,
 )
-from scenec.backends.stage.unread import Unread
+from scenec.backends.stage.unread import Unread, all_equal
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.polygons import triangulate
@@ -131,7 +132,8 @@ class MeshTable:
         if layers is not None:
             indices_of_layers = tuple(self._index(surface) for surface in surfaces)
         else:
-            indices_of_layers = (self._index(bound_surface(prim, self._sources)),)
+            # Its own once the mesh's colors are known.
+            indices_of_layers = ()
 
         coordinates = _Coordinates(
             mesh, corners, faces, authored, (len(points), len(indices), len(counts)), time
@@ -148,6 +150,7 @@ class MeshTable:
             weights=weights,
             variation=read_variation(prim, len(points)),
             height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
+            color=coordinates.color(names.PRIMVAR_COLOR),
         )
         if layers is not None:
             return [replace(whole, uv=coordinates.of(surfaces))]
@@ -163,22 +166,48 @@ class MeshTable:
         """Splits a mesh whose subsets are bound to several materials."""
         subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
         count = int(authored.max(initial=-1)) + 1
-        surface = np.full(count, source.layers[0], np.int32)
+        # Surfaces that show displayColor as it varies over the mesh.
+        varied: set[int] = set()
+
+        def index(prim: Usd.Prim) -> int:
+            shows = shows_display_color(bound_material(prim))
+            if not shows or self._display_color(coordinates) is None:
+                return self._index(bound_surface(prim, self._sources))
+            number = self._index(bound_surface(prim, self._sources, (1.0, 1.0, 1.0)))
+            varied.add(number)
+            return number
+
+        whole = index(mesh.GetPrim())
+        surface = np.full(count, whole, np.int32)
         for subset in subsets:
             if values.word(subset.GetElementTypeAttr(), "") != UsdGeom.Tokens.face:
                 continue
             chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
-            bound = bound_surface(subset.GetPrim(), self._sources)
-            surface[chosen] = self._index(bound)
+            surface[chosen] = index(subset.GetPrim())
             self.unread.material(bound_material(subset.GetPrim()))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
         known = list(self.surfaces)
         uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
+        shown = self._display_color(coordinates) if varied else None
+        colored = {s: shown if s in varied else source.color for s in uv}
         if len(used) <= 1:
-            return [replace(source, layers=(s,), uv=uv[s]) for s in uv] or [source]
-        return [_part(source, authored, of_triangle == s, s, uv[s]) for s in uv]
+            parts = [replace(source, layers=(s,), uv=uv[s], color=colored[s]) for s in uv]
+            return parts or [replace(source, layers=(whole,))]
+        return [
+            _part(replace(source, color=colored[s]), authored, of_triangle == s, s, uv[s])
+            for s in uv
+        ]
+
+    def _display_color(self, coordinates: _Coordinates) -> NDArray[np.float32] | None:
+        """DisplayColor at corners where it varies; None where it does not, or does not fit."""
+        try:
+            return coordinates.color("displayColor")
+        except StageError:
+            what = "displayColor of another length than its shape needs is shown as its mean"
+            self.unread.add(what, coordinates.mesh.GetPrim())
+            return None
 
 
 def _part(
@@ -203,6 +232,7 @@ def _part(
         labels={level: ids[chosen] for level, ids in mesh.labels.items()},
         layers=(surface,),
         uv=None if uv is None else uv[chosen],
+        color=None if mesh.color is None else mesh.color[chosen],
     )
 
 
@@ -273,7 +303,7 @@ class _Coordinates:
         """
         for surface in surfaces:
             if surface.maps is not None and surface.maps.projection == "uv":
-                uv = self._read(surface, surface.maps.primvar)
+                uv = self._texture(surface, surface.maps.primvar)
                 if surface.maps.uv_transform == Maps(1.0).uv_transform:
                     return uv
                 a, b, c, d, e, f = surface.maps.uv_transform
@@ -282,7 +312,18 @@ class _Coordinates:
                 return turned.astype(np.float32)
         return None
 
-    def _read(self, surface: Surface, name: str) -> NDArray[np.float32]:
+    def color(self, name: str) -> NDArray[np.float32] | None:
+        """Colors of the corners, float32 [m, 3, 3]; None without any, or where all are the same.
+
+        Raises:
+            StageError: They are of another length than the mesh needs, or not finite.
+        """
+        primvar = UsdGeom.PrimvarsAPI(self.mesh.GetPrim()).FindPrimvarWithInheritance(name)
+        if not primvar or not primvar.HasValue() or all_equal(primvar):
+            return None
+        return self._spread(primvar, 3)
+
+    def _texture(self, surface: Surface, name: str) -> NDArray[np.float32]:
         prim = self.mesh.GetPrim()
         primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
         if not primvar or not primvar.HasValue():
@@ -294,7 +335,11 @@ class _Coordinates:
                 )
             # What UsdPrimvarReader_float2 gives where there is none.
             return np.zeros((len(self.faces), 3, 2), np.float32)
-        found = values.flattened(primvar, np.float32, self.time, width=(2,))
+        return self._spread(primvar, 2)
+
+    def _spread(self, primvar: UsdGeom.Primvar, width: int) -> NDArray[np.float32]:
+        """A primvar's values at the corners of triangles, [m, 3, width]."""
+        found = values.flattened(primvar, np.float32, self.time, width=(width,))
         vertices, corners, polygons = self.sizes
         kind = primvar.GetInterpolation()
         tokens = UsdGeom.Tokens
@@ -307,7 +352,7 @@ class _Coordinates:
             needed, at = 1, np.zeros_like(self.faces)
         if len(found) != needed or not np.isfinite(found).all():
             raise StageError(
-                f"{prim.GetPath()}: primvar {name} ({kind}) must hold {needed} finite pairs of "
-                f"numbers, has {len(found)}"
+                f"{self.mesh.GetPath()}: primvar {primvar.GetPrimvarName()} ({kind}) must hold "
+                f"{needed} finite {('pairs of numbers', 'colors')[width - 2]}, has {len(found)}"
             )
         return np.ascontiguousarray(found[at])

@@ -218,6 +218,8 @@ class Mesh:
         variation: Variation of albedo and roughness at the vertices, float32 [n], or None.
         uv: Texture coordinates at the corners of the triangles, v up, float32 [m, 3, 2], where a
             surface has maps that are projected by them; else None.
+        color: Factors of the base color at the corners of the triangles, linear, float32 [m, 3, 3],
+            linear between them; None: 1.
         height_blends: For each merge, the depth over which height maps decide (``scenec.backends.
             heights`` defines it), 0 where the weight alone does; empty: 0 for all.
     """
@@ -233,6 +235,7 @@ class Mesh:
     variation: NDArray[np.float32] | None = None
     uv: NDArray[np.float32] | None = None
     height_blends: tuple[float, ...] = ()
+    color: NDArray[np.float32] | None = None
 
     @property
     def used_points(self) -> NDArray[np.float64]:

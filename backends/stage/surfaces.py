@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, UsdShade
 from scenec.backends.stage import values
 from scenec.backends.stage.scene import Cells, Maps, Reflectance, Surface
 from scenec.backends.stage.sources import Sources
-from scenec.backends.stage.textures import FIRST, constant, texture_maps
+from scenec.backends.stage.textures import FIRST, connected, constant, texture_maps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -83,12 +83,35 @@ def bound_material(prim: Usd.Prim) -> UsdShade.Material:
     return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
 
 
-def bound_surface(prim: Usd.Prim, sources: Sources) -> Surface:
-    """The surface of the bound material; without one, a diffuse one of displayColor."""
+def bound_surface(
+    prim: Usd.Prim, sources: Sources, color: tuple[float, float, float] | None = None
+) -> Surface:
+    """The surface of the bound material; without one, a diffuse one of displayColor.
+
+    Args:
+        prim: A shape, or a subset of its faces.
+        sources: Of the stage.
+        color: In place of displayColor.
+    """
     material = bound_material(prim)
+    color = display_color(prim) if color is None else color
     if material:
-        return surface_of(material, sources, display_color(prim))
-    return Surface("", display_color(prim), 0.0, 1.0, 0.0)
+        return surface_of(material, sources, color)
+    return Surface("", color, 0.0, 1.0, 0.0)
+
+
+def shows_display_color(material: UsdShade.Material) -> bool:
+    """Tells whether a material, which may be invalid, shows displayColor."""
+    color = material.GetPrim().GetAttribute(names.ATTR_BASE_COLOR) if material else None
+    if color and color.HasValue():
+        return False
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    if not shader or values.word(shader.GetIdAttr(), "") != "UsdPreviewSurface":
+        return True
+    if _color_input(shader, "diffuseColor") is not None:
+        return False
+    node, _ = connected(shader, "diffuseColor")
+    return node is not None and values.word(node.GetIdAttr(), "") != "UsdUVTexture"
 
 
 def display_color(prim: Usd.Prim) -> tuple[float, float, float]:

@@ -271,7 +271,7 @@ class Unread:
         if self._changes(*(primvar.GetAttr() for primvar in primvars)):
             self.add("primvars that change stay as they are at the first sample", prim)
         if not material and _shows_display_color(prim):
-            if not _all_equal(api.FindPrimvarWithInheritance("displayColor")):
+            if not mesh and not all_equal(api.FindPrimvarWithInheritance("displayColor")):
                 self.add("displayColor that varies over a shape is shown as its mean", prim)
             opacity = api.FindPrimvarWithInheritance("displayOpacity")
             if opacity and opacity.HasValue():
@@ -437,7 +437,8 @@ def _corner_normals(mesh: UsdGeom.Mesh) -> bool:
     return bool(kind == UsdGeom.Tokens.faceVarying)
 
 
-def _all_equal(primvar: UsdGeom.Primvar) -> bool:
+def all_equal(primvar: UsdGeom.Primvar) -> bool:
+    """Whether a primvar of colors, which may be invalid, has no two that differ."""
     if not primvar or not primvar.HasValue() or primvar.GetInterpolation() == _CONSTANT:
         return True
     colors = values.array(primvar.GetAttr(), np.float64, _FIRST, width=(3,))

@@ -28,13 +28,12 @@ Color = tuple[float, float, float]
 #: Notes that are warnings, since a user who does not see them trusts a wrong picture.
 OPACITY = "its opacity is not shown: it is drawn, and labeled, as if it were solid"
 BLENDED = f"its opacity is no blend: what is below {OPACITY_THRESHOLD} is cut out"
-VERTEX_COLORS = "the colors of its vertices are shown as their average"
 NO_VERTEX_COLORS = "the colors of its vertices are left out"
 NO_FACE_COLORS = "the colors of its faces are left out"
 NOT_FOLLOWED = "is not followed"
-_WARNINGS = (OPACITY, BLENDED, VERTEX_COLORS, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
+_WARNINGS = (OPACITY, BLENDED, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
 #: Of these, those that do not count where a cfg gives a material of its own.
-OF_COLORS = (VERTEX_COLORS, NO_VERTEX_COLORS, NO_FACE_COLORS)
+OF_COLORS = (NO_VERTEX_COLORS, NO_FACE_COLORS)
 
 
 @dataclass(frozen=True)
