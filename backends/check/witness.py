@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
-from scenec.backends.exact.cutouts import face_is_kept
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
 from scenec.backends.run.executors import one_worker
 from scenec.backends.run.frames import opening_of
@@ -234,5 +234,5 @@ def _nearest(first, last, g, rays, reported, nearest):  # type: ignore[no-untype
             at = g.row_face[row] + face
             t, away = distance_from_face(g.points, g.faces[at], matrix, frame)
             # What is cut out is not there; where its contour is near, rays of a ring meet it.
-            if away > 0.0 or face_is_kept(g.cutouts, g, row, at, matrix, frame):
+            if away > 0.0 or face_is_opaque(g.cutouts, g, row, at, matrix, frame):
                 nearest[0][k], nearest[1][k] = t, away

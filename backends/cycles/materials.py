@@ -169,17 +169,17 @@ class _Look:
         else:
             total = self._close(_merged(layers, weights))
         cutout = surfaces[0].cutout if len(surfaces) == 1 else None
-        kept: Any = 1.0
+        opaque: Any = 1.0
         if cutout is not None:
-            kept = self._pictures.kept(cutout)
+            opaque = self._pictures.opaque(cutout)
             nothing = graph.node("ShaderNodeBsdfTransparent")
-            total = self._mixed(nothing.outputs[0], total, kept)
+            total = self._mixed(nothing.outputs[0], total, opaque)
         graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
         for name, attribute, of in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
             out = graph.node("ShaderNodeOutputAOV")
             out.aov_name = name
             # Cycles adds up what a ray passes and what it meets.
-            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of) * kept)
+            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of) * opaque)
 
     def _close(self, layer: Layer) -> Any:
         """A layer's closures, added up; one at least, or rays would pass through."""

@@ -80,7 +80,7 @@ class Pictures:
 
         return graph.value(("along", name), make, True)
 
-    def kept(self, maps: Maps) -> Value:
+    def opaque(self, maps: Maps) -> Value:
         """1 where anything is left of a surface, 0 where it is cut out (``surface.cutouts``)."""
         graph, values = self._graph, cutouts.field(maps)
         uv = NODES.parts(graph.attribute(UV))[:2]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact.bvh import Geometry, build_geometry
-from scenec.backends.exact.cutouts import face_is_kept
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.packets import trace_picture
@@ -28,7 +28,7 @@ def _test_all(first, last, g, beams, index, hits):  # type: ignore[no-untyped-de
             frame = ray_frame(beams.origins[index[k]], beams.directions[index[k]])
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
             at = g.row_face[row] + face
-            if face_is_kept(g.cutouts, g, row, at, matrix, frame):
+            if face_is_opaque(g.cutouts, g, row, at, matrix, frame):
                 hits.t[k] = hit_parameter(g.points, g.faces[at], matrix, frame)
 
 

@@ -105,7 +105,7 @@ def _value(cutouts, place, u, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_kept(cutouts, row, local, a, b, c):  # type: ignore[no-untyped-def]
+def _is_opaque(cutouts, row, local, a, b, c):  # type: ignore[no-untyped-def]
     p, q, r = barycentric(a, b, c)
     uv = cutouts.uv[cutouts.first[row] + local]
     u = p * uv[0, 0] + q * uv[1, 0] + r * uv[2, 0]
@@ -114,7 +114,7 @@ def _is_kept(cutouts, row, local, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def is_kept(cutouts, row, local, a, b, c):  # type: ignore[no-untyped-def]
+def is_opaque(cutouts, row, local, a, b, c):  # type: ignore[no-untyped-def]
     """Whether a triangle is there where a ray meets it.
 
     Args:
@@ -124,21 +124,21 @@ def is_kept(cutouts, row, local, a, b, c):  # type: ignore[no-untyped-def]
     """
     if cutouts is None:
         return True
-    return cutouts.of_row[row] < 0 or _is_kept(cutouts, row, local, a, b, c)
+    return cutouts.of_row[row] < 0 or _is_opaque(cutouts, row, local, a, b, c)
 
 
 @kernel
-def _face_is_kept(g, row, face, matrix, frame):  # type: ignore[no-untyped-def]
+def _face_is_opaque(g, row, face, matrix, frame):  # type: ignore[no-untyped-def]
     corners = g.faces[face]
     a = projected(g.points[corners[0]], matrix, frame)
     b = projected(g.points[corners[1]], matrix, frame)
     c = projected(g.points[corners[2]], matrix, frame)
-    return _is_kept(g.cutouts, row, face - g.row_face[row], a, b, c)
+    return _is_opaque(g.cutouts, row, face - g.row_face[row], a, b, c)
 
 
 @inlined
-def face_is_kept(cutouts, g, row, face, matrix, frame):  # type: ignore[no-untyped-def]
-    """``is_kept`` of a triangle by its index in ``g.faces``; ``cutouts`` is ``g.cutouts``."""
+def face_is_opaque(cutouts, g, row, face, matrix, frame):  # type: ignore[no-untyped-def]
+    """``is_opaque`` of a triangle by its index in ``g.faces``; ``cutouts`` is ``g.cutouts``."""
     if cutouts is None:
         return True
-    return cutouts.of_row[row] < 0 or _face_is_kept(g, row, face, matrix, frame)
+    return cutouts.of_row[row] < 0 or _face_is_opaque(g, row, face, matrix, frame)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
-from scenec.backends.exact.cutouts import face_is_kept
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.masks import LANES
 from scenec.backends.exact.trace import Ray, _enter, in_row, largest
@@ -267,7 +267,7 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
 def _meets_face(g, row, face, matrix, frame):  # type: ignore[no-untyped-def]
     """Whether a ray meets a triangle, given as an index into ``g.faces``, where it is not cut."""
     met = hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf
-    return met and face_is_kept(g.cutouts, g, row, face, matrix, frame)
+    return met and face_is_opaque(g.cutouts, g, row, face, matrix, frame)
 
 
 @inlined

@@ -20,7 +20,7 @@ _BEYOND = 2.0**-19
 
 
 class SurfaceMask:
-    """What is left of one surface."""
+    """Tells where a surface is opaque, by its mask."""
 
     def __init__(self, maps: Maps) -> None:
         values = field(maps)
@@ -29,7 +29,7 @@ class SurfaceMask:
         # A GPU's own filter knows places between texels to 1/256.
         self._texture = mi.Texture2f(tensor, use_accel=False, wrap_mode=dr.WrapMode.Repeat)
 
-    def keeps(self, uv: Any, active: Any) -> Any:
+    def opaque(self, uv: Any, active: Any) -> Any:
         """Whether anything is there."""
         place = (folded(ARRAYS, x, *side) for x, side in zip(uv, self._sides, strict=True))
         return self._texture.eval(mi.Point2f(*place), active)[0] > 0.0
@@ -51,18 +51,18 @@ def meet(scene: Any, ray: Any, coherent: bool, active: Any = True) -> Any:
     none = dr.zeros(mi.PreliminaryIntersection3f, count)
     parts = none.t, none.prim_uv, none.prim_index, none.shape
 
-    def step(seeking: Any, valid: Any, gone: Any, *parts: Any) -> tuple[Any, ...]:
+    def step(seeking: Any, valid: Any, passed: Any, *parts: Any) -> tuple[Any, ...]:
         # Not as Mitsuba spawns rays, which moves them sideways.
-        part = mi.Ray3f(ray.o + ray.d * gone, ray.d, ray.maxt - gone, ray.time, ray.wavelengths)
+        part = mi.Ray3f(ray.o + ray.d * passed, ray.d, ray.maxt - passed, ray.time, ray.wavelengths)
         hit = scene.ray_intersect_preliminary(part, coherent=coherent, active=seeking)
         met = seeking & hit.is_valid()
         si = hit.compute_surface_interaction(part, mi.RayFlags.All, met)
         cut = met & (si.bsdf().eval_null_transmission(si, met).x > 0.0)
         kept = met & ~cut
-        found = gone + hit.t, hit.prim_uv, hit.prim_index, hit.shape
+        found = passed + hit.t, hit.prim_uv, hit.prim_index, hit.shape
         parts = tuple(dr.select(kept, new, old) for new, old in zip(found, parts, strict=True))
-        beyond = hit.t + _BEYOND * (dr.max(dr.abs(si.p)) + dr.abs(gone) + hit.t)
-        return cut, valid | kept, gone + dr.select(cut, beyond, 0.0), *parts
+        beyond = hit.t + _BEYOND * (dr.max(dr.abs(si.p)) + dr.abs(passed) + hit.t)
+        return cut, valid | kept, passed + dr.select(cut, beyond, 0.0), *parts
 
     seeking, valid = active & dr.full(mi.Bool, True, count), dr.full(mi.Bool, False, count)
     state = seeking, valid, dr.zeros(mi.Float, count), *parts

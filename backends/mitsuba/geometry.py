@@ -204,7 +204,7 @@ def _colored(scene: RenderScene, group: Group) -> bool:
 def _place_corners(
     scene: RenderScene, group: Group, of: Callable[[Mesh], NDArray[np.float32]], width: int
 ) -> NDArray[np.float32]:
-    """What split corners hold at the parts' vertices, [n, width]."""
+    """Gathers values of split corners at the parts' vertices, [n, width]."""
     columns = np.empty((width, int(group.first_vertex[-1])), np.float32)
     for mesh_index, parts in _parts_by_mesh(scene, group):
         values = of(scene.meshes[mesh_index])

@@ -344,7 +344,7 @@ class Stack(mi.BSDF):
             light += passed & ~self._same_side(si, wo) & active
             density += chance
         if self.mask is not None:
-            kept = self.mask.keeps(si.uv, active)
+            kept = self.mask.opaque(si.uv, active)
             light, density = light & kept, density & kept
         return light, density
 
@@ -379,7 +379,7 @@ class Stack(mi.BSDF):
         sound = active & (density > 0.0) & stays
         value = dr.select(sound, light / density, 0.0)
         if self.mask is not None:
-            kept = self.mask.keeps(si.uv, active)
+            kept = self.mask.opaque(si.uv, active)
             bs.wo, bs.pdf = dr.select(kept, bs.wo, -si.wi), dr.select(kept, bs.pdf, 1.0)
             bs.sampled_type = dr.select(kept, bs.sampled_type, +mi.BSDFFlags.Null)
             value = dr.select(kept, value, 1.0)
@@ -388,7 +388,7 @@ class Stack(mi.BSDF):
     def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
         if self.mask is None:
             return mi.Color3f(0.0)
-        return mi.Color3f(dr.select(self.mask.keeps(si.uv, active), 0.0, 1.0))
+        return mi.Color3f(dr.select(self.mask.opaque(si.uv, active), 0.0, 1.0))
 
     def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
         # Of gloss, too: it is what a denoiser goes by.

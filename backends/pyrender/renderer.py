@@ -69,7 +69,7 @@ class Part(pyrender.Primitive):
 
 
 class MaskTexture(NamedTuple):
-    """What is left of a surface: the texture of ``surface.cutouts.field``, and how it wraps."""
+    """Holds a surface's mask: the texture of ``surface.cutouts.field``, and how it wraps."""
 
     texture: int
     wrap: tuple[int, int]

@@ -153,7 +153,7 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
 def _corner_values(
     mesh: Mesh, values: NDArray[np.float32], drawn: DrawnMesh
 ) -> NDArray[np.float32]:
-    """What corners of a mesh's faces have, [m, 3, k], for its faces as they are drawn.
+    """Spreads values of corners, [m, 3, k], to a mesh's faces as they are drawn.
 
     Coarser faces take for each vertex what one of its faces has there: across a seam of the
     coordinates they are wrong, by no more than faces of a few pixels show.

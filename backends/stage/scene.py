@@ -581,7 +581,7 @@ class RenderScene:
     losses: tuple[str, ...] = ()
 
     def cutout_of(self, mesh: Mesh) -> Maps | None:
-        """What cuts parts of a mesh out: opacity of its only surface; None: nothing does."""
+        """Returns the maps whose opacity cuts parts of a mesh out: its only surface's, or None."""
         return self.surfaces[mesh.layers[0]].cutout if len(mesh.layers) == 1 else None
 
     @property

@@ -401,7 +401,7 @@ class Conformance:
 
     @pytest.mark.parametrize("case", lights.CUTOUTS)
     def test_cutouts(self, case: str) -> None:
-        """What a picture of opacity cuts out hides nothing and throws no shadow."""
+        """Parts that a picture of opacity cuts out hide nothing and throw no shadow."""
         made, sample = self.case(
             "cutouts", case, lights.CUTOUTS, lambda: lights.cutout_scene(self.folder())
         )

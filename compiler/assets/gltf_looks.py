@@ -123,7 +123,7 @@ class GltfLooks:
         return document["samplers"][natural(texture["sampler"])] if "sampler" in texture else {}
 
     def _cutout(self, info: Any, threshold: float) -> Cutout | None:
-        """What alpha leaves of a surface; None where it cuts nothing."""
+        """Returns how alpha cuts a surface; None where it cuts nothing."""
         across, up = (
             _WRAPS.get(self._sampler(info).get(key, _REPEAT), "repeat")
             for key in ("wrapS", "wrapT")

@@ -10,8 +10,8 @@ What is read of each format:
 - STL and OFF: geometry only.
 - ``.blend``: see ``blend``.
 
-Opacity, emission, displacement, coats and the like have no place in the surface model: each that a
-file asks for is named in the notes.
+Pictures of opacity are masks. Other opacity, emission, displacement, coats and the like have no
+place in the surface model: each that a file asks for is named in the notes.
 """
 
 from __future__ import annotations

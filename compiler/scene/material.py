@@ -45,7 +45,7 @@ class Far:
 
 @dataclass(frozen=True)
 class Cutout:
-    """What a picture of opacity leaves of a surface.
+    """Cuts parts of a surface out by a picture of opacity.
 
     Attributes:
         threshold: Nothing is there where opacity is below it, in (0, 1].
