@@ -225,9 +225,12 @@ def _find_ceilings(first, last, least, frame, eyes, above, ceiling):  # type: ig
                 i, j = (k - 2 * rows) // 2, (k % 2) * (rows - 1)
             _follow(least, frame, eyes[v], i, j, passed)
         # A ray passes beside the blocks next to its own, too.
+        lowest = np.empty(columns + 2)
         for j in range(rows):
+            for i in range(columns + 2):
+                lowest[i] = min(passed[j, i], min(passed[j + 1, i], passed[j + 2, i]))
             for i in range(columns):
-                ceiling[v, j, i] = passed[j : j + 3, i : i + 3].min()
+                ceiling[v, j, i] = min(lowest[i], min(lowest[i + 1], lowest[i + 2]))
 
 
 @kernel
