@@ -21,7 +21,7 @@ from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, Mesh, RenderScene
 from scenec.backends.surface.gobo import passed
-from scenec.schemas.affine import moved_boxes
+from scenec.schemas.affine import box_around, moved_boxes
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -79,8 +79,7 @@ def world_bounds(scene: RenderScene) -> NDArray[np.float64]:
 
 def mesh_bounds(mesh: Mesh, to_world: NDArray[np.float64]) -> NDArray[np.float64]:
     """Box around a mesh's rows, float64 [2, 3]."""
-    points = mesh.points.astype(np.float64)
-    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    box = box_around(mesh.points).astype(np.float64)
     boxes = moved_boxes(to_world[:, :, :3], box, to_world[:, :, 3])
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 

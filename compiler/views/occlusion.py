@@ -20,6 +20,7 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import MOVING, Views
+from scenec.schemas.affine import box_around
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -120,11 +121,7 @@ def relief_of_tiles(
     columns, rows = (max(int(np.ceil(n / width)), 1) for n in size.tolist())
     frame = np.array([*bounds[0, :2], width, width])
     low, high = np.full((rows, columns), np.inf), np.full((rows, columns), -np.inf)
-    ends = [
-        tile.translate[:2] + pick(tile.points[:, :2], axis=0)
-        for tile in tiles
-        for pick in (np.min, np.max)
-    ]
+    ends = [t.translate[:2] + end for t in tiles for end in box_around(t.points[:, :2])]
     for tile in tiles:
         _bound_mesh(tile.translate, tile.points, tile.faces, frame, low, high)
     # A block that the ground covers in part hides nothing.
