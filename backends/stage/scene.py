@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas import stage as names
+from scenec.schemas.affine import box_around
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
@@ -248,7 +249,7 @@ class Mesh:
     def box(self) -> NDArray[np.float64]:
         """Corners of the box around the triangles, float64 [2, 3]; 0 where there are none."""
         points = self.used_points if len(self.faces) else np.zeros((1, 3))
-        return np.stack([points.min(axis=0), points.max(axis=0)])
+        return box_around(points)
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,8 @@ class Scatter(ObjectClass):
     def radii(self) -> NDArray[np.float64]:
         """Radius of a ball around each instance's position that holds it, meters, [n]."""
         of_prototype = np.array([p.radius for p in self.prototypes], np.float64)
-        return of_prototype[self.prototype] * self.scales.max(axis=1, initial=0.0)
+        x, y, z = self.scales.T
+        return of_prototype[self.prototype] * np.maximum(np.maximum(x, y), np.maximum(z, 0.0))
 
     def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Balls that hold the instances: middles [n, 3] and radii [n], meters."""
