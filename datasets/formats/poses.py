@@ -7,12 +7,13 @@ where the half pixel is taken off.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.source import LoadedFrame
+from scenec.datasets.formats.contract import Format, Task
+from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.quaternions import rotation_entries
 
@@ -115,13 +116,34 @@ def pinhole(frame: LoadedFrame) -> tuple[float, float, float, float]:
     Raises:
         OutputError: The camera has skew, which the formats that take four numbers cannot say.
     """
+    require_no_skew(frame)
     k = opencv_intrinsics(frame)
-    if k[0, 1] != 0.0:
+    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+
+
+def require_no_skew(frame: LoadedFrame) -> None:
+    """Refuse a camera with skew, which the formats that take four numbers cannot say.
+
+    Raises:
+        OutputError: It has one.
+    """
+    skew = frame.intrinsics[0, 1]
+    if skew != 0.0:
         raise OutputError(
-            f"{frame.ref.name}: camera {frame.ref.camera} has skew {k[0, 1]:g}, which this format "
+            f"{frame.ref.name}: camera {frame.ref.camera} has skew {skew:g}, which this format "
             "cannot hold; leave it out with --cameras"
         )
-    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+
+
+def tasks_by_batch(form: Format, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
+    """One task a frame, batch by batch, for formats that have a model of each batch."""
+    ordered = {split: sorted(refs, key=lambda ref: ref.batch) for split, refs in splits.items()}
+    yield from Format.tasks(form, ordered)
+
+
+def place_of_batch(task: Task) -> str:
+    """Returns the folder of a task's batch: ``<split>/<batch>``."""
+    return f"{task.split}/{task.frames[0].batch_name}"
 
 
 def numbers(values: NDArray[np.floating], separator: str = " ") -> str:
