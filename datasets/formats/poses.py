@@ -20,6 +20,8 @@ from scenec.schemas.quaternions import rotation_entries
 #: Relative poses of cameras on one rig may differ by this much from frame to frame (meters, and
 #: entries of the rotation): they are composed in float64, kilometers from the origin.
 RIGID = 1e-6
+#: What to do about a camera that a format has no place for.
+RECTIFY = "take it to a pinhole with --rectify, or leave it out with --cameras"
 
 
 def rotation_matrix(xyzw: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -72,7 +74,7 @@ def require_pinhole(frame: LoadedFrame) -> None:
     if lens is not None:
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has the lens {lens.model}, which this "
-            "format cannot hold; leave it out with --cameras"
+            f"format cannot hold; {RECTIFY}"
         )
 
 
@@ -98,13 +100,12 @@ def distortion(
                           for ours, names in models.items())  # fmt: skip
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has the lens {lens.model} of "
-            f"{len(lens.coefficients)} coefficients; this format holds {known}; leave it out with "
-            "--cameras"
+            f"{len(lens.coefficients)} coefficients; this format holds {known}; {RECTIFY}"
         )
     if frame.intrinsics[0, 1] != 0.0:
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has a lens and a skew, of which this "
-            "format's readers leave the skew out; leave it out with --cameras"
+            f"format's readers leave the skew out; {RECTIFY}"
         )
     name, count = fitting[0]
     return name, list(lens.coefficients[:count])
@@ -131,7 +132,7 @@ def require_no_skew(frame: LoadedFrame) -> None:
     if skew != 0.0:
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has skew {skew:g}, which this format "
-            "cannot hold; leave it out with --cameras"
+            f"cannot hold; {RECTIFY}"
         )
 
 
