@@ -15,7 +15,7 @@ from scenec.schemas.units import Executor, run_all
 
 
 def rectify(out: Path, options: ExportOptions, executor: Executor) -> frozenset[tuple[int, str]]:
-    """Writes the rectified frames of those that an export takes, beside them, if they are not there.
+    """Writes the rectified frames of those that an export takes, unless they are there.
 
     Args:
         out: Output folder, or a USD file that was rendered.
