@@ -20,6 +20,8 @@ from scenec.schemas.quaternions import rotation_entries
 #: Relative poses of cameras on one rig may differ by this much from frame to frame (meters, and
 #: entries of the rotation): they are composed in float64, kilometers from the origin.
 RIGID = 1e-6
+#: x forward, y left, z up in the axes of a camera (x right, y down, z forward).
+LINK_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 #: What to do about a camera that a format has no place for.
 RECTIFY = "take it to a pinhole with --rectify, or leave it out with --cameras"
 

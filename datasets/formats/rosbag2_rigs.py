@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Format
-from scenec.datasets.formats.poses import inverse, product
+from scenec.datasets.formats.poses import LINK_POSE, inverse, product
 from scenec.datasets.formats.rectify import Rectified, rectified_partners
-from scenec.datasets.formats.rosbag2_messages import LINK_POSE, NANO, Messages, RigMotionAt
+from scenec.datasets.formats.rosbag2_messages import NANO, Messages, RigMotionAt
 from scenec.datasets.formats.rosbag2_names import (
     BODY,
     LAYOUTS,
