@@ -47,7 +47,7 @@ def rectify(out: Path, options: ExportOptions, executor: Executor) -> frozenset[
                 RectifyFrame(opening, ref.name, stem, folder / stem.relative_to(stem.parents[2]))
             )
     listener = options.listener
-    steps = listener.steps("rectified", unit="frame", every_s=2.0)
+    steps = listener.steps("rectified", unit="frame")
     unseen = 0
     with closing(run_all(executor, units)) as ended:
         for count, (unit, outcome) in enumerate(ended, 1):
