@@ -100,7 +100,7 @@ pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.m
 
 #: Packages whose own lists of what they need are overridden in pyproject.toml: locked apart, since
 #: pip would miss in requirements.lock what the override takes away.
-OVERRIDDEN := cityscapesscripts|lavavu-osmesa
+OVERRIDDEN := cityscapesscripts|lavavu-osmesa|nuscenes-devkit
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock and requirements-nodeps.lock.

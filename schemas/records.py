@@ -149,6 +149,36 @@ class ImagingRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Rectification:
+    """Describes the pinhole that a camera is taken to: its axes and its K.
+
+    Attributes:
+        turn: From the camera's axes to the pinhole's.
+        intrinsics: K, pixel centers at (0.5, 0.5) as in sidecars.
+        paired: Whether it is one of a rectified pair, and so has disparity.
+    """
+
+    turn: Matrix3
+    intrinsics: Matrix3
+    paired: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectifiedRecord:
+    """Records that a frame is a camera's, taken to a pinhole (``backends.run.rectify``).
+
+    Attributes:
+        turn: As of ``Rectification``.
+        kernel: What the picture was resampled with; annotation is the pinhole's own.
+        unseen_pixels: Those that the camera's picture does not reach: black, and annotated.
+    """
+
+    turn: Matrix3
+    kernel: str
+    unseen_pixels: Natural
+
+
+@dataclass(frozen=True, kw_only=True)
 class LensRadiance:
     """Records how a backend drew through a lens: by its own ``rays`` or ``resampled`` pinholes."""
 
@@ -356,6 +386,7 @@ class FrameRecord:
     seconds: Mapping[str, float] | None = None
     lens_radiance: LensRadiance | None = omitted()
     blur: BlurRecord | None = omitted()
+    rectified: RectifiedRecord | None = omitted()
     annotation: Mapping[str, str | None] | None = omitted()
     height_above_surface_m: float | Unset | None = UNSET
     sky: SkyPixels | None = omitted()

@@ -128,8 +128,9 @@ class SensorKeys:
     vehicle: VehicleKeys | None = key(an("vehicle", drawn=True), sparse=True)
     """Whom the output traversable is for; left out, about a Mars Exploration Rover."""
     partner: str | None = key(TEXT, sparse=True)
-    """Another sensor of the rig, to whose picture disparity goes: a rectified pair, alike but for
-    its place along the picture's rows and its principal point's column."""
+    """Another sensor of the rig, to whose picture disparity goes. The output needs a rectified
+    pair, alike but for its place along the picture's rows and its principal point's column; scenec
+    export --rectify makes one of any two side by side."""
     outputs: tuple[str, ...] = key(list_of(OUTPUT, least=1, unique=True), optional=True)
     """This sensor's channels; left out, those of the cfg."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.formats.poses import distortion, opencv_intrinsics, product
+from scenec.datasets.formats.poses import LINK_POSE, distortion, opencv_intrinsics, product
 from scenec.datasets.formats.rectify import Rectified
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.imu import Imu, RigState
@@ -23,8 +23,6 @@ _LENSES = {
     KANNALA_BRANDT: [("equidistant", 4)],
 }
 NANO = 1_000_000_000
-#: x forward, y left, z up in the axes of a camera (x right, y down, z forward).
-LINK_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 class Messages:
