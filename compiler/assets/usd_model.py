@@ -81,6 +81,8 @@ def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -
         normals = surface.normals[surface.side[triangles]] * (-1.0 if polygons.left_handed else 1.0)
     if surface is not None and not surface.is_close():
         looks.notes.append(f"{path}: it has too many faces to be refined to its limit surface")
+    if surface is not None and mesh.GetNormalsAttr().HasAuthoredValue():
+        looks.notes.append(f"{path}: its normals give way to those of its subdivision surface")
     whole = Shell(
         path,
         polygons.points,
