@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.packages import as_file, is_packaged
+
 #: Kinds of map, as they are named in cfgs; the channels of each.
 MAP_CHANNELS = {
     "base_color": 3,
@@ -33,12 +35,15 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
     Row 0 is the top. Alpha and palettes are resolved to gray or RGB.
 
     Args:
-        path: The file, or the bytes of one that is no OpenEXR.
+        path: The file, also one inside of a package, or the bytes of one that is no OpenEXR.
         alpha: Whether its alpha is wanted instead, [h, w, 1]: 255 everywhere where it has none.
 
     Raises:
         ValueError: Not a picture of these kinds, broken, or too large.
     """
+    if isinstance(path, Path) and is_packaged(path):
+        with as_file(path) as file:
+            return read_pixels(file)
     if isinstance(path, Path) and path.suffix.lower() == ".exr":
         # Imported here: few pictures are.
         from scenec.schemas.exr import read_rgb

@@ -14,6 +14,14 @@ from scenec.backends.stage.implicit import dimensions, tessellate
 from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.stage.scene import Maps, Mesh, Surface
 from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.subdivided import (
+    FAR,
+    MeshPolygons,
+    at_corners,
+    on_limit,
+    read_polygons,
+    refined,
+)
 from scenec.backends.stage.surfaces import (
     bound_material,
     bound_surface,
@@ -27,6 +35,7 @@ from scenec.backends.stage.unread import Unread, all_equal
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.polygons import triangulate
+from scenec.schemas.subdivision import Refined
 
 
 class MeshTable:
@@ -113,42 +122,47 @@ class MeshTable:
     def _read(self, mesh: UsdGeom.Mesh, inherited: dict[str, int]) -> list[Mesh]:
         prim = mesh.GetPrim()
         time = self._time
-        points = values.array(mesh.GetPointsAttr(), np.float32, time, width=(3,))
-        counts = values.array(mesh.GetFaceVertexCountsAttr(), np.int32, time)
-        indices = values.array(mesh.GetFaceVertexIndicesAttr(), np.int32, time)
-        holes = values.array(mesh.GetHoleIndicesAttr(), np.int64, time)
-        _require_sound(prim, points, counts, indices, holes)
-        left_handed = values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded
-        cut = triangulate(points, indices, counts, holes)
+        read = read_polygons(mesh, time)
+        layers = read_layers(mesh, len(read.points), self._sources)
+        variation = read_variation(prim, len(read.points))
+        surface = None
+        if layers is None and variation is None:
+            surface = refined(mesh, read, time)
+            if surface is not None and not surface.is_close():
+                self.unread.add(FAR, prim)
+        drawn = read if surface is None else on_limit(surface)
+        cut = triangulate(drawn.points, drawn.indices, drawn.counts, drawn.holes)
         for fault in cut.faults:
             self.unread.add(fault, prim)
         corners, authored = cut.corners.astype(np.int32), cut.polygon.astype(np.int32)
-        if left_handed:
+        normals = _normals(mesh, len(read.points), time) if surface is None else drawn.normals
+        if surface is not None:
+            authored = surface.polygon[authored].astype(np.int32)
+        if values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded:
             corners = np.ascontiguousarray(corners[:, [0, 2, 1]])
-        faces = indices[corners]
-        labels = face_labels(mesh, self.labels, inherited, len(counts))
-        layers = read_layers(mesh, len(points), self._sources)
-        surfaces, weights = layers or ([], np.zeros((0, len(points)), np.float32))
+            if surface is not None and normals is not None:
+                normals = -normals
+        faces = drawn.indices[corners]
+        labels = face_labels(mesh, self.labels, inherited, len(read.counts))
+        surfaces, weights = layers or ([], np.zeros((0, len(drawn.points)), np.float32))
         if layers is not None:
-            indices_of_layers = tuple(self._index(surface) for surface in surfaces)
+            indices_of_layers = tuple(self._index(each) for each in surfaces)
         else:
             # Its own once the mesh's colors are known.
             indices_of_layers = ()
 
-        coordinates = _Coordinates(
-            mesh, corners, faces, authored, (len(points), len(indices), len(counts)), time
-        )
-        same = len(counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
+        coordinates = _Coordinates(mesh, corners, faces, authored, read, surface, time)
+        same = len(read.counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
         whole = Mesh(
             path=str(prim.GetPath()),
-            points=points,
+            points=drawn.points,
             faces=faces,
             authored_face=None if same else authored,
-            normals=_normals(mesh, len(points), self._time),
+            normals=normals,
             labels={level: ids[authored] for level, ids in labels.items()},
             layers=indices_of_layers,
             weights=weights,
-            variation=read_variation(prim, len(points)),
+            variation=variation,
             height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
             color=coordinates.color(names.PRIMVAR_COLOR),
         )
@@ -236,24 +250,6 @@ def _part(
     )
 
 
-def _require_sound(
-    prim: Usd.Prim, points: NDArray, counts: NDArray, indices: NDArray, holes: NDArray
-) -> None:
-    path = prim.GetPath()
-    if counts.size and counts.min() < 0:
-        raise StageError(f"{path}: a face has {counts.min()} vertices")
-    total = int(counts.sum(dtype=np.int64))
-    if total != indices.size:
-        raise StageError(
-            f"{path}: faceVertexCounts add up to {total}, but there are {indices.size} "
-            "faceVertexIndices"
-        )
-    if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
-        raise StageError(f"{path}: faceVertexIndices reach beyond the {len(points)} points")
-    if holes.size and (holes.min() < 0 or holes.max() >= len(counts)):
-        raise StageError(f"{path}: holeIndices reach beyond the {len(counts)} faces")
-
-
 def _normals(
     mesh: UsdGeom.Mesh, point_count: int, time: Usd.TimeCode
 ) -> NDArray[np.float32] | None:
@@ -281,7 +277,8 @@ class _Coordinates:
         corners: Which of ``faceVertexIndices`` each triangle's are, int32 [m, 3].
         faces: Vertices of each triangle, int32 [m, 3].
         authored: Polygon of each triangle, int32 [m].
-        sizes: Number of the mesh's (vertices, corners, polygons).
+        read: The mesh's polygons.
+        surface: What they were refined to.
         time: When.
     """
 
@@ -289,7 +286,8 @@ class _Coordinates:
     corners: NDArray[np.int32]
     faces: NDArray[np.int32]
     authored: NDArray[np.int32]
-    sizes: tuple[int, int, int]
+    read: MeshPolygons
+    surface: Refined | None
     time: Usd.TimeCode
 
     def of(self, surfaces: Sequence[Surface]) -> NDArray[np.float32] | None:
@@ -340,14 +338,13 @@ class _Coordinates:
     def _spread(self, primvar: UsdGeom.Primvar, width: int) -> NDArray[np.float32]:
         """A primvar's values at the corners of triangles, [m, 3, width]."""
         found = values.flattened(primvar, np.float32, self.time, width=(width,))
-        vertices, corners, polygons = self.sizes
         kind = primvar.GetInterpolation()
         tokens = UsdGeom.Tokens
-        needed, at = vertices, self.faces
+        needed, at = len(self.read.points), self.faces
         if kind == tokens.faceVarying:
-            needed, at = corners, self.corners
+            needed, at = len(self.read.indices), self.corners
         elif kind == tokens.uniform:
-            needed, at = polygons, np.repeat(self.authored[:, None], 3, axis=1)
+            needed, at = len(self.read.counts), np.repeat(self.authored[:, None], 3, axis=1)
         elif kind == tokens.constant:
             needed, at = 1, np.zeros_like(self.faces)
         if len(found) != needed or not np.isfinite(found).all():
@@ -355,4 +352,6 @@ class _Coordinates:
                 f"{self.mesh.GetPath()}: primvar {primvar.GetPrimvarName()} ({kind}) must hold "
                 f"{needed} finite {('pairs of numbers', 'colors')[width - 2]}, has {len(found)}"
             )
+        if self.surface is not None and kind not in (tokens.uniform, tokens.constant):
+            found, at = at_corners(self.surface, primvar, found, self.read, self.time), self.corners
         return np.ascontiguousarray(found[at])

@@ -35,7 +35,11 @@ _CONSTANT = UsdGeom.Tokens.constant
 _UNKNOWN = Sdf.SpecTypeUnknown
 _SUBDIVIDED = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
 #: Attributes of meshes whose change deforms them.
-_DEFORMING = ("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals")
+_DEFORMING = (
+    *("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals"),
+    *("cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths", "creaseSharpnesses"),
+    *("interpolateBoundary", "faceVaryingLinearInterpolation", "triangleSubdivisionRule"),
+)
 
 #: Types of lights that are drawn.
 LIGHTS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
@@ -256,8 +260,8 @@ class Unread:
         self._attributes(prim, "Mesh" if mesh else kind_of(prim))
         if mesh:
             if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
-                self.add("a subdivision surface is shown as its cage", prim)
-            if _corner_normals(mesh):
+                self._cage(mesh)
+            elif _corner_normals(mesh):
                 self.add("normals of face corners are not followed, faces are shaded flat", prim)
             binding = UsdSkel.BindingAPI(prim)
             if binding.GetJointIndicesPrimvar().HasValue() or (
@@ -278,6 +282,21 @@ class Unread:
                 found = values.array(opacity.GetAttr(), np.float64, _FIRST)
                 if found.min(initial=1.0) < 1.0:
                     self.add("displayOpacity is not followed", prim)
+
+    def _cage(self, mesh: UsdGeom.Mesh) -> None:
+        prim = mesh.GetPrim()
+        if not mesh.GetSubdivisionSchemeAttr().HasAuthoredValue():
+            has_normals = UsdGeom.PrimvarsAPI(prim).HasPrimvar("normals")
+            if has_normals or mesh.GetNormalsAttr().HasAuthoredValue():
+                self.add(
+                    "normals of a mesh without a subdivisionScheme give way to those of "
+                    "USD's default, a Catmull-Clark surface",
+                    prim,
+                )
+        if prim.HasRelationship(names.REL_LAYERS) or prim.HasAttribute(
+            f"primvars:{names.PRIMVAR_VARIATION}"
+        ):
+            self.add("a subdivision surface with scenec's primvars is shown as its cage", prim)
 
     def material(self, material: UsdShade.Material) -> None:
         """Notes what of a bound material is not followed; of ours nothing is lost."""

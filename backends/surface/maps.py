@@ -11,6 +11,7 @@ from scenec.backends.stage.scene import Maps, Mesh, Reading
 from scenec.schemas import maps
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import once_per_file
+from scenec.schemas.packages import file_around
 
 _PLAIN = Reading()
 
@@ -75,7 +76,7 @@ def load_map(
     Raises:
         StageError: The file is missing, or no picture of the kinds that are taken.
     """
-    if not path.is_file():
+    if not file_around(path).is_file():
         raise StageError(f"{path}: the map is missing")
     try:
         pixels = maps.read_pixels(path, alpha=reading.channel == "a")

@@ -173,6 +173,11 @@ def corner_normals(found):
     found.SetNormalsInterpolation("faceVarying")
 
 
+def unsaid(found):
+    found.CreateNormalsAttr([(0, 0, 1)] * 4)
+    found.GetSubdivisionSchemeAttr().Clear()
+
+
 def light(kind: str, name: str, value):
     def build(stage):
         prim = stage.DefinePrim("/Root/it", kind)
@@ -277,7 +282,7 @@ LOSSES = {
     "skin": (mesh(skinned), "a skinned mesh stands in its rest pose"),
     "blend": (mesh(blended), "a skinned mesh stands in its rest pose"),
     "clear": (mesh(lambda m: m.CreateDisplayOpacityAttr([0.5])), "displayOpacity is not followed"),
-    "cage": (mesh(lambda m: m.CreateSubdivisionSchemeAttr("loop")), "a subdivision surface"),
+    "cage": (mesh(unsaid), "normals of a mesh without a subdivisionScheme"),
     "normals": (mesh(corner_normals), "normals of face corners"),
     "waves": (mesh(waving), "a shape that deforms stands still"),
     "flicker": (mesh(recolored), "primvars that change"),

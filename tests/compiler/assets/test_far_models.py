@@ -69,6 +69,7 @@ def write_crate(path: Path, place: np.ndarray = PLACE) -> Path:
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         mesh = UsdGeom.Mesh.Define(stage, "/crate")
+        mesh.CreateSubdivisionSchemeAttr("none")
         mesh.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*place.tolist()))
         mesh.CreatePointsAttr((CRATE - PLACE).tolist())
         mesh.CreateFaceVertexCountsAttr([4] * 6)
