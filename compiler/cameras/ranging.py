@@ -59,6 +59,15 @@ class Stereo:
     """Disparities are multiples of it; 0: any number."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.3, 50])
     """Nearest and farthest depth that is answered."""
+    bias_px: float = key(
+        forms.PER_BATCH, default=0, sparse=True, at_least=-100, at_most=100, unit="px"
+    )
+    """What all disparities are off by, as of a calibration; above 0, depths are short."""
+    edge_px: float = key(forms.PER_BATCH, default=0, sparse=True, at_least=0, at_most=64, unit="px")
+    """No answer within so many pixels, along rows and columns, of where disparity steps by more
+    than a pixel."""
+    lost: float = key(forms.FRACTION_PER_BATCH, default=0, sparse=True)
+    """Share of answers that are lost by chance: one less the fill rate."""
 
     def draw(self, context: Context) -> DepthCamera:
         """Returns what measures."""
@@ -89,6 +98,12 @@ class TimeOfFlight:
     """Standard deviation of the spot that a pixel gathers light from; at outlines ranges mix."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.1, 15])
     """Nearest and farthest range that is answered."""
+    bias_m: float = key(
+        forms.LENGTH_PER_BATCH, default=0, sparse=True, at_least=-1000, at_most=1000
+    )
+    """What all ranges are off by."""
+    lost: float = key(forms.FRACTION_PER_BATCH, default=0, sparse=True)
+    """Share of answers that are lost by chance: one less the fill rate."""
 
     def draw(self, context: Context) -> DepthCamera:
         """Returns what measures."""
