@@ -7,6 +7,7 @@ such cameras have it. ``depth`` stays exact beside it.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, fields
+from typing import Any
 
 MEASURED = "depth_measured"
 
@@ -83,7 +84,8 @@ def of_numbers(kind: str, numbers: list[float]) -> StereoDepth | TimeOfFlightDep
     try:
         at = _before_range(kind)
         low, high = numbers[at : at + 2]
-        return _MODELS[kind](*numbers[:at], (low, high), *numbers[at + 2 :])
+        values: list[Any] = [*numbers[:at], (low, high), *numbers[at + 2 :]]
+        return _MODELS[kind](*values)
     except (KeyError, TypeError, ValueError) as error:
         message = f"{kind!r} with {len(numbers)} numbers is no depth camera"
         raise ValueError(message) from error

@@ -42,8 +42,8 @@ SOURCES: Final = {
     "maki2012": "Maki and others, Space Science Reviews 170 (2012) 77, abstract",
     "cmv20000": f"ams, CMV20000 data sheet: 5120 x 3840 of 6.4 µm, full well, read noise; "
     f"f/12; {MEMORY}",
-    "mer": "Maki and others, J. Geophysical Research 108 (2003) 8071: pitch, full well, read noise, "
-    f"f-numbers; {MEMORY}",
+    "mer": "Maki and others, J. Geophysical Research 108 (2003) 8071: pitch, full well, read "
+    f"noise, f-numbers; {MEMORY}",
     "sony": f"IMX219 and IMX477: all but names; {MEMORY}",
     "emva": f"FLIR, EMVA 1288 imaging performance of the model: full well, read noise; {MEMORY}",
 }

@@ -2,8 +2,8 @@
 
 python -m tools.declarations
 
-``schemas/cfg.schema.json``, ``docs/cfg.md`` and the table of ``docs/presets.md`` are part of the repository, and tests hold them
-against the declarations; ``compiler/cfg/builder.pyi`` is not.
+``schemas/cfg.schema.json``, ``docs/cfg.md`` and the table of ``docs/presets.md`` are part of the
+repository, and tests hold them against the declarations; ``compiler/cfg/builder.pyi`` is not.
 """
 
 from __future__ import annotations
