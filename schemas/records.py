@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from scenec.schemas.codec import JSON, UNSET, Natural, Unset, is_number, omitted
+from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
 
 Row3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
@@ -434,6 +435,9 @@ class ScanRecord:
     lidar_to_world: Matrix4 | Unset = UNSET
     range_m: tuple[float, ...] | Unset = UNSET
     noise: LidarNoise | Unset = UNSET
+    intensity: LidarIntensity | None = omitted()
+    footprint: LidarFootprint | None = omitted()
+    detection: LidarDetection | None = omitted()
     labels: Mapping[str, Mapping[str, str]] | Unset = UNSET
     instances: Mapping[str, int] | Unset = UNSET
     losses: tuple[str, ...] | Unset = UNSET

@@ -187,6 +187,12 @@ ATTR_LIDAR_RATIO_NOISE = "scenec:lidar:noise:rangeRatio"
 ATTR_LIDAR_ANGLE_NOISE = "scenec:lidar:noise:angle"
 ATTR_LIDAR_DROPOUT = "scenec:lidar:noise:dropout"
 ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
+#: double4 each, meters and degrees, not authored where there is no such thing: the fields of
+#: ``schemas.lidar``'s models in their order (how intensities are told, how wide beams are, which
+#: returns are detected).
+ATTR_LIDAR_INTENSITY = "scenec:lidar:intensity"
+ATTR_LIDAR_FOOTPRINT = "scenec:lidar:footprint"
+ATTR_LIDAR_DETECTION = "scenec:lidar:detection"
 
 #: An IMU is an Xform with these: x ahead, y left, z up; all in meters, seconds, radians and the
 #: stage's world, whose z is up, whatever the units of the stage. double: readings a second; double:

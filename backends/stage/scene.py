@@ -22,6 +22,7 @@ from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
+from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.vehicle import Vehicle
 
@@ -393,6 +394,9 @@ class Lidar:
         range_noise_m, range_noise_ratio: Standard deviations of ranges, meters and as a share.
         angle_noise_deg: Of azimuth and of elevation.
         dropout, key: Share of answers lost; of the numbers drawn, below 2**64.
+        intensity: How it tells intensities, or None: not at all.
+        footprint: Width of its beams, or None: they have none.
+        detection: Which returns are detected, or None: all.
     """
 
     name: str
@@ -406,6 +410,9 @@ class Lidar:
     angle_noise_deg: float = 0.0
     dropout: float = 0.0
     key: int = 0
+    intensity: LidarIntensity | None = None
+    footprint: LidarFootprint | None = None
+    detection: LidarDetection | None = None
 
 
 @dataclass(frozen=True)

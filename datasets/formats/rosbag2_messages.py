@@ -185,8 +185,8 @@ class Messages:
     def cloud(self, scan: Scan, frame_id: str, stamp: int) -> Any:
         """sensor_msgs/PointCloud2 of a scan's answers, with the beam of each as ring.
 
-        Intensity is there where the scan has one; time is after the stamp, seconds: 0, since a scan
-        is taken at one instant.
+        Intensity is there where the scan has one, the number of the return (from 1) where a beam
+        may have several; time is after the stamp, seconds: 0, since a scan is taken at one instant.
         """
         arrays = scan.arrays
         there = np.isfinite(arrays["range"])
@@ -196,6 +196,9 @@ class Messages:
             columns["intensity"] = arrays["intensity"][there]
         types = {**dict.fromkeys(columns, "<f4"), "ring": "<u2", "time": "<f4"}
         columns["ring"] = np.nonzero(there)[0]
+        if there.ndim == 3:
+            types["return"] = "<u2"
+            columns["return"] = there.cumsum(axis=2)[there]
         table = np.zeros(len(points), [*types.items()])
         for name, values in columns.items():
             table[name] = values
