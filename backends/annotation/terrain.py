@@ -44,22 +44,27 @@ _DENSE = 10.5
 
 
 def look_down(
-    scene: RenderScene, caster: ExactCaster, x: NDArray[np.float64], y: NDArray[np.float64]
+    scene: RenderScene,
+    caster: ExactCaster,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    rows: NDArray[np.bool_] | None = None,
 ) -> tuple[Rays, Hits]:
     """Casts rays straight down, all at once.
 
     Args:
         scene: The stage.
-        caster: Of it, or of a part of it, posed.
+        caster: Of it, posed.
         x, y: Places, meters, float64 [n].
+        rows: Which rows of the stage are there, bool [r]; None: all.
 
     Returns:
         The rays, which begin a meter above all there is, and what they hit.
     """
     origins = np.column_stack([x, y, np.full(len(x), scene.bounds[1, 2] + 1.0)])
-    directions = np.broadcast_to(np.array([0.0, 0.0, -1.0]), origins.shape)
-    rays = Rays(origins, np.ascontiguousarray(directions), (1, len(x)))
-    return rays, Hits(*caster.cast(rays, np.arange(len(x))), caster.geometry)
+    down = np.array([0.0, 0.0, -1.0])
+    rays = Rays(origins, np.broadcast_to(down, origins.shape), (1, len(x)))
+    return rays, caster.cast_parallel(origins, down, rows=rows)
 
 
 @dataclass(frozen=True, eq=False)

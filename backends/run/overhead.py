@@ -74,7 +74,7 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
         area_m=area,
         layers=tuple(layers),
         label_names=scene.label_names,
-        objects=objects_table(scene, session.instances, sample, area),
+        objects=objects_table(scene, session.caster(trees=False), session.instances, sample, area),
         paths=paths_table(scene),
         sun=sun,
         losses=scene.losses,
@@ -123,7 +123,9 @@ class MapTile:
         scene = session.scene
         if scene.digest != self.digest:
             raise StageError(f"{scene.source}: has changed since its map was begun; export again")
-        arrays = map_tile(scene, session.caster(), self.grid, self.tile, self.options, self.layers)
+        arrays = map_tile(
+            scene, session.caster(trees=False), self.grid, self.tile, self.options, self.layers
+        )
         with atomic(self.file) as temporary, temporary.open("wb") as out:
             np.savez(out, allow_pickle=False, **arrays)
 
