@@ -20,7 +20,7 @@ from scenec.backends.run.units import Opening
 from scenec.datasets.export_records import EXPORT
 from scenec.datasets.maps import MAP, SETTINGS
 from scenec.datasets.maps.rasters import rasters, write_layers
-from scenec.datasets.maps.sheet import write_map_sheet
+from scenec.datasets.maps.sheet import SIDE, write_map_sheet
 from scenec.datasets.maps.tables import write_table
 from scenec.datasets.models.verify import ModelsRecord
 from scenec.schemas.codec import encode, read_record
@@ -37,7 +37,7 @@ from scenec.schemas.vehicle import Vehicle
 from scenec.schemas.versions import version_of
 
 #: Changes whenever the same stage would give other maps.
-_VERSION = 1
+_VERSION = 2
 _SHEET = "map.png"
 _TABLES = ("objects", "paths")
 _PRUNED = (
@@ -159,11 +159,11 @@ class _Export:
         for number, (unit, _) in enumerate(self._done(todo), len(units) - len(todo) + 1):
             steps(number, len(units), unit.what)
         files = {unit.tile: unit.file for unit in units}
-        write_layers(folder, grid, facts.layers, facts.place, files.__getitem__)
+        small = write_layers(folder, grid, facts.layers, facts.place, files.__getitem__, side=SIDE)
         names = [f"{name}.tif" for name in facts.layers]
         for table in _TABLES:
             names += write_table(folder, table, getattr(facts, table), facts.place)
-        write_map_sheet(folder / _SHEET, folder, grid, facts.layers, facts.label_names)
+        write_map_sheet(folder / _SHEET, small, grid, facts.label_names)
         names.append(_SHEET)
         written = {
             f"{batch.name}/{name}": {

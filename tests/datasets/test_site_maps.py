@@ -146,7 +146,7 @@ def test_a_place_moves_rasters_and_tables_alike(tmp_path):
     )  # fmt: skip
     grid = MapGrid(-2.0, 1.0, 0.5, 8, 4)
     np.savez(tmp_path / "tile.npz", height=np.arange(32, dtype=np.float32).reshape(4, 8))
-    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz")
+    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz", 480)
     with rasterio.open(tmp_path / "height.tif") as file:
         # x = 0.25, y = -0.25 is in row 2, column 4.
         assert next(iter(file.sample([(5000.25, -6999.75)]))) == 20
@@ -165,7 +165,7 @@ def test_gdal_takes_a_map_of_a_plane_on_a_body_to_the_latitudes_of_its_tables(tm
     place = Georeference("Mars", 3396190.0, 3376200.0, 18.4, 77.5)
     grid = MapGrid(-50.0, 40.0, 10.0, 10, 8)
     np.savez(tmp_path / "tile.npz", height=np.zeros((8, 10), np.float32))
-    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz")
+    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz", 480)
     table = {"id": np.arange(2), "x_m": np.array([0.0, 33.0]), "y_m": np.array([0.0, -25.0]),
              "z_m": np.zeros(2)}  # fmt: skip
     write_table(tmp_path, "objects", table, place)
@@ -248,7 +248,7 @@ def test_tiles_that_are_there_are_not_cast_again(out, tmp_path):
 import os, signal
 import scenec.datasets.maps.rasters as rasters
 import scenec.api.maps as maps
-maps.write_layers = lambda *a: os.kill(os.getpid(), signal.SIGKILL)
+maps.write_layers = lambda *a, **k: os.kill(os.getpid(), signal.SIGKILL)
 from scenec.cli.main import main
 main(["export", {str(out)!r}, "--format", "map", "-o", {str(folder)!r}, *{FEW!r}])
 """
