@@ -29,7 +29,7 @@ from scenec.schemas.files import as_json, check_writable, read_json, sha256, swe
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.manifest import LEFT_OUT, Batch
 from scenec.schemas.passes import ANNOTATION
-from scenec.schemas.site_map import LAYERS, MapGrid, MapOptions, SiteFacts
+from scenec.schemas.site_map import LAYERS, MapGrid, MapOptions, SiteFacts, Table
 from scenec.schemas.spelling import nearest
 from scenec.schemas.units import Executor, Unit, run_all
 from scenec.schemas.update import finish_update, reading, replace_files
@@ -39,7 +39,7 @@ from scenec.schemas.versions import version_of
 #: Changes whenever the same stage would give other maps.
 _VERSION = 2
 _SHEET = "map.png"
-_TABLES = ("objects", "paths")
+_TABLES = ("objects", "paths", "craters")
 _PRUNED = (
     "objects and ground that no camera sees the effect of are not in the stage, or are coarse; "
     "scenec compile --keep all keeps them"
@@ -161,8 +161,8 @@ class _Export:
         files = {unit.tile: unit.file for unit in units}
         small = write_layers(folder, grid, facts.layers, facts.place, files.__getitem__, side=SIDE)
         names = [f"{name}.tif" for name in facts.layers]
-        for table in _TABLES:
-            names += write_table(folder, table, getattr(facts, table), facts.place)
+        for name, table in _tables(facts).items():
+            names += write_table(folder, name, table, facts.place)
         write_map_sheet(folder / _SHEET, small, grid, facts.label_names)
         names.append(_SHEET)
         written = {
@@ -196,6 +196,12 @@ def _digest(stages: list[list[str]], asked: MapOptions) -> str:
     return hashlib.sha256(as_json(known).encode()).hexdigest()
 
 
+def _tables(facts: SiteFacts) -> dict[str, Table]:
+    """The tables that there are, by name."""
+    found: dict[str, Table] = {name: getattr(facts, name) for name in _TABLES}
+    return {name: table for name, table in found.items() if table}
+
+
 def _entry(facts: SiteFacts, grid: MapGrid) -> dict[str, Any]:
     """What ``export.json`` says of a batch."""
     return {
@@ -211,7 +217,7 @@ def _entry(facts: SiteFacts, grid: MapGrid) -> dict[str, Any]:
         },
         "sun": None if facts.sun is None else {"to_light": facts.sun[:3], "angle": facts.sun[3]},
         "georeference": None if facts.place is None else asdict(facts.place),
-        "rows": {name: len(next(iter(getattr(facts, name).values()))) for name in _TABLES},
+        "rows": {name: len(table["x_m"]) for name, table in _tables(facts).items()},
         "losses": list(facts.losses),
     }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -93,9 +95,7 @@ def objects_table(
     inside = (west <= x) & (x <= east) & (south <= y) & (y <= north) & (high > low).any(axis=1)
     which = np.flatnonzero(inside)
     x, y, bottom, top = x[which], y[which], low[which, 2], high[which, 2]
-    caster.pose(sample)
-    rays, hits = look_down(scene, caster, x, y, scene.rows.instance_id == 0)
-    ground = np.where(hits.row < 0, np.nan, rays.origins[:, 2] - hits.t)
+    ground = ground_heights(scene, caster, sample, x, y)
     box = table.size(sample)[1][which].astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         burial = np.clip((ground - bottom) / (top - bottom), 0.0, 1.0)
@@ -112,6 +112,40 @@ def objects_table(
         "above_ground_m": top - ground,
         "burial": burial,
     }
+
+
+def craters_table(
+    scene: RenderScene, caster: ExactCaster, sample: int, area_m: tuple[float, ...]
+) -> Table:
+    """Craters whose centers lie in an area, oldest first; no column where the stage tells of none.
+
+    Returns:
+        Columns: those of ``CraterTable``; ``crater`` is the place in the stage's table, ``z_m`` the
+        height of the ground at the center, NaN where there is none.
+    """
+    table = scene.craters
+    if table is None:
+        return {}
+    west, south, east, north = area_m
+    x, y = table.x_m, table.y_m
+    which = np.flatnonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
+    columns = {one.name: getattr(table, one.name)[which] for one in fields(table)}
+    x, y = columns.pop("x_m"), columns.pop("y_m")
+    z = ground_heights(scene, caster, sample, x, y)
+    return {"crater": which, "x_m": x, "y_m": y, "z_m": z, **columns}
+
+
+def ground_heights(
+    scene: RenderScene,
+    caster: ExactCaster,
+    sample: int,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Heights of the highest of what is no instance, NaN where there is none, float64 [n]."""
+    caster.pose(sample)
+    rays, hits = look_down(scene, caster, x, y, scene.rows.instance_id == 0)
+    return np.where(hits.row < 0, np.nan, rays.origins[:, 2] - hits.t)
 
 
 def paths_table(scene: RenderScene) -> Table:

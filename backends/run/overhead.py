@@ -55,6 +55,7 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
     # Imported here: who gives units out has no need of it.
     from scenec.backends.annotation.overhead import brightest
     from scenec.backends.annotation.overhead_tables import (
+        craters_table,
         ground_area,
         objects_table,
         paths_table,
@@ -79,6 +80,7 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
         sun=sun,
         losses=scene.losses,
         place=scene.georeference,
+        craters=craters_table(scene, session.caster(trees=False), sample, area),
     )
 
 
