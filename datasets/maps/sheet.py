@@ -11,14 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from scenec.datasets.colors import label_colors, paint_instances, paint_labels, viridis
+from scenec.datasets.colors import (
+    CLASS_COLORS,
+    label_colors,
+    paint_classes,
+    paint_instances,
+    paint_labels,
+    viridis,
+)
 from scenec.schemas.files import atomic
 from scenec.schemas.site_map import LAYERS, MapGrid
 from scenec.schemas.vehicle import TRAVERSABILITY
 
 _INK, _PAPER = (34, 34, 34), (255, 255, 255)
-#: Of Okabe and Ito (2008): unknown, traversable, caution, hazard.
-_CLASSES = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
 #: Pixels along the longer side of a layer's picture.
 SIDE = 480
 _GAP, _HEAD, _LEGEND = 14, 28, 60
@@ -74,9 +79,7 @@ def _paint(
 ) -> tuple[NDArray[np.uint8], _Legend]:
     """Colors [h, w, 3]; the ends of a scale, or colors and what they stand for."""
     if name == "traversability":
-        return np.array(_CLASSES, np.uint8)[values], list(
-            zip(_CLASSES, TRAVERSABILITY, strict=True)
-        )
+        return paint_classes(values), list(zip(CLASS_COLORS, TRAVERSABILITY, strict=True))
     if name == "instance":
         return paint_instances(values), []
     if name.startswith("label_"):
