@@ -131,7 +131,10 @@ class ExactCaster:
         any_hit: bool = False,
         rows: NDArray[np.bool_] | None = None,
     ) -> Hits:
-        """Hits of parallel rays, those of ``cast`` to the bit, by whichever way costs less.
+        """Hits of parallel rays, those of ``cast`` to the bit.
+
+        They go by trees where there are any; without, by whichever way costs less, trees to be
+        built included, for rays that are spread evenly.
 
         Args:
             origins: float64 [n, 3], meters, finite.
@@ -141,8 +144,9 @@ class ExactCaster:
         """
         beams = parallel_rays(self.geometry, origins, direction, rows)
         n = len(origins)
-        trees = _RAY * n + (0.0 if self._grown else _TREE * len(self.geometry.faces))
-        if rows is None and trees < _TRIANGLE * beams.faces:
+        trees = _RAY * n + _TREE * len(self.geometry.faces)
+        # Who has trees casts for a picture: such rays lie in heaps, which cells do not part.
+        if rows is None and (self._grown or trees < _TRIANGLE * beams.faces):
             self.grow()
             each = np.ascontiguousarray(np.broadcast_to(direction, origins.shape))
             return Hits(*self.cast(Rays(origins, each, (1, n)), np.arange(n)), self.geometry)
