@@ -20,7 +20,7 @@ from scenec.backends.run.units import Opening
 from scenec.datasets.export_records import EXPORT
 from scenec.datasets.maps import MAP, SETTINGS
 from scenec.datasets.maps.rasters import rasters, write_layers
-from scenec.datasets.maps.sheet import write_map_sheet
+from scenec.datasets.maps.sheet import SIDE, write_map_sheet
 from scenec.datasets.maps.tables import write_table
 from scenec.datasets.models.verify import ModelsRecord
 from scenec.schemas.codec import encode, read_record
@@ -29,7 +29,7 @@ from scenec.schemas.files import as_json, check_writable, read_json, sha256, swe
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.manifest import LEFT_OUT, Batch
 from scenec.schemas.passes import ANNOTATION
-from scenec.schemas.site_map import LAYERS, MapGrid, MapOptions, SiteFacts
+from scenec.schemas.site_map import LAYERS, MapGrid, MapOptions, SiteFacts, Table
 from scenec.schemas.spelling import nearest
 from scenec.schemas.units import Executor, Unit, run_all
 from scenec.schemas.update import finish_update, reading, replace_files
@@ -37,9 +37,9 @@ from scenec.schemas.vehicle import Vehicle
 from scenec.schemas.versions import version_of
 
 #: Changes whenever the same stage would give other maps.
-_VERSION = 1
+_VERSION = 2
 _SHEET = "map.png"
-_TABLES = ("objects", "paths")
+_TABLES = ("objects", "paths", "craters")
 _PRUNED = (
     "objects and ground that no camera sees the effect of are not in the stage, or are coarse; "
     "scenec compile --keep all keeps them"
@@ -159,11 +159,11 @@ class _Export:
         for number, (unit, _) in enumerate(self._done(todo), len(units) - len(todo) + 1):
             steps(number, len(units), unit.what)
         files = {unit.tile: unit.file for unit in units}
-        write_layers(folder, grid, facts.layers, facts.place, files.__getitem__)
+        small = write_layers(folder, grid, facts.layers, facts.place, files.__getitem__, side=SIDE)
         names = [f"{name}.tif" for name in facts.layers]
-        for table in _TABLES:
-            names += write_table(folder, table, getattr(facts, table), facts.place)
-        write_map_sheet(folder / _SHEET, folder, grid, facts.layers, facts.label_names)
+        for name, table in _tables(facts).items():
+            names += write_table(folder, name, table, facts.place)
+        write_map_sheet(folder / _SHEET, small, grid, facts.label_names)
         names.append(_SHEET)
         written = {
             f"{batch.name}/{name}": {
@@ -196,6 +196,12 @@ def _digest(stages: list[list[str]], asked: MapOptions) -> str:
     return hashlib.sha256(as_json(known).encode()).hexdigest()
 
 
+def _tables(facts: SiteFacts) -> dict[str, Table]:
+    """The tables that there are, by name."""
+    found: dict[str, Table] = {name: getattr(facts, name) for name in _TABLES}
+    return {name: table for name, table in found.items() if table}
+
+
 def _entry(facts: SiteFacts, grid: MapGrid) -> dict[str, Any]:
     """What ``export.json`` says of a batch."""
     return {
@@ -211,7 +217,7 @@ def _entry(facts: SiteFacts, grid: MapGrid) -> dict[str, Any]:
         },
         "sun": None if facts.sun is None else {"to_light": facts.sun[:3], "angle": facts.sun[3]},
         "georeference": None if facts.place is None else asdict(facts.place),
-        "rows": {name: len(next(iter(getattr(facts, name).values()))) for name in _TABLES},
+        "rows": {name: len(table["x_m"]) for name, table in _tables(facts).items()},
         "losses": list(facts.losses),
     }
 

@@ -160,6 +160,7 @@ def assemble(
         haze=light.haze,
         sky_label_maps=light.sky_label_maps,
         sky_labels_below=plan.sky_labels_below if needs.labels else {},
+        craters=relief.craters,
     )
     return scene, {}
 

@@ -38,6 +38,24 @@ _VIRIDIS = np.array(
     np.float64,
 )
 
+#: What places are to a vehicle (``schemas.vehicle.TRAVERSABILITY``), of Okabe and Ito (2008), which
+#: color-blind eyes tell apart: gray, blue, yellow, vermilion.
+CLASS_COLORS = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
+#: Slope, degrees, from which on all have one color.
+STEEP = 45.0
+
+
+def paint_classes(classes: NDArray[np.unsignedinteger]) -> NDArray[np.uint8]:
+    """Colors of what places are to a vehicle: uint8 [h, w, 3]."""
+    return np.array(CLASS_COLORS, np.uint8)[np.minimum(classes, len(CLASS_COLORS) - 1)]
+
+
+def paint_slope(degrees: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Slopes on a viridis scale that ends at ``STEEP``; nothing hit is white. uint8 [h, w, 3]."""
+    known = np.isfinite(degrees)
+    part = np.clip(np.where(known, degrees, 0.0) / STEEP, 0.0, 1.0)
+    return np.where(known[..., None], viridis(part), np.uint8(255))
+
 
 def label_colors(ids: list[int]) -> dict[int, tuple[int, int, int]]:
     """A color of its own for each label id, in order; beyond nine, lighter and darker ones."""

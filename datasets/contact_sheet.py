@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.datasets.colors import (
+    CLASS_COLORS,
     NO_LABEL,
+    STEEP,
     label_colors,
+    paint_classes,
     paint_depth,
     paint_instances,
     paint_labels,
+    paint_slope,
     viridis,
 )
 from scenec.datasets.motion_colors import (
@@ -33,6 +37,7 @@ from scenec.datasets.motion_colors import (
     scale_of,
     wheel_picture,
 )
+from scenec.schemas.vehicle import TRAVERSABILITY
 
 _INK = (34, 34, 34)
 _PAPER = (255, 255, 255)
@@ -54,6 +59,7 @@ class SheetFrame:
         clean: A sensor's picture without noise, like ``picture``, or None.
         measured: What a depth camera said, meters [h, w], 0 without an answer, or None.
         motion: Flow, scene flow, disparity and occlusion by their passes' names.
+        terrain: Slope and what places are to a vehicle, by their passes' names.
     """
 
     title: str
@@ -64,14 +70,21 @@ class SheetFrame:
     clean: NDArray[np.uint8] | None = None
     measured: NDArray[np.floating] | None = None
     motion: Mapping[str, NDArray] = field(default_factory=dict)
+    terrain: Mapping[str, NDArray] = field(default_factory=dict)
 
 
+#: How passes of ``SheetFrame.terrain`` are painted.
+TERRAIN: Mapping[str, Callable[[NDArray], NDArray[np.uint8]]] = {
+    "slope": paint_slope,
+    "traversable": paint_classes,
+}
 #: Columns of photographs: they alone may be blended.
 _PHOTOGRAPHS = ("rgb", "clean")
 _TITLES = {
     "rgb": "RGB", "clean": "RGB without noise", "instance": "instances", "depth": "depth (planar)",
     "depth_measured": "depth as measured", "flow": "flow", "flow_backward": "flow, backward",
     "scene_flow": "scene flow", "disparity": "disparity", "occlusion": "occlusion",
+    "slope": "slope of the ground", "traversable": "for the sensor's vehicle",
     "occlusion_backward": "occlusion, backward", "disparity_occlusion": "occlusion by disparity",
 }  # fmt: skip
 
@@ -98,7 +111,7 @@ def contact_sheet(
         name: scale_of(name, [f.motion[name] for f in frames if name in f.motion]) for name in UNITS
     }
     colors = {level: label_colors(list(names)) for level, names in label_names.items()}
-    least = 4 if any(name in columns for name in OCCLUSIONS) else 3
+    least = 4 if any(name in columns for name in (*OCCLUSIONS, "traversable")) else 3
     legend = max([least] + [len(names) + 1 for names in label_names.values()]) * _LEGEND_LINE
     size = (
         _GAP + len(columns) * (tile[0] + _GAP),
@@ -136,12 +149,13 @@ def _columns(frame: SheetFrame) -> list[str]:
     columns += ["depth"] if frame.depth is not None else []
     columns += ["depth_measured"] if frame.measured is not None else []
     columns += [name for name in (*UNITS, *OCCLUSIONS) if name in frame.motion]
+    columns += [name for name in TERRAIN if name in frame.terrain]
     return columns
 
 
 def _size(frame: SheetFrame) -> tuple[int, int]:
     every = (frame.picture, *frame.labels.values(), frame.instance, frame.depth, frame.measured)
-    for array in (*every, *frame.motion.values()):
+    for array in (*every, *frame.motion.values(), *frame.terrain.values()):
         if array is not None:
             return array.shape[0], array.shape[1]
     return 1, 1
@@ -177,6 +191,8 @@ def _paint(
         return frame.clean
     if column in frame.motion:
         return _paint_motion(column, frame.motion[column], scales.get(column, 1.0))
+    if column in frame.terrain:
+        return TERRAIN[column](frame.terrain[column])
     if column == "depth_measured" and frame.measured is not None:
         answers = np.where(frame.measured > 0.0, frame.measured, np.inf)
         return paint_depth(answers, near, far)
@@ -238,6 +254,18 @@ def _legend(
             draw.text((x + part * (width - length), y + 22), text, _INK, _font(14))
         white = "nothing hit" if column == "depth" else "no answer"
         draw.text((x, y + 44), f"logarithmic; white: {white}", _INK, _font(14))
+    elif column == "traversable":
+        for color, name in zip(CLASS_COLORS, TRAVERSABILITY, strict=True):
+            draw.rectangle((x, y + 3, x + 26, y + 19), color)
+            draw.text((x + 36, y + 2), name, _INK, _font(15))
+            y += _LEGEND_LINE
+    elif column == "slope":
+        bar = np.repeat(viridis(np.linspace(0.0, 1.0, width))[None], 16, axis=0)
+        sheet.paste(Image.fromarray(bar), (x, y + 3))
+        for part, text in ((0.0, "0"), (1.0, f"{STEEP:g}° and steeper")):
+            left = x + part * (width - draw.textlength(text, _font(14)))
+            draw.text((left, y + 22), text, _INK, _font(14))
+        draw.text((x, y + 44), "white: nothing hit", _INK, _font(14))
     elif column == "instance":
         draw.text((x, y), "one color an instance, kept over all frames", _INK, _font(15))
     elif column == "clean":

@@ -9,6 +9,8 @@ Entities, on the timelines ``sample`` and ``time`` (seconds)::
     /<batch>/<camera>/raw         its numbers behind the mosaic, uint16, where they were asked for
     /<batch>/<camera>/depth       DepthImage, float32 meters; 0 where nothing is hit
     /<batch>/<camera>/label/<level>  SegmentationImage, and its AnnotationContext: names, colors
+    /<batch>/<camera>/slope       its colors, 0 to 45 degrees
+    /<batch>/<camera>/traversable  SegmentationImage of what places are to the sensor's vehicle
     /<batch>/<camera>/instance    the colors of instances, and their boxes with class and id
 
 Rerun's class ids have 16 bits: labels beyond are an error.
@@ -23,12 +25,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scenec.datasets import pictures
-from scenec.datasets.colors import NO_LABEL, label_colors, paint_instances
+from scenec.datasets.colors import (
+    CLASS_COLORS,
+    NO_LABEL,
+    label_colors,
+    paint_instances,
+    paint_slope,
+)
 from scenec.datasets.formats.encode import file_bytes, picture_png
 from scenec.datasets.source import LoadedFrame, Source
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import atomic, check_output
 from scenec.schemas.units import Progress, Say
+from scenec.schemas.vehicle import TRAVERSABILITY
 from scenec.schemas.versions import optional
 
 if TYPE_CHECKING:
@@ -171,6 +180,13 @@ def _log(rerun: ModuleType, stream: Any, entity: str, frame: LoadedFrame) -> Non
     if "depth" in passes:
         depth = np.where(np.isfinite(passes["depth"]), passes["depth"], 0.0).astype(np.float32)
         stream.log(f"{entity}/depth", rerun.DepthImage(depth, meter=1.0))
+    if "slope" in passes:
+        stream.log(f"{entity}/slope", rerun.Image(paint_slope(passes["slope"])))
+    if "traversable" in passes:
+        known = [(k, name, CLASS_COLORS[k]) for k, name in enumerate(TRAVERSABILITY)]
+        stream.log(f"{entity}/traversable", rerun.AnnotationContext(known), static=True)
+        ids = passes["traversable"].astype(np.uint8)
+        stream.log(f"{entity}/traversable", rerun.SegmentationImage(ids))
     for name, ids in passes.items():
         if name.startswith("label."):
             path = f"{entity}/label/{name.removeprefix('label.')}"

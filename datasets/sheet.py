@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.datasets import pictures
-from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
+from scenec.datasets.contact_sheet import TERRAIN, SheetFrame, contact_sheet
 from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
 from scenec.datasets.source import FrameRef, LoadedFrame, Source, record_of
 from scenec.schemas.depth_camera import MEASURED
@@ -99,4 +99,5 @@ def _sheet_frame(frame: LoadedFrame) -> SheetFrame:
         clean=pictures.beside(frame, "clean") if clean else None,
         measured=passes.get(MEASURED),
         motion={name: passes[name] for name in (*UNITS, *OCCLUSIONS) if name in passes},
+        terrain={name: passes[name] for name in TERRAIN if name in passes},
     )

@@ -160,6 +160,7 @@ class SiteFacts:
         sun: Direction to the brightest sun and its full angle, (x, y, z, radians); None without.
         losses: A line for each thing in the stage that was not read.
         place: Where the stage lies; None: it does not say.
+        craters: Places, diameters, depths, ages; empty where the stage tells of none.
     """
 
     digest: str
@@ -171,3 +172,4 @@ class SiteFacts:
     sun: tuple[float, float, float, float] | None
     losses: tuple[str, ...]
     place: Georeference | None = None
+    craters: Table = field(default_factory=dict)

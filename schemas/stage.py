@@ -55,6 +55,17 @@ GEOREFERENCE = {
     "error_m": ("scenec:georeference:error", "Double"),
 }
 
+#: On TERRAIN, where its relief has craters: fields of ``schemas.craters.CraterTable``, [n] each, in
+#: the world's meters: the attribute, and its type.
+CRATERS = {
+    "x_m": ("scenec:craters:x", "DoubleArray"),
+    "y_m": ("scenec:craters:y", "DoubleArray"),
+    "diameter_m": ("scenec:craters:diameter", "FloatArray"),
+    "depth_m": ("scenec:craters:depth", "FloatArray"),
+    "age": ("scenec:craters:age", "FloatArray"),
+    "wear": ("scenec:craters:wear", "FloatArray"),
+}
+
 #: Relationship of a mesh to its ordered ground materials; layer 0 is the base.
 REL_LAYERS = "scenec:layers"
 #: Vertex primvar: weight of merge i (layer i over all before it), i from 1.
@@ -256,7 +267,8 @@ HALF_TURN = (1.0, -1.0, -1.0)
 
 ROOT = "/World"
 #: Mesh of the land beyond the terrain's border.
-HORIZON = f"{ROOT}/Terrain/horizon"
+TERRAIN = f"{ROOT}/Terrain"
+HORIZON = f"{TERRAIN}/horizon"
 SKY_PRIM = "/World/Sky"
 RENDER_SCOPE = "/Render"
 

@@ -27,6 +27,11 @@ _LEAST_ACROSS = 4
 class Vehicle:
     """Describes a vehicle; the defaults are about a Mars Exploration Rover's.
 
+    Of these ``step_m`` is JPL's ("rocks up to ten inches high", Wheels in the Sky, 2004), and 30
+    degrees are what drivers of its successors stay below; the other three are not checked: see
+    Lindemann and Voorhees, "Mars Exploration Rover mobility assembly design, test and performance",
+    IEEE SMC 2005.
+
     Attributes:
         wheel_base_m: Diameter of the disc that its wheels stand on in any heading.
         wheel_m: Diameter of its wheels.

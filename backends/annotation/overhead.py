@@ -19,7 +19,9 @@ from scenec.backends.annotation.terrain import ground_under, look_down, slope
 from scenec.backends.contract import Rays
 from scenec.backends.exact import ExactCaster, Hits
 from scenec.backends.stage.scene import RenderScene
+from scenec.schemas.kernels import kernel
 from scenec.schemas.site_map import UNDER_VEHICLE, MapGrid, MapOptions
+from scenec.schemas.threads import over_threads
 
 #: Meters from a face at which rays toward the sun begin.
 _OFF = 1e-6
@@ -104,19 +106,32 @@ def sunlight(view: View, caster: ExactCaster, count: int) -> NDArray[np.float64]
     normals, rays = view.once(normal), view.rays
     for first in range(0, len(hit), _RAYS):
         some = hit[first : first + _RAYS]
-        places = rays.origins[some] + view.hits.t[some, None] * rays.directions[some]
-        places += _OFF * normals[some]
+        places, facing = np.empty((len(some), 3)), np.empty(len(some))
+        over_threads(
+            _leave, len(some), some, rays.origins, rays.directions, view.hits.t, normals, places
+        )
         for direction in _disc(toward, count):
-            faces = (normals[some] * direction).sum(axis=1)
-            lit = np.flatnonzero(faces > 0.0)
-            table = Rays(
-                places[lit],
-                np.ascontiguousarray(np.broadcast_to(direction, (len(lit), 3))),
-                (1, len(lit)),
-            )
-            row, _, _ = caster.cast(table, np.arange(len(lit)))
+            over_threads(_facing, len(some), some, normals, direction, facing)
+            lit = np.flatnonzero(facing > 0.0)
+            row = caster.cast_parallel(places[lit], direction, any_hit=True).row
             out[some[lit[row < 0]]] += 1.0
     return out / count
+
+
+@kernel
+def _leave(first, last, which, origins, directions, t, normals, out):  # type: ignore[no-untyped-def]
+    """Where rays toward the sun begin: off the places that some rays hit."""
+    for k in range(first, last):
+        ray = which[k]
+        for i in range(3):
+            out[k, i] = (origins[ray, i] + t[ray] * directions[ray, i]) + _OFF * normals[ray, i]
+
+
+@kernel
+def _facing(first, last, which, normals, direction, out):  # type: ignore[no-untyped-def]
+    for k in range(first, last):
+        n = normals[which[k]]
+        out[k] = (n[0] * direction[0] + n[1] * direction[1]) + n[2] * direction[2]
 
 
 def brightest(scene: RenderScene, sample: int) -> tuple[float, float, float, float] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +58,17 @@ def _boxes(first, last, points, start, mesh, to_world, out):  # type: ignore[no-
 
 
 def objects_table(
-    scene: RenderScene, instances: Instances, sample: int, area_m: tuple[float, ...]
+    scene: RenderScene,
+    caster: ExactCaster,
+    instances: Instances,
+    sample: int,
+    area_m: tuple[float, ...],
 ) -> Table:
     """Instances whose middle lies in an area: where, how large, how deep in the ground.
 
     Args:
         scene: The stage.
+        caster: Of it; is posed at the sample.
         instances: Of it.
         sample: Time code.
         area_m: West, south, east and north border.
@@ -90,7 +95,7 @@ def objects_table(
     inside = (west <= x) & (x <= east) & (south <= y) & (y <= north) & (high > low).any(axis=1)
     which = np.flatnonzero(inside)
     x, y, bottom, top = x[which], y[which], low[which, 2], high[which, 2]
-    ground = _ground(scene, sample, x, y)
+    ground = ground_heights(scene, caster, sample, x, y)
     box = table.size(sample)[1][which].astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         burial = np.clip((ground - bottom) / (top - bottom), 0.0, 1.0)
@@ -109,24 +114,37 @@ def objects_table(
     }
 
 
-def _ground(
-    scene: RenderScene, sample: int, x: NDArray[np.float64], y: NDArray[np.float64]
+def craters_table(
+    scene: RenderScene, caster: ExactCaster, sample: int, area_m: tuple[float, ...]
+) -> Table:
+    """Craters whose centers lie in an area, oldest first; no column where the stage tells of none.
+
+    Returns:
+        Columns: those of ``CraterTable``; ``crater`` is the place in the stage's table, ``z_m`` the
+        height of the ground at the center, NaN where there is none.
+    """
+    table = scene.craters
+    if table is None:
+        return {}
+    west, south, east, north = area_m
+    x, y = table.x_m, table.y_m
+    which = np.flatnonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
+    columns = {one.name: getattr(table, one.name)[which] for one in fields(table)}
+    x, y = columns.pop("x_m"), columns.pop("y_m")
+    z = ground_heights(scene, caster, sample, x, y)
+    return {"crater": which, "x_m": x, "y_m": y, "z_m": z, **columns}
+
+
+def ground_heights(
+    scene: RenderScene,
+    caster: ExactCaster,
+    sample: int,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Heights of what is no instance, NaN where there is none, float64 [n]."""
-    which = scene.rows.instance_id == 0
-    if not which.any() or not len(x):
-        return np.full(len(x), np.nan)
-    at = scene.rows_at(sample)
-    ground = replace(
-        at,
-        mesh=at.mesh[which],
-        to_world=np.ascontiguousarray(at.to_world[which]),
-        instance_id=at.instance_id[which],
-        variation=at.variation[which],
-        motion=None,
-        part=None,
-    )
-    rays, hits = look_down(scene, ExactCaster(replace(scene, rows=ground)), x, y)
+    """Heights of the highest of what is no instance, NaN where there is none, float64 [n]."""
+    caster.pose(sample)
+    rays, hits = look_down(scene, caster, x, y, scene.rows.instance_id == 0)
     return np.where(hits.row < 0, np.nan, rays.origins[:, 2] - hits.t)
 
 

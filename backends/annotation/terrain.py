@@ -39,27 +39,36 @@ from scenec.schemas.vehicle import TRAVERSABILITY, Vehicle
 
 #: Places whose surroundings are looked at at once.
 _PLACES = 1 << 15
+#: Places of a row that are looked at together: what they take fits a processor's nearest cache.
+_BLOCK = 256
+#: Runs of up to 2 ** this cells have their largest relief in tables.
+_RUNS = 4
 #: Radius of a disc, in cells, from which on the plane is fitted to every second cell.
 _DENSE = 10.5
 
 
 def look_down(
-    scene: RenderScene, caster: ExactCaster, x: NDArray[np.float64], y: NDArray[np.float64]
+    scene: RenderScene,
+    caster: ExactCaster,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    rows: NDArray[np.bool_] | None = None,
 ) -> tuple[Rays, Hits]:
     """Casts rays straight down, all at once.
 
     Args:
         scene: The stage.
-        caster: Of it, or of a part of it, posed.
+        caster: Of it, posed.
         x, y: Places, meters, float64 [n].
+        rows: Which rows of the stage are there, bool [r]; None: all.
 
     Returns:
         The rays, which begin a meter above all there is, and what they hit.
     """
     origins = np.column_stack([x, y, np.full(len(x), scene.bounds[1, 2] + 1.0)])
-    directions = np.broadcast_to(np.array([0.0, 0.0, -1.0]), origins.shape)
-    rays = Rays(origins, np.ascontiguousarray(directions), (1, len(x)))
-    return rays, Hits(*caster.cast(rays, np.arange(len(x))), caster.geometry)
+    down = np.array([0.0, 0.0, -1.0])
+    rays = Rays(origins, np.broadcast_to(down, origins.shape), (1, len(x)))
+    return rays, caster.cast_parallel(origins, down, rows=rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +113,13 @@ def ground_under(z: NDArray[np.float64], cell_m: float, vehicle: Vehicle) -> Gro
     stride = max(1, math.ceil(radius / _DENSE))
     shape = z.shape[0], z.shape[1] - 2 * reach, z.shape[2] - 2 * reach
     out = np.empty((4, *shape))
-    over_threads(_fit, shape[0] * shape[1], z, disc, reach, stride, cell_m, out)
     border = len(wheel) // 2
-    ranges = np.empty((shape[0], z.shape[1] - 2 * border, z.shape[2] - 2 * border))
-    over_threads(_relief, ranges.shape[0] * ranges.shape[1], z, wheel, ranges)
-    over_threads(_largest, shape[0] * shape[1], ranges, disc, reach - border, out)
+    # Few places are not worth tables of their surroundings.
+    levels = min(_RUNS, (2 * int(disc.max()) + 1).bit_length() - 1) if shape[2] >= _BLOCK else 0
+    runs = np.empty((levels + 1, shape[0], *(side - 2 * border for side in z.shape[1:])))
+    over_threads(_relief, runs.shape[1] * runs.shape[2], z, wheel, runs)
+    over_threads(_largest, shape[0] * shape[1], runs, disc, reach - border, out)
+    over_threads(_fit, shape[0] * shape[1], z, disc, reach, stride, cell_m, out)
     return GroundUnder(*out)
 
 
@@ -121,11 +132,14 @@ def _halves(radius: float) -> NDArray[np.int64]:
 
 @kernel
 def _fit(first, last, z, disc, reach, stride, cell, out):  # type: ignore[no-untyped-def]
-    """Tilt, roughness and obstacle of some rows of places; all row by row, as vectors do it."""
+    """Tilt, roughness and obstacle of some rows of places; all row by row, as vectors do it.
+
+    Steps are there, and say where a disc has a hole: there they are infinite.
+    """
     height, width = out.shape[2], out.shape[3]
     radius = disc.shape[0] // 2
-    total, along_x, along_y = np.empty(width), np.empty(width), np.empty(width)
-    squares, most, holes = np.empty(width), np.empty(width), np.empty(width)
+    total, along_x, along_y = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    squares, most, lift = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
     count = 0
     moment = 0.0
     for dy in range(-radius // stride * stride, radius + 1, stride):
@@ -137,59 +151,70 @@ def _fit(first, last, z, disc, reach, stride, cell, out):  # type: ignore[no-unt
     for k in range(first, last):
         grid = z[k // height]
         row = k % height + reach
-        here = grid[row, reach : reach + width]
-        for x in range(width):
-            total[x] = 0.0
-            along_x[x] = 0.0
-            along_y[x] = 0.0
-            squares[x] = 0.0
-            most[x] = -math.inf
-            holes[x] = 0.0
-        for dy in range(-radius // stride * stride, radius + 1, stride):
-            if dy < -radius:
-                continue
-            wide = disc[dy + radius] // stride * stride
-            for dx in range(-wide, wide + 1, stride):
-                there = grid[row + dy, reach + dx : reach + dx + width]
-                fx, fy = float(dx), float(dy)
-                for x in range(width):
-                    # Relative to the place: sums of small numbers lose little.
-                    d = there[x] - here[x]
-                    total[x] += d
-                    along_x[x] += fx * d
-                    along_y[x] += fy * d
-                    squares[x] += d * d
-        for x in range(width):
-            along_x[x] /= moment
-            along_y[x] /= moment
-            total[x] /= count
-            a, b, c = along_x[x], along_y[x], total[x]
-            rest = squares[x] - count * c * c - moment * (a * a + b * b)
-            squares[x] = math.sqrt(max(rest, 0.0) / count)
-        for dy in range(-radius, radius + 1):
-            wide = disc[dy + radius]
-            for dx in range(-wide, wide + 1):
-                there = grid[row + dy, reach + dx : reach + dx + width]
-                fx, fy = float(dx), float(dy)
-                for x in range(width):
-                    d = there[x] - here[x]
-                    above = d - (along_x[x] * fx + along_y[x] * fy)
-                    most[x] = above if above > most[x] else most[x]
-                    # Not a number once any cell has no surface.
-                    holes[x] += d
-        of, line = k // height, k % height
-        for x in range(width):
-            known = holes[x] == holes[x]
-            slope = math.hypot(along_x[x], along_y[x]) / cell
-            out[0, of, line, x] = math.degrees(math.atan(slope)) if known else math.nan
-            out[1, of, line, x] = squares[x] if known else math.nan
-            out[3, of, line, x] = most[x] - total[x] if known else math.nan
+        for left in range(0, width, _BLOCK):
+            n = min(_BLOCK, width - left)
+            begin = reach + left
+            here = grid[row, begin : begin + n]
+            for x in range(n):
+                total[x] = 0.0
+                along_x[x] = 0.0
+                along_y[x] = 0.0
+                squares[x] = 0.0
+                most[x] = -math.inf
+            for dy in range(-radius // stride * stride, radius + 1, stride):
+                if dy < -radius:
+                    continue
+                wide = disc[dy + radius] // stride * stride
+                for dx in range(-wide, wide + 1, stride):
+                    there = grid[row + dy, begin + dx : begin + dx + n]
+                    fx, fy = float(dx), float(dy)
+                    for x in range(n):
+                        # Relative to the place: sums of small numbers lose little.
+                        d = there[x] - here[x]
+                        total[x] += d
+                        along_x[x] += fx * d
+                        along_y[x] += fy * d
+                        squares[x] += d * d
+            for x in range(n):
+                along_x[x] /= moment
+                along_y[x] /= moment
+                total[x] /= count
+                a, b, c = along_x[x], along_y[x], total[x]
+                rest = squares[x] - count * c * c - moment * (a * a + b * b)
+                squares[x] = math.sqrt(max(rest, 0.0) / count)
+            for dy in range(-radius, radius + 1):
+                wide = disc[dy + radius]
+                fy = float(dy)
+                for x in range(n):
+                    lift[x] = along_y[x] * fy
+                for dx in range(-wide, wide + 1):
+                    there = grid[row + dy, begin + dx : begin + dx + n]
+                    fx = float(dx)
+                    for x in range(n):
+                        above = (there[x] - here[x]) - (along_x[x] * fx + lift[x])
+                        most[x] = above if above > most[x] else most[x]
+            into = out[:, k // height, k % height, left : left + n]
+            for x in range(n):
+                known = into[2, x] < math.inf
+                slope = math.hypot(along_x[x], along_y[x]) / cell
+                into[0, x] = math.degrees(math.atan(slope)) if known else math.nan
+                into[1, x] = squares[x] if known else math.nan
+                into[2, x] = into[2, x] if known else math.nan
+                into[3, x] = most[x] - total[x] if known else math.nan
 
 
 @kernel
-def _relief(first, last, z, disc, out):  # type: ignore[no-untyped-def]
-    """Highest minus lowest cell of discs, NaN left out; [n, h, w] of z [n, h + 2 r, w + 2 r]."""
-    height, width = out.shape[1], out.shape[2]
+def _relief(first, last, z, disc, runs):  # type: ignore[no-untyped-def]
+    """Highest minus lowest cell of discs, of some rows: of z [n, h + 2 r, w + 2 r].
+
+    Cells without a surface are left out; of a disc in whose middle is one, it is infinite.
+
+    Args:
+        z: Heights.
+        disc: ``_halves``.
+        runs: Receives them, [0], and in [k] the largest of 2**k from each on, [1 + k, n, h, w].
+    """
+    levels, height, width = runs.shape[0], runs.shape[2], runs.shape[3]
     radius = disc.shape[0] // 2
     low, high = np.empty(width), np.empty(width)
     for k in range(first, last):
@@ -204,29 +229,42 @@ def _relief(first, last, z, disc, out):  # type: ignore[no-untyped-def]
                 for x in range(width):
                     low[x] = there[x] if there[x] < low[x] else low[x]
                     high[x] = there[x] if there[x] > high[x] else high[x]
+        here = grid[row, radius : radius + width]
+        out = runs[:, k // height, k % height]
         for x in range(width):
-            out[k // height, k % height, x] = high[x] - low[x]
+            out[0, x] = high[x] - low[x] if here[x] == here[x] else math.inf
+        for level in range(1, levels):
+            half = 1 << (level - 1)
+            for x in range(width - half):
+                out[level, x] = max(out[level - 1, x], out[level - 1, x + half])
 
 
 @kernel
-def _largest(first, last, ranges, disc, border, out):  # type: ignore[no-untyped-def]
-    """Largest of ``_relief`` over discs, into the steps of ``out``; NaN where tilts are."""
+def _largest(first, last, runs, disc, border, out):  # type: ignore[no-untyped-def]
+    """Largest of ``_relief`` over discs, of some rows of places, into the steps of ``out``."""
     height, width = out.shape[2], out.shape[3]
     radius = disc.shape[0] // 2
-    most = np.empty(width)
     for k in range(first, last):
         of, line = k // height, k % height
+        most = out[2, of, line]
         for x in range(width):
             most[x] = 0.0
         for dy in range(-radius, radius + 1):
             wide = disc[dy + radius]
-            for dx in range(-wide, wide + 1):
-                there = ranges[of, line + border + dy, border + dx : border + dx + width]
+            level = 0
+            while level + 1 < runs.shape[0] and 2 << level <= 2 * wide + 1:
+                level += 1
+            run = 1 << level
+            dx = -wide
+            while True:
+                begin = border + dx
+                there = runs[level, of, line + border + dy, begin : begin + width]
                 for x in range(width):
                     most[x] = there[x] if there[x] > most[x] else most[x]
-        for x in range(width):
-            tilt = out[0, of, line, x]
-            out[2, of, line, x] = most[x] if tilt == tilt else math.nan
+                if dx + run > wide:
+                    break
+                # The last run ends where the disc does.
+                dx = min(dx + run, wide - run + 1)
 
 
 def slope(view: View) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.exact.build import build_forest
+from scenec.backends.exact.build import build_forest, empty_nodes
 from scenec.backends.exact.cutouts import Cutouts, cutouts_of
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.affine import inverses
@@ -112,7 +112,7 @@ def _world_points(to_world: NDArray[np.float64], points: NDArray[np.float32]) ->
     )
 
 
-def build_geometry(scene: RenderScene) -> Geometry:
+def build_geometry(scene: RenderScene, trees: bool = True) -> Geometry:
     """Flatten a scene's meshes and rows and build the hierarchies.
 
     A row whose matrix cannot be inverted (flattened along an axis, say) gets a tree of its own in
@@ -120,6 +120,7 @@ def build_geometry(scene: RenderScene) -> Geometry:
 
     Args:
         scene: The scene; only ``meshes`` and ``rows`` are read.
+        trees: Whether to build any: what is left out costs most, and meets no ray of ``trace``.
 
     Returns:
         The geometry; ``points`` and ``faces`` are copies.
@@ -154,13 +155,37 @@ def build_geometry(scene: RenderScene) -> Geometry:
     stands = np.ones(len(row_mesh), bool)
     if scene.rows.motion is not None:
         stands[scene.rows.motion.rows] = False
+    nodes, links = empty_nodes(0)
+    flat = Geometry(
+        points=points,
+        faces=faces,
+        row_face=face_start[row_mesh].astype(np.int32),
+        row_faces=counts[row_mesh].astype(np.int32),
+        to_world=to_world,
+        to_local=placed.to_local,
+        pad=placed.pad,
+        row_root=np.full(len(row_mesh), -1, np.int32),
+        face_nodes=nodes,
+        face_links=links,
+        face_order=np.empty(0, np.int32),
+        row_nodes=nodes,
+        row_links=links,
+        row_order=np.empty(0, np.int32),
+        row_tree=-1,
+        moving_tree=-1,
+        extent=float(placed.reach[placed.used & stands].max(initial=0.0)),
+        row_spheres=placed.spheres,
+        cutouts=cutouts_of(scene),
+    )
+    if not trees:
+        return flat
     own = np.flatnonzero(placed.used & ~placed.regular & stands)
 
     boxes = np.empty((len(faces) + int(counts[row_mesh[own]].sum()), 6), np.float32)
     over_threads(_face_boxes, faces.shape[0], points, faces, boxes)
     ranges = [(int(a), int(b)) for a, b in pairwise(face_start)]
     entry_face = [np.arange(len(faces), dtype=np.int32)]
-    row_root = np.full(len(row_mesh), -1, np.int32)
+    row_root = flat.row_root
     start = len(faces)
     for row in own.tolist():
         mesh_faces = faces[face_start[row_mesh[row]] : face_start[row_mesh[row] + 1]]
@@ -192,15 +217,7 @@ def build_geometry(scene: RenderScene) -> Geometry:
         LEAF_ROWS,
         ROW_COST,
     )
-    return Geometry(
-        points=points,
-        faces=faces,
-        row_face=face_start[row_mesh].astype(np.int32),
-        row_faces=counts[row_mesh].astype(np.int32),
-        to_world=to_world,
-        to_local=placed.to_local,
-        pad=placed.pad,
-        row_root=row_root,
+    return flat._replace(
         face_nodes=face_nodes,
         face_links=face_links,
         face_order=face_order,
@@ -208,10 +225,6 @@ def build_geometry(scene: RenderScene) -> Geometry:
         row_links=row_links,
         row_order=present[order].astype(np.int32),
         row_tree=int(tree[0]) if len(tree) else -1,
-        moving_tree=-1,
-        extent=float(placed.reach[placed.used & stands].max(initial=0.0)),
-        row_spheres=placed.spheres,
-        cutouts=cutouts_of(scene),
     )
 
 

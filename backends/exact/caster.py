@@ -13,10 +13,15 @@ from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.packets import trace_picture
+from scenec.backends.exact.parallel import parallel_rays, stream
 from scenec.backends.exact.trace import Beams, BestHits, trace_all
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
+
+#: Nanoseconds that a ray takes by trees, a triangle of the trees to be built, and one that is
+#: streamed over parallel rays (of the shipped cfgs, roughly): which way is taken hangs on them.
+_RAY, _TREE, _TRIANGLE = 500.0, 500.0, 60.0
 
 
 @kernel
@@ -63,6 +68,8 @@ class ExactCaster:
 
     Args:
         scene: The scene; ``meshes`` and ``rows`` are read and copied.
+        trees: Whether to build the hierarchies at once; without them ``geometry`` is good for
+            parallel rays alone, until ``grow`` builds them.
 
     Attributes:
         geometry: Flat arrays and hierarchies.
@@ -71,14 +78,23 @@ class ExactCaster:
         BackendError: The scene's arrays are broken (see ``bvh.build_geometry``).
     """
 
-    def __init__(self, scene: RenderScene):
-        self.geometry: Geometry = build_geometry(scene)
-        self._moving = None
+    def __init__(self, scene: RenderScene, trees: bool = True):
+        self._scene = scene
         self._sample = 0
-        motion = scene.rows.motion
+        self._build(trees)
+
+    def _build(self, trees: bool) -> None:
+        self.geometry: Geometry = build_geometry(self._scene, trees)
+        self._grown, self._moving = trees, None
+        motion = self._scene.rows.motion
         if motion is not None and len(motion.rows):
-            self._moving = MovingRows(scene, motion, self.geometry)
-            self.geometry = self._moving.pose(self.geometry, 0)
+            self._moving = MovingRows(self._scene, motion, self.geometry)
+            self.geometry = self._moving.pose(self.geometry, self._sample)
+
+    def grow(self) -> None:
+        """Builds the hierarchies, unless they are there."""
+        if not self._grown:
+            self._build(True)
 
     def pose(self, sample: int) -> None:
         """Take everything as it is at a sample. Earlier hits can no longer be annotated.
@@ -109,6 +125,36 @@ class ExactCaster:
         else:
             trace_all(self.geometry, beams, index.astype(np.int64), found)
         return found
+
+    def cast_parallel(
+        self,
+        origins: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        any_hit: bool = False,
+        rows: NDArray[np.bool_] | None = None,
+    ) -> Hits:
+        """Hits of parallel rays, those of ``cast`` to the bit.
+
+        They go by trees where there are any; without, by whichever way costs less, trees to be
+        built included, for rays that are spread evenly.
+
+        Args:
+            origins: float64 [n, 3], meters, finite.
+            direction: Of all rays, float64 [3].
+            any_hit: Whether any hit of a ray is as good as the first.
+            rows: Which rows are there, bool [r]; None: all.
+        """
+        beams = parallel_rays(self.geometry, origins, direction, rows)
+        n = len(origins)
+        trees = _RAY * n + _TREE * len(self.geometry.faces)
+        # Who has trees casts for a picture: such rays lie in heaps, which cells do not part.
+        if rows is None and (self._grown or trees < _TRIANGLE * beams.faces):
+            self.grow()
+            each = np.ascontiguousarray(np.broadcast_to(direction, origins.shape))
+            return Hits(*self.cast(Rays(origins, each, (1, n)), np.arange(n)), self.geometry)
+        found = _nothing(n)
+        stream(self.geometry, beams, found, any_hit)
+        return Hits(*found, self.geometry)
 
     def hits(self, rays: Rays) -> Hits:
         """First hits of all rays; pixels without a ray (``Rays.known``) hit nothing."""

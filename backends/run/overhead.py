@@ -55,6 +55,7 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
     # Imported here: who gives units out has no need of it.
     from scenec.backends.annotation.overhead import brightest
     from scenec.backends.annotation.overhead_tables import (
+        craters_table,
         ground_area,
         objects_table,
         paths_table,
@@ -74,11 +75,12 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
         area_m=area,
         layers=tuple(layers),
         label_names=scene.label_names,
-        objects=objects_table(scene, session.instances, sample, area),
+        objects=objects_table(scene, session.caster(trees=False), session.instances, sample, area),
         paths=paths_table(scene),
         sun=sun,
         losses=scene.losses,
         place=scene.georeference,
+        craters=craters_table(scene, session.caster(trees=False), sample, area),
     )
 
 
@@ -123,7 +125,9 @@ class MapTile:
         scene = session.scene
         if scene.digest != self.digest:
             raise StageError(f"{scene.source}: has changed since its map was begun; export again")
-        arrays = map_tile(scene, session.caster(), self.grid, self.tile, self.options, self.layers)
+        arrays = map_tile(
+            scene, session.caster(trees=False), self.grid, self.tile, self.options, self.layers
+        )
         with atomic(self.file) as temporary, temporary.open("wb") as out:
             np.savez(out, allow_pickle=False, **arrays)
 

@@ -445,12 +445,17 @@ class Session:
             rounds=None if rounds is None else rounds.record(bound),
         )
 
-    def caster(self, seconds: dict[str, float] | None = None) -> ExactCaster:
-        """The exact caster, of the scene as it was posed last; what building it takes is added."""
+    def caster(self, seconds: dict[str, float] | None = None, trees: bool = True) -> ExactCaster:
+        """The exact caster, of the scene as it was posed last; what building it takes is added.
+
+        Without ``trees`` it may have none: it then builds them when parallel rays need them.
+        """
         with timed({} if seconds is None else seconds, "load"):
             if self._caster is None:
                 with self.casting:
-                    self._caster = self._caster or ExactCaster(self.scene)
+                    self._caster = self._caster or ExactCaster(self.scene, trees)
+            elif trees:
+                self._caster.grow()
         return self._caster
 
     @cached_property

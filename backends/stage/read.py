@@ -24,6 +24,7 @@ from scenec.backends.stage.times import sample_times, time_codes
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
 from scenec.schemas.affine import box_around, moved_boxes
+from scenec.schemas.craters import CraterTable
 from scenec.schemas.errors import StageError
 from scenec.schemas.georeference import Georeference
 
@@ -106,6 +107,7 @@ def scene_of(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
         sky_labels_below=_sky_labels_below(stage, table),
         lidars=lidars,
         georeference=read_georeference(stage),
+        craters=read_craters(stage),
         losses=unread.lines,
     )
 
@@ -139,6 +141,27 @@ def read_georeference(stage: Usd.Stage) -> Georeference | None:
     crs = root.GetAttribute(names.ATTR_GEOREFERENCE_CRS)
     usual = {"body": "", "longitude_deg": 0.0, "crs": values.word(crs, "") if crs else ""}
     return Georeference(**{**usual, **found})
+
+
+def read_craters(stage: Usd.Stage) -> CraterTable | None:
+    """Reads what the stage tells of its terrain's craters, or None.
+
+    Raises:
+        StageError: A value is none, or there are more of one than of another.
+    """
+    prim = stage.GetPrimAtPath(names.TERRAIN)
+    if not prim or not prim.HasAttribute(names.CRATERS["x_m"][0]):
+        return None
+    found = {
+        field: values.array(
+            prim.GetAttribute(name), np.float64 if kind == "DoubleArray" else np.float32
+        )
+        for field, (name, kind) in names.CRATERS.items()
+    }
+    if len({len(column) for column in found.values()}) > 1:
+        counts = ", ".join(f"{names.CRATERS[f][0]} {len(column)}" for f, column in found.items())
+        raise StageError(f"{names.TERRAIN}: expected as many values of each: {counts}")
+    return CraterTable(**found)
 
 
 def _require_schema(stage: Usd.Stage, path: Path) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from scenec.schemas import stage as names
 from scenec.schemas.affine import box_around
+from scenec.schemas.craters import CraterTable
 from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
@@ -585,6 +586,8 @@ class RenderScene:
     lidars: tuple[tuple[Lidar, ...], ...] = ()
     #: Where on a body the world lies; None where the stage does not say.
     georeference: Georeference | None = None
+    #: Of the relief; None where the stage tells of none.
+    craters: CraterTable | None = None
     #: A line for each thing in the stage that was not read, whatever the backend and the pass.
     losses: tuple[str, ...] = ()
 

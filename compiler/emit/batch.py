@@ -52,7 +52,7 @@ def write_batch(folder: Path, scene: Scene) -> None:
     layer_names = [label_names(table, layer.labels) for layer in layers]
     used = [layer.material for layer in layers]
     shown = _only(scene.materials, used)
-    write_terrain(folder / "terrain.usdc", scene.ground, shown, layer_names)
+    write_terrain(folder / "terrain.usdc", scene.ground, shown, layer_names, scene.craters)
     classes = []
     for objects in scene.objects:
         if not objects.count:

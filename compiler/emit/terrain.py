@@ -17,13 +17,18 @@ from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.schemas import stage as names
 from scenec.schemas.affine import box_around
+from scenec.schemas.craters import CraterTable
 
-TERRAIN = f"{names.ROOT}/Terrain"
+TERRAIN = names.TERRAIN
 
 
 @memoized_file("emit")
 def write_terrain(
-    path: Path, ground: Ground, materials: dict[str, Material], label_names: list[dict[str, str]]
+    path: Path,
+    ground: Ground,
+    materials: dict[str, Material],
+    label_names: list[dict[str, str]],
+    craters: CraterTable | None = None,
 ) -> None:
     """Writes the layer.
 
@@ -31,9 +36,13 @@ def write_terrain(
         materials: By name; empty where no color is asked for.
         label_names: For each ground layer, and for the horizon's, label name per level; empty
             where none are asked for.
+        craters: Of its relief.
     """
     with new_layer(path) as stage:
-        UsdGeom.Xform.Define(stage, TERRAIN)
+        prim = UsdGeom.Xform.Define(stage, TERRAIN).GetPrim()
+        for field, (name, kind) in names.CRATERS.items() if craters is not None else ():
+            array = getattr(Vt, kind).FromNumpy(getattr(craters, field))
+            custom(prim, name, getattr(TYPES, kind)).Set(array)
         for part in ground.parts:
             for tile in part.tiles:
                 _write_tile(stage, tile, part, materials, label_names)

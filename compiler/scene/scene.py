@@ -19,6 +19,7 @@ from scenec.compiler.scene.light import Haze, Lamp, SkyLabelMaps, SkyLight, SunD
 from scenec.compiler.scene.material import Material
 from scenec.compiler.scene.objects import Objects, Placed
 from scenec.compiler.scene.rig import Rig
+from scenec.schemas.craters import CraterTable
 from scenec.schemas.errors import SceneError
 from scenec.schemas.georeference import Georeference
 
@@ -57,6 +58,7 @@ class Scene:
         outputs: Union of all sensors' outputs.
         bounds: World bounds of the geometry but for the horizon, float64 [2, 3].
         georeference: Of the first DEM that has one; None without.
+        craters: Of the relief; None where it has none.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Scene:
     haze: Haze | None = None
     sky_label_maps: SkyLabelMaps | None = None
     sky_labels_below: Labels = field(default_factory=dict)
+    craters: CraterTable | None = None
 
     @property
     def reach(self) -> NDArray[np.float64]:

@@ -14,10 +14,13 @@ from scenec.compiler.terrain.detail import Detail, Detailed, Weighted
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.mask import Masked, unmasked
 from scenec.compiler.terrain.operator import ReliefOperator, applied
+from scenec.compiler.terrain.operators.crater_table import list_craters
+from scenec.compiler.terrain.operators.craters import Craters
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_base import DEFAULT_TRIANGLES, MeshBase
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.schemas.codec import Facts
+from scenec.schemas.craters import CraterTable
 from scenec.schemas.errors import SceneError
 
 #: Squares of heights must be numbers in float32 too: renderers take them.
@@ -32,11 +35,13 @@ class ReliefResult:
         field: Heights.
         details: What is finer than the grid and still holds.
         steps: What each operator reports.
+        craters: Those that the grid shows, or None.
     """
 
     field: HeightField
     details: tuple[Detail, ...]
     steps: list[Facts]
+    craters: CraterTable | None = None
 
 
 @memoized("relief")
@@ -59,6 +64,7 @@ def run(
     base: MeshSurface | None = None
     details: list[Detail] = []
     steps: list[Facts] = []
+    craters: list[CraterTable] = []
     samples = samples or Samples.of(grid)
     # Overflow is found once, at the end, and said in the user's words.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -67,6 +73,8 @@ def run(
             if isinstance(operator, Masked):
                 weight = operator.weight(grid, height, samples)
             detail = _detail(operator, grid, weight)
+            if isinstance(inner := unmasked(operator), Craters):
+                craters.append(list_craters(inner, grid, weight))
             if isinstance(operator, MeshBase) and operator.surface == "mesh":
                 base, report = operator.stage(grid, max_triangles)
                 height = base.height
@@ -93,7 +101,7 @@ def run(
             "amplitude, gain or octaves"
         )
     field = HeightField(grid, height) if base is None else base.lifted(height)
-    return ReliefResult(field, tuple(details), steps)
+    return ReliefResult(field, tuple(details), steps, CraterTable.joined(craters))
 
 
 def _highest(details: Sequence[Detail], grid: Grid) -> float:

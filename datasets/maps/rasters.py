@@ -54,7 +54,8 @@ def write_layers(
     layers: Sequence[str],
     place: Georeference | None,
     tile: Callable[[tuple[int, int]], Path],
-) -> None:
+    side: int,
+) -> dict[str, NDArray[Any]]:
     """Writes ``<layer>.tif`` of each layer, from tiles as ``MapTile`` leaves them.
 
     Args:
@@ -63,10 +64,22 @@ def write_layers(
         layers: By name.
         place: Where the stage lies; None: nobody knows.
         tile: The file of a tile.
+        side: Most cells along a side of what is returned.
+
+    Returns:
+        Layers by name with every n-th cell alone.
 
     Raises:
         OutputError: A file cannot be written, or a tile's is none.
     """
+    every = max(1, -(-max(grid.height, grid.width) // side))
+    rows, columns = (
+        np.minimum(np.arange(max(1, count // every)) * every + every // 2, count - 1)
+        for count in (grid.height, grid.width)
+    )
+    small: dict[str, NDArray[Any]] = {
+        name: np.empty((len(rows), len(columns)), _kind(name)) for name in layers
+    }
     with rasters() as rasterio, ExitStack() as stack:
         files = {
             name: stack.enter_context(_created(rasterio, folder / f"{name}.tif", grid, name, place))
@@ -76,19 +89,33 @@ def write_layers(
             height, width = grid.extent(first)
             window = rasterio.windows.Window(first[1], first[0], width, height)
             path = tile(first)
+            down, across = (
+                slice(*np.searchsorted(picked, (start, start + count)))
+                for picked, start, count in zip(
+                    (rows, columns), first, (height, width), strict=True
+                )
+            )
             try:
                 # One layer at a time: a tile's file is read as it is asked.
                 with np.load(path, allow_pickle=False) as arrays:
                     for name, file in files.items():
-                        file.write(arrays[name], 1, window=window)
+                        values = arrays[name]
+                        file.write(values, 1, window=window)
+                        picked = np.ix_(rows[down] - first[0], columns[across] - first[1])
+                        small[name][down, across] = values[picked]
             except (OSError, ValueError, KeyError) as error:
                 raise OutputError(f"{path}: is no tile of a map: {error}") from error
+    return small
+
+
+def _kind(name: str) -> str:
+    return "uint32" if name.startswith("label_") else _TYPES.get(name, "float32")
 
 
 def _created(
     rasterio: Any, path: Path, grid: MapGrid, name: str, place: Georeference | None
 ) -> rasterio.io.DatasetWriter:
-    kind = "uint32" if name.startswith("label_") else _TYPES.get(name, "float32")
+    kind = _kind(name)
     transform = rasterio.Affine(grid.cell_m, 0.0, grid.west, 0.0, -grid.cell_m, grid.north)
     crs = None
     if place is not None:
@@ -109,6 +136,8 @@ def _created(
         blockxsize=_BLOCK,
         blockysize=_BLOCK,
         compress="deflate",
+        # 2 % more bytes than GDAL's 6, in 60 % of the time.
+        zlevel=2,
         predictor=3 if kind == "float32" else 2,
         bigtiff="IF_SAFER",
     )
@@ -116,12 +145,3 @@ def _created(
     file.set_band_description(1, f"{name}: {what}")
     file.set_band_unit(1, unit)
     return file
-
-
-def read_small(path: Path, side: int) -> NDArray[Any]:
-    """A layer with every n-th cell alone, so that neither side is longer than some pixels."""
-    with rasters() as rasterio, rasterio.open(path) as file:
-        shrunk = max(1, -(-max(file.shape) // side))
-        shape = tuple(max(1, count // shrunk) for count in file.shape)
-        found: NDArray[Any] = file.read(1, out_shape=shape)
-        return found

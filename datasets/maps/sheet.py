@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from scenec.datasets.colors import label_colors, paint_instances, paint_labels, viridis
-from scenec.datasets.maps.rasters import read_small
+from scenec.datasets.colors import (
+    CLASS_COLORS,
+    label_colors,
+    paint_classes,
+    paint_instances,
+    paint_labels,
+    viridis,
+)
 from scenec.schemas.files import atomic
 from scenec.schemas.site_map import LAYERS, MapGrid
 from scenec.schemas.vehicle import TRAVERSABILITY
 
 _INK, _PAPER = (34, 34, 34), (255, 255, 255)
-#: Of Okabe and Ito (2008): unknown, traversable, caution, hazard.
-_CLASSES = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
-_SIDE, _GAP, _HEAD, _LEGEND = 480, 14, 28, 60
+#: Pixels along the longer side of a layer's picture.
+SIDE = 480
+_GAP, _HEAD, _LEGEND = 14, 28, 60
 _COLUMNS = 4
 #: Share of the values that a scale may leave out at either end.
 _BEYOND = 0.5
@@ -29,42 +36,39 @@ _LIGHT = 45.0
 
 def write_map_sheet(
     path: Path,
-    folder: Path,
+    layers: Mapping[str, NDArray[Any]],
     grid: MapGrid,
-    layers: Sequence[str],
     label_names: Mapping[str, Mapping[int, str]],
 ) -> None:
     """Draws all layers, north up.
 
     Args:
         path: The PNG to write.
-        folder: Where ``<layer>.tif`` are.
-        grid: Their cells.
-        layers: By name, in order.
+        layers: By name, in order; neither side above ``SIDE``.
+        grid: The cells that they are a part of.
         label_names: Level -> id -> name.
     """
     columns = min(_COLUMNS, len(layers))
     rows = -(-len(layers) // columns)
-    tall = round(_SIDE * grid.height / max(grid.width, grid.height))
-    step = _SIDE + _GAP, _HEAD + max(1, tall) + _LEGEND
+    tall = round(SIDE * grid.height / max(grid.width, grid.height))
+    step = SIDE + _GAP, _HEAD + max(1, tall) + _LEGEND
     sheet = Image.new("RGB", (columns * step[0] + _GAP, rows * step[1] + _GAP), _PAPER)
     draw = ImageDraw.Draw(sheet)
-    shade = _shade(folder, grid) if "height" in layers else None
-    for number, name in enumerate(layers):
+    shade = _shade(layers["height"], grid) if "height" in layers else None
+    for number, (name, values) in enumerate(layers.items()):
         x, y = _GAP + number % columns * step[0], _GAP + number // columns * step[1]
-        values = read_small(folder / f"{name}.tif", _SIDE)
         unit = LAYERS[name.split("_")[0]][0]
         draw.text((x, y), f"{name} [{unit}]" if unit else name, _INK, _font(17))
         picture, legend = _paint(name, values, label_names)
         if shade is not None and name in ("height", "traversability"):
             picture = np.round(picture * shade[..., None]).astype(np.uint8)
-        scale = _SIDE / max(picture.shape[:2])
+        scale = SIDE / max(picture.shape[:2])
         size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
         # Ids must not be blended.
         sheet.paste(Image.fromarray(picture).resize(size, Image.Resampling.NEAREST), (x, y + _HEAD))
         _draw_legend(sheet, draw, (x, y + _HEAD + size[1] + 6), legend)
     with atomic(path) as temporary:
-        sheet.save(temporary, format="PNG")
+        sheet.save(temporary, format="PNG", compress_level=3)
 
 
 type _Legend = tuple[float, float] | list[tuple[tuple[int, int, int], str]]
@@ -75,9 +79,7 @@ def _paint(
 ) -> tuple[NDArray[np.uint8], _Legend]:
     """Colors [h, w, 3]; the ends of a scale, or colors and what they stand for."""
     if name == "traversability":
-        return np.array(_CLASSES, np.uint8)[values], list(
-            zip(_CLASSES, TRAVERSABILITY, strict=True)
-        )
+        return paint_classes(values), list(zip(CLASS_COLORS, TRAVERSABILITY, strict=True))
     if name == "instance":
         return paint_instances(values), []
     if name.startswith("label_"):
@@ -94,10 +96,10 @@ def _paint(
     return np.where(known[..., None], shades, np.uint8(255)), (low, high)
 
 
-def _shade(folder: Path, grid: MapGrid) -> NDArray[np.float64]:
+def _shade(layer: NDArray[Any], grid: MapGrid) -> NDArray[np.float64]:
     """How bright a matte surface is, lit from the north-west, relative to a level one."""
-    heights = read_small(folder / "height.tif", _SIDE).astype(np.float64)
-    step = grid.cell_m * max(1, -(-max(grid.width, grid.height) // _SIDE))
+    heights = layer.astype(np.float64)
+    step = grid.cell_m * max(1, -(-max(grid.width, grid.height) // SIDE))
     if min(heights.shape) < 2:
         return np.ones(heights.shape)
     south, east = np.gradient(np.nan_to_num(heights, nan=float(np.nanmean(heights))), step)
@@ -112,16 +114,16 @@ def _draw_legend(
 ) -> None:
     x, y = corner
     if isinstance(legend, tuple):
-        bar = np.repeat(viridis(np.linspace(0.0, 1.0, _SIDE))[None], 14, axis=0)
+        bar = np.repeat(viridis(np.linspace(0.0, 1.0, SIDE))[None], 14, axis=0)
         sheet.paste(Image.fromarray(bar), (x, y))
         for part in (0.0, 0.5, 1.0):
             text = f"{legend[0] + part * (legend[1] - legend[0]):.3g}"
-            left = x + part * (_SIDE - draw.textlength(text, _font(14)))
+            left = x + part * (SIDE - draw.textlength(text, _font(14)))
             draw.text((left, y + 17), text, _INK, _font(14))
         return
     for color, text in legend:
         wide = 34 + round(draw.textlength(text, _font(14)))
-        if x + wide > corner[0] + _SIDE:
+        if x + wide > corner[0] + SIDE:
             x, y = corner[0], y + 22
         draw.rectangle((x, y + 2, x + 20, y + 16), color)
         draw.text((x + 25, y), text, _INK, _font(14))

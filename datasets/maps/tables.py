@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.schemas.csv_cells import csv_writer, guarded_line
+from scenec.schemas.csv_cells import csv_writer, guarded
 from scenec.schemas.files import atomic
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.site_map import Table
@@ -40,67 +40,89 @@ def write_table(folder: Path, name: str, table: Table, place: Georeference | Non
     if place is not None:
         at = place.latitude_longitude(table["x_m"], table["y_m"])
         table = {**table, **dict(zip(_ON_BODY, at, strict=True))}
+    columns = {name: _plain(name, column) for name, column in table.items()}
     with (
         atomic(folder / f"{name}.csv") as path,
         path.open("w", encoding="utf-8", newline="") as out,
     ):
         lines = csv_writer(out)
-        lines.writerow(table)
-        for row in _rows(table):
-            lines.writerow(guarded_line("" if value is None else value for value in row.values()))
+        lines.writerow(columns)
+        lines.writerows(zip(*map(_guarded, columns.values()), strict=True))
     with atomic(folder / f"{name}.geojson") as path, path.open("w", encoding="utf-8") as out:
         head: dict[str, Any] = {"type": "FeatureCollection", "name": name}
         if place is not None:
             head["crs"] = {"type": "name", "properties": {"name": place.plane()[0]}}
         out.write(json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [')
         between = "\n"
-        for feature in _features(table, place):
-            out.write(between + json.dumps(feature, ensure_ascii=False, allow_nan=False))
+        of_rows = _lines if "camera" in columns else _points
+        for feature in of_rows(columns, _coordinates(columns, place)):
+            out.write(between + feature)
             between = ",\n"
         out.write("\n]}\n")
     return [f"{name}.csv", f"{name}.geojson"]
 
 
-def _rows(table: Table) -> Iterator[dict[str, Any]]:
-    """Rows of plain values; None for what is no number."""
-    columns = [_plain(name, of) for name, of in table.items()]
-    for values in zip(*columns, strict=True):
-        yield dict(zip(table, values, strict=True))
-
-
 def _plain(name: str, column: NDArray[Any] | list[str]) -> list[Any]:
+    """Values as Python has them; None for what is no number."""
     if isinstance(column, list):
         return column
     if column.dtype.kind != "f":
         return column.tolist()
-    rounded = np.round(column, _FINE_DIGITS if name in _ON_BODY else _DIGITS).tolist()
-    return [value if math.isfinite(value) else None for value in rounded]
+    rounded = np.round(column, _FINE_DIGITS if name in _ON_BODY else _DIGITS)
+    if np.isfinite(rounded).all():
+        return rounded.tolist()
+    return [value if math.isfinite(value) else None for value in rounded.tolist()]
 
 
-def _features(table: Table, place: Georeference | None) -> Iterator[dict[str, Any]]:
-    if "camera" not in table:
-        for row in _rows(table):
-            properties = {name: value for name, value in row.items() if name not in _PLACES}
-            yield _feature({"type": "Point", "coordinates": _position(row, place)}, properties)
-        return
-    for camera, of in groupby(_rows(table), key=lambda row: row["camera"]):
-        rows = list(of)
-        line: Any = [_position(row, place) for row in rows]
-        kind = "LineString" if len(line) > 1 else "Point"
-        times = [row["time_s"] for row in rows]
-        yield _feature(
-            {"type": kind, "coordinates": line if len(line) > 1 else line[0]},
-            {"camera": camera, "time_s": times},
-        )
+def _guarded(values: list[Any]) -> list[Any]:
+    if not values or not isinstance(values[0], str):
+        return values
+    known = {value: guarded(value) for value in set(values)}
+    return [known[value] for value in values]
 
 
-def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "Feature", "geometry": geometry, "properties": properties}
+def _json(values: list[Any]) -> list[str]:
+    """Each value as JSON has it."""
+    if values and isinstance(values[0], str):
+        known = {value: json.dumps(value, ensure_ascii=False) for value in set(values)}
+        return [known[value] for value in values]
+    return ["null" if value is None else repr(value) for value in values]
 
 
-def _position(row: dict[str, Any], place: Georeference | None) -> list[float]:
-    x, y = row["x_m"], row["y_m"]
+def _coordinates(columns: Mapping[str, list[Any]], place: Georeference | None) -> list[str]:
+    """The position of each row."""
+    x, y = np.array(columns["x_m"]), np.array(columns["y_m"])
     if place is not None:
         a, b, c, d, e, f = place.plane()[1]
         x, y = a * x + b * y + c, d * x + e * y + f
-    return [x, y, row["z_m"]] if row["z_m"] is not None else [x, y]
+    return [
+        f"[{east!r}, {north!r}]" if up is None else f"[{east!r}, {north!r}, {up!r}]"
+        for east, north, up in zip(x.tolist(), y.tolist(), columns["z_m"], strict=True)
+    ]
+
+
+def _points(columns: Mapping[str, list[Any]], at: list[str]) -> Iterator[str]:
+    """A point a row, with all else that it says."""
+    other = {name: _json(values) for name, values in columns.items() if name not in _PLACES}
+    pairs = ", ".join(f"{json.dumps(name)}: %s" for name in other)
+    feature = (
+        '{"type": "Feature", "geometry": {"type": "Point", "coordinates": %s}, "properties": {'
+        + pairs
+        + "}}"
+    )
+    for row in zip(at, *other.values(), strict=True):
+        yield feature % row
+
+
+def _lines(columns: Mapping[str, list[Any]], at: list[str]) -> Iterator[str]:
+    """A line a camera, or a point where it has one row, with the times."""
+    for camera, of in groupby(range(len(at)), key=columns["camera"].__getitem__):
+        rows = list(of)
+        kind = "LineString" if len(rows) > 1 else "Point"
+        line = ", ".join(at[row] for row in rows)
+        properties = {"camera": camera, "time_s": [columns["time_s"][row] for row in rows]}
+        yield (
+            f'{{"type": "Feature", "geometry": {{"type": "{kind}", "coordinates": '
+            f'{f"[{line}]" if len(rows) > 1 else line}}}, "properties": '
+            f"{json.dumps(properties, ensure_ascii=False)}}}"
+        )

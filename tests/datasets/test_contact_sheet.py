@@ -11,11 +11,14 @@ import pytest
 from PIL import Image
 
 from scenec.datasets.colors import (
+    CLASS_COLORS,
     NO_LABEL,
     label_colors,
+    paint_classes,
     paint_depth,
     paint_instances,
     paint_labels,
+    paint_slope,
     viridis,
 )
 from scenec.datasets.contact_sheet import SheetFrame, contact_sheet
@@ -53,6 +56,44 @@ def test_depth_is_brighter_when_nearer_and_white_where_nothing_is_hit():
     painted = paint_depth(depth, 1.0, 20.0)[0].astype(int)
     assert (np.diff(painted[:4].sum(axis=1)) < 0).all()
     assert painted[4].tolist() == [255, 255, 255]
+
+
+#: What dichromats see of linear Rec.709 (Machado, Oliveira and Fernandes 2009, severity 1).
+DICHROMATS = {
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+                   [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+                     [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+                   [0.004733, 0.691367, 0.303900]],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("eyes", DICHROMATS)
+def test_classes_of_ground_differ_to_color_blind_eyes(eyes):
+    seen = (np.array(CLASS_COLORS) / 255.0) ** 2.2 @ np.array(DICHROMATS[eyes]).T
+    seen = 255.0 * np.clip(seen, 0.0, 1.0) ** (1 / 2.2)
+    for a, b in itertools.combinations(seen, 2):
+        assert np.abs(a - b).sum() > 60
+    assert [tuple(c) for c in paint_classes(np.arange(4))] == list(CLASS_COLORS)
+
+
+def test_slopes_are_brighter_when_steeper_up_to_45_degrees_and_white_without_a_hit():
+    painted = paint_slope(np.array([0.0, 10.0, 30.0, 45.0, 80.0, np.nan])).astype(int)
+    assert (np.diff(painted[:4].sum(axis=1)) > 0).all()
+    assert painted[3].tolist() == painted[4].tolist()
+    assert painted[5].tolist() == [255, 255, 255]
+
+
+def test_the_sheet_has_the_ground_for_a_vehicle_and_its_legend():
+    ids = np.repeat(np.arange(4, dtype=np.uint32), 30)[None].repeat(80, axis=0)
+    frame = SheetFrame("one", None, {}, None, None,
+                       terrain={"slope": ids * 15.0, "traversable": ids})  # fmt: skip
+    sheet = np.asarray(contact_sheet([frame], {}, "h", tile_width=240)).reshape(-1, 3)
+    for color in CLASS_COLORS:
+        # A quarter of the picture, and a square of the legend.
+        assert 240 * 160 / 4 < (sheet == color).all(axis=1).sum() < 240 * 160 / 4 + 600
+    assert (sheet == paint_slope(np.array([30.0]))[0]).all(axis=1).sum() >= 240 * 160 / 4
 
 
 def test_the_colormap_goes_from_dark_to_bright_without_a_step_back():

@@ -146,7 +146,7 @@ def test_a_place_moves_rasters_and_tables_alike(tmp_path):
     )  # fmt: skip
     grid = MapGrid(-2.0, 1.0, 0.5, 8, 4)
     np.savez(tmp_path / "tile.npz", height=np.arange(32, dtype=np.float32).reshape(4, 8))
-    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz")
+    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz", 480)
     with rasterio.open(tmp_path / "height.tif") as file:
         # x = 0.25, y = -0.25 is in row 2, column 4.
         assert next(iter(file.sample([(5000.25, -6999.75)]))) == 20
@@ -165,7 +165,7 @@ def test_gdal_takes_a_map_of_a_plane_on_a_body_to_the_latitudes_of_its_tables(tm
     place = Georeference("Mars", 3396190.0, 3376200.0, 18.4, 77.5)
     grid = MapGrid(-50.0, 40.0, 10.0, 10, 8)
     np.savez(tmp_path / "tile.npz", height=np.zeros((8, 10), np.float32))
-    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz")
+    write_layers(tmp_path, grid, ("height",), place, lambda _: tmp_path / "tile.npz", 480)
     table = {"id": np.arange(2), "x_m": np.array([0.0, 33.0]), "y_m": np.array([0.0, -25.0]),
              "z_m": np.zeros(2)}  # fmt: skip
     write_table(tmp_path, "objects", table, place)
@@ -248,7 +248,7 @@ def test_tiles_that_are_there_are_not_cast_again(out, tmp_path):
 import os, signal
 import scenec.datasets.maps.rasters as rasters
 import scenec.api.maps as maps
-maps.write_layers = lambda *a: os.kill(os.getpid(), signal.SIGKILL)
+maps.write_layers = lambda *a, **k: os.kill(os.getpid(), signal.SIGKILL)
 from scenec.cli.main import main
 main(["export", {str(out)!r}, "--format", "map", "-o", {str(folder)!r}, *{FEW!r}])
 """
@@ -320,3 +320,51 @@ def test_the_list_of_formats_has_its_options(capsys):
     listed = json.loads(capsys.readouterr().out)["map"]["options"]
     assert listed["wheel_base_m"]["default"] == "1.4"
     assert set(listed) >= {"cell_m", "area_m", "sample", "slope_deg"}
+
+
+def test_craters_in_the_table_are_as_deep_as_the_map_shows(tmp_path):
+    """Of those that no other reaches: the mean of the outline above the center, in height.tif."""
+    craters = {
+        "type": "craters", "min_diameter_m": 2, "max_diameter_m": 5, "density_per_m2": 0.06,
+        "degradation": 0.3, "irregularity": 0,
+    }  # fmt: skip
+    cfg = small_cfg(samples=1, batches=1)
+    relief = [{"type": "plane", "slope": [0, 0]}, craters]
+    cfg["objects"]["rocks"]["count"] = 1
+    cfg["terrain"] |= {
+        "size_m": [60, 60],
+        "spacing_m": 0.1,
+        "relief": relief,
+        "mesh": {"tolerance_px": 0},
+    }
+    folder = tmp_path / "out"
+    assert main(["compile", str(write_cfg(tmp_path, cfg)), "-o", str(folder), "--keep", "all"]) == 0
+    ask = ["export", str(folder), "--format", "map", "--set", "cell_m=0.05"]
+    assert main([*ask, "--set", "layers=height"]) == 0
+    maps = folder / "datasets" / "map" / "batch_0000"
+    with (maps / "craters.csv").open() as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    features = json.loads((maps / "craters.geojson").read_text())["features"]
+    assert len(features) == len(rows) > 20
+    assert [row["age"] for row in rows] == sorted((row["age"] for row in rows), reverse=True)
+    every = read_stage(folder / "batch_0000" / "stage.usda").craters
+    with rasterio.open(maps / "height.tif") as file:
+        heights = file.read(1)
+        step, west, north = file.res[0], *(file.transform @ (0, 0))
+    seen = 0
+    turn = np.arange(120) * np.pi / 60
+    for row, feature in zip(rows, features, strict=True):
+        assert feature["geometry"]["coordinates"] == [row["x_m"], row["y_m"], row["z_m"]]
+        radius = 0.5 * row["diameter_m"]
+        away = np.hypot(every.x_m - row["x_m"], every.y_m - row["y_m"])
+        alone = (away < radius * 1.2 + 2.5 * every.diameter_m).sum() == 1
+        if not alone or max(abs(row["x_m"]), abs(row["y_m"])) > 26.0:
+            continue
+        seen += 1
+        x = row["x_m"] + np.append(radius * np.cos(turn), 0.0)
+        y = row["y_m"] + np.append(radius * np.sin(turn), 0.0)
+        at = heights[((north - y) / step).astype(int), ((x - west) / step).astype(int)]
+        assert row["z_m"] == pytest.approx(at[-1], abs=0.02)
+        # Cells are half a spacing, and the mesh cuts the crest.
+        assert row["depth_m"] == pytest.approx(at[:-1].mean() - at[-1], rel=0.05, abs=0.01)
+    assert seen >= 2

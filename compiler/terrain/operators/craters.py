@@ -137,6 +137,7 @@ class CraterLaw:
             state=self.degradation * age[order],
             outline=outline,
             irregularity=self.irregularity,
+            age=age[order],
         )
 
 
@@ -159,6 +160,7 @@ class Craters:
         state: Wear, kappa * t / R**2, float64 [n].
         outline: Noise key of each outline, uint64 [n].
         irregularity: How far outlines are from circles: part of the radius.
+        age: From 0 to 1, when the surface was new, float64 [n]; None: nobody knows.
     """
 
     KIND: ClassVar = "craters"
@@ -171,6 +173,7 @@ class Craters:
     state: NDArray[np.float64]
     outline: NDArray[np.uint64]
     irregularity: float
+    age: NDArray[np.float64] | None = None
 
     def apply(self, grid: Grid, height: NDArray[np.float64]) -> Applied:
         """Heights with craters.

@@ -191,7 +191,7 @@ def test_balls_are_buried_as_deep_as_they_were_sunk():
     made = replace(made, instance_paths={"/World/balls": 0})
     area = ground_area(made)
     assert area == (-50.0, -50.0, 50.0, 50.0)
-    table = objects_table(made, Instances(made), 0, area)
+    table = objects_table(made, ExactCaster(made, trees=False), Instances(made), 0, area)
     np.testing.assert_array_equal(table["instance"], [1, 2, 3, 4, 5])
     assert table["class"] == ["/World/balls"] * 5
     np.testing.assert_allclose(table["x_m"], 3.0 * np.arange(5), atol=2e-3)
@@ -201,7 +201,9 @@ def test_balls_are_buried_as_deep_as_they_were_sunk():
     np.testing.assert_allclose(table["burial"], sunk, atol=4e-3)
     np.testing.assert_allclose(table["above_ground_m"], 0.8 * (1 - sunk), atol=4e-3)
     # Beyond the ground there is none to lie in.
-    beyond = objects_table(made, Instances(made), 0, (70.0, -9.0, 90.0, 9.0))
+    beyond = objects_table(
+        made, ExactCaster(made, trees=False), Instances(made), 0, (70.0, -9.0, 90.0, 9.0)
+    )
     np.testing.assert_array_equal(beyond["instance"], [6])
     assert np.isnan(beyond["burial"]).all()
 

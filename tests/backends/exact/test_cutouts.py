@@ -11,8 +11,9 @@ from PIL import Image
 
 from scenec.backends.camera.rays import camera_rays
 from scenec.backends.check.witness import Witness
-from scenec.backends.contract import NO_ROW, Visibility
+from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact import ExactCaster
+from scenec.backends.exact import caster as module
 from scenec.backends.stage.scene import Maps, RenderScene
 from scenec.backends.surface.cutouts import LEAST
 from scenec.backends.testing import lights
@@ -96,6 +97,23 @@ def test_a_ray_goes_on_where_opacity_is_below_the_threshold(tmp_path, across, up
         np.testing.assert_array_equal(one, other)
     asked = caster.test(rays, every, solid_row, solid_face)
     np.testing.assert_array_equal(asked, np.where(kept, solid_t, np.inf))
+
+
+@pytest.mark.parametrize("way", [(0.0, 0.0, -1.0), (0.3, -0.4, -1.0)])
+def test_parallel_rays_ask_the_mask_too(tmp_path, way, monkeypatch):
+    texels = np.random.default_rng(2).integers(0, 256, (7, 4))
+    made = square(tmp_path, ("repeat", "mirror"), texels, solid=False)
+    way = np.array(way)
+    x, y = np.meshgrid(np.linspace(-3.0, 3.0, 61), np.linspace(-3.0, 3.0, 61))
+    origins = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, AWAY)]) - AWAY * way
+    each = Rays(origins, np.tile(way, (x.size, 1)), (1, x.size))
+    by_trees = ExactCaster(made).cast(each, np.arange(x.size))
+    assert 0.1 < (by_trees[0] == 1).mean() < 0.4
+    monkeypatch.setattr(module, "_TRIANGLE", 0.0)
+    caster = ExactCaster(made, trees=False)
+    streamed = caster.cast_parallel(origins, way)
+    for name, values in zip(("row", "face", "t"), by_trees, strict=True):
+        np.testing.assert_array_equal(getattr(streamed, name), values, err_msg=name)
 
 
 def test_a_texel_at_the_threshold_is_there_and_one_below_is_not(tmp_path):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 from scipy.special import i0e
 
 from scenec.compiler.distributions.streams import Streams
@@ -13,6 +14,7 @@ from scenec.compiler.kinds.context import Context
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.terrain.operators.crater_profile import REACH, fresh, profile_table
+from scenec.compiler.terrain.operators.crater_table import list_craters
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.schemas.errors import SceneError
 
@@ -241,3 +243,37 @@ def test_irregular_outlines_leave_the_middle_and_the_size_about_the_same():
     assert np.abs((uneven - round_)[away < 1.0]).max() < 0.02
     assert 0.1 < np.abs(uneven - round_).max() < 1.5
     assert ((uneven < 0).sum() / (round_ < 0).sum()) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("state", [0.0, 0.02, 0.1, 0.5])
+def test_the_table_has_the_depth_that_heights_show_below_the_outline(state):
+    grid = Grid.with_spacing((70.0, 70.0), 0.1)
+    one = craters(x=[3.03], y=[-2.21], diameter=[12.0], state=state)
+    (depth,) = list_craters(one, grid).depth_m
+    heights = RegularGridInterpolator((grid.y(), grid.x()), apply(one, grid), method="cubic")
+    turn = np.arange(360) * np.pi / 180
+    ring = heights(np.column_stack([-2.21 + 6.0 * np.sin(turn), 3.03 + 6.0 * np.cos(turn)]))
+    assert depth == pytest.approx(ring.mean() - heights([[-2.21, 3.03]])[0], rel=0.01)
+    # Fresh it is the cfg's ratio; the samples of the profile round off its crest.
+    assert (depth == pytest.approx(0.2 * 12.0, rel=5e-3)) == (state == 0.0)
+
+
+def test_the_table_lists_what_the_grid_shows_oldest_first():
+    grid = Grid.with_spacing(SIZE, 0.5)
+    laid = drawn(3, degradation=0.4)
+    table = list_craters(laid, grid)
+    assert 0 < len(table.x_m) < len(laid.x_m)
+    assert (np.diff(table.age) <= 0.0).all()
+    assert table.age.min() >= 0.0
+    assert table.age.max() <= 1.0
+    np.testing.assert_allclose(table.wear, 0.4 * table.age, rtol=1e-6)
+    assert table.diameter_m.min() >= 1.5
+    assert (np.abs(table.x_m) <= 30.0 + table.diameter_m / 2).all()
+    # A masked one is as deep as the mask leaves it, and one that is hidden is not there.
+    ramp = np.broadcast_to((grid.x() > 0.0).astype(float) * 0.25, grid.shape)
+    masked = list_craters(laid, grid, np.ascontiguousarray(ramp))
+    east = table.x_m > 0.5
+    kept = masked.x_m > 0.5
+    np.testing.assert_array_equal(masked.x_m[kept], table.x_m[east])
+    np.testing.assert_allclose(masked.depth_m[kept], 0.25 * table.depth_m[east], rtol=1e-6)
+    assert masked.x_m.min() > -0.5
