@@ -145,14 +145,11 @@ class _Tracks(StageExport[TrackFacts]):
         for name in (*(chosen or ()), *([self.asked.camera] if self.asked.camera else ())):
             if name not in known:
                 raise OutputError(f"{batch.stage}: no camera {name!r}{nearest(name, known)}")
-        found = []
-        for camera in facts.cameras:
-            if chosen and camera.name not in chosen:
-                continue
-            taken = _at(camera, samples)
-            if not taken.samples:
-                raise OutputError(f"{batch.stage}: camera {camera.name} has no frame at --samples")
-            found.append(taken)
+        there = [taken for camera in facts.cameras if (taken := _at(camera, samples)).samples]
+        found = [camera for camera in there if not chosen or camera.name in chosen]
+        if not found or self.asked.camera not in ("", *(camera.name for camera in there)):
+            what = f"camera {self.asked.camera}" if found else "a camera"
+            raise OutputError(f"{batch.stage}: {what} has no frame at the samples asked for")
         return found
 
     def _choose(self, batch: Batch, facts: TrackFacts, camera: CameraFrames) -> TrackPoints:
@@ -160,7 +157,7 @@ class _Tracks(StageExport[TrackFacts]):
         source = camera
         if self.asked.camera:
             source = next(c for c in facts.cameras if c.name == self.asked.camera)
-            source = _at(source, camera.samples)
+            source = _at(source, self.options.samples)
         counts = self.asked.per_frame(len(source.samples))
         units = [
             ChoosePoints(opening(batch), facts.digest, source.name, sample, count, self.asked)

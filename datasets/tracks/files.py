@@ -109,10 +109,12 @@ def write_pickle(
         camera, sights: As of ``write_arrays``.
         video: uint8 [frames, h, w, 3].
     """
-    shares = sights.pixel / np.array(camera.size, np.float64)
+    with np.errstate(over="ignore"):
+        # Beside the camera a place may be farther than float32 goes.
+        shares = (sights.pixel / np.array(camera.size, np.float64)).astype(np.float32)
     example = {
         "video": video,
-        "points": np.where(np.isfinite(shares), shares, _NOWHERE).astype(np.float32),
+        "points": np.where(np.isfinite(shares), shares, np.float32(_NOWHERE)),
         "occluded": sights.code != VISIBLE,
     }
     with atomic(path) as temporary, temporary.open("wb") as out:

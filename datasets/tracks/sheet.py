@@ -16,7 +16,8 @@ from scenec.schemas.point_tracks import TrackSights
 _MOST = 200
 #: Frames before one whose places a trail shows.
 _TRAIL = 8
-_RADIUS = 3.0
+#: Of a point, in parts of the picture's width.
+_RADIUS = 1 / 200
 
 
 def write_track_sheet(path: Path, video: NDArray[np.uint8], sights: TrackSights) -> None:
@@ -32,6 +33,7 @@ def write_track_sheet(path: Path, video: NDArray[np.uint8], sights: TrackSights)
     count = len(video)
     shown = sorted({0, count // 2, count - 1})
     height, width = video.shape[1:3]
+    radius = max(1.5, _RADIUS * width)
     sheet = Image.new("RGB", (width * len(shown), height))
     ids = np.arange(1, 1 + min(len(sights.code), _MOST), dtype=np.uint32)
     colors = [tuple(color) for color in paint_instances(ids[None])[0].tolist()]
@@ -39,15 +41,18 @@ def write_track_sheet(path: Path, video: NDArray[np.uint8], sights: TrackSights)
         picture = Image.fromarray(video[frame])
         draw = ImageDraw.Draw(picture)
         for track, color in enumerate(colors):
-            pixels = sights.pixel[track, max(0, frame - _TRAIL) : frame + 1]
-            if not np.isfinite(pixels).all() or sights.code[track, frame] not in (VISIBLE, HIDDEN):
-                continue
+            first = max(0, frame - _TRAIL)
+            # Where it was without a break, within the picture.
+            broken = np.flatnonzero(sights.code[track, first : frame + 1] > HIDDEN)
+            first += broken[-1] + 1 if len(broken) else 0
             # Pillow's integers are centers of pixels.
-            at = pixels - 0.5
+            at = sights.pixel[track, first : frame + 1] - 0.5
+            if not len(at):
+                continue
             if len(at) > 1:
                 draw.line([tuple(p) for p in at.tolist()], fill=color)
             x, y = at[-1].tolist()
-            box = (x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS)
+            box = (x - radius, y - radius, x + radius, y + radius)
             visible = sights.code[track, frame] == VISIBLE
             draw.ellipse(box, fill=color if visible else None, outline=color)
         sheet.paste(picture, (place * width, 0))
