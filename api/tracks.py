@@ -173,7 +173,7 @@ class _Tracks(StageExport[TrackFacts]):
             FollowPoints(opening(batch), facts.digest, camera.name, sample, points)
             for sample in camera.samples
         ]
-        steps = self.options.listener.steps("followed", unit="frame", every_s=2.0)
+        steps = self.options.listener.steps("followed", unit="frame")
         found = []
         for number, (unit, sights) in enumerate(self.done(units, in_order=True), 1):
             found.append(sights)
