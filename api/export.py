@@ -11,6 +11,7 @@ from scenec.api.models import ModelsReport, export_models
 from scenec.api.options import ExportOptions
 from scenec.api.rectify import rectify
 from scenec.api.steps import hire
+from scenec.api.tracks import export_tracks
 from scenec.datasets.export import Choice, ExportReport
 from scenec.datasets.export import export as export_frames
 from scenec.datasets.filters import make_filters
@@ -18,6 +19,7 @@ from scenec.datasets.maps import MAP
 from scenec.datasets.models import MODEL_FORMATS
 from scenec.datasets.remap import Remap, read_remap
 from scenec.datasets.splits import parse_splits
+from scenec.datasets.tracks import TAPVID
 from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError
 from scenec.schemas.imu import RigState
@@ -25,7 +27,7 @@ from scenec.schemas.imu import RigState
 
 @Spread(ExportOptions).two
 def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport | ModelsReport:
-    """Exports frames to a dataset: COCO, HDF5, TUM, …; or stages to glTF, USDZ, maps.
+    """Exports frames to a dataset: COCO, HDF5, TUM, …; or stages to glTF, USDZ, maps, point tracks.
 
     Args:
         out: Output folder with frames, or a USD file that was rendered.
@@ -38,6 +40,8 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
     """
     if format == MAP:
         return export_maps(Path(out), options)
+    if format == TAPVID:
+        return export_tracks(Path(out), options)
     if format in MODEL_FORMATS:
         return export_models(Path(out), format, options)
     workers = options.workers if options.workers is not None else usable_cores()

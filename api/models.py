@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,18 +91,24 @@ def export_models(out: Path, format: str, options: ExportOptions) -> ModelsRepor
     return ModelsReport(folder, format, tuple(files.values()), report)
 
 
-def chosen_batches(out: Path, format: str, options: ExportOptions) -> list[Batch]:
+def chosen_batches(
+    out: Path, format: str, options: ExportOptions, takes: Collection[str] = ()
+) -> list[Batch]:
     """The batches that are asked for, of a format that holds stages.
+
+    Args:
+        out: Output folder of a compile, or a USD file.
+        format: Its name.
+        options: Of the call.
+        takes: Names of options that choose among frames, and that it takes.
 
     Raises:
         OutputError: There are none, or options choose among frames.
     """
     usual = ExportOptions()
     for name in _OF_FRAMES:
-        if (name != "cluster" or format in _ENDINGS) and getattr(options, name) not in (
-            getattr(usual, name),
-            [],
-        ):
+        taken = name in takes or (name == "cluster" and format not in _ENDINGS)
+        if not taken and getattr(options, name) not in (getattr(usual, name), []):
             raise OutputError(
                 f"--{name} chooses among frames, and {format} holds stages; leave it out"
             )

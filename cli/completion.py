@@ -50,8 +50,9 @@ def _formats(**_: object) -> list[str]:
     from scenec.datasets.formats.registry import format_names
     from scenec.datasets.maps import MAP
     from scenec.datasets.models import MODEL_FORMATS
+    from scenec.datasets.tracks import TAPVID
 
-    return sorted([*format_names(), MAP, *MODEL_FORMATS])
+    return sorted([*format_names(), MAP, TAPVID, *MODEL_FORMATS])
 
 
 def _passes(**_: object) -> Iterable[str]:

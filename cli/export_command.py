@@ -12,16 +12,19 @@ from scenec.api.options import ExportOptions
 from scenec.cli.arguments import chosen
 from scenec.cli.output import print_json, say, say_next
 from scenec.cli.terminal import Terminal
+from scenec.datasets import maps, tracks
 from scenec.datasets.export import ExportReport
 from scenec.datasets.formats.registry import find_format, format_names
-from scenec.datasets.maps import MAP, SETTINGS, SUMMARY
+from scenec.datasets.maps import MAP
 from scenec.datasets.models import MODEL_FORMATS, TEXELS
+from scenec.datasets.tracks import TAPVID
 from scenec.schemas.errors import OutputError
 
 _TEXELS = {"texels": (str(TEXELS), "of all pictures of the ground of a batch together")}
 #: Formats that hold stages -> what they are; option -> its default and help.
 _OF_STAGES = {name: (summary, _TEXELS) for name, summary in MODEL_FORMATS.items()}
-_OF_STAGES[MAP] = SUMMARY, SETTINGS
+_OF_STAGES[MAP] = maps.SUMMARY, maps.SETTINGS
+_OF_STAGES[TAPVID] = tracks.SUMMARY, tracks.SETTINGS
 
 
 def run(options: argparse.Namespace) -> int:
@@ -53,12 +56,27 @@ def run(options: argparse.Namespace) -> int:
 def _print_models(report: ModelsReport) -> None:
     for line in report.losses:
         say(f"not in it: {line}")
-    for file in report.files if report.format != MAP else ():
+    for file in report.files if report.format in MODEL_FORMATS else ():
         say(f"{report.format}: {file} ({file.stat().st_size / 1e6:.1f} MB)")
     if report.format == MAP:
         size = sum(file.stat().st_size for file in report.files)
         say(f"{len(report.files)} files of maps and tables ({size / 1e6:.1f} MB)")
         say(f"maps: {report.folder}/ (a look at all: {report.folder}/BATCH/map.png)")
+    if report.format == TAPVID:
+        _print_tracks(report)
+
+
+def _print_tracks(report: ModelsReport) -> None:
+    cameras = [one for b in report.content["batches"].values() for one in b["cameras"].values()]
+    tracks, visible, undecided = (
+        sum(one[name] for one in cameras) for name in ("tracks", "visible", "undecided")
+    )
+    places = sum(one["tracks"] * one["frames"] for one in cameras)
+    say(
+        f"{tracks:,} points of {len(cameras):,} cameras at {places:,} places, {visible:,} visible, "
+        f"{undecided:,} of these within rounding alone"
+    )
+    say(f"point tracks: {report.folder}/")
 
 
 def _print_report(report: ExportReport) -> None:

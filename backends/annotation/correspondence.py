@@ -8,7 +8,7 @@ camera through X': it does if nothing is hit before it. A sky pixel stands for a
 infinitely far away, which moves by the camera's rotation alone.
 
 The ray back to X' meets the surface X' lies on as well, at a parameter that rounding moves by a few
-parts in 1e15 over the cosine of the angle of incidence. What is hit nearer than ``_SAME`` of the
+parts in 1e15 over the cosine of the angle of incidence. What is hit nearer than ``SAME`` of the
 distance before X' therefore counts as the surface itself.
 
 With a rolling shutter each row has a frame of its own: X is seen in that of its pixel's row, X' in
@@ -32,7 +32,27 @@ from scenec.schemas.errors import CameraRefusedError
 from scenec.schemas.lens import pixels_at
 
 #: Share of the distance within which a hit is the surface that was asked for.
-_SAME = 1e-6
+SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class PointSight:
+    """Holds where a camera shows points, and whether it does.
+
+    Attributes:
+        pixel: Column and row, float64 [n, 2]; NaN where its lens has no place for the point (a
+            pinhole: it is behind), or where it is gone.
+        local: The points in the camera's frame as it is then, float64 [n, 3].
+        code: What became of them (``schemas.correspondence``), uint32 [n].
+        undecided: Which count as visible though the first surface on the ray is not their own
+            face: another one within ``SAME`` of the distance before them, or none up to there, as
+            rounding has it on edges; bool [n].
+    """
+
+    pixel: NDArray[np.float64]
+    local: NDArray[np.float64]
+    code: NDArray[np.uint32]
+    undecided: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -74,45 +94,67 @@ def match(
     """
     (camera, sample), (other, sample_there) = here, there
     hit = hits.row >= 0
-    n = len(hit)
     points = rays.origins + np.where(hit, hits.t, 0.0)[:, None] * rays.directions
     moved, gone = _moved(scene, points, hits.row, sample, sample_there)
-    if is_rolling(other):
-        # Of the sky, a direction.
-        places = places_of(other, np.where(hit[:, None], moved, rays.directions), ~hit)
-        seen, pixel, origins = places.local, places.pixel, places.eye
-    else:
-        origins = np.broadcast_to(other.camera_to_world[:3, 3], points.shape)
-    # The sky's pixels are directions: as if from the other camera, one unit away.
-    target = np.where(hit[:, None], moved, origins + rays.directions)
-    if not is_rolling(other):
-        seen = _to_camera(other, target)
-        pixel = pixels_at(other.lens, other.intrinsics, seen)
     # Pixels beyond a lens's circle show nothing that could be elsewhere.
     if rays.known is not None:
         gone |= ~rays.known
-    pixel[gone] = np.nan
-    with np.errstate(invalid="ignore"):
-        inside = (pixel[:, 0] >= 0.0) & (pixel[:, 0] <= other.width)
-        inside &= (pixel[:, 1] >= 0.0) & (pixel[:, 1] <= other.height)
-    code = np.full(n, OUTSIDE, np.uint32)
-    code[gone] = NOTHING
-    index = np.flatnonzero(inside)
-    code[index] = VISIBLE
-    back = _rays_to(origins[index], target[index])
+    target = np.where(hit[:, None], moved, rays.directions)
     caster.pose(sample_there)
-    row, face, t = caster.cast(back)
+    sight = sight_of(caster, other, target, (hits.row, hits.face), gone)
     caster.pose(sample)
-    own = (row == hits.row[index]) & (face == hits.face[index])
-    # The ray's parameter at the point is 1; at the sky it is endless.
-    nearer = (t < np.where(hit[index], 1.0 - _SAME, np.inf)) & ~(own & hit[index])
-    code[index[nearer]] = HIDDEN
     nowhere = ~hit | gone
     local = in_rows(camera, points) if is_rolling(camera) else _to_camera(camera, points)
     local[nowhere] = np.nan
-    after = seen.copy()
+    after = sight.local.copy()
     after[nowhere] = np.nan
-    return Match(pixel, local, after, code)
+    return Match(sight.pixel, local, after, sight.code)
+
+
+def sight_of(
+    caster: ExactCaster,
+    camera: Camera,
+    points: NDArray[np.float64],
+    faces: tuple[NDArray[np.int32], NDArray[np.int32]],
+    gone: NDArray[np.bool_],
+) -> PointSight:
+    """Finds where a camera shows points, and what stands before them.
+
+    Args:
+        caster: Posed at the camera's sample.
+        camera: As it is at that sample.
+        points: World, float64 [n, 3]; of the sky, directions.
+        faces: Rows and faces that they lie on, int32 [n] each; a row below 0 is the sky.
+        gone: Which are not there at that sample, bool [n].
+    """
+    hit = faces[0] >= 0
+    if is_rolling(camera):
+        # Of the sky, a direction.
+        places = places_of(camera, points, ~hit)
+        local, pixel, origins = places.local, places.pixel, places.eye
+    else:
+        origins = np.broadcast_to(camera.camera_to_world[:3, 3], points.shape)
+    # The sky's pixels are directions: as if from the other camera, one unit away.
+    target = np.where(hit[:, None], points, origins + points)
+    if not is_rolling(camera):
+        local = _to_camera(camera, target)
+        pixel = pixels_at(camera.lens, camera.intrinsics, local)
+    pixel[gone] = np.nan
+    with np.errstate(invalid="ignore"):
+        inside = (pixel[:, 0] >= 0.0) & (pixel[:, 0] <= camera.width)
+        inside &= (pixel[:, 1] >= 0.0) & (pixel[:, 1] <= camera.height)
+    code = np.full(len(points), OUTSIDE, np.uint32)
+    code[gone] = NOTHING
+    index = np.flatnonzero(inside)
+    code[index] = VISIBLE
+    row, face, t = caster.cast(_rays_to(origins[index], target[index]))
+    own = (row == faces[0][index]) & (face == faces[1][index])
+    # The ray's parameter at the point is 1; at the sky it is endless.
+    nearer = (t < np.where(hit[index], 1.0 - SAME, np.inf)) & ~(own & hit[index])
+    code[index[nearer]] = HIDDEN
+    undecided = np.zeros(len(points), bool)
+    undecided[index] = hit[index] & ~nearer & ~own
+    return PointSight(pixel, local, code, undecided)
 
 
 def _next(picture: Picture) -> Match:
@@ -181,20 +223,49 @@ def _moved(
     other: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Moves points with their rows to another sample; the second array marks those gone by then."""
+    if sample == other:
+        return points, np.zeros(len(points), bool)
+    return placed(scene, anchored(scene, points, row, sample), row, other)
+
+
+def anchored(
+    scene: RenderScene, points: NDArray[np.float64], row: NDArray[np.int32], sample: int
+) -> NDArray[np.float64]:
+    """Converts points of the world to the frames of their rows, where those move; others stay.
+
+    Args:
+        scene: The scene.
+        points: World at the sample, float64 [n, 3].
+        row: Rows that they lie on, int32 [n]; below 0: none.
+        sample: Time code.
+    """
+    motion = scene.rows.motion
+    if motion is None:
+        return points
+    moves, place = motion.among(row)
+    points = points.copy()
+    for k in np.unique(place).tolist():
+        some, now = moves[place == k], motion.to_world[sample, k]
+        points[some] = _turned(points[some] - now[:, 3], np.linalg.inv(now[:, :3]))
+    return points
+
+
+def placed(
+    scene: RenderScene, points: NDArray[np.float64], row: NDArray[np.int32], sample: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Converts ``anchored`` points to the world at a sample; the second array marks those gone."""
     gone = np.zeros(len(points), bool)
     motion = scene.rows.motion
-    if motion is None or sample == other:
+    if motion is None:
         return points, gone
     moves, place = motion.among(row)
     points = points.copy()
     for k in np.unique(place).tolist():
-        some = moves[place == k]
-        now, then = motion.to_world[sample, k], motion.to_world[other, k]
-        if not then[:, :3].any():
+        some, then = moves[place == k], motion.to_world[sample, k]
+        if then[:, :3].any():
+            points[some] = _turned(points[some], then[:, :3]) + then[:, 3]
+        else:
             gone[some] = True
-            continue
-        local = _turned(points[some] - now[:, 3], np.linalg.inv(now[:, :3]))
-        points[some] = _turned(local, then[:, :3]) + then[:, 3]
     return points, gone
 
 

@@ -1,4 +1,4 @@
-"""Is an export of models, or of maps, as it was written?"""
+"""Is an export of models, maps or point tracks as it was written?"""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from scenec.datasets.export_records import EXPORT
 from scenec.datasets.maps import MAP
 from scenec.datasets.models import MODEL_FORMATS
+from scenec.datasets.tracks import TAPVID
 from scenec.datasets.verify import Flaw
 from scenec.schemas.codec import UNSET, Natural, Unset, read_record
 from scenec.schemas.errors import OutputError
@@ -20,7 +21,7 @@ _WHAT = f"{EXPORT} of scenec"
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
-    """The file of a batch, as it was written; batches of maps have none of their own."""
+    """The file of a batch, as it was written; batches of maps and tracks have none of their own."""
 
     file: str | Unset = UNSET
     bytes: Natural | Unset = UNSET
@@ -41,7 +42,7 @@ def is_models(folder: Path) -> bool:
         found = read_json(folder / EXPORT, OutputError, _WHAT)
     except (FileNotFoundError, OutputError):
         return False
-    return isinstance(found, dict) and found.get("format") in (MAP, *MODEL_FORMATS)
+    return isinstance(found, dict) and found.get("format") in (MAP, TAPVID, *MODEL_FORMATS)
 
 
 def verify_models(folder: Path) -> list[Flaw]:

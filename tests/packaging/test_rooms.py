@@ -65,7 +65,7 @@ FLOORS = {
         ("export_records",),
         ("export_part", "holdings"),
         ("export",),
-        ("verify", "maps"),
+        ("verify", "maps", "tracks"),
         ("models",),
     ),
     "importers": (
@@ -80,7 +80,8 @@ FLOORS = {
         ("options",),
         ("explain", "shown", "steps"),
         ("outputs", "models"),
-        ("maps", "rectify"),
+        ("stage_export",),
+        ("maps", "rectify", "tracks"),
         (
             "check",
             "evaluate",
