@@ -29,8 +29,8 @@ _SOUTH_POLE, _MARS = "IAU_2015:30135", "IAU_2015:49910"
 
 
 @dataclass(frozen=True)
-class Raster:
-    """An elevation model to be made.
+class MadeUpDem:
+    """Says how an elevation model is made.
 
     Attributes:
         crs: Its reference system.
@@ -70,7 +70,7 @@ _RIDGE = (-11_310.0, -12_260.0)
 _FOOT = (4_593_500.0, 1_093_500.0)
 _FRONT = (4_593_370.0, 1_093_530.0)
 RASTERS = {
-    "south_pole_40m": Raster(_SOUTH_POLE, _RIDGE, 40.0, 560, 0.1, (
+    "south_pole_40m": MadeUpDem(_SOUTH_POLE, _RIDGE, 40.0, 560, 0.1, (
         {"type": "plane"},
         _fbm(420, 9000, 8, gain=0.42),
         {"type": "plane", "height_m": -2300, "mask": [_near(5200, 5400, 5600, max_m=4700,
@@ -79,13 +79,13 @@ RASTERS = {
         {"type": "craters", "min_diameter_m": 200, "max_diameter_m": 4500, "degradation": 0.2,
          "irregularity": 0.12, "density_per_m2": 0.07, "rim_ratio": 0.05},
     )),
-    "south_pole_5m": Raster(_SOUTH_POLE, _RIDGE, 5.0, 320, 0.02, (
+    "south_pole_5m": MadeUpDem(_SOUTH_POLE, _RIDGE, 5.0, 320, 0.02, (
         _coarse("south_pole_40m", _RIDGE, 40.0, 1600.0),
         {"type": "downscale", "slope": 3.8, "roughness": 0.7},
         {"type": "craters", "min_diameter_m": 18, "max_diameter_m": 250, "degradation": 0.25,
          "irregularity": 0.1, "density_per_m2": 0.05},
     )),
-    "mars_delta_20m": Raster(_MARS, _FOOT, 20.0, 640, 0.1, (
+    "mars_delta_20m": MadeUpDem(_MARS, _FOOT, 20.0, 640, 0.1, (
         {"type": "plane", "slope": [-0.004, 0.002]},
         _fbm(16, 1600, 7, gain=0.45),
         {"type": "plane", "height_m": 62, "mask": [_near(-2300, 900, 150, max_m=2250,
@@ -96,7 +96,7 @@ RASTERS = {
         {"type": "craters", "min_diameter_m": 60, "max_diameter_m": 900, "density_per_m2": 0.004,
          "degradation": 0.5, "irregularity": 0.1, "depth_ratio": 0.15},
     )),
-    "mars_delta_1m": Raster(_MARS, _FRONT, 1.0, 640, 0.01, (
+    "mars_delta_1m": MadeUpDem(_MARS, _FRONT, 1.0, 640, 0.01, (
         _coarse("mars_delta_20m", _FRONT, 20.0, 640.0),
         {"type": "downscale", "roughness": 0.25, "slope": 3.6},
         {"type": "terraces", "step_m": 7, "riser": 0.45, "tread_slope": 0.55, "irregularity": 1,
@@ -108,7 +108,7 @@ RASTERS = {
 }  # fmt: skip
 
 
-def heights(raster: Raster) -> NDArray[np.int16]:
+def heights(raster: MadeUpDem) -> NDArray[np.int16]:
     """Returns the whole numbers of a raster, its northern row first."""
     side = (raster.pixels - 1) * raster.pixel_m
     cfg = small_cfg()
