@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from scenec.backends.stage.scene import RenderScene
@@ -10,13 +12,17 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.site_map import MapGrid, MapOptions
 from scenec.schemas.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from scenec.backends.exact import ExactCaster
 
-def site_of(scene: RenderScene, cells: int) -> Site | None:
+
+def site_of(scene: RenderScene, cells: int, caster: ExactCaster | None = None) -> Site | None:
     """Maps a stage at its first sample for the first vehicle that a camera names, or the default.
 
     Args:
         scene: The stage.
         cells: Most along its longer side. Classes are left out where these are too coarse for them.
+        caster: Of the stage, where somebody has one; it is posed.
 
     Returns:
         None where there is no ground.
@@ -39,7 +45,7 @@ def site_of(scene: RenderScene, cells: int) -> Site | None:
         layers = layers[:2]
         options = MapOptions(cell_m=cell, vehicle=vehicle, layers=layers)
     grid = MapGrid.over(area, cell)
-    made = map_tile(scene, ExactCaster(scene), grid, (0, 0), options, layers)
+    made = map_tile(scene, caster or ExactCaster(scene), grid, (0, 0), options, layers)
     # Rows run south there.
     up = {name: np.ascontiguousarray(values[::-1]) for name, values in made.items()}
     corner = grid.west + 0.5 * cell, grid.north - (grid.height - 0.5) * cell
