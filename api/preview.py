@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scenec.api.declare import Spread
 from scenec.api.options import PreviewOptions
 from scenec.api.steps import AnyCfg, cache_folder, read_cfg
+from scenec.datasets.view.site import Site, site_planes
 from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import CfgError, ScenecError
 from scenec.schemas.files import Stamp, atomic, check_output, stamp
@@ -41,6 +42,8 @@ _LOOK_S, _WAIT_S = 0.25, 20.0
 _SAMPLES = 4
 #: Cells of the map along its longer side.
 _CELLS = 360
+#: The same of what the ground is to a vehicle, looked at and shown.
+_SITE_CELLS, _SITE_SHOWN = 640, 256
 #: By these names alone the page is answered, and this is a version of its facts.
 _OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", re.IGNORECASE)
 _VERSION = re.compile("[0-9]{1,18}")
@@ -223,6 +226,7 @@ class Preview:
             ScenecError: It cannot be made.
         """
         from scenec.api.shown import StageView
+        from scenec.api.site import site_of
         from scenec.backends.stage.ground import relief
         from scenec.compiler.compile import compile_cfg
         from scenec.schemas.manifest import find_batches
@@ -256,6 +260,7 @@ class Preview:
             for i, name in enumerate(cameras)
         ]
         put(pictures=sketches, doing=f"drawing with {self._quick.backend}", **facts)
+        put(site=_site_facts(site_of(stage.scene, _SITE_CELLS, stage.caster)))
         drawn: list[dict[str, Any]] = []
         for sample in _spread(len(stage.scene.cameras)):
             if stale():
@@ -343,6 +348,8 @@ def page(facts: JsonObject, *, live: bool) -> bytes:
     """
     text = (resources.files("scenec.api") / "preview.html").read_text(encoding="utf-8")
     first = json.dumps({**facts, "live": live}).replace("<", "\\u003c")
+    script = resources.files("scenec.datasets.view") / "browser" / "site.js"
+    text = text.replace("/* site.js */", script.read_text(encoding="utf-8"))
     return text.replace("%FIRST%", first).encode()
 
 
@@ -402,6 +409,14 @@ def _spread(samples: int) -> Sequence[int]:
     """Some samples, evenly spread, the first one first."""
     count = min(samples, _SAMPLES)
     return [i * samples // count for i in range(count)]
+
+
+def _site_facts(site: Site | None) -> JsonObject | None:
+    """What the page needs of a site."""
+    if site is None:
+        return None
+    facts, codes = site_planes(site, _SITE_SHOWN, heights=True)
+    return {**facts, "codes": base64.b64encode(codes).decode()}
 
 
 def _png(pixels: NDArray[np.uint8]) -> str:

@@ -76,7 +76,7 @@ class StageView:
         seen = _smaller(scene.cameras[sample][camera], width)
         level = next(iter(scene.levels), None)
         names = ["normal", "position", *([f"label.{level}"] if level else [])]
-        arrays = annotate(scene, self._caster, seen, names, sample).arrays
+        arrays = annotate(scene, self.caster, seen, names, sample).arrays
         to_eye = seen.camera_to_world[:3, 3] - arrays["position"]
         length = np.sqrt((to_eye * to_eye).sum(axis=-1))
         light = np.abs((to_eye * arrays["normal"]).sum(axis=-1)) / length
@@ -89,7 +89,8 @@ class StageView:
         return np.round(colors * shade[..., None]).astype(np.uint8)
 
     @cached_property
-    def _caster(self) -> ExactCaster:
+    def caster(self) -> ExactCaster:
+        """Its exact caster, built when it is first asked for."""
         return ExactCaster(self.scene)
 
     def _repr_html_(self) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from scenec.api.declare import Spread
 from scenec.api.listener import Listener
 from scenec.api.options import ViewOptions
+from scenec.api.site import site_of
 from scenec.backends.run.executors import make_executor
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
@@ -19,6 +20,9 @@ from scenec.schemas.manifest import Batch, find_batches
 
 #: Cells along the longer side of a batch's ground; the page keeps fewer where many batches are.
 _CELLS = 512
+#: Cells of all batches together that are looked at for what the ground is to a vehicle, and along
+#: the longer side of one at least and at most: about 2 CPU s a million.
+_SITE_CELLS, _SITE_LEAST, _SITE_MOST = 4_000_000, 256, 1000
 #: Bytes of all batches in three dimensions at most, and the part of the page's budget.
 _SPACE_BYTES = 8_000_000
 _SPACE_PART = 0.3
@@ -67,7 +71,9 @@ def write_page(out: Path, options: ViewOptions, watched: str = "") -> ViewReport
     page, listener, ground = page_of(out, options), options.listener, None
     if not options.no_ground:
         rooms = rooms_of(out, options.budget_mb, listener)
-        ground = partial(ground_of, rooms=rooms, listener=listener)
+        each = _SITE_CELLS / max(1, len(find_batches(out)))
+        cells = int(min(_SITE_MOST, max(_SITE_LEAST, each**0.5)))
+        ground = partial(ground_of, rooms=rooms, cells=cells, listener=listener)
     workers = options.workers or usable_cores()
     with make_executor(workers if workers > 1 else 0) as executor:
         return write_view(
@@ -99,12 +105,15 @@ def rooms_of(out: Path, budget_mb: float, listener: Listener) -> dict[int, int]:
     return {index: int(room / len(shown)) for index in shown}
 
 
-def ground_of(batch: Batch, rooms: Mapping[int, int], listener: Listener) -> Ground | None:
+def ground_of(
+    batch: Batch, rooms: Mapping[int, int], cells: int, listener: Listener
+) -> Ground | None:
     """A batch from above, and in three dimensions; None where its stage cannot be read.
 
     Args:
         batch: Of an output.
         rooms: Bytes that three dimensions may take, by the batch's index; others are without.
+        cells: As of ``site_of``.
         listener: Hears why there is none.
     """
     # Reading stages costs USD and numba: only where it is done.
@@ -114,8 +123,7 @@ def ground_of(batch: Batch, rooms: Mapping[int, int], listener: Listener) -> Gro
 
     try:
         scene = read_stage(batch.stage)
-        relief = relief_of(scene, _CELLS)
-        model = None
+        relief, site, model = relief_of(scene, _CELLS), site_of(scene, cells), None
         if room := rooms.get(batch.index):
             model = coarse_model(
                 scene,
@@ -127,4 +135,4 @@ def ground_of(batch: Batch, rooms: Mapping[int, int], listener: Listener) -> Gro
     except ScenecError as error:
         listener.warn(f"no map of {batch.name}: {error}")
         return None
-    return Ground(relief.corner, relief.step, relief.heights, relief.suns, model)
+    return Ground(relief.corner, relief.step, relief.heights, relief.suns, model, site)

@@ -22,6 +22,8 @@ _LABELS = np.array(
     np.uint8,
 )
 NO_LABEL = (221, 221, 221)
+# Of Okabe and Ito (2008): unknown, traversable, caution, hazard.
+TRAVERSABILITY_COLORS = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
 # Anchors of the colormap viridis (van der Walt and Smith 2015, CC0), at equal steps.
 _VIRIDIS = np.array(
     [

@@ -190,7 +190,7 @@ def _extended(
     value = {key: entry for key, entry in below.value.items() if key not in _OF_THE_FILE}
     merged: dict[Path, tuple[Any, Any]] = {}
     anew = frozenset(_replaced(document, value))
-    joined = _merged(value, document.value, (), nulls, merged, anew)
+    joined = _merged(value, document.value, schema.root(value), nulls, merged, anew)
     for at, (was, over) in merged.items():
         left = {key: below.values[*at, key] for key in was if key not in over}
         merges.append((at, frozenset(over), left))
@@ -234,7 +234,7 @@ def _replaced(document: Document, base: dict[str, Any]) -> Iterator[Path]:
 def _merged(
     base: dict[str, Any],
     over: dict[str, Any],
-    at: Path,
+    field: schema.Field,
     nulls: list[Path],
     merged: dict[Path, tuple[Any, Any]],
     anew: frozenset[Path],
@@ -242,26 +242,40 @@ def _merged(
     """Objects merge key by key, the base's first; anything else replaces what was there.
 
     So do objects at the paths ``anew``.
+
+    Args:
+        base: What the file extends.
+        over: What it says.
+        field: Of the base.
+        nulls: Takes up where null was put over something.
+        merged: Takes up objects that were put over others, by place.
+        anew: Places at which nothing of the base stays.
     """
-    merged[at] = base, over
+    merged[field.path] = base, over
     result = dict(base)
     for key, value in over.items():
         was = base.get(key)
-        if (*at, key) in anew:
+        below = schema.child(field, key, was) or replace(
+            field, path=(*field.path, key), keywords={}, value=was
+        )
+        if below.path in anew:
             result[key] = value
             continue
-        if isinstance(was, dict) and isinstance(value, dict) and _is_of_kind(value, was):
-            result[key] = _merged(was, value, (*at, key), nulls, merged, anew)
+        if isinstance(was, dict) and isinstance(value, dict) and _is_of_kind(value, below):
+            result[key] = _merged(was, value, below, nulls, merged, anew)
             continue
         if value is None and key in base:
-            nulls.append((*at, key))
+            nulls.append(below.path)
         result[key] = value
     return result
 
 
-def _is_of_kind(value: dict[str, Any], base: dict[str, Any]) -> bool:
+def _is_of_kind(value: dict[str, Any], base: schema.Field) -> bool:
     """Keys of one type mean nothing to another: an object of another type is another object."""
-    return "type" not in value or "type" not in base or value["type"] == base["type"]
+    # Of a choice that has a usual kind, the schema of what says no type names that.
+    usual = base.keywords.get("properties", {}).get("type", {}).get("const")
+    kind = base.value.get("type", usual)
+    return kind is None or value.get("type", kind) == kind
 
 
 def _take_away(document: Document, nulls: Iterable[Path]) -> None:

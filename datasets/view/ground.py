@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scenec.datasets.view.layers import Layer, store_depth
 from scenec.datasets.view.record import short
+from scenec.datasets.view.site import Site, site_planes
 from scenec.schemas.errors import FrameError
 from scenec.schemas.instances import read_table
 from scenec.schemas.manifest import FRAMES, Batch
@@ -29,6 +30,7 @@ class Ground:
         suns: Elevation and azimuth (clockwise from +y), degrees, of the first sun at each sample;
             None where it has none.
         model: The batch in three dimensions; None where the page shall have none of it.
+        site: What the ground is to a vehicle, and where it lies; None where nobody looked.
     """
 
     corner: tuple[float, float]
@@ -36,6 +38,7 @@ class Ground:
     heights: NDArray[np.floating]
     suns: tuple[tuple[float, float] | None, ...] = ()
     model: Model | None = None
+    site: Site | None = None
 
 
 def ground_text(ground: Ground, side: int) -> bytes:
@@ -54,6 +57,13 @@ def ground_text(ground: Ground, side: int) -> bytes:
     }
     line = json.dumps(facts, allow_nan=False, separators=(",", ":")).encode()
     return line + b"\n" + layer.text()
+
+
+def site_text(site: Site, side: int) -> bytes:
+    """Its element's content: a line of JSON, a line of base64; at most ``side`` cells a side."""
+    facts, data = site_planes(site, side)
+    line = json.dumps(facts, allow_nan=False, separators=(",", ":")).encode()
+    return line + b"\n" + Layer({}, zlib.compress(data, 9)).text()
 
 
 def objects_text(batch: Batch, most: int) -> bytes | None:

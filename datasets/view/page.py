@@ -14,7 +14,7 @@ from scenec.datasets.colors import NO_LABEL, label_colors
 from scenec.datasets.source import Source, pictures_first, record_of
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
-from scenec.datasets.view.ground import Ground, ground_text, objects_text
+from scenec.datasets.view.ground import Ground, ground_text, objects_text, site_text
 from scenec.datasets.view.jobs import Fault, Pool, SourceNames, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
@@ -25,7 +25,7 @@ from scenec.schemas.manifest import FRAMES, Batch, find_batches
 from scenec.schemas.units import Executor, Progress, Say
 from scenec.schemas.versions import version_of
 
-_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "map", "space",
+_SCRIPTS = ("base", "decode", "paint", "motion", "grid", "frame", "site", "map", "space",
             "plots", "keys", "watch", "main")  # fmt: skip
 #: Part of the budget for batches from above, half of it for objects: the most that are kept, and
 #: bytes of each; most and least cells along the ground's side.
@@ -34,8 +34,8 @@ _MOST_OBJECTS = 4000
 _OBJECT_BYTES = 17
 _MOST_CELLS = 512
 _LEAST_CELLS = 32
-#: Bytes of a stored cell at most, in base64.
-_CELL_BYTES = 2.2
+#: Bytes of a stored cell at most, in base64: its height, slope and class.
+_CELL_BYTES = 4.0
 #: Values of a pixel, of passes that have more than one.
 _PLANES = {"flow": 2, "flow_backward": 2, "scene_flow": 3}
 #: Missing frames that are named one by one.
@@ -285,6 +285,8 @@ class _Book:
         ):
             if found is not None:
                 self._element(file, f"g{place}", ground_text(found, side))
+                if found.site is not None:
+                    self._element(file, f"s{place}", site_text(found.site, side))
                 if found.model is not None:
                     self._element(file, f"m{place}", space_text(found.model))
                     self._spaces += 1

@@ -11,6 +11,7 @@ stages and frames stay in FOLDER, and frames that are there are not made again.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,6 +58,8 @@ ENTRIES = {
     "mars_yard": Entry("rover.sensors.mast", (2, 0)),
     "landing_site": Entry("rover.sensors.mast", (5, 1)),
     "lunar_mare": Entry("rover.sensors.mast", (2, 0)),
+    "south_pole": Entry("rover.sensors.left", (2, 1)),
+    "mars_delta": Entry("rover.sensors.mast", (3, 0)),
     "volcanic_desert": Entry(
         "rover.sensors.mast", (1, 3), weather=('light.clouds={"cumulus": {}}', 1)
     ),
@@ -70,11 +73,14 @@ def views(page: Page, name: str, folder: Path, spp: int) -> None:
     entry = ENTRIES[name]
     weather = [] if entry.weather is None else [(entry.weather[0], (entry.weather[1],))]
     for setting, samples in [("", entry.samples), *weather]:
-        wide = f"rigs.{entry.sensor}.resolution=[{WIDTH}, {HEIGHT}]"
-        spec = load(CONFIGS / f"{name}.json", [wide, *([setting] if setting else [])])
+        rig, _, sensor = entry.sensor.split(".")
+        pair = json.loads((CONFIGS / f"{name}.json").read_text())["rigs"][rig]["sensors"]
+        wide = [f"rigs.{rig}.sensors.{own}.resolution=[{WIDTH}, {HEIGHT}]" for own in pair]
+        spec = load(CONFIGS / f"{name}.json", [*wide, *([setting] if setting else [])])
         found = frames(
             spec, folder / ("weather" if setting else "views") / name, denoise=True,
             spp=max(spp // entry.fewer, 1), passes=("rgb", "label"), samples=samples, replace=True,
+            cameras=[f"{rig}_{sensor}"],
         )  # fmt: skip
         by_sample = {frame.sidecar.sample: frame for frame in found}
         for sample in samples:

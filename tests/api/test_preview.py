@@ -50,6 +50,12 @@ def test_once_writes_a_page_that_asks_nobody(tmp_path):
     assert [p["sample"] for p in facts["pictures"]] == [0, 1, 3, 4]
     assert {size_of(p["png"]) for p in facts["pictures"]} == {(48, 32)}
     assert size_of(facts["map"])[0] > 100
+    site = facts["site"]
+    nx, ny = site["size"]
+    # 20 m x 16 m, no finer than a fourteenth of the wheelbase: slope, class, heights.
+    assert (nx, ny) == (200, 160)
+    assert len(base64.b64decode(site["codes"])) == (1 + 1 + 2) * nx * ny
+    assert "function siteOf" in page.read_text()
     assert "%FIRST%" not in page.read_text()
 
 

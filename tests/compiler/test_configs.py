@@ -23,7 +23,12 @@ _ROOT = Path(__file__).parents[2]
 _CFGS = sorted((_ROOT / "configs").glob("*.json"))
 #: Times fewer samples along a side, and objects.
 FEWER = 10
-_EXTRAS = {"bpy": "cycles", "matplotlib": "demo"}
+#: By package: what in a cfg asks for it, and the extra that brings it.
+_EXTRAS = {
+    "bpy": ("package:bpy/", "cycles"),
+    "matplotlib": ("package:matplotlib/", "demo"),
+    "rasterio": ('.tif"', "geotiff"),
+}
 
 
 def coarse(file: Path, folder: Path) -> Path:
@@ -51,8 +56,8 @@ def coarse(file: Path, folder: Path) -> Path:
 
 
 def coarse_or_skip(file: Path, folder: Path) -> Path:
-    for package, extra in _EXTRAS.items():
-        if f'"package:{package}/' in file.read_text() and not importlib.util.find_spec(package):
+    for package, (mark, extra) in _EXTRAS.items():
+        if mark in file.read_text() and not importlib.util.find_spec(package):
             pytest.skip(f"needs the extra {extra}")
     return coarse(file, folder)
 

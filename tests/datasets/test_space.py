@@ -112,7 +112,7 @@ def test_the_budget_of_a_page_goes_to_as_many_batches_as_are_worth_it(out, capsy
 def test_what_is_stored_of_a_stage_fits_its_room(out):
     batch = find_batches(out)[1]
     for room in (60_000, 200_000):
-        ground = ground_of(batch, {1: room}, Listener())
+        ground = ground_of(batch, {1: room}, 50, Listener())
         assert ground is not None
         assert ground.model is not None
         text = space_text(ground.model)
@@ -120,6 +120,6 @@ def test_what_is_stored_of_a_stage_fits_its_room(out):
         facts, _ = opened(text)
         assert facts["name"] == "batch_0001"
         assert {place["owner"] for place in facts["placements"]} > {""}
-    above_alone = ground_of(batch, {0: room}, Listener())
+    above_alone = ground_of(batch, {0: room}, 50, Listener())
     assert above_alone is not None
     assert above_alone.model is None

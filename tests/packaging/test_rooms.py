@@ -81,7 +81,7 @@ FLOORS = {
         ("explain", "shown", "steps"),
         ("outputs", "models"),
         ("stage_export",),
-        ("maps", "rectify", "tracks"),
+        ("maps", "rectify", "site", "tracks"),
         (
             "check",
             "evaluate",

@@ -15,8 +15,11 @@ from browser import canvas_pixels, open_browser, opened_page
 from scenec.datasets.colors import label_colors, paint_depth, paint_instances, viridis
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import write_view
+from scenec.datasets.view.site import Site
 from scenec.schemas.frames import frame_stem, read_frame
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.manifest import Batch
+from scenec.schemas.vehicle import TRAVERSABILITY, Vehicle
 from scenec.testing import made_output
 
 pytestmark = pytest.mark.slow
@@ -34,9 +37,20 @@ def scene(number: int) -> made_output.Passes:
     return passes
 
 
+#: On Mars's ellipsoid, over the date line, the axes leaning from east and north.
+PLACE = Georeference(
+    "Mars", 3396190.0, 3376200.0, -71.5, 179.99999, (0.8, 0.6, -0.6, 0.8), "IAU_2015:49900"
+)
+
+
 def hill(batch: Batch) -> Ground:
     y, x = np.mgrid[-20:21, -30:31].astype(float)
-    return Ground((-3.0, -4.0), (0.2, 0.2), 3 * np.exp(-(x * x + y * y) / 200), ((30.0, 90.0),) * 3)
+    z = 3 * np.exp(-(x * x + y * y) / 200)
+    # Twice as fine: slopes of 2 degrees a meter to the east, classes from the west to the east.
+    x = 0.05 + 0.1 * np.arange(122) + np.zeros((82, 1))
+    classes = np.minimum(x // 3.05, 3).astype(np.uint8)
+    site = Site((-3.05, -4.05), 0.1, np.zeros(x.shape), 2 * x, classes, Vehicle(), PLACE)
+    return Ground((-3.0, -4.0), (0.2, 0.2), z, ((30.0, 90.0),) * 3, site=site)
 
 
 @pytest.fixture(scope="module")
@@ -303,6 +317,50 @@ def test_the_map_selects_the_frame_under_the_pointer(page):
     page.mouse.down()
     page.mouse.up()
     assert page.is_visible("#viewer")
+
+
+def test_the_map_shows_slope_and_class_in_their_legends_colors_and_the_place_on_the_body(page):
+    page.keyboard.press("m")
+    page.wait_for_selector("#map-legend select")
+    box = page.locator("#map-canvas").bounding_box()
+    scale = min((box["width"] - 40) / 12.2, (box["height"] - 40) / 8.2)
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    for layer, count in (("slope", 8), ("traversability", 4)):
+        page.select_option("#map-legend select", layer)
+        legend = page.eval_on_selector_all(
+            "#map-legend .swatch",
+            "all => all.map(e => [e.parentNode.textContent, getComputedStyle(e).backgroundColor])",
+        )
+        assert len({color for _, color in legend}) == len(legend) == count
+        colors = {name: np.array(re.findall(r"\d+", color), int) for name, color in legend}
+        pixels = canvas_pixels(page, "#map-canvas").astype(int)
+        # Clear of poses, which are blended.
+        for x, y in ((-2.5, 3.0), (0.9, 3.1), (4.0, -3.3), (8.3, 2.0)):
+            u, v = scale * (x - 3.0), -scale * y
+            page.mouse.move(middle[0] + u, middle[1] + v)
+            told = page.text_content("#map-at")
+            slope = float(re.search(r"slope (\S+)°", told).group(1))
+            assert slope == pytest.approx(2 * (x + 3.1), abs=0.25 + 0.2 + 0.05)
+            kind = TRAVERSABILITY[min(int((x + 3.1) / 3.05), 3)]
+            assert f", {kind}," in told
+            latitude, longitude = map(
+                float, re.search(r"e (\S+)°, longitude (\S+)°", told).groups()
+            )
+            at = map(float, re.match(r"x (\S+), y (\S+) m", told).groups())
+            # Shown to half a centimeter.
+            expected = PLACE.latitude_longitude(*at)
+            meters = np.radians(1) * PLACE.semi_major_m
+            assert (latitude - expected[0]) * meters == pytest.approx(0, abs=0.02)
+            turn = (longitude - expected[1] + 180) % 360 - 180
+            assert turn * meters * np.cos(np.radians(latitude)) == pytest.approx(0, abs=0.02)
+            name = (
+                kind if layer != "slope" else f"{5 * int(slope // 5)} to {5 * int(slope // 5) + 5}°"
+            )
+            shown = pixels[round(box["height"] / 2 + v), round(box["width"] / 2 + u)]
+            # Darker by the relief's shade, of the legend's hue.
+            shade = shown.sum() / colors[name].sum()
+            assert 0.3 < shade <= 1.02
+            assert np.abs(shown - shade * colors[name]).max() <= 4
 
 
 def test_statistics_say_what_the_frames_hold(page, out):

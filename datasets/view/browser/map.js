@@ -1,7 +1,7 @@
 // Camera poses from above, over the batch's ground.
 
 const SERIES = ["#3b7dd8", "#d9822b", "#2e9e6b", "#b0468f", "#7a6fd0", "#c23b3b", "#5b8a9a", "#9a8a2e"];
-const mapView = { batch: 0, zoom: 1, x: 0, y: 0, ground: null, objects: null, picture: null, poses: [], near: null };
+const mapView = { batch: 0, zoom: 1, x: 0, y: 0, ground: null, objects: null, site: null, layer: "relief", picture: null, poses: [], near: null };
 
 async function loadGround(batch) {
   const element = $(`g${batch}`);
@@ -25,8 +25,16 @@ async function loadObjects(batch) {
   return { ...facts, values: new Float32Array(raw.buffer) };
 }
 
-/** Shaded from the northwest, 45° high; tinted by height, calm enough to draw upon. */
-function shade(ground) {
+async function loadSite(batch) {
+  const element = $(`s${batch}`);
+  if (!element) return null;
+  const text = element.content.textContent;
+  const end = text.indexOf("\n");
+  return siteOf(JSON.parse(text.slice(0, end)), await inflate(bytesOf(text.slice(end + 1))));
+}
+
+/** Shaded from the northwest, 45° high; tinted by height, calm enough to draw upon, or plain. */
+function shade(ground, plain = false) {
   const [nx, ny] = ground.size;
   const canvas = new OffscreenCanvas(nx, ny);
   const image = new ImageData(nx, ny);
@@ -51,7 +59,7 @@ function shade(ground) {
       const dy = (steep * (at(x, y + 1, v) - at(x, y - 1, v))) / (2 * ground.step[1]);
       const lit = Math.max(0, (0.5 * dx - 0.5 * dy + 0.7071) / Math.hypot(dx, dy, 1));
       const t = high > low ? (v - low) / (high - low) : 0.5;
-      const tint = [0.52 + 0.3 * t, 0.55 + 0.24 * t, 0.5 + 0.2 * t];
+      const tint = plain ? [1, 1, 1] : [0.52 + 0.3 * t, 0.55 + 0.24 * t, 0.5 + 0.2 * t];
       for (let k = 0; k < 3; k++) image.data[o + k] = 255 * Math.min(1, tint[k] * (0.35 + 0.9 * lit));
       image.data[o + 3] = 255;
     }
@@ -70,13 +78,38 @@ async function showMap(batch = mapView.batch) {
     if (state.filter.camera !== "" && f.camera !== +state.filter.camera) return false;
     return seen.add(key);
   });
-  const [ground, objects] = await Promise.all([loadGround(batch), loadObjects(batch)]);
+  const [ground, objects, site] = await Promise.all([loadGround(batch), loadObjects(batch), loadSite(batch)]);
   if (mapView.batch !== batch) return;
-  Object.assign(mapView, { ground, objects });
-  mapView.picture = ground ? shade(ground) : null;
+  Object.assign(mapView, { ground, objects, site });
+  paintMap();
   mapBar();
   mapSide();
   drawMap();
+}
+
+/** The ground as it is shown: its relief, or a layer of what it is to a vehicle, shaded by it. */
+function paintMap() {
+  const { ground, site } = mapView;
+  const layer = site?.layers.find((one) => one.name === mapView.layer);
+  mapView.picture = ground ? shade(ground, Boolean(layer)) : null;
+  mapView.colors = ground && layer ? sitePicture(site, layer) : null;
+}
+
+function mapLayers() {
+  const { site } = mapView;
+  if (!site) return "";
+  const chosen = site.layers.find((one) => one.name === mapView.layer);
+  const choose = (e) => { mapView.layer = e.target.value; paintMap(); mapBar(); drawMap(); };
+  const title = chosen?.vehicle ? Object.entries(chosen.vehicle).map(([name, value]) => `${name} ${brief(value)}`).join(", ") : "";
+  return make("div.keys", { id: "map-legend", title },
+    make("label", {}, "Ground ", make("select", { "aria-label": "Ground", onchange: choose },
+      ...["relief", ...site.layers.map((one) => one.name)].map((name) => make("option", { value: name, selected: name === mapView.layer }, name)))),
+    ...(chosen ? chosen.names.map((name, i) => {
+      const dot = make("i.swatch");
+      dot.style.background = css(chosen.colors[i]);
+      return make("span", {}, dot, name);
+    }) : []),
+    chosen?.vehicle ? make("span.hint", {}, `cells of ${brief(site.cell)} m, the worst of ${brief(site.step)} m is shown`) : "");
 }
 
 function mapBar() {
@@ -89,6 +122,7 @@ function mapBar() {
       dot.style.background = SERIES[camera % SERIES.length];
       return make("span", {}, dot, index.cameras[camera]);
     })),
+    mapLayers(),
     mapView.objects?.count ? make("span.hint", {}, mapView.objects.count === mapView.objects.all ? `${count(mapView.objects.all)} objects`
       : `the ${count(mapView.objects.count)} largest of ${count(mapView.objects.all)} objects`) : "",
     make("span.hint", {}, mapView.ground ? "hover: select · click: open · wheel: zoom · drag: move"
@@ -133,7 +167,17 @@ function drawMap() {
   if (mapView.picture) {
     const [u, v] = to(g.corner[0] - g.step[0] / 2, g.corner[1] + (g.size[1] - 0.5) * g.step[1]);
     c.imageSmoothingEnabled = scale * g.step[0] < 6;
+    const s = mapView.colors && mapView.site;
+    if (s) {
+      // Where nothing is known the page's own color stays.
+      const [a, b] = to(s.corner[0] - s.cell / 2, s.corner[1] - s.cell / 2 + s.size[1] * s.step);
+      c.imageSmoothingEnabled = false;
+      c.drawImage(mapView.colors, a, b, scale * s.size[0] * s.step, scale * s.size[1] * s.step);
+      c.imageSmoothingEnabled = scale * g.step[0] < 6;
+      c.globalCompositeOperation = "multiply";
+    }
     c.drawImage(mapView.picture, u, v, scale * g.size[0] * g.step[0], scale * g.size[1] * g.step[1]);
+    c.globalCompositeOperation = "source-over";
   }
   const style = getComputedStyle(document.body);
   drawObjects(c, to, scale);
@@ -240,7 +284,7 @@ function scaleBar(c, scale, height, style) {
   c.stroke();
   c.font = `11px ${style.fontFamily}`;
   c.fillText(meters >= 1000 ? `${meters / 1000} km` : `${brief(meters)} m`, 16, height - 20);
-  c.fillText("north up", 16, 20);
+  c.fillText(upward(mapView.site?.place), 16, 20);
 }
 
 function mapSide() {
@@ -318,5 +362,7 @@ function mapText(spot, [x, y]) {
     const z = i >= 0 && j >= 0 && i < g.size[0] && j < g.size[1] ? g.heights[j * g.size[0] + i] : NaN;
     if (Number.isFinite(z)) text += `, ground ${z.toFixed(2)} m`;
   }
+  const more = mapView.site ? siteText(mapView.site, x, y) : "";
+  if (more) text += `, ${more}`;
   spot.textContent = text;
 }

@@ -138,7 +138,7 @@ def test_no_path_of_a_machine_goes_into_the_manifest(tmp_path: Path) -> None:
 def test_every_file_of_ours_says_its_terms(path: Path) -> None:
     if path.suffix in (".md", ".toml"):
         return
-    license_ = "CC0-1.0" if path.suffix == ".glb" else "Apache-2.0"
+    license_ = "CC0-1.0" if path.suffix in (".glb", ".tif") else "Apache-2.0"
     assert terms_of(path) == License(license_, ("The scenec authors",), "REUSE.toml")
 
 

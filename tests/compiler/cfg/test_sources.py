@@ -177,11 +177,36 @@ def test_extending_is_as_the_merged_file(tmp_path):
     assert spec.digest == load(write(tmp_path / "alone.json", spec.text.decode())).digest
 
 
-def test_an_object_of_another_type_is_another_object(tmp_path):
-    sky = {"type": "atmosphere", "planet": "mars"}
-    write(tmp_path / "base.json", changed({"/light/sky": sky, "/labels/class/sky": DELETE}))
-    over = {"extends": "base.json", "light": {"sky": {"type": "none"}}}
-    assert load(write(tmp_path / "over.json", over)).cfg["light"]["sky"]["type"] == "none"
+EPHEMERIS = {"type": "ephemeris", "body": "earth", "latitude_deg": 1, "longitude_deg": 2,
+             "time_utc": "2027-10-15T06:00:00Z"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "below", "over", "left"),
+    [
+        ("sky", {"type": "atmosphere", "planet": "mars"}, {"type": "none"}, {"type"}),
+        # A sun that says no type is a disc.
+        ("sun", {"elevation_deg": 12}, EPHEMERIS, EPHEMERIS.keys()),
+        ("sun", {"type": "disc", "elevation_deg": 12}, EPHEMERIS, EPHEMERIS.keys()),
+        ("sun", EPHEMERIS, {"type": "disc", "elevation_deg": 12}, {"type", "elevation_deg"}),
+        ("sun", EPHEMERIS, {"step_s": 60}, {*EPHEMERIS, "step_s"}),
+        ("sun", {"elevation_deg": 12}, {"azimuth_deg": 5}, {"elevation_deg", "azimuth_deg"}),
+        ("sun", {"elevation_deg": 12}, {"type": "disc", "azimuth_deg": 5},
+         {"type", "elevation_deg", "azimuth_deg"}),
+    ],
+)  # fmt: skip
+def test_an_object_of_another_type_is_another_object(tmp_path, key, below, over, left):
+    changes = {"/labels/class/sky": DELETE} if key == "sky" else {}
+    write(tmp_path / "base.json", changed({f"/light/{key}": below, **changes}))
+    file = write(tmp_path / "over.json", {"extends": "base.json", "light": {key: over}})
+    assert json.loads(load(file).text)["light"][key].keys() == set(left)
+
+
+def test_a_fault_of_a_sun_of_another_type_is_one_of_its_kind(tmp_path):
+    write(tmp_path / "base.json", changed({"/light/sun": {"elevation_deg": 12}}))
+    over = {"extends": "base.json", "light": {"sun": {**EPHEMERIS, "latitude_deg": 91}}}
+    (fault,) = told(write(tmp_path / "over.json", over))
+    assert "/light/sun/latitude_deg: 91: expected at most 90" in fault
 
 
 def test_faults_name_the_file_and_line_that_a_value_came_from(tmp_path):

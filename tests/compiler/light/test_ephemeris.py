@@ -6,8 +6,11 @@ import erfa
 import numpy as np
 import pytest
 
+from scenec.backends.stage.read import read_stage
+from scenec.compiler.compile import compile_cfg
 from scenec.compiler.light import ephemeris
 from scenec.schemas.georeference import Georeference
+from scenec.testing.small import small_cfg, write_cfg
 
 _DEG = np.pi / 180.0
 _J2000 = 2451545.0
@@ -183,3 +186,49 @@ def test_bearings_are_those_of_the_scene_where_its_y_is_not_north(turn):
         found = ephemeris.turned(azimuth, place.east_north)
         expected = np.arctan2(float(x), float(y)) / _DEG % 360.0
         assert (found - expected + 180.0) % 360.0 == pytest.approx(180.0, abs=1e-5)
+
+
+#: A place on each body: what its file is laid out in, the body's degrees, the center in meters or
+#: degrees, the pixel, the angle of rows to the coordinates' x. Polar stereographic y leans from
+#: north by the longitude, that of UTM by the meridians' convergence.
+_SITES = {
+    "moon": ("IAU_2015:30135", "IAU_2015:30100", (-12_345.0, 9_876.0), 20.0, 0.0),
+    "mars": ("IAU_2015:49900", "IAU_2015:49900", (77.45, 18.44), 3e-4, 0.0),
+    "earth": ("EPSG:32633", "EPSG:4326", (700_000.0, 5_300_000.0), 0.5, 20.0),
+}
+
+
+@pytest.mark.parametrize("body", sorted(_SITES))
+def test_a_sun_over_a_dem_of_gdals_stands_where_erfa_and_proj_have_it(tmp_path, body):
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.transform import Affine
+    from rasterio.warp import transform
+
+    crs, degrees, center, pixel, turn = _SITES[body]
+    rows = Affine.translation(*center) @ Affine.rotation(turn) @ Affine.scale(pixel, -pixel)
+    layout = {"crs": crs, "transform": rows @ Affine.translation(-32, -32)}
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", width=64, height=64, count=1, dtype="float32",
+        **layout,
+    ) as file:  # fmt: skip
+        file.write(np.zeros((64, 64), np.float32), 1)
+    cfg = small_cfg(samples=2)
+    cfg["terrain"]["relief"][0] = {"type": "dem", "file": "dem.tif"}
+    time = "2031-05-06T10:00:00Z"
+    cfg["light"]["sun"] = {"type": "ephemeris", "body": body, "time_utc": time, "step_s": 5400}
+    compile_cfg(write_cfg(tmp_path, cfg), seed=5, out=tmp_path / "out")
+    scene = read_stage(tmp_path / "out" / "batch_0000" / "stage.usda")
+    # The scene's axes on the body: where PROJ puts the ends of a cross upon the file's plane.
+    ends = np.array([(0, 0), (1, 0), (0, 1)]) * (1e-3 if pixel < 0.01 else 1.0) + center
+    places = zip(*transform(crs, degrees, *ends.T.tolist()), strict=True)
+    up, x, y = (_unit(ephemeris.Overhead(north, east, 0.0)) for east, north in places)
+    x, y = (way / np.linalg.norm(way) for way in (x - up, y - up))
+    radius = ephemeris.BODY_RADII_KM[body] / ephemeris.AU_KM
+    for sample in range(2):
+        at = np.datetime64(time[:-1]) + sample * np.timedelta64(5400, "s")
+        way, distance = _by_erfa(*ephemeris.days_since_j2000(at))[body]
+        seen = way - radius / distance * up
+        expected = np.array([seen @ x, seen @ y, seen @ up]) / np.linalg.norm(seen)
+        (sun,) = scene.lighting[sample].suns
+        chord = np.linalg.norm(sun.to_light - expected)
+        assert 2.0 * np.arcsin(0.5 * chord) / _DEG < 0.9 / 60.0
