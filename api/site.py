@@ -45,7 +45,7 @@ def site_of(scene: RenderScene, cells: int, caster: ExactCaster | None = None) -
         layers = layers[:2]
         options = MapOptions(cell_m=cell, vehicle=vehicle, layers=layers)
     grid = MapGrid.over(area, cell)
-    made = map_tile(scene, caster or ExactCaster(scene), grid, (0, 0), options, layers)
+    made = map_tile(scene, caster or ExactCaster(scene, trees=False), grid, (0, 0), options, layers)
     # Rows run south there.
     up = {name: np.ascontiguousarray(values[::-1]) for name, values in made.items()}
     corner = grid.west + 0.5 * cell, grid.north - (grid.height - 0.5) * cell

@@ -22,8 +22,6 @@ _LABELS = np.array(
     np.uint8,
 )
 NO_LABEL = (221, 221, 221)
-# Of Okabe and Ito (2008): unknown, traversable, caution, hazard.
-TRAVERSABILITY_COLORS = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
 # Anchors of the colormap viridis (van der Walt and Smith 2015, CC0), at equal steps.
 _VIRIDIS = np.array(
     [
@@ -42,14 +40,16 @@ _VIRIDIS = np.array(
 
 #: What places are to a vehicle (``schemas.vehicle.TRAVERSABILITY``), of Okabe and Ito (2008), which
 #: color-blind eyes tell apart: gray, blue, yellow, vermilion.
-CLASS_COLORS = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
+TRAVERSABILITY_COLORS = ((204, 204, 204), (0, 114, 178), (240, 228, 66), (213, 94, 0))
 #: Slope, degrees, from which on all have one color.
 STEEP = 45.0
 
 
 def paint_classes(classes: NDArray[np.unsignedinteger]) -> NDArray[np.uint8]:
     """Colors of what places are to a vehicle: uint8 [h, w, 3]."""
-    return np.array(CLASS_COLORS, np.uint8)[np.minimum(classes, len(CLASS_COLORS) - 1)]
+    return np.array(TRAVERSABILITY_COLORS, np.uint8)[
+        np.minimum(classes, len(TRAVERSABILITY_COLORS) - 1)
+    ]
 
 
 def paint_slope(degrees: NDArray[np.floating]) -> NDArray[np.uint8]:

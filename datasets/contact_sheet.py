@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.datasets.colors import (
-    CLASS_COLORS,
     NO_LABEL,
     STEEP,
+    TRAVERSABILITY_COLORS,
     label_colors,
     paint_classes,
     paint_depth,
@@ -255,7 +255,7 @@ def _legend(
         white = "nothing hit" if column == "depth" else "no answer"
         draw.text((x, y + 44), f"logarithmic; white: {white}", _INK, _font(14))
     elif column == "traversable":
-        for color, name in zip(CLASS_COLORS, TRAVERSABILITY, strict=True):
+        for color, name in zip(TRAVERSABILITY_COLORS, TRAVERSABILITY, strict=True):
             draw.rectangle((x, y + 3, x + 26, y + 19), color)
             draw.text((x + 36, y + 2), name, _INK, _font(15))
             y += _LEGEND_LINE

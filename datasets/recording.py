@@ -26,8 +26,8 @@ import numpy as np
 
 from scenec.datasets import pictures
 from scenec.datasets.colors import (
-    CLASS_COLORS,
     NO_LABEL,
+    TRAVERSABILITY_COLORS,
     label_colors,
     paint_instances,
     paint_slope,
@@ -183,7 +183,7 @@ def _log(rerun: ModuleType, stream: Any, entity: str, frame: LoadedFrame) -> Non
     if "slope" in passes:
         stream.log(f"{entity}/slope", rerun.Image(paint_slope(passes["slope"])))
     if "traversable" in passes:
-        known = [(k, name, CLASS_COLORS[k]) for k, name in enumerate(TRAVERSABILITY)]
+        known = [(k, name, TRAVERSABILITY_COLORS[k]) for k, name in enumerate(TRAVERSABILITY)]
         stream.log(f"{entity}/traversable", rerun.AnnotationContext(known), static=True)
         ids = passes["traversable"].astype(np.uint8)
         stream.log(f"{entity}/traversable", rerun.SegmentationImage(ids))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from scenec.datasets.colors import (
-    CLASS_COLORS,
+    TRAVERSABILITY_COLORS,
     label_colors,
     paint_classes,
     paint_instances,
@@ -79,7 +79,7 @@ def _paint(
 ) -> tuple[NDArray[np.uint8], _Legend]:
     """Colors [h, w, 3]; the ends of a scale, or colors and what they stand for."""
     if name == "traversability":
-        return paint_classes(values), list(zip(CLASS_COLORS, TRAVERSABILITY, strict=True))
+        return paint_classes(values), list(zip(TRAVERSABILITY_COLORS, TRAVERSABILITY, strict=True))
     if name == "instance":
         return paint_instances(values), []
     if name.startswith("label_"):

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from scenec.datasets.colors import (
-    CLASS_COLORS,
     NO_LABEL,
+    TRAVERSABILITY_COLORS,
     label_colors,
     paint_classes,
     paint_depth,
@@ -71,11 +71,11 @@ DICHROMATS = {
 
 @pytest.mark.parametrize("eyes", DICHROMATS)
 def test_classes_of_ground_differ_to_color_blind_eyes(eyes):
-    seen = (np.array(CLASS_COLORS) / 255.0) ** 2.2 @ np.array(DICHROMATS[eyes]).T
+    seen = (np.array(TRAVERSABILITY_COLORS) / 255.0) ** 2.2 @ np.array(DICHROMATS[eyes]).T
     seen = 255.0 * np.clip(seen, 0.0, 1.0) ** (1 / 2.2)
     for a, b in itertools.combinations(seen, 2):
         assert np.abs(a - b).sum() > 60
-    assert [tuple(c) for c in paint_classes(np.arange(4))] == list(CLASS_COLORS)
+    assert [tuple(c) for c in paint_classes(np.arange(4))] == list(TRAVERSABILITY_COLORS)
 
 
 def test_slopes_are_brighter_when_steeper_up_to_45_degrees_and_white_without_a_hit():
@@ -90,7 +90,7 @@ def test_the_sheet_has_the_ground_for_a_vehicle_and_its_legend():
     frame = SheetFrame("one", None, {}, None, None,
                        terrain={"slope": ids * 15.0, "traversable": ids})  # fmt: skip
     sheet = np.asarray(contact_sheet([frame], {}, "h", tile_width=240)).reshape(-1, 3)
-    for color in CLASS_COLORS:
+    for color in TRAVERSABILITY_COLORS:
         # A quarter of the picture, and a square of the legend.
         assert 240 * 160 / 4 < (sheet == color).all(axis=1).sum() < 240 * 160 / 4 + 600
     assert (sheet == paint_slope(np.array([30.0]))[0]).all(axis=1).sum() >= 240 * 160 / 4
