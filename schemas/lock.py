@@ -17,6 +17,7 @@ import socket
 import sys
 import time
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from scenec.schemas.errors import OutputError
@@ -155,7 +156,11 @@ def process_id() -> str:
 
     Numbers come again, soon where many processes start.
     """
-    own = os.getpid()
+    return _process_id(os.getpid())
+
+
+@cache
+def _process_id(own: int) -> str:
     # /proc may be that of other processes.
     number, _, started = _stat("self") or ("", "", "")
     return f"{own}.{started}" if number == str(own) else f"{own}"

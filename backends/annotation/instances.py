@@ -17,7 +17,7 @@ from scenec.backends.annotation.poses import Poses, decomposed
 from scenec.backends.contract import Rays
 from scenec.backends.exact.bvh import Geometry
 from scenec.backends.stage.scene import Camera, Mesh, RenderScene
-from scenec.schemas.affine import composed, inverses_or_identity, moved_boxes
+from scenec.schemas.affine import box_around, composed, inverses_or_identity, moved_boxes
 from scenec.schemas.amodal import Amodal
 from scenec.schemas.instances import (
     AMODAL_COLUMNS,
@@ -348,7 +348,8 @@ def _mesh_box(
     if np.array_equal(place, _IDENTITY):
         return mesh.box[0], mesh.box[1]
     points = (mesh.used_points[:, None, :] * place[:, :3]).sum(axis=2) + place[:, 3]
-    return points.min(axis=0), points.max(axis=0)
+    low, high = box_around(points)
+    return low, high
 
 
 @kernel

@@ -21,8 +21,8 @@ from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.posing import moving
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Lighting, Mesh, RenderScene
 from scenec.backends.surface.gobo import passed
-from scenec.schemas.affine import moved_boxes
-from scenec.schemas.kernels import kernel
+from scenec.schemas.affine import box_around, moved_boxes
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
 #: Cells on a side of the height field.
@@ -79,8 +79,7 @@ def world_bounds(scene: RenderScene) -> NDArray[np.float64]:
 
 def mesh_bounds(mesh: Mesh, to_world: NDArray[np.float64]) -> NDArray[np.float64]:
     """Box around a mesh's rows, float64 [2, 3]."""
-    points = mesh.points.astype(np.float64)
-    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    box = box_around(mesh.points).astype(np.float64)
     boxes = moved_boxes(to_world[:, :, :3], box, to_world[:, :, 3])
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
@@ -132,19 +131,21 @@ def make_ground(
     dy, dx = np.gradient(filled, step[1], step[0])
     normals = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
     normals /= np.sqrt((normals**2).sum(axis=-1, keepdims=True))
-    right, up = _directions().T
+    normals = normals.astype(np.float32)
+    right, up = _directions().T.astype(np.float32)
     along = normals[..., :1] * right + normals[..., 1:2] * up
-    own = np.arctan(np.maximum(-along / normals[..., 2:], 0.0)) / (0.5 * np.pi)
-    over = np.maximum(np.arctan(horizon) / (0.5 * np.pi), own)
+    share = np.float32(2.0 / np.pi)
+    own = np.arctan(np.maximum(-along / normals[..., 2:], 0.0)) * share
+    over = np.maximum(np.arctan(horizon) * share, own)
     return Ground(
         low=bounds[0, :2],
         size=size[:2],
         height=(bounds[0, 2] - room + filled).astype(np.float32),
-        normals=normals.astype(np.float32),
+        normals=normals,
         albedo=_albedo(scene, geometry, tables, selection, ids),
         horizon=horizon,
-        own=own.astype(np.float32),
-        over=over.astype(np.float32),
+        own=own,
+        over=over,
         seen=seen,
     )
 
@@ -318,36 +319,48 @@ def _sky_share(first, last, normals, skyline, directions, up, share, irradiance)
     """
     own, over = skyline
     n = normals.shape[0]
-    highest = up.shape[1] - 2
+    arrives, whole = np.empty(4, np.float32), np.empty(4, np.float32)
     for row in range(first, last):
-        arrives = np.empty(4, np.float32)
-        whole = np.empty(4, np.float32)
         for column in range(n):
             nx, ny, nz = normals[row, column]
-            arrives[:] = 0.0
-            whole[:] = 0.0
+            w0 = w1 = w2 = w3 = a0 = a1 = a2 = a3 = np.float32(0.0)
             for a in range(len(directions)):
                 along = np.float32(nx * directions[a, 0] + ny * directions[a, 1])
-                place = own[row, column, a] * (highest + 1)
-                e = min(int(place), highest)
-                part = np.float32(place - e)
-                for k in range(4):
-                    low = nz * up[a, e, k] + along * up[a, e, 4 + k]
-                    high = nz * up[a, e + 1, k] + along * up[a, e + 1, 4 + k]
-                    whole[k] += low + part * (high - low)
-                place = over[row, column, a] * (highest + 1)
-                e = min(int(place), highest)
-                part = np.float32(place - e)
-                for k in range(4):
-                    low = nz * up[a, e, k] + along * up[a, e, 4 + k]
-                    high = nz * up[a, e + 1, k] + along * up[a, e + 1, 4 + k]
-                    arrives[k] += low + part * (high - low)
+                p0, p1, p2, p3 = _above(up, a, own[row, column, a], nz, along)
+                w0, w1, w2, w3 = w0 + p0, w1 + p1, w2 + p2, w3 + p3
+                # Where no hill is higher than the cell's own plane, both are the same.
+                if over[row, column, a] > own[row, column, a]:
+                    p0, p1, p2, p3 = _above(up, a, over[row, column, a], nz, along)
+                a0, a1, a2, a3 = a0 + p0, a1 + p1, a2 + p2, a3 + p3
+            whole[0], whole[1], whole[2], whole[3] = w0, w1, w2, w3
+            arrives[0], arrives[1], arrives[2], arrives[3] = a0, a1, a2, a3
             for k in range(3):
                 irradiance[row, column, k] = max(arrives[k], 0.0)
                 share[row, column, k] = 1.0
                 if whole[k] > 0.0:
                     share[row, column, k] = min(max(arrives[k] / whole[k], 0.0), 1.0)
             share[row, column, 3] = min(max((whole[3] - arrives[3]) / np.pi, 0.0), 1.0)
+
+
+@inlined
+def _above(up, a, elevation, nz, along):  # type: ignore[no-untyped-def]
+    """What reaches a plane from above an elevation of an azimuth: light, then the cosine."""
+    place = elevation * (up.shape[1] - 1)
+    e = min(int(place), up.shape[1] - 2)
+    low, high = up[a, e], up[a, e + 1]
+    part = np.float32(place - e)
+    return (
+        _between(low, high, 0, part, nz, along),
+        _between(low, high, 1, part, nz, along),
+        _between(low, high, 2, part, nz, along),
+        _between(low, high, 3, part, nz, along),
+    )
+
+
+@inlined
+def _between(low, high, k, part, nz, along):  # type: ignore[no-untyped-def]
+    first = nz * low[k] + along * low[4 + k]
+    return first + part * (nz * high[k] + along * high[4 + k] - first)
 
 
 def _sunlit(ground: Ground, to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -366,14 +379,20 @@ def _sunlit(ground: Ground, to_sun: NDArray[np.float64]) -> NDArray[np.float64]:
 @kernel
 def _gather(first, last, horizon, cells, bright, out):  # type: ignore[no-untyped-def]
     n, azimuths = horizon.shape[0], horizon.shape[2]
+    beside = np.empty((n, 3), np.float32)
     for row in range(first, last):
+        north, south = max(row - 2, 0), min(row + 3, n)
+        beside[:] = 0.0
+        for r in range(north, south):
+            for column in range(n):
+                for k in range(3):
+                    beside[column, k] += bright[r, column, k]
         for column in range(n):
-            total = 0.0
-            for r in range(max(row - 2, 0), min(row + 3, n)):
-                for c in range(max(column - 2, 0), min(column + 3, n)):
-                    for k in range(3):
-                        out[row, column, k] += 0.01 * bright[r, c, k]
-                    total += 0.01
+            west, east = max(column - 2, 0), min(column + 3, n)
+            total = 0.01 * (south - north) * (east - west)
+            for c in range(west, east):
+                for k in range(3):
+                    out[row, column, k] += np.float32(0.01) * beside[c, k]
             for a in range(azimuths):
                 # sin^2 of the horizon: the share of the cosine below it.
                 t2 = horizon[row, column, a] ** 2

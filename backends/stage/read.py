@@ -23,7 +23,7 @@ from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.times import sample_times, time_codes
 from scenec.backends.stage.unread import Unread
 from scenec.schemas import stage as names
-from scenec.schemas.affine import moved_boxes
+from scenec.schemas.affine import box_around, moved_boxes
 from scenec.schemas.errors import StageError
 from scenec.schemas.georeference import Georeference
 
@@ -193,8 +193,7 @@ def _bounds(meshes: tuple[Mesh, ...], rows: Rows) -> NDArray[np.float64]:
     local = np.zeros((len(meshes), 2, 3))
     filled = np.array([bool(len(mesh.faces) and len(mesh.points)) for mesh in meshes], bool)
     for index in np.flatnonzero(filled).tolist():
-        points = meshes[index].points
-        local[index] = points.min(axis=0), points.max(axis=0)
+        local[index] = box_around(meshes[index].points)
     there = filled[rows.mesh]
     if not there.any():
         return np.zeros((2, 3))
@@ -214,6 +213,6 @@ def _world_box(
     for start in range(0, len(mesh), 1 << 16):
         at, part = to_world[start : start + (1 << 16)], mesh[start : start + (1 << 16)]
         boxes = moved_boxes(at[:, :, :3], local[part], at[:, :, 3])
-        box[0] = np.minimum(box[0], boxes[:, 0].min(axis=0))
-        box[1] = np.maximum(box[1], boxes[:, 1].max(axis=0))
+        box[0] = np.minimum(box[0], box_around(boxes[:, 0])[0])
+        box[1] = np.maximum(box[1], box_around(boxes[:, 1])[1])
     return box

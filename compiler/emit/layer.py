@@ -34,7 +34,12 @@ class Appearance(NamedTuple):
 def new_layer(path: Path) -> Iterator[Usd.Stage]:
     """A stage on a new layer in meters, Z up, with ``/World`` as default prim; saved on leaving."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    stage = Usd.Stage.CreateNew(str(path))
+    if path.suffix == ".usda":
+        # Written once, not empty first; of a binary layer that would move bytes.
+        layer = Sdf.Layer.New(Sdf.FileFormat.FindById("usda"), str(path))
+        stage = Usd.Stage.Open(layer)
+    else:
+        stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     # In every layer alike: USD scales the time samples of a sublayer that differs from its root.

@@ -23,6 +23,7 @@ from scenec.compiler.emit.prototypes import write_prototype
 from scenec.compiler.emit.terrain import bind, write_vertex_floats
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.schemas import stage as names
+from scenec.schemas.affine import box_around
 
 OBJECTS = f"{names.ROOT}/Objects"
 
@@ -105,6 +106,5 @@ def _extent(scatter: Scatter) -> np.ndarray:
     if not scatter.count:
         return np.zeros((2, 3), np.float32)
     middles, radii = scatter.balls()
-    return np.stack(
-        [(middles - radii[:, None]).min(axis=0), (middles + radii[:, None]).max(axis=0)]
-    ).astype(np.float32)
+    low, high = box_around(middles - radii[:, None]), box_around(middles + radii[:, None])
+    return np.stack([low[0], high[1]]).astype(np.float32)

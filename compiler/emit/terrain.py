@@ -16,6 +16,7 @@ from scenec.compiler.emit.maps import average_color
 from scenec.compiler.scene.ground import Ground, MeshTile
 from scenec.compiler.scene.material import Material
 from scenec.schemas import stage as names
+from scenec.schemas.affine import box_around
 
 TERRAIN = f"{names.ROOT}/Terrain"
 
@@ -159,9 +160,7 @@ def write_triangles(
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces).ravel()))
-    mesh.CreateExtentAttr(
-        Vt.Vec3fArray.FromNumpy(np.stack([points.min(axis=0), points.max(axis=0)]))
-    )
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(box_around(points)))
     if normals is not None:
         mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)

@@ -13,6 +13,7 @@ has there in the nearest view. Errors are measured against the finest mesh, not 
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -172,8 +173,12 @@ class _Stencils(NamedTuple):
     v: NDArray[np.float64]
 
 
+@cache
 def _stencils(s: int, center: bool) -> _Stencils:
-    """Returns the stencils of squares of half side ``s``, at their middles or sides."""
+    """Returns the stencils of squares of half side ``s``, at their middles or sides: 4 MB in all.
+
+    They take milliseconds, as much as a small ground itself.
+    """
     corners, samples, u, v = [], [], [], []
     for x, y in ((-s, -s), (-s, s), (s, -s), (s, s)) if center else ((-s, 0), (0, -s)):
         apex = (-x, y) if center else (y, x)

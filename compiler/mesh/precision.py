@@ -14,6 +14,7 @@ from scenec.compiler.scene.rig import Rig, Sensor
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.terrain.program import ReliefResult
 from scenec.compiler.views.resolution import pixels_per_meter, views_of
+from scenec.schemas.affine import box_around
 from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 
@@ -156,11 +157,11 @@ def find_precision(
 def _bounds(ground: Ground, objects: Objects) -> NDArray[np.float64]:
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for tile in ground.tiles:
-        low = np.minimum(low, tile.translate + tile.points.min(axis=0))
-        high = np.maximum(high, tile.translate + tile.points.max(axis=0))
+        ends = tile.translate + box_around(tile.points)
+        low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
     for one in objects:
         if one.count:
             middles, radii = one.balls()
-            low = np.minimum(low, (middles - radii[:, None]).min(axis=0))
-            high = np.maximum(high, (middles + radii[:, None]).max(axis=0))
+            low = np.minimum(low, box_around(middles - radii[:, None])[0])
+            high = np.maximum(high, box_around(middles + radii[:, None])[1])
     return np.stack([low, high])

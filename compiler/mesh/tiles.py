@@ -27,6 +27,7 @@ from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.quantities import Samples
 from scenec.compiler.terrain.sources.mesh_surface import MeshSurface
 from scenec.compiler.views.resolution import NO_VIEWS, Views
+from scenec.schemas.affine import box_around
 from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.kernels import kernel
@@ -284,7 +285,7 @@ def _gather(
         vertices, local = _renumbered(faces[own], number)
         at = points[vertices]
         # A multiple of the quantum: translate + float32(local) then restores the points exactly.
-        middle = np.round(0.5 * (at.min(axis=0) + at.max(axis=0)) / quantum) * quantum
+        middle = np.round(0.5 * box_around(at).sum(axis=0) / quantum) * quantum
         tiles.append(
             MeshTile(
                 name=f"tile_{t // tile_counts[0]:03d}_{t % tile_counts[0]:03d}",

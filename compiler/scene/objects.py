@@ -49,6 +49,7 @@ class Prototype:
             into one of radius 1/2, so that an instance's scale is its diameter; meshes of files
             are in meters.
         uv: Texture coordinates of the faces' corners, float32 [m, 3, 2], or None.
+        colors: Factors of the base color there, linear, float32 [m, 3, 3], or None.
         parts: What differs from the class; empty where nothing does.
         coatings: What lies over the class's material, the lowest first; only without parts.
         rounding: How far float32 moved its vertices at most, in its own unit.
@@ -62,6 +63,7 @@ class Prototype:
     error: float = 0.0
     radius: float = 0.5
     uv: NDArray[np.float32] | None = None
+    colors: NDArray[np.float32] | None = None
     parts: tuple[MeshPart, ...] = ()
     coatings: tuple[Coating, ...] = ()
     rounding: float = 0.0
@@ -127,7 +129,8 @@ class Scatter(ObjectClass):
     def radii(self) -> NDArray[np.float64]:
         """Radius of a ball around each instance's position that holds it, meters, [n]."""
         of_prototype = np.array([p.radius for p in self.prototypes], np.float64)
-        return of_prototype[self.prototype] * self.scales.max(axis=1, initial=0.0)
+        x, y, z = self.scales.T
+        return of_prototype[self.prototype] * np.maximum(np.maximum(x, y), np.maximum(z, 0.0))
 
     def balls(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Balls that hold the instances: middles [n, 3] and radii [n], meters."""

@@ -25,7 +25,7 @@ from scenec.compiler.scene.scene import Scene
 from scenec.compiler.views.frustum import Views
 from scenec.compiler.views.lamps import in_cone
 from scenec.compiler.views.occlusion import BlockRelief, touched
-from scenec.compiler.views.visible import SHOWN, visible
+from scenec.compiler.views.visible import SHOWN, shown
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import POINTS, over_threads
 
@@ -81,15 +81,9 @@ def visible_blocks(
         beyond: Whether more than that may be seen beyond the border: a horizon. Blocks there then
             count as seen up to any height.
     """
-    j, i = np.nonzero(relief.low <= relief.high)
-    low, high = relief.low[j, i], relief.high[j, i]
-    half = 0.5 * (high - low)
     width = float(relief.frame[2])
-    balls = np.stack([i * width, j * width, low + half], axis=1)
-    balls[:, :2] += relief.frame[:2] + 0.5 * width
-    shown = visible(views, balls, np.sqrt(half * half + 0.5 * width * width)) == SHOWN
     top = np.full(relief.low.shape, -np.inf)
-    top[j[shown], i[shown]] = high[shown]
+    over_threads(_mark_shown, len(top), relief.low, relief.high, relief.frame, views, top)
     _mark(middles, radii, relief.frame, top)
     if beyond:
         top[[0, -1]] = top[:, [0, -1]] = np.inf
@@ -151,6 +145,21 @@ def _lights(
             if lamp.intensity[i].any():
                 row = np.array([*lamp.to_world[i, :3, 3], lamp.radius_m[i], 0.0])
                 yield row, in_cone(lamp, i, middles, radii)
+
+
+@kernel
+def _mark_shown(first, last, low, high, frame, views, top):  # type: ignore[no-untyped-def]
+    """Takes rows of the ground's blocks, as balls, into the tops, if a view may show them."""
+    width = frame[2]
+    for j in range(first, last):
+        for i in range(low.shape[1]):
+            if not low[j, i] <= high[j, i]:
+                continue
+            half = 0.5 * (high[j, i] - low[j, i])
+            x, y = i * width + (frame[0] + 0.5 * width), j * width + (frame[1] + 0.5 * width)
+            radius = np.sqrt(half * half + 0.5 * width * width)
+            if shown(views, x, y, low[j, i] + half, radius) == SHOWN:
+                top[j, i] = high[j, i]
 
 
 @kernel

@@ -12,6 +12,7 @@ from scenec.compiler.scene.ground import Ground
 from scenec.compiler.scene.light import Lamp
 from scenec.compiler.scene.objects import Placed, Scatter
 from scenec.compiler.views.needed import PASS
+from scenec.schemas.affine import box_around
 from scenec.schemas.codec import Facts
 from scenec.schemas.left_out import entry
 
@@ -43,7 +44,7 @@ def without_idle(
 
 
 def _ball_of_tiles(ground: Ground) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    boxes = [(tile.points.min(axis=0), tile.points.max(axis=0)) for tile in ground.meshes]
+    boxes = [box_around(tile.points) for tile in ground.meshes]
     low, high = (np.array([box[end] for box in boxes], np.float64) for end in (0, 1))
     half = 0.5 * (high - low)
     middles = np.array([tile.translate for tile in ground.meshes]) + low + half

@@ -20,6 +20,7 @@ from scenec.compiler.cache.memo import memoized
 from scenec.compiler.scene.ground import MeshTile
 from scenec.compiler.terrain.grid import HeightField
 from scenec.compiler.views.frustum import MOVING, Views
+from scenec.schemas.affine import box_around
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
 
@@ -120,11 +121,7 @@ def relief_of_tiles(
     columns, rows = (max(int(np.ceil(n / width)), 1) for n in size.tolist())
     frame = np.array([*bounds[0, :2], width, width])
     low, high = np.full((rows, columns), np.inf), np.full((rows, columns), -np.inf)
-    ends = [
-        tile.translate[:2] + pick(tile.points[:, :2], axis=0)
-        for tile in tiles
-        for pick in (np.min, np.max)
-    ]
+    ends = [t.translate[:2] + end for t in tiles for end in box_around(t.points[:, :2])]
     for tile in tiles:
         _bound_mesh(tile.translate, tile.points, tile.faces, frame, low, high)
     # A block that the ground covers in part hides nothing.
@@ -225,9 +222,12 @@ def _find_ceilings(first, last, least, frame, eyes, above, ceiling):  # type: ig
                 i, j = (k - 2 * rows) // 2, (k % 2) * (rows - 1)
             _follow(least, frame, eyes[v], i, j, passed)
         # A ray passes beside the blocks next to its own, too.
+        lowest = np.empty(columns + 2)
         for j in range(rows):
+            for i in range(columns + 2):
+                lowest[i] = min(passed[j, i], min(passed[j + 1, i], passed[j + 2, i]))
             for i in range(columns):
-                ceiling[v, j, i] = passed[j : j + 3, i : i + 3].min()
+                ceiling[v, j, i] = min(lowest[i], min(lowest[i + 1], lowest[i + 2]))
 
 
 @kernel

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.views.frustum import Views, in_view
 from scenec.compiler.views.occlusion import is_hidden
-from scenec.schemas.kernels import kernel
+from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import POINTS, over_threads
 
 #: What views may show of a ball: nothing, nothing because of the ground, something.
@@ -36,14 +36,20 @@ def visible(
 def _see(first, last, views, middles, radii, out):  # type: ignore[no-untyped-def]
     for n in range(first, last):
         x, y, z = middles[n]
-        radius = radii[n]
-        for v in range(len(views.eye)):
-            px, py = x - views.eye[v, 0], y - views.eye[v, 1]
-            if px * px + py * py > radius * radius:
-                if not in_view(views, v, x, y, z, radius):
-                    continue
-                if is_hidden(views, v, x, y, z, radius):
-                    out[n] = 1
-                    continue
-            out[n] = 2
-            break
+        out[n] = shown(views, x, y, z, radii[n])
+
+
+@inlined
+def shown(views, x, y, z, radius):  # type: ignore[no-untyped-def]
+    """The most that any view may show of a ball: ``OUTSIDE``, ``BEHIND`` or ``SHOWN``."""
+    most = OUTSIDE
+    for v in range(len(views.eye)):
+        px, py = x - views.eye[v, 0], y - views.eye[v, 1]
+        if px * px + py * py > radius * radius:
+            if not in_view(views, v, x, y, z, radius):
+                continue
+            if is_hidden(views, v, x, y, z, radius):
+                most = BEHIND
+                continue
+        return SHOWN
+    return most

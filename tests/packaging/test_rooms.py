@@ -81,7 +81,7 @@ FLOORS = {
         ("explain", "shown", "steps"),
         ("outputs", "models"),
         ("stage_export",),
-        ("maps", "tracks"),
+        ("maps", "rectify", "tracks"),
         (
             "check",
             "evaluate",

@@ -180,6 +180,8 @@ kernels.SHIPPED = Path("/dev/null/nowhere")
 from numba.core.codegen import CPUCodeLibrary
 from scenec.compiler.arithmetic.elementary import exp
 asked = CPUCodeLibrary._object_getbuffer_hook.__func__
+# A shell starts what runs in its background with interrupts ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 signals = [signal.SIGINT]
 def interrupted(library, module):
     while signals:
