@@ -45,6 +45,7 @@ LIBRARIES = (
     "PyOpenGL",
     "lavavu-osmesa",
     "flip-evaluator",
+    "materialx",
     "distributed",
 )
 

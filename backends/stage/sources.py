@@ -11,6 +11,7 @@ from pathlib import Path
 from pxr import Ar, Sdf, Tf, Usd
 
 from scenec.backends.stage import values
+from scenec.backends.stage.materialx import materialx_layer
 from scenec.backends.stage.values import said
 from scenec.schemas.crate import crate_fault
 from scenec.schemas.errors import StageError
@@ -51,6 +52,9 @@ class Sources:
         # Pictures and value clips, which are no layers that USD would name.
         self._beside: set[str] = set()
         self._listed = False
+        self._materialx: dict[str, Sdf.Layer | None] = {}
+        # Layers whose references lead to those, as (layer, what is authored, what stands there).
+        self._replaced: list[tuple[Sdf.Layer, str, str]] = []
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -70,7 +74,7 @@ class Sources:
         Raises:
             StageError: No file, not USD, not whole, or USD gives up on a value.
         """
-        with native_reading(self._path):
+        with native_reading(self._path), self._restoring():
             stage = self._open()
             with Tf.DiagnosticTrap() as trap:
                 try:
@@ -102,6 +106,7 @@ class Sources:
                 raise _unreadable(self._path, error) from error
             finally:
                 trap.Clear()
+            self._read_materialx(stage)
             self._compose(stage)
             self._open_clips(stage)
             trap.Clear()
@@ -193,7 +198,10 @@ class Sources:
                 file, arc, layer, reason = match.groups()
                 line = f"its {arc} to {self._named(file)} {_state(file, reason)}"
                 if _is_materialx(file):
-                    line = f"its {arc} to {self._named(file)}, MaterialX, is not read"
+                    line = (
+                        f"its {arc} to {self._named(file)}, MaterialX, is not read without the "
+                        "extra materialx"
+                    )
                     unread.add(line)
             elif match := _PRIM.search(text):
                 arc, file, path, layer = match.groups()
@@ -207,6 +215,41 @@ class Sources:
                 self._warnings[f"{prims[0]}: {line}, displayColor is shown{more}"] = None
             else:
                 self.miss(f"{prims[0]}: {line}{more}")
+
+    def _read_materialx(self, stage: Usd.Stage) -> None:
+        """Puts layers in memory in the place of ``.mtlx`` files, until the reading ends."""
+        for layer in sorted(stage.GetUsedLayers(), key=lambda layer: str(layer.identifier)):
+            for asset in layer.GetCompositionAssetDependencies():
+                file = str(Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(asset)))
+                if not _is_materialx(file):
+                    continue
+                if file not in self._materialx:
+                    self._materialx[file] = self._materials_of(file)
+                made = self._materialx[file]
+                if made is not None:
+                    _replace(layer, asset, made.identifier)
+                    self._replaced.append((layer, asset, made.identifier))
+
+    @contextmanager
+    def _restoring(self) -> Iterator[None]:
+        """Has layers, which whoever else opens them shares, as they were before."""
+        try:
+            yield
+        finally:
+            with Tf.DiagnosticTrap() as trap:
+                for layer, asset, made in self._replaced:
+                    _replace(layer, made, asset)
+                trap.Clear()
+
+    def _materials_of(self, file: str) -> Sdf.Layer | None:
+        try:
+            found = materialx_layer(file, self._named(file))
+        except StageError as error:
+            self.miss(str(error))
+            found = Sdf.Layer.CreateAnonymous(".usda")
+        if found is not None:
+            self._beside.add(_package(file))
+        return found
 
     def _open_clips(self, stage: Usd.Stage) -> None:
         """Opens the layers of value clips, which USD would do, or not, when a value is read."""
@@ -271,9 +314,16 @@ def _state(file: str, reason: str | None) -> str:
 
 def _is_materialx(file: str) -> bool:
     """Tells whether a file is there that usd-core, without MaterialX's plug-in, cannot read."""
-    return file.partition(":SDF_FORMAT_ARGS:")[0].lower().endswith(".mtlx") and os.path.isfile(
-        _package(file.partition(":SDF_FORMAT_ARGS:")[0])
-    )
+    file = file.partition(":SDF_FORMAT_ARGS:")[0]
+    return file.rstrip("]").lower().endswith(".mtlx") and os.path.isfile(_package(file))
+
+
+def _replace(layer: Sdf.Layer, old: str, new: str) -> None:
+    """Has a layer refer to another one; a layer of a package, too, which is never written."""
+    permitted = layer.permissionToEdit
+    layer.SetPermissionToEdit(True)
+    layer.UpdateCompositionAssetDependency(old, new)
+    layer.SetPermissionToEdit(permitted)
 
 
 def _located(reason: str) -> str:

@@ -17,6 +17,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
 from scenec.backends.stage import values
 from scenec.backends.stage.followed import NEUTRAL, is_followed
 from scenec.backends.stage.implicit import LENGTHS, kind_of
+from scenec.backends.stage.materialx import LOSSES
 from scenec.backends.stage.products import settings_of_products
 from scenec.backends.stage.rigid import flat, sheared, stretched
 from scenec.backends.stage.sources import Sources
@@ -306,6 +307,8 @@ class Unread:
         self._materials.add(str(prim.GetPath()))
         if prim.GetAttribute(names.ATTR_BASE_COLOR).HasValue():
             return
+        for line in (prim.GetCustomDataByKey(LOSSES) or "").splitlines():
+            self.add(line, prim)
         shader, _, _ = material.ComputeSurfaceSource()
         if shader and values.word(shader.GetIdAttr(), "") == "UsdPreviewSurface":
             self._preview_surface(prim, shader)

@@ -203,23 +203,6 @@ def test_textures_inside_packages_are_those_beside_a_stage(tmp_path):
         maps.load_map(found[0].surfaces[0].maps.base_color, "base_color")
 
 
-def test_a_material_of_materialx_leaves_a_line_and_the_shape(tmp_path):
-    (tmp_path / "look.mtlx").write_text('<materialx version="1.39"></materialx>')
-
-    def build(stage):
-        shape(stage, "/Root/Mesh", None)
-        looks = stage.DefinePrim("/Root/Looks")
-        looks.GetReferences().AddReference("./look.mtlx", "/MaterialX/Materials")
-
-    scene = opened(tmp_path, build)
-    assert len(scene.meshes) == 1
-    (line,) = scene.losses
-    assert line.startswith("/Root/Looks: its reference to look.mtlx, MaterialX, is not read")
-    (tmp_path / "look.mtlx").unlink()
-    with pytest.raises(StageError, match=r"look\.mtlx does not exist"):
-        opened(tmp_path, build)
-
-
 def test_nodes_that_go_in_circles_end(tmp_path):
     def build(stage):
         foreign(stage, shape(stage, "/Root/Mesh", "vertex", 6))

@@ -1,0 +1,267 @@
+"""Materials of ``.mtlx`` files that stages refer to, written by MaterialX itself."""
+
+import sys
+
+import MaterialX
+import pytest
+from PIL import Image
+from pxr import Sdf, UsdShade
+
+from scenec.backends.stage.read import read_stage
+from scenec.schemas.errors import StageError
+from scenec.testing.foreign_stages import new_stage, polygons
+
+UNREAD = "standard_surface", {"base_color": ("color3", "0.1, 0.2, 0.3"), "coat": ("float", "1.0")}
+
+
+def document(model, inputs, space="lin_rec709"):
+    """A document of one material ``Look`` and its surface ``shade``."""
+    made = MaterialX.createDocument()
+    made.setColorSpace(space)
+    shade = made.addNode(model, "shade", "surfaceshader")
+    for name, (kind, value) in inputs.items():
+        shade.addInput(name, kind).setValueString(value)
+    look = made.addNode("surfacematerial", "Look", "material")
+    look.addInput("surfaceshader", "surfaceshader").setConnectedNode(shade)
+    return made
+
+
+def add(made, kind, category, name, **inputs):
+    """Adds a node; an input is (type, value), or another node."""
+    node = made.addNode(category, name, kind)
+    for key, value in inputs.items():
+        connect(node, key, value)
+    return node
+
+
+def connect(node, key, value):
+    if isinstance(value, tuple):
+        node.addInput(key, value[0]).setValueString(value[1])
+    else:
+        node.addInput(key, value.getType()).setConnectedNode(value)
+
+
+def stage_of(folder, made, under="/MaterialX", holder="/Root/MaterialX", below="/Materials"):
+    """A triangle whose material stands in ``look.mtlx``."""
+    MaterialX.writeToXmlFile(made, str(folder / "look.mtlx"))
+    stage = new_stage(folder / "stage.usda", "/Root")
+    mesh = polygons(stage, "/Root/Mesh", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [3], [0, 1, 2])
+    stage.DefinePrim(holder).GetReferences().AddReference("./look.mtlx", under)
+    api = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    api.GetDirectBindingRel().SetTargets([f"{holder}{below}/Look"])
+    stage.GetRootLayer().Save()
+    return folder / "stage.usda"
+
+
+def surface_of(scene):
+    return scene.surfaces[scene.meshes[0].layers[0]]
+
+
+@pytest.mark.parametrize(
+    ("model", "inputs", "expected"),
+    [
+        (
+            "standard_surface",
+            {"base": ("float", "0.5"), "base_color": ("color3", "0.2, 0.4, 0.6")}
+            | {"metalness": ("float", "1"), "specular_roughness": ("float", "0.7")},
+            {"base_color": (0.1, 0.2, 0.3), "metallic": 1.0, "roughness": 0.7, "specular": 0.04},
+        ),
+        # Its defaults, and the reflectance at an index of 2, (1 / 3) ** 2, at a weight of 0.25.
+        (
+            "standard_surface",
+            {"specular": ("float", "0.25"), "specular_IOR": ("float", "2")},
+            {"base_color": (0.8,) * 3, "roughness": 0.2, "specular": 0.25 / 9.0},
+        ),
+        (
+            "standard_surface",
+            {"emission": ("float", "2"), "emission_color": ("color3", "0.5, 0.25, 1")},
+            {"emission": (1.0, 0.5, 2.0)},
+        ),
+        (
+            "open_pbr_surface",
+            {"base_weight": ("float", "0.5"), "base_metalness": ("float", "0.25")},
+            {"base_color": (0.4,) * 3, "metallic": 0.25, "roughness": 0.3, "specular": 0.04},
+        ),
+        (
+            "gltf_pbr",
+            {"emissive": ("color3", "1, 0, 0.5"), "emissive_strength": ("float", "3")},
+            {"base_color": (1.0,) * 3, "metallic": 1.0, "emission": (3.0, 0.0, 1.5)},
+        ),
+        (
+            "UsdPreviewSurface",
+            {"useSpecularWorkflow": ("integer", "1"), "specularColor": ("color3", "0.3, 0.3, 0.3")},
+            {"base_color": (0.18,) * 3, "specular": 0.3, "roughness": 0.5},
+        ),
+    ],
+)
+def test_constants_of_each_surface(tmp_path, model, inputs, expected):
+    scene = read_stage(stage_of(tmp_path, document(model, inputs)))
+    surface = surface_of(scene)
+    assert surface.path == "/Root/MaterialX/Materials/Look"
+    for name, value in expected.items():
+        assert getattr(surface, name) == pytest.approx(value, abs=1e-6), name
+    assert scene.losses == ()
+
+
+@pytest.mark.parametrize(
+    ("under", "holder", "below"),
+    [
+        ("/MaterialX", "/Root/M", "/Materials"),
+        ("/MaterialX/Materials", "/Root/M", ""),
+        (Sdf.Path(), "/Root/M", "/Materials"),
+    ],
+)
+def test_references_lead_to_the_file_its_materials_or_its_default(tmp_path, under, holder, below):
+    scene = read_stage(stage_of(tmp_path, document(*UNREAD), under, holder, below))
+    assert surface_of(scene).base_color == pytest.approx((0.1, 0.2, 0.3))
+    (line,) = scene.losses
+    assert "shade (standard_surface): not followed: coat" in line
+    assert f"{holder}{below}/Look" in line
+
+
+def test_colors_of_srgb_are_decoded(tmp_path):
+    made = document("standard_surface", {"base_color": ("color3", "0.5, 0.04, 1")}, "srgb_texture")
+    linear = (((0.5 + 0.055) / 1.055) ** 2.4, 0.04 / 12.92, 1.0)
+    assert surface_of(read_stage(stage_of(tmp_path, made))).base_color == pytest.approx(linear)
+
+
+def textured(folder):
+    """Pictures through tiling, arithmetic, channels and a graph; a surface that reads them."""
+    Image.new("RGB", (2, 2), (255, 128, 0)).save(folder / "color.png")
+    Image.new("RGB", (2, 2), (128, 128, 255)).save(folder / "normal.png")
+    made = document("standard_surface", {})
+    graph = made.addNodeGraph("graph")
+    color = add(graph, "color3", "tiledimage", "tiled", file=("filename", "color.png"),
+                uvtiling=("vector2", "2, 3"), uvoffset=("vector2", "0.25, 0.5"))  # fmt: skip
+    color.getInput("file").setColorSpace("srgb_texture")
+    dark = add(graph, "color3", "multiply", "dark", in1=color, in2=("float", "0.5"))
+    place = add(graph, "vector2", "place2d", "place", scale=("vector2", "0.5, 0.25"),
+                pivot=("vector2", "0.5, 0"), offset=("vector2", "-0.25, 0.5"))  # fmt: skip
+    packed = add(graph, "color3", "image", "packed", file=("filename", "color.png"), texcoord=place)
+    green = add(graph, "float", "extract", "green", index=("integer", "1"))
+    connect(green, "in", packed)
+    smooth = add(graph, "float", "invert", "smooth")
+    connect(smooth, "in", green)
+    lying = add(graph, "vector3", "image", "lying", file=("filename", "normal.png"))
+    normal = add(graph, "vector3", "normalmap", "bent")
+    connect(normal, "in", lying)
+    shade = made.getNode("shade")
+    for name, node in (("base_color", dark), ("specular_roughness", smooth), ("normal", normal)):
+        output = graph.addOutput(f"{name}_out", node.getType())
+        output.setConnectedNode(node)
+        shade.addInput(name, node.getType()).setConnectedOutput(output)
+    return made
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_pictures_go_through_tiling_arithmetic_and_channels(tmp_path, packed):
+    path = stage_of(tmp_path, textured(tmp_path))
+    if packed:
+        with Sdf.ZipFileWriter.CreateNew(str(tmp_path / "all.usdz")) as writer:
+            for name in ("stage.usda", "look.mtlx", "color.png", "normal.png"):
+                writer.AddFile(str(tmp_path / name), name)
+        path = tmp_path / "all.usdz"
+    scene = read_stage(path)
+    maps = surface_of(scene).maps
+    assert str(maps.base_color).endswith("all.usdz[color.png]" if packed else "/color.png")
+    assert maps.uv_transform == pytest.approx((2.0, 0.0, -0.25, 0.0, 3.0, -0.5))
+    reading = dict(maps.readings)["base_color"]
+    assert (reading.srgb, reading.scale) == (True, (0.5, 0.5, 0.5))
+    # A second set of coordinates, and a normal without tiling: one is kept, the others are told.
+    assert maps.roughness is None
+    assert any("roughness of UsdPreviewSurface" in line for line in scene.losses)
+
+
+def test_a_picture_is_placed_inverted_and_read_in_one_channel(tmp_path):
+    made = textured(tmp_path)
+    made.getNode("shade").removeInput("base_color")
+    maps = surface_of(read_stage(stage_of(tmp_path, made))).maps
+    # (x - 0.5) / 0.5 + 0.25 + 0.5, y / 0.25 - 0.5
+    assert maps.uv_transform == pytest.approx((2.0, 0.0, -0.25, 0.0, 4.0, -0.5))
+    reading = dict(maps.readings)["roughness"]
+    assert (reading.channel, reading.scale[0], reading.bias[0]) == ("g", -1.0, 1.0)
+    made.getNode("shade").removeInput("specular_roughness")
+    maps = surface_of(read_stage(stage_of(tmp_path, made))).maps
+    assert maps.normal is not None
+    assert not maps.flip_green
+
+
+@pytest.mark.parametrize(("mode", "cut"), [("0", None), ("1", 0.25), ("2", 0.5)])
+def test_masks_of_gltf_cut_at_their_own_threshold(tmp_path, mode, cut):
+    Image.new("RGBA", (2, 2), (255, 128, 0, 99)).save(tmp_path / "leaf.png")
+    made = document("gltf_pbr", {"alpha_mode": ("integer", mode)}
+                    | {"alpha_cutoff": ("float", "0.25")})  # fmt: skip
+    leaf = add(made, "multioutput", "gltf_colorimage", "leaf", file=("filename", "leaf.png"))
+    leaf.getInput("file").setColorSpace("srgb_texture")
+    for name, kind, output in (("base_color", "color3", "outcolor"), ("alpha", "float", "outa")):
+        port = made.getNode("shade").addInput(name, kind)
+        port.setNodeName(leaf.getName())
+        port.setOutputString(output)
+    scene = read_stage(stage_of(tmp_path, made))
+    maps = surface_of(scene).maps
+    assert (maps.opacity is not None) == (cut is not None)
+    if cut is not None:
+        assert maps.opacity_threshold == pytest.approx(cut)
+        reading = dict(maps.readings)["opacity"]
+        assert (reading.channel, reading.srgb) == ("a", None)
+    assert bool(scene.losses) == (mode == "2")
+
+
+def test_what_is_more_complex_has_its_default_and_a_line(tmp_path):
+    made = document("standard_surface", {})
+    connect(made.getNode("shade"), "base_color", add(made, "color3", "noise2d", "noise"))
+    turned = add(made, "vector2", "place2d", "turned", rotate=("float", "30"))
+    rough = add(made, "float", "image", "rough", file=("filename", "r.png"), texcoord=turned)
+    connect(made.getNode("shade"), "specular_roughness", rough)
+    tiles = add(made, "float", "image", "tiles", file=("filename", "r.<UDIM>.png"))
+    connect(made.getNode("shade"), "metalness", tiles)
+    scene = read_stage(stage_of(tmp_path, made))
+    surface = surface_of(scene)
+    assert surface.base_color == pytest.approx((0.8,) * 3)
+    assert (surface.roughness, surface.metallic) == pytest.approx((0.2, 0.0))
+    assert len(scene.losses) == 3
+    for told in (
+        "base_color of shade (standard_surface): the node noise (noise2d) is not read",
+        "specular_roughness of shade (standard_surface): rotate of the node turned is not read",
+        "metalness of shade (standard_surface): the file, or the tiles, of the node tiles is not",
+    ):
+        (line,) = [line for line in scene.losses if told in line]
+        assert "/Root/MaterialX/Materials/Look" in line
+    scene = read_stage(stage_of(tmp_path, document("disney_principled", {})))
+    assert "the surface shade (disney_principled) is not read" in scene.losses[0]
+
+
+def test_without_the_package_the_shape_is_drawn_and_a_line_says_so(tmp_path, monkeypatch):
+    path = stage_of(tmp_path, document(*UNREAD))
+    monkeypatch.setitem(sys.modules, "MaterialX", None)
+    scene = read_stage(path)
+    assert len(scene.meshes) == 1
+    (line,) = scene.losses
+    assert line.startswith(
+        "/Root/MaterialX: its reference to look.mtlx, MaterialX, is not read without the extra "
+        "materialx, displayColor is shown"
+    )
+    (tmp_path / "look.mtlx").unlink()
+    with pytest.raises(StageError, match=r"look\.mtlx does not exist"):
+        read_stage(path)
+
+
+def test_a_file_that_is_none_and_a_picture_that_is_missing_end_the_reading(tmp_path):
+    path = stage_of(tmp_path, textured(tmp_path))
+    (tmp_path / "normal.png").unlink()
+    with pytest.raises(StageError, match=r"normal\.png does not exist"):
+        read_stage(path)
+    (tmp_path / "look.mtlx").write_text("<materialx")
+    with pytest.raises(StageError, match=r"look\.mtlx: cannot be read"):
+        read_stage(path)
+
+
+def test_the_digest_tells_files_apart_and_layers_stay_as_they_are(tmp_path):
+    path = stage_of(tmp_path, document(*UNREAD))
+    kept = Sdf.Layer.FindOrOpen(str(path))
+    before = kept.ExportToString()
+    first = read_stage(path)
+    assert kept.ExportToString() == before
+    assert read_stage(path).digest == first.digest
+    MaterialX.writeToXmlFile(document("gltf_pbr", {}), str(tmp_path / "look.mtlx"))
+    assert read_stage(path).digest != first.digest
