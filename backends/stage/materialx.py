@@ -80,7 +80,7 @@ _WRAPS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror"}
 
 
 @dataclass
-class _Look:
+class _MaterialXLook:
     """Writes one material, and notes what of it is not read."""
 
     material: UsdShade.Material
@@ -105,7 +105,7 @@ def materialx_layer(file: str, named: str) -> Sdf.Layer | None:
         StageError: The file is no MaterialX.
     """
     try:
-        mx = importlib.import_module("MaterialX")
+        mx: Any = importlib.import_module("MaterialX")
     except ImportError:
         return None
     document = mx.createDocument()
@@ -122,7 +122,7 @@ def materialx_layer(file: str, named: str) -> Sdf.Layer | None:
         stage.DefinePrim(f"{_ROOT}/Materials")
         for node in document.getMaterialNodes():
             path = f"{_ROOT}/Materials/{node.getName().replace(':', '__')}"
-            look = _Look(UsdShade.Material.Define(stage, path), file)
+            look = _MaterialXLook(UsdShade.Material.Define(stage, path), file)
             for surface in mx.getShaderNodes(node, "surfaceshader"):
                 _write_surface(look, surface)
             if look.lines:
@@ -142,7 +142,7 @@ def _faults(mx: Any) -> tuple[type[Exception], ...]:
     )
 
 
-def _write_surface(look: _Look, node: Any) -> None:
+def _write_surface(look: _MaterialXLook, node: Any) -> None:
     model = _MODELS.get(node.getCategory())
     if model is None or node.getNodeDef() is None:
         look.lose(f"the surface {node.getName()} ({node.getCategory()}) is not read, "
@@ -173,7 +173,7 @@ def _write_surface(look: _Look, node: Any) -> None:
         look.lose(f"{node.getName()} ({node.getCategory()}): not followed: {', '.join(unread)}")
 
 
-def _product(look: _Look, value: NodeValue, *weights: NodeValue) -> NodeValue:
+def _product(look: _MaterialXLook, value: NodeValue, *weights: NodeValue) -> NodeValue:
     for weight in weights:
         if weight.image is not None and value.image is not None:
             look.lose("a weight from a picture, of what is another picture, is not followed")
@@ -191,7 +191,7 @@ def _has_effect(node: Any, port: Any) -> bool:
     return default is None or port.getValue() != default.getValue()
 
 
-def _ior(look: _Look, *factors: NodeValue) -> NodeValue:
+def _ior(look: _MaterialXLook, *factors: NodeValue) -> NodeValue:
     """The index whose reflectance at normal incidence is an index's times any weight."""
     ior, weight = factors if len(factors) == 2 else (*factors, NodeValue(ONES))
     if ior.image is not None or weight.image is not None:
@@ -201,7 +201,7 @@ def _ior(look: _Look, *factors: NodeValue) -> NodeValue:
     return NodeValue(((1.0 + root) / max(1.0 - root, 1e-6),) * 4)
 
 
-def _input(look: _Look, node: Any, name: str) -> NodeValue:
+def _input(look: _MaterialXLook, node: Any, name: str) -> NodeValue:
     """What an input of a surface is; its default where the network is not read."""
     default = constant_of(node.getNodeDef().getActiveInput(name))
     port = node.getInput(name)
@@ -218,7 +218,7 @@ def _input(look: _Look, node: Any, name: str) -> NodeValue:
         return default
 
 
-def _write(look: _Look, shader: UsdShade.Shader, name: str, value: NodeValue) -> None:
+def _write(look: _MaterialXLook, shader: UsdShade.Shader, name: str, value: NodeValue) -> None:
     kind = _TYPES.Color3f if name in _COLORS else _TYPES.Float
     kind = {"normal": _TYPES.Normal3f, "useSpecularWorkflow": _TYPES.Int}.get(name, kind)
     if value.image is not None:
@@ -232,7 +232,7 @@ def _write(look: _Look, shader: UsdShade.Shader, name: str, value: NodeValue) ->
         shader.CreateInput(name, kind).Set(int(number) if kind == _TYPES.Int else number)
 
 
-def _texture(look: _Look, name: str, value: NodeValue) -> UsdShade.Output:
+def _texture(look: _MaterialXLook, name: str, value: NodeValue) -> UsdShade.Output:
     node = value.image
     file, _ = source_of(node.getInput("file"))
     srgb = False
@@ -284,7 +284,7 @@ def _joined(beside: str, relative: str) -> str:
     return os.path.normpath(os.path.join(os.path.dirname(os.path.abspath(beside)), relative))
 
 
-def _coordinates(look: _Look, path: Sdf.Path, node: Any) -> UsdShade.Output:
+def _coordinates(look: _MaterialXLook, path: Sdf.Path, node: Any) -> UsdShade.Output:
     """The nodes of a picture's texture coordinates; those of its own tiling come last."""
     stage = look.material.GetPrim().GetStage()
     primvar, steps = placing(node)
