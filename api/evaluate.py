@@ -141,7 +141,7 @@ def _labels(
         level=options.level,
         classes=options.classes,
         skip_missing=options.missing == "skip",
-        progress=options.listener.steps("judged", every_s=5.0),
+        progress=options.listener.steps("judged"),
     )
 
 
@@ -159,7 +159,7 @@ def _depth(
         least_m=options.min_depth or 0.0,
         most_m=options.max_depth or float("inf"),
         skip_missing=options.missing == "skip",
-        progress=options.listener.steps("judged", every_s=5.0),
+        progress=options.listener.steps("judged"),
     )
 
 

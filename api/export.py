@@ -48,7 +48,7 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
             choice_of(options),
             executor=executor,
             replace=options.replace,
-            progress=options.listener.steps("exported", unit="step", every_s=2.0),
+            progress=options.listener.steps("exported", unit="step"),
             say=options.listener.say,
         )
 

@@ -37,16 +37,13 @@ class Listener:
         """Hears of what a user should see."""
         self.say(f"warning: {line}")
 
-    def steps(
-        self, what: str, unit: str = "frame", units: str | None = None, every_s: float = 0.0
-    ) -> StepProgress:
+    def steps(self, what: str, unit: str = "frame", units: str | None = None) -> StepProgress:
         """Begins to hear of progress.
 
         Args:
             what: What the steps are: "compiled", "frame".
             unit: What is counted a second, one of them.
             units: Several of them; None adds an s.
-            every_s: Seconds between two lines, where steps are too many to be told one by one.
         """
         return StepProgress()
 

@@ -155,7 +155,7 @@ class _Export:
         folder.mkdir(parents=True)
         units = [self._tile(batch, facts, grid, tile, tiles) for tile in grid.tiles]
         todo = [unit for unit in units if not unit.file.is_file()]
-        steps = self.options.listener.steps("mapped", unit="tile", every_s=2.0)
+        steps = self.options.listener.steps("mapped", unit="tile")
         for number, (unit, _) in enumerate(self._done(todo), len(units) - len(todo) + 1):
             steps(number, len(units), unit.what)
         files = {unit.tile: unit.file for unit in units}

@@ -124,9 +124,14 @@ def add_cache(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_verbose(parser: argparse.ArgumentParser) -> None:
-    """Adds the option of verbosity."""
-    parser.add_argument("-v", "--verbose", action="store_true", help="say what took how long, too")
+def add_verbose(parser: argparse.ArgumentParser, default: Any = argparse.SUPPRESS) -> None:
+    """Adds the option of verbosity: before the command, and after it, where nothing is its default.
+
+    A command's own default would be put over what was said before it.
+    """
+    parser.add_argument(
+        "-v", "--verbose", action="store_true", default=default, help="say what took how long, too"
+    )
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -13,6 +13,7 @@ import os
 import re
 import resource
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -91,11 +92,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return ended
     interrupt.watch()
     notice.listen(tell)
+    started = time.perf_counter()
     try:
         command = importlib.import_module(f"scenec.cli.{options.module}")
         with blaming():
             status: int = command.run(options)
         sys.stdout.flush()
+        if options.verbose:
+            _tell_spent(time.perf_counter() - started)
         if arguments is None:
             # The interpreter's end would look at every object for cycles, twice: 0.3 CPU s.
             gc.freeze()
@@ -133,6 +137,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("scenec: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     return status
+
+
+def _tell_spent(seconds: float) -> None:
+    """Says what the command took: of time, of processors, and of memory."""
+    own, others = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    busy = sum(used.ru_utime + used.ru_stime for used in (own, others))
+    most = max(own.ru_maxrss, others.ru_maxrss) / 2**20
+    tell(f"{seconds:.2f} s, {busy:.2f} CPU s, {most:.2f} GiB at most in one process")
 
 
 def _most_files() -> float:
@@ -175,6 +187,7 @@ def parser() -> argparse.ArgumentParser:
         epilog="'scenec COMMAND --help' tells more. Documentation: docs/ and README.md.",
     )
     top.add_argument("--version", action=_Version, help="print the version and leave")
+    add_verbose(top, default=False)
     commands = top.add_subparsers(metavar="COMMAND", required=True)
 
     run = _command(commands, "run", "compile a cfg and render it: the main job")
@@ -184,7 +197,6 @@ def parser() -> argparse.ArgumentParser:
     add_keep(run)
     add_cache(run)
     add(run, CompileOptions, "replace", "faults", "batches")
-    add_verbose(run)
     add_json(run)
 
     compile_ = _command(commands, "compile", "compile a cfg into USD stages, one per batch")
@@ -194,7 +206,6 @@ def parser() -> argparse.ArgumentParser:
     add_cache(compile_)
     add(compile_, CompileOptions, "replace", "faults", "batches", "workers", "cluster")
     compile_.epilog = "Example: scenec compile cfg.json --set terrain.spacing_m=0.2 --seed 3 -o OUT"
-    add_verbose(compile_)
     add_json(compile_)
 
     validate = _command(commands, "validate", "is a cfg without faults; compiles nothing")
@@ -247,14 +258,12 @@ def parser() -> argparse.ArgumentParser:
     render.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     add_render_options(render)
     add(render, RenderOptions, "replace", "allow_missing", "batches")
-    add_verbose(render)
     add_json(render)
 
     scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
     scan.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     works = ("workers", "cluster", "allow_missing", "batches")
     add(scan, ScanOptions, "samples", "lidars", "ply", *works)
-    add_verbose(scan)
     add_json(scan)
 
     check = _command(commands, "check", "is the output sound, and do backends agree on it")
@@ -317,6 +326,7 @@ def _command(
         name, help=text, description=f"{text[0].upper()}{text[1:]}."
     )
     command.set_defaults(module=f"{name}_command")
+    add_verbose(command)
     return command
 
 

@@ -90,7 +90,7 @@ class Progress(StepProgress):
         what: What the steps are, before the bar.
         unit: What is counted a second, one of them.
         units: Several of them; None adds an s.
-        every_s: Seconds between two plain lines, where steps are too many to be told one by one.
+        every_s: Seconds between two plain lines, but for the first and the last.
     """
 
     def __init__(
@@ -169,6 +169,8 @@ class Progress(StepProgress):
 _WINDOW = 32
 #: Seconds between two plain lines about what is going on.
 _SAY_S = 1.0
+#: Seconds between two plain lines of progress, in logs and pipes.
+LINE_S = 10.0
 #: A bar that is drawn more often only costs time.
 _REDRAW_S = 0.05
 

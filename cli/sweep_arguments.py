@@ -12,7 +12,6 @@ from scenec.cli.arguments import (
     add_json,
     add_keep,
     add_render_options,
-    add_verbose,
 )
 
 
@@ -22,7 +21,6 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     add(parser, SweepOptions)
     parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a folder of outputs")
     add_render_options(parser, SweepOptions)
-    add_verbose(parser)
     add_keep(parser)
     add_cache(parser)
     add(parser, StageOptions, "replace", "faults", "batches")

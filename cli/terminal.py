@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenec.api.listener import Listener
-from scenec.cli.output import Progress, say
+from scenec.cli.output import LINE_S, Progress, say
 from scenec.schemas.codec import decode, encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.report import HeightFacts, IterationFacts
@@ -41,11 +41,9 @@ class Terminal(Listener):
         """Prints a line."""
         say(line)
 
-    def steps(
-        self, what: str, unit: str = "frame", units: str | None = None, every_s: float = 0.0
-    ) -> Progress:
-        """Shows a bar, or lines where there is no terminal."""
-        return Progress(what, unit, units, every_s)
+    def steps(self, what: str, unit: str = "frame", units: str | None = None) -> Progress:
+        """Shows a bar; where there is no terminal a line now and then, or one a step if asked."""
+        return Progress(what, unit, units, 0.0 if self._verbose else LINE_S)
 
     def compiled(self, report: CompileReport, cache: Path | None) -> None:
         """Says what each batch holds, what is improbable of it, and where the stages are."""

@@ -139,6 +139,8 @@ def _why_rough(pose: Node, node: Node) -> str:
                    'interpolation "spline"'  # fmt: skip
         if method != "spline":
             return f'a track whose interpolation is {shown(method)} has such: expected "spline"'
+        if pose["heights"] == "ground":
+            return "the ground's faces have edges: expected heights over the world"
         if pose["gaps"] == "hold":
             return 'a track that is held in gaps has such: expected gaps to be "error"'
     elif kind == "mav":

@@ -275,6 +275,9 @@ class TrackFile:
     gaps: Literal["error", "hold"] | None = key(CHOICE, sparse=True)
     """A sample in a gap is an error (also where it is left out), or takes the pose before it
     (hold)."""
+    heights: Literal["world", "ground"] | None = key(CHOICE, sparse=True)
+    """What heights are over: the world's zero (also where it is left out), or the ground below the
+    rig at that time, whose bumps the rig then follows."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -329,7 +332,7 @@ class TrackFile:
                 to_world = TrackWay(at, stamped, method, gaps, what, usd).resampled(at)
             times = stamped.begin_s + at
         way = TrackWay(at, stamped, method, gaps, what, usd) if context.between else None
-        return TrackPlan(to_world, times, way)
+        return TrackPlan(to_world, times, way, self.heights == "ground")
 
 
 def _on_plane[T: (RigTrack, Stamped)](track: T, context: Context, what: str) -> T:
@@ -347,17 +350,34 @@ class TrackPlan:
         to_world: World matrices with OpenCV axes, [s, 4, 4].
         times: Their times, [s].
         way: Gives those at other times; None where nobody asks for them.
+        on_ground: Whether heights are over the ground.
     """
 
     to_world: NDArray[np.float64]
     times: NDArray[np.float64]
     way: TrackWay | None = None
+    on_ground: bool = False
     needs_objects: ClassVar = False
 
     def built(self, context: MotionContext) -> RigPoses:
-        """The poses; see ``Motion``."""
-        way = None if self.way is None else Way(self.way.at, self.way.times)
-        return RigPoses(self.to_world, self.times, way=way)
+        """The poses; see ``Motion``.
+
+        Raises:
+            SceneError: Heights are over the ground, and the track leaves the terrain.
+        """
+        poses, given = self._raised(self.to_world, context), self.way
+        if given is None:
+            return RigPoses(poses, self.times)
+        way = Way(lambda at: self._raised(given.at(at), context), given.times)
+        return RigPoses(poses, self.times, way=way)
+
+    def _raised(self, poses: NDArray[np.float64], context: MotionContext) -> NDArray[np.float64]:
+        if not self.on_ground:
+            return poses
+        raised, at = poses.copy(), poses[:, :2, 3]
+        context.require_on_terrain(at, "the track, whose heights are over the ground,")
+        raised[:, 2, 3] += context.ground(at)
+        return raised
 
     def kinematics(self, context: MotionContext, at_s: NDArray[np.float64]) -> Kinematics:
         """The motion at times after the first stamp, of a track whose ``way`` is a spline."""

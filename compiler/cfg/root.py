@@ -26,6 +26,11 @@ class Cfg:
     extends: Any | None = key(Form({"type": "string", "x-ignored": True}), optional=True)
     """Another cfg, of which this one says only what differs: relative to this file, or
     "package:configs/NAME"."""
+    replaces: Any | None = key(
+        Form({"type": "array", "items": {"type": "string"}, "x-ignored": True}), optional=True
+    )
+    """Paths of objects, as in "objects.rocks", that this cfg gives whole: nothing of what the other
+    says there stays."""
     version: Any = key(Form({"const": 1}))
     """Version of the cfg format."""
     name: str = key(forms.NAME)

@@ -28,8 +28,9 @@ from scenec.schemas.manifest import CFG, CFG_FOLDER, MANIFEST, TIMINGS
 from scenec.schemas.spelling import closest, nearest, shown
 
 EXTENDS = "extends"
+REPLACES = "replaces"
 #: Keys that say something of the file they stand in alone.
-_OF_THE_FILE = (EXTENDS, "$schema")
+_OF_THE_FILE = (EXTENDS, REPLACES, "$schema")
 _YAML = (".yaml", ".yml")
 _SETTING = re.compile(r"[^.\[\]=\s]+(?:\.[^.\[\]=\s]+|\[\d+\])*")
 #: What an item of a list can be called by, where no other has the same.
@@ -75,6 +76,9 @@ def read(path: FilePath, settings: Sequence[str] = (), text: bytes | None = None
     nulls: list[Path] = []
     merges: list[Merge] = []
     extends = isinstance(document.value, dict) and EXTENDS in document.value
+    if isinstance(document.value, dict) and REPLACES in document.value and not extends:
+        message = f"expected the key {EXTENDS} beside it, whose objects it replaces"
+        raise _fault(document.keys[REPLACES,], (REPLACES,), message)
     if extends:
         document = _extended(path, document, (path.resolve(),), nulls, merges)
         _take_away(document, nulls)
@@ -185,7 +189,8 @@ def _extended(
         raise _fault(below.values[()], (), f"{shown(below.value)}: expected an object")
     value = {key: entry for key, entry in below.value.items() if key not in _OF_THE_FILE}
     merged: dict[Path, tuple[Any, Any]] = {}
-    joined = _merged(value, document.value, (), nulls, merged)
+    anew = frozenset(_replaced(document, value))
+    joined = _merged(value, document.value, (), nulls, merged, anew)
     for at, (was, over) in merged.items():
         left = {key: below.values[*at, key] for key in was if key not in over}
         merges.append((at, frozenset(over), left))
@@ -197,20 +202,56 @@ def _extended(
     )
 
 
+def _replaced(document: Document, base: dict[str, Any]) -> Iterator[Path]:
+    """Yields where the file gives an object anew that would be merged with the base's.
+
+    Raises:
+        CfgError: That is no list of paths, or one of the files has no object there.
+    """
+    given = document.value.get(REPLACES, [])
+    if not isinstance(given, list):
+        raise _fault(
+            document.values[REPLACES,],
+            (REPLACES,),
+            f"{shown(given)}: expected a list of paths, as in objects.rocks",
+        )
+    for place, name in enumerate(given):
+        at = (REPLACES, place)
+        if not isinstance(name, str) or not _SETTING.fullmatch(name):
+            expected = "expected a path, as in objects.rocks"
+            raise _fault(document.values[at], at, f"{shown(name)}: {expected}")
+        path = tuple(name.split("."))
+        for whose, owner in (("the file it extends", base), ("this file", document.value)):
+            for word in path:
+                if not (isinstance(owner, dict) and isinstance(owner.get(word), dict)):
+                    names = [k for k, v in owner.items() if isinstance(v, dict)]
+                    message = f"{whose} has no object {shown(word)} there{nearest(word, names)}"
+                    raise _fault(document.values[at], at, f"{shown(name)}: {message}")
+                owner = owner[word]
+        yield path
+
+
 def _merged(
     base: dict[str, Any],
     over: dict[str, Any],
     at: Path,
     nulls: list[Path],
     merged: dict[Path, tuple[Any, Any]],
+    anew: frozenset[Path],
 ) -> Any:
-    """Objects merge key by key, the base's first; anything else replaces what was there."""
+    """Objects merge key by key, the base's first; anything else replaces what was there.
+
+    So do objects at the paths ``anew``.
+    """
     merged[at] = base, over
     result = dict(base)
     for key, value in over.items():
         was = base.get(key)
+        if (*at, key) in anew:
+            result[key] = value
+            continue
         if isinstance(was, dict) and isinstance(value, dict) and _is_of_kind(value, was):
-            result[key] = _merged(was, value, (*at, key), nulls, merged)
+            result[key] = _merged(was, value, (*at, key), nulls, merged, anew)
             continue
         if value is None and key in base:
             nulls.append((*at, key))
@@ -301,8 +342,8 @@ def _set(document: Document, text: str) -> None:
     position = Position(0, 0, f"--set {text}")
     if not equals or not _SETTING.fullmatch(name):
         raise _fault(position, (), "expected path=value, as in terrain.relief[0].amplitude_m=2")
-    if name == EXTENDS:
-        raise _fault(position, (EXTENDS,), "what a cfg extends stands in its file")
+    if name in (EXTENDS, REPLACES):
+        raise _fault(position, (name,), "what a cfg extends and replaces stands in its file")
     if has_half_pair(given):
         raise _fault(position, (), "a string with half a surrogate pair")
     *parents, last = re.findall(r"[^.\[\]]+", name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -365,3 +366,9 @@ def test_run_makes_all_that_a_cfg_asks_for_scans_too(tmp_path, capsys):
     assert made["scan"]["made"] == made["render"]["rendered"] == 1
     assert (out / "batch_0000" / "scans" / "rover_top" / "000000.npz").is_file()
     assert (out / "batch_0000" / "frames" / "annotation" / "rover_front" / "000000.exr").is_file()
+
+
+@pytest.mark.parametrize("words", [["-v", "schema"], ["schema", "-v"]])
+def test_v_is_taken_before_and_after_the_command(words, capsys):
+    assert main(words) == 0
+    assert re.search(r"^[\d.]+ s, [\d.]+ CPU s, [\d.]+ GiB at most", capsys.readouterr().err, re.M)

@@ -10,6 +10,7 @@ import pytest
 from scenec.cli import output
 from scenec.cli.main import main
 from scenec.cli.output import Progress, say
+from scenec.cli.terminal import Terminal as Listening
 
 
 class Terminal(io.StringIO):
@@ -135,3 +136,13 @@ def test_a_status_is_on_a_terminal_alone_and_goes_before_the_next_line(monkeypat
     assert terminal.getvalue() == "\rreading a.json"
     assert main(["compile", "none.json", "--seed", "1", "-o", "OUT"]) == 2
     assert "\r\x1b[Knone.json:1:1: /: No such file or directory\n" in terminal.getvalue()
+
+
+def test_lines_are_ten_seconds_apart_unless_each_is_asked_for(clock, capsys):
+    for verbose, told in ((False, [1, 81, 161, 200]), (True, [*range(1, 201)])):
+        progress = Listening(verbose).steps("frame")
+        for done in range(1, 201):
+            clock.now += 0.125
+            progress(done, 200, "x")
+        lines = capsys.readouterr().err.splitlines()
+        assert [int(line.split()[1].split("/")[0]) for line in lines] == told

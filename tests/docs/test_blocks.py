@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
@@ -11,6 +12,8 @@ TUTORIAL, RECIPES = "docs/tutorial.md", "docs/recipes.md"
 OTHERS = ("docs/writing.md", "docs/python.md", "docs/concepts.md", "docs/commands.md")
 PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+FIRST_OUT = "out/first"
 SWEEP = "scenec sweep mine.jsonc --set light.sun.elevation_deg=10,30,60"
 ENVIRONMENT = "it makes the environment that the tests run in"
 #: Every block of these pages that is not run, by what it begins with, and why.
@@ -43,11 +46,19 @@ def test_the_cfg_of_the_readme_runs_as_the_readme_says(tmp_path):
     run_all(blocks("README.md"), tmp_path)
     from scenec.cli.main import main
 
-    out = tmp_path / "out"
     cfg = str(tmp_path / "first.json")
+    assert f"scenec run first.json --seed 1 -o {FIRST_OUT} " in README
+    # What `make demo` leaves.
+    (tmp_path / "out/jacksboro/batch_0000").mkdir(parents=True)
+    out = tmp_path / FIRST_OUT
     assert main(["run", cfg, "--seed", "1", "-o", str(out), "--spp", "4", "--samples", "0:1"]) == 0
     for name in ("png", "exr", "json", "instances.csv"):
         assert (out / f"batch_0000/frames/mitsuba/rover_front/000000.{name}").is_file()
+
+
+def test_there_is_one_first_cfg():
+    (readme,) = [block for block in blocks("README.md") if block.file == "first.json"]
+    assert [json.loads(block.text) for block in first_cfg()] == [json.loads(readme.text)]
 
 
 def test_the_tutorial_runs_from_its_first_block_to_its_last(tmp_path):

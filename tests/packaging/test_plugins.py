@@ -137,6 +137,7 @@ def odd_cfg() -> dict[str, Any]:
 def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site, tmp_path):
     document = cfg()
     document["rigs"]["drone"]["lidars"] = {"scanner": {"pattern": {"type": "rosette"}}}
+    document["outputs"].append("instance")
     path = written(tmp_path, document)
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
@@ -158,6 +159,26 @@ def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site, tmp_path):
     assert (frame.passes["label.class"] == 2).any()
     sidecar = json.loads(stem.with_suffix(".json").read_text())
     assert sidecar["effects"][0]["from"] == package
+    dataset = tmp_path / "boxes"
+    done = scenec(site, "export", outs[0], "--format", "farmland_boxes", "-o", dataset)
+    assert done.returncode == 0, done.stderr
+    names = (dataset / "classes.txt").read_text().splitlines()
+    (file,) = dataset.glob("boxes/*/*drone_eye_000001.txt")
+    boxes = [line.split() for line in file.read_text().splitlines()]
+    # Of the pixels themselves: each instance's box, and its class.
+    height, width = frame.passes["label.class"].shape
+    ids = read_frame(stem.with_suffix(".json"), ["instance"]).passes["instance"]
+    expected = []
+    for number in np.unique(ids[ids > 0]):
+        row, column = np.nonzero(ids == number)
+        (label,) = np.unique(frame.passes["label.class"][row, column])
+        x, y = (0.5 * (at.min() + at.max() + 1) for at in (column, row))
+        wide, high = (np.ptp(at) + 1 for at in (column, row))
+        shares = x / width, y / height, wide / width, high / height
+        kind = names.index(frame.sidecar.labels["class"][str(label)])
+        expected.append([str(kind), *(f"{share:.6f}" for share in shares)])
+    assert len(boxes) > 3
+    assert boxes == expected
 
 
 def test_effects_repeat_and_are_of_the_version_that_was_compiled(there):

@@ -205,6 +205,7 @@ def test_readings_are_the_truth_with_bias_and_white_noise_and_longer_ones_begin_
         ({"type": "track", "file": "t.csv"}, "without sampling"),
         ({"type": "track", "file": "t.csv", "sampling": {}}, '"linear"'),
         ({**TRACK, "max_gap_s": 1, "gaps": "hold"}, "held in gaps"),
+        ({**TRACK, "heights": "ground"}, "heights over the world"),
         ({"type": "rover", "speed_m_s": 1}, '"rover"'),
         ({"type": "lawn_mower", "along_m": 2, "across_m": 2, "height_m": 3}, '"lawn_mower"'),
         ({"type": "mav", "height_m": 3, "tilt": True}, "tilt"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
+from test_motions import around as on_slope
 
 from scenec.compiler.assets.tracks import read_stamped
 from scenec.compiler.cameras.tracks import Gaps, Sampling, TrackWay
@@ -205,3 +207,25 @@ def test_keys_that_do_not_go_together_are_told(tmp_path, pose, pointer, part):
         planned(tmp_path, 3, file="t.csv", **pose)
     assert [fault.pointer for fault in caught.value.faults] == [f"/rigs/rover/pose{pointer}"]
     assert part in caught.value.faults[0].message
+
+
+def test_heights_over_the_ground_follow_it_between_the_samples_too(tmp_path):
+    (tmp_path / "t.csv").write_text(
+        "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n0,-4,1,1.5,1,0,0,0\n4,4,1,2.5,1,0,0,0\n"
+    )
+    asked = {"file": "t.csv", "sampling": {"rate_hz": 1}, "heights": "ground"}
+    plan = planned(tmp_path, 5, **asked)
+    context = on_slope(lambda x, y: 0.25 * x + 0.5 * y, samples=5)
+    at = plan.built(context).to_world[:, :3, 3]
+    x = np.array([-4.0, -2.0, 0.0, 2.0, 4.0])
+    expected = np.stack([x, 1.0 + 0.0 * x, 0.25 * x + 0.5 + np.linspace(1.5, 2.5, 5)], axis=1)
+    assert np.allclose(at, expected, rtol=0, atol=1e-6)
+    way = TrackWay(
+        plan.times, read_stamped(tmp_path / "t.csv", "csv"), "linear", Gaps(), "t", False
+    )
+    between = replace(plan, way=way).built(context).way.at(np.array([0.5, 3.25]))
+    assert np.allclose(between[:, 2, 3], [1.625 - 0.75 + 0.5, 2.3125 + 0.625 + 0.5], atol=1e-6)
+    over_world = planned(tmp_path, 5, **asked | {"heights": "world"}).built(context)
+    assert np.array_equal(over_world.to_world[:, 2, 3], np.linspace(1.5, 2.5, 5))
+    with pytest.raises(SceneError, match=r"heights are over the ground, reaches \(-4, 1\) m"):
+        plan.built(on_slope(lambda x, y: 0.0 * x, samples=5, size=(6.0, 6.0)))

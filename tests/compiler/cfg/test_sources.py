@@ -57,6 +57,41 @@ def with_sensor(**keys: object) -> dict:
     return {"rigs": {"rover": {"sensors": {"front": keys}}}}
 
 
+def test_an_object_is_replaced_whole(tmp_path):
+    base = write(tmp_path / "base.json", minimal())
+    name, rocks = next(iter(minimal()["objects"].items()))
+    anew = {**rocks, "count": 3}
+    base.write_text(json.dumps({**minimal(), "objects": {name: {**rocks, "embed": 0.3}}}))
+    over = {"extends": "base.json", "objects": {name: anew}}
+    merged = read(write(tmp_path / "over.json", over)).document.value["objects"][name]
+    assert merged == {**anew, "embed": 0.3}
+    over["replaces"] = [f"objects.{name}"]
+    assert load(write(tmp_path / "over.json", over)).cfg["objects"][name]["count"] == 3
+    joined = read(tmp_path / "over.json").document.value
+    assert joined == {**minimal(), "objects": {**minimal()["objects"], name: anew}}
+
+
+@pytest.mark.parametrize(
+    ("replaces", "place", "expected"),
+    [
+        ("objects.rocks", "/replaces", "expected a list of paths, as in objects.rocks"),
+        (["a b"], "/replaces/0", "expected a path, as in objects.rocks"),
+        ([3], "/replaces/0", "expected a path, as in objects.rocks"),
+        (["light.sum"], "/replaces/0", "the file it extends has no object 'sum' there; did you"),
+        (["light.sun"], "/replaces/0", "this file has no object 'light' there"),
+        (["samples"], "/replaces/0", "the file it extends has no object 'samples' there"),
+    ],
+)
+def test_what_replaces_nothing_is_a_fault(tmp_path, replaces, place, expected):
+    base = {**minimal(), "light": {"sun": {"elevation_deg": 30}}}
+    write(tmp_path / "base.json", base)
+    (fault,) = told(write(tmp_path / "o.json", {"extends": "base.json", "replaces": replaces}))
+    assert f": {place}: " in fault, fault
+    assert expected in fault.replace('"', "'"), fault
+    (fault,) = told(write(tmp_path / "o.json", {**base, "replaces": ["light.sun"]}))
+    assert "/replaces: expected the key extends beside it" in fault
+
+
 def test_a_calibration_is_of_one_file(tmp_path):
     base = changed({"/rigs/rover/sensors/front/fov_deg": DELETE})
     sensor = base["rigs"]["rover"]["sensors"]["front"]
