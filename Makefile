@@ -9,7 +9,7 @@ MARKED := -m "not slow or invariant"
 # Property tests draw a quarter of their examples, the same each time; `make thorough` draws all.
 EXAMPLES := quick
 
-BENCHMARKS := adapters agreement annotation cold datasets estimate exposure foliage growth imaging \
+BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate exposure foliage growth imaging \
   incremental optics preview prune throughput
 EXPERIMENTS := head_to_head ego_motion segmentation instances
 PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
@@ -100,7 +100,7 @@ pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.m
 
 #: Packages whose own lists of what they need are overridden in pyproject.toml: locked apart, since
 #: pip would miss in requirements.lock what the override takes away.
-OVERRIDDEN := cityscapesscripts|lavavu-osmesa
+OVERRIDDEN := cityscapesscripts|lavavu-osmesa|nuscenes-devkit
 
 # uv resolves in a folder of its own: uv.lock names hosts and must not come near the repository.
 lock: setup  ## Resolve pyproject.toml again into requirements.lock and requirements-nodeps.lock.

@@ -25,9 +25,9 @@ from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
-from scenec.schemas.codec import Facts
+from scenec.schemas.codec import Facts, read_record
 from scenec.schemas.errors import OutputError, ScenecError, StageError
-from scenec.schemas.manifest import find_batches, read_manifest
+from scenec.schemas.manifest import MANIFEST, find_batches, read_manifest
 from scenec.schemas.passes import ANNOTATION_NAMES
 
 if TYPE_CHECKING:
@@ -37,6 +37,21 @@ if TYPE_CHECKING:
 _WHOLE = ("files", "assets", *(f"UsdValidation:{name}" for name in NOT_WHOLE))
 #: What makes a folder a dataset, see ``scenec.datasets.export``.
 EXPORT = "export.json"
+
+
+#: What makes a folder a sweep, see ``api.sweep``.
+SWEEP = "sweep.json"
+
+
+@dataclass(frozen=True)
+class _ListedPoint:
+    folder: str
+    state: str
+
+
+@dataclass(frozen=True)
+class _SweepList:
+    points: tuple[_ListedPoint, ...]
 
 
 @dataclass(frozen=True)
@@ -95,7 +110,7 @@ class CheckReport:
 
 @Spread(CheckOptions).one
 def check(out: Path | str, options: CheckOptions) -> CheckReport:
-    """Checks an output folder, a USD file, or a dataset of ``export``.
+    """Checks an output folder, all points of a sweep, a USD file, or a dataset of ``export``.
 
     Args:
         out: What is checked.
@@ -107,6 +122,8 @@ def check(out: Path | str, options: CheckOptions) -> CheckReport:
     out = Path(out)
     if options.against is not None or (out / EXPORT).is_file():
         return _check_dataset(out, options)
+    if (out / SWEEP).is_file() and not (out / MANIFEST).is_file():
+        return _check_sweep(out, options)
     for name in options.backends:
         require_name(name)
     if options.backends and set(options.backends) <= set(ANNOTATION_NAMES):
@@ -127,6 +144,22 @@ def check(out: Path | str, options: CheckOptions) -> CheckReport:
         if options.exact:
             exact = check_exact(out, say, options.allow_missing)
     return CheckReport(tuple(findings), agreement=agreement, exact=exact)
+
+
+def _check_sweep(out: Path, options: CheckOptions) -> CheckReport:
+    """Checks each point of a sweep; what is found is named by the point's folder."""
+    if options.backends or options.exact:
+        raise ScenecError(f"{out}: is a sweep; give --backends and --exact one of its points")
+    listed = read_record(out / SWEEP, _SweepList, OutputError, "sweep's list")
+    findings: list[Finding] = []
+    for point in listed.points:
+        folder = out / point.folder
+        if (folder / MANIFEST).is_file():
+            found = find(folder, options.allow_missing)
+            findings += [replace(one, where=f"{point.folder}: {one.where}") for one in found]
+        else:
+            findings.append(Finding("sweep", "error", point.folder, f"is not there: {point.state}"))
+    return CheckReport(tuple(findings))
 
 
 def _check_dataset(out: Path, options: CheckOptions) -> CheckReport:

@@ -9,6 +9,7 @@ from scenec.api.declare import Spread
 from scenec.api.maps import export_maps
 from scenec.api.models import ModelsReport, export_models
 from scenec.api.options import ExportOptions
+from scenec.api.rectify import rectify
 from scenec.api.steps import hire
 from scenec.datasets.export import Choice, ExportReport
 from scenec.datasets.export import export as export_frames
@@ -41,11 +42,14 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
         return export_models(Path(out), format, options)
     workers = options.workers if options.workers is not None else usable_cores()
     with hire(replace(options, workers=workers)) as executor:
+        choice = choice_of(options)
+        if options.rectify:
+            choice = replace(choice, rectified=rectify(Path(out), options, executor))
         return export_frames(
             out,
             format,
             options.folder,
-            choice_of(options),
+            choice,
             executor=executor,
             replace=options.replace,
             progress=options.listener.steps("exported", unit="step"),

@@ -22,7 +22,8 @@ from scenec.schemas.versions import version_of
 
 #: Options that choose among frames.
 _OF_FRAMES = (
-    *("backend", "cameras", "samples", "keep", "rejected", "remap", "level", "split", "cluster"),
+    *("backend", "cameras", "samples", "keep", "rejected", "remap", "level", "split"),
+    *("rectify", "cluster"),
 )
 _ENDINGS = {"gltf": ".glb", "usdz": ".usdz"}
 #: Most texels that may be asked for.

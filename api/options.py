@@ -382,6 +382,11 @@ class ExportOptions(FrameOptions, WorkOptions):
         "what to do about missing, foreign and damaged frames (default: stop)",
         choices=("stop", "skip"),
     )
+    rectify: bool = option(
+        False,
+        "take cameras with lenses to pinholes, and partners to rectified pairs: pictures are "
+        "resampled, annotation is exact",
+    )
     replace: bool = option(False, "replace another dataset in the same folder")
     workers: int | None = _workers("one a core")
     folder: Path | str | None = None

@@ -40,7 +40,10 @@ def needs_of_plan(plan: Plan, keep: Keep) -> Needs:
     """Returns what the sensors of a batch need of its Scene."""
     outputs = [name for rig in plan.rigs for name in rig.outputs]
     # Scans hold labels and ids, whatever cameras are asked for.
-    scanned = ("label", "instance") if any(rig.lidars for rig in plan.rigs) else ()
+    lidars = [lidar for rig in plan.rigs for lidar in rig.lidars]
+    scanned = ("label", "instance") if lidars else ()
+    if any(lidar.sees_color for lidar in lidars):
+        scanned = (*scanned, "rgb")
     return needs_of((*outputs, *scanned), keep, bool(plan.label_table))
 
 

@@ -48,6 +48,7 @@ class Choice:
         options: Of the format.
         faults: ``stop`` at a frame that is missing, foreign or damaged, or ``skip`` it.
         rigs: Reads a stage's rigs (``contract.Rigs``); None: formats know frames alone.
+        rectified: As of ``Source``.
     """
 
     backend: str | None = None
@@ -62,6 +63,7 @@ class Choice:
     options: Mapping[str, str] = field(default_factory=dict)
     faults: str = "stop"
     rigs: Callable[[Path], tuple[RigState, ...]] | None = None
+    rectified: Collection[tuple[int, str]] = ()
 
 
 @dataclass
@@ -234,6 +236,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         batches=choice.batches,
         cameras=choice.cameras,
         samples=choice.samples,
+        rectified=choice.rectified,
     )
     old = source.labels()
     choice.remap.check(old)

@@ -35,6 +35,7 @@ from scenec.schemas.instances import (
 from scenec.schemas.lens import Lens
 from scenec.schemas.manifest import (
     FRAMES,
+    RECTIFIED,
     STAGE_SUFFIXES,
     Batch,
     find_batches,
@@ -223,6 +224,7 @@ class Source:
         batches: Only these.
         cameras: Only these.
         samples: Only these.
+        rectified: Batches and cameras whose frames are taken from ``RECTIFIED``.
 
     Attributes:
         out: As given.
@@ -247,8 +249,10 @@ class Source:
         batches: Collection[int] | None = None,
         cameras: Sequence[str] | None = None,
         samples: Collection[int] | None = None,
+        rectified: Collection[tuple[int, str]] = (),
     ) -> None:
         self.out = Path(out)
+        self._rectified = frozenset(rectified)
         is_stage = self.out.suffix.lower() in STAGE_SUFFIXES and not self.out.is_dir()
         self.manifest = None if is_stage else read_manifest(self.out)
         self._batches = find_batches(self.out, batches)
@@ -394,7 +398,8 @@ class Source:
                 for sample in sorted(there | expected):
                     if self._samples is not None and sample not in self._samples:
                         continue
-                    stem = frame_stem(batch.folder, self.backend, camera, sample)
+                    kind = RECTIFIED if (batch.index, camera) in self._rectified else FRAMES
+                    stem = frame_stem(batch.folder, self.backend, camera, sample, kind)
                     number = places.get((batch.index, camera), 0) + sample
                     ref = FrameRef(
                         number, batch.index, batch.name, self.backend, camera, sample, stem

@@ -13,6 +13,7 @@ from scenec.importers.writers import Writer
 from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import CfgError, Fault, OutputError
 from scenec.schemas.files import as_json, atomic, check_output, temporary_folder
+from scenec.schemas.packages import is_packaged, packaged_bytes, packaged_name
 
 
 @dataclass
@@ -39,7 +40,9 @@ class Imported:
         return self.out.with_name(f"{self.out.stem}_files")
 
     def refer(self, file: Path) -> str:
-        """Returns the cfg's reference to an existing file."""
+        """Returns the cfg's reference to an existing file; one in a package is copied out."""
+        if is_packaged(file):
+            return self.make(packaged_name(file), _Copy(file))
         # Where links are, ".." leads from what they point to.
         return Path(os.path.relpath(file.resolve(), self.out.parent.resolve())).as_posix()
 
@@ -53,6 +56,16 @@ class Imported:
             free, number = f"{stem}_{number}{dot}{suffix}", number + 1
         self.made[free] = write
         return f"{self.folder.name}/{free}"
+
+
+@dataclass(frozen=True)
+class _Copy:
+    """Copies a picture out of a package."""
+
+    picture: Path
+
+    def __call__(self, path: Path) -> None:
+        path.write_bytes(packaged_bytes(self.picture))
 
 
 def check_free(out: Path) -> None:

@@ -6,8 +6,8 @@ such cameras have it. ``depth`` stays exact beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
+from typing import Any
 
 MEASURED = "depth_measured"
 
@@ -22,6 +22,9 @@ class StereoDepth:
     noise_px: float
     step_px: float
     range_m: tuple[float, float]
+    bias_px: float = 0.0
+    edge_px: float = 0.0
+    lost: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,8 @@ class TimeOfFlightDepth:
     ambiguity_m: float
     blur_px: float
     range_m: tuple[float, float]
+    bias_m: float = 0.0
+    lost: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,8 @@ class DepthCamera:
     key: int
 
 
-#: By name. A stage lists the numbers of a model in the order of its fields, the range's two last.
-_MODELS: dict[str, Callable[..., StereoDepth | TimeOfFlightDepth]] = {
+#: By name. A stage lists the numbers of a model in the order of its fields, but for last zeros.
+_MODELS: dict[str, type[StereoDepth] | type[TimeOfFlightDepth]] = {
     STEREO: StereoDepth,
     TIME_OF_FLIGHT: TimeOfFlightDepth,
 }
@@ -56,9 +61,18 @@ def kind_of(model: StereoDepth | TimeOfFlightDepth) -> str:
 
 
 def as_numbers(model: StereoDepth | TimeOfFlightDepth) -> list[float]:
-    """Its numbers, the two of the range last."""
-    *some, (low, high) = astuple(model)
-    return [float(number) for number in (*some, low, high)]
+    """Its numbers, without zeros after those of the range."""
+    found: list[float] = []
+    for value in astuple(model):
+        found += map(float, value) if isinstance(value, tuple) else [float(value)]
+    least = _before_range(kind_of(model)) + 2
+    while len(found) > least and found[-1] == 0.0:
+        found.pop()
+    return found
+
+
+def _before_range(kind: str) -> int:
+    return [field.name for field in fields(_MODELS[kind])].index("range_m")
 
 
 def of_numbers(kind: str, numbers: list[float]) -> StereoDepth | TimeOfFlightDepth:
@@ -68,8 +82,10 @@ def of_numbers(kind: str, numbers: list[float]) -> StereoDepth | TimeOfFlightDep
         ValueError: Not so many, or no such kind.
     """
     try:
-        *some, low, high = numbers
-        return _MODELS[kind](*some, (low, high))
+        at = _before_range(kind)
+        low, high = numbers[at : at + 2]
+        values: list[Any] = [*numbers[:at], (low, high), *numbers[at + 2 :]]
+        return _MODELS[kind](*values)
     except (KeyError, TypeError, ValueError) as error:
         message = f"{kind!r} with {len(numbers)} numbers is no depth camera"
         raise ValueError(message) from error

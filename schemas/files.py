@@ -28,6 +28,7 @@ from zipfile import BadZipFile
 
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.lock import LOCK, clear, is_alive, process_id
+from scenec.schemas.packages import file_around
 
 #: Begins the name of what is being written: ``.scenec-<machine>-<process>-<chance>-<name>``.
 TEMPORARY = ".scenec-"
@@ -66,7 +67,7 @@ def stamp(path: Path) -> Stamp:
 
 def _stamp(path: Any) -> Stamp | None:
     try:
-        return stamp(path)
+        return stamp(file_around(path) if isinstance(path, Path) else path)
     except OSError:
         return None
 

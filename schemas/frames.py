@@ -139,9 +139,9 @@ class FrameKey:
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-def frame_stem(folder: Path, backend: str, camera: str, sample: int) -> Path:
-    """Path of a frame without its suffix."""
-    return folder / FRAMES / backend / camera / f"{sample:06d}"
+def frame_stem(folder: Path, backend: str, camera: str, sample: int, kind: str = FRAMES) -> Path:
+    """Path of a frame without its suffix, below the batch's folder ``kind``."""
+    return folder / kind / backend / camera / f"{sample:06d}"
 
 
 def extra_path(stem: Path, kind: str) -> Path:

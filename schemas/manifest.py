@@ -41,6 +41,8 @@ REPORT = "report.json"
 #: Why each instance is in the stage or is not (``schemas.left_out``).
 LEFT_OUT = "left_out.json"
 FRAMES = "frames"
+#: Likewise of frames taken to pinholes, which exports make.
+RECTIFIED = "rectified"
 MANIFEST_FORMAT = 1
 #: Endings of a path that is a stage itself.
 STAGE_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.packages import as_file, is_packaged
+
 #: Kinds of map, as they are named in cfgs; the channels of each.
 MAP_CHANNELS = {
     "base_color": 3,
@@ -20,27 +22,34 @@ MAP_CHANNELS = {
     "normal": 3,
     "emission": 3,
     "height": 1,
+    "opacity": 1,
 }
 #: Kinds that hold colors: sRGB but for floating pictures, which are linear.
 COLORS = ("base_color", "emission")
 _LARGEST = 16384
 
 
-def read_pixels(path: Path | bytes) -> NDArray:
+def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
     """The pixels of a picture as they are stored: uint8, uint16 or float32, [h, w, 1 or 3].
 
     Row 0 is the top. Alpha and palettes are resolved to gray or RGB.
 
     Args:
-        path: The file, or the bytes of one that is no OpenEXR.
+        path: The file, also one inside of a package, or the bytes of one that is no OpenEXR.
+        alpha: Whether its alpha is wanted instead, [h, w, 1]: 255 everywhere where it has none.
 
     Raises:
         ValueError: Not a picture of these kinds, broken, or too large.
     """
+    if isinstance(path, Path) and is_packaged(path):
+        with as_file(path) as file:
+            return read_pixels(file)
     if isinstance(path, Path) and path.suffix.lower() == ".exr":
         # Imported here: few pictures are.
         from scenec.schemas.exr import read_rgb
 
+        if alpha:
+            raise ValueError("alpha of an OpenEXR picture is not taken; store it as PNG")
         picture = read_rgb(path, gray=True)
         if not np.isfinite(picture).all():
             raise ValueError("holds values that are not finite")
@@ -51,6 +60,10 @@ def read_pixels(path: Path | bytes) -> NDArray:
         with Image.open(io.BytesIO(path) if isinstance(path, bytes) else path) as image:
             if max(image.size) > _LARGEST:
                 raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {_LARGEST}")
+            if alpha and not ("A" in image.getbands() or "transparency" in image.info):
+                return np.full((image.height, image.width, 1), 255, np.uint8)
+            if alpha:
+                return np.asarray(image.convert("RGBA"))[..., 3:]
             if image.mode.startswith("I;16"):
                 return np.asarray(image, np.uint16)[..., None]
             if image.mode in ("1", "L", "LA"):
@@ -97,7 +110,7 @@ def meant(
         kind: One of ``MAP_CHANNELS``.
         srgb: Whether they are in sRGB's transfer function; None: where colors are not floating.
         scale, bias: value * scale + bias, of each channel, [3].
-        channel: "r", "g" or "b": where a single number stands.
+        channel: "r", "g" or "b": where a single number stands; "a": the pixels are alpha's.
     """
     floating = pixels.dtype.kind == "f"
     values = pixels.astype(np.float64) / (1.0 if floating else float(np.iinfo(pixels.dtype).max))
@@ -108,7 +121,7 @@ def meant(
         values = np.where(values <= 0.04045, values / 12.92, above)
     values = values * np.array(scale) + np.array(bias)
     if MAP_CHANNELS[kind] == 1:
-        values = values[..., "rgb".index(channel)][..., None]
+        values = values[..., "rgba".index(channel) % 3][..., None]
     return values.astype(np.float32)
 
 
@@ -117,7 +130,8 @@ def decode(pixels: NDArray, kind: str, flip_green: bool = False) -> NDArray[np.f
 
     ``base_color``, ``emission``: linear Rec.709, decoded from sRGB (IEC 61966-2-1) unless floating;
     the former in [0, 1], the latter not below 0.
-    ``roughness``, ``metallic``, ``height``: in [0, 1]; of an RGB picture its red channel.
+    ``roughness``, ``metallic``, ``height``, ``opacity``: in [0, 1]; of an RGB picture its red
+    channel.
     ``normal``: 2 * rgb - 1, unit length; floating pictures hold the same encoding.
 
     Args:

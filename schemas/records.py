@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from scenec.schemas.codec import JSON, UNSET, Natural, Unset, is_number, omitted
+from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
 
 Row3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
@@ -146,6 +147,36 @@ class ImagingRecord:
     parameters: Mapping[str, JSON] | None = omitted()
     clean: FileDigest | Unset | None = UNSET
     raw: FileDigest | Unset | None = UNSET
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rectification:
+    """Describes the pinhole that a camera is taken to: its axes and its K.
+
+    Attributes:
+        turn: From the camera's axes to the pinhole's.
+        intrinsics: K, pixel centers at (0.5, 0.5) as in sidecars.
+        paired: Whether it is one of a rectified pair, and so has disparity.
+    """
+
+    turn: Matrix3
+    intrinsics: Matrix3
+    paired: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectifiedRecord:
+    """Records that a frame is a camera's, taken to a pinhole (``backends.run.rectify``).
+
+    Attributes:
+        turn: As of ``Rectification``.
+        kernel: What the picture was resampled with; annotation is the pinhole's own.
+        unseen_pixels: Those that the camera's picture does not reach: black, and annotated.
+    """
+
+    turn: Matrix3
+    kernel: str
+    unseen_pixels: Natural
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,6 +387,7 @@ class FrameRecord:
     seconds: Mapping[str, float] | None = None
     lens_radiance: LensRadiance | None = omitted()
     blur: BlurRecord | None = omitted()
+    rectified: RectifiedRecord | None = omitted()
     annotation: Mapping[str, str | None] | None = omitted()
     height_above_surface_m: float | Unset | None = UNSET
     sky: SkyPixels | None = omitted()
@@ -403,6 +435,9 @@ class ScanRecord:
     lidar_to_world: Matrix4 | Unset = UNSET
     range_m: tuple[float, ...] | Unset = UNSET
     noise: LidarNoise | Unset = UNSET
+    intensity: LidarIntensity | None = omitted()
+    footprint: LidarFootprint | None = omitted()
+    detection: LidarDetection | None = omitted()
     labels: Mapping[str, Mapping[str, str]] | Unset = UNSET
     instances: Mapping[str, int] | Unset = UNSET
     losses: tuple[str, ...] | Unset = UNSET

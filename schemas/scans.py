@@ -10,12 +10,17 @@ The npz holds a row a beam and a column an azimuth, from the first of each:
 ``incidence``      float32 [b, a]      cosine of the angle between beam and surface's normal; 0
 ``label.<level>``  uint32 [b, a]       of the face that answered; 0 without an answer
 ``instance``       uint32 [b, a]       likewise
+``intensity``      float32 [b, a]      if the lidar tells it, ``schemas.lidar``; 0 without an answer
 ``elevation_deg``  float64 [b]         of each beam
 ``azimuth_deg``    float64 [a]         of each column, counterclockwise from above
 =================  ==================  ==========================================================
 
 Where a pattern says where each ray goes, both angles are [b, a] (version 1.1), and columns are a
 beam's rays in their order.
+
+A lidar whose beams have a width and that tells several returns has [b, a, n] in place of [b, a] in
+all but the angles (version 1.2): returns of a beam, nearest first. There ``range_true`` is without
+noise what ``range`` is, and ids and incidence are those where the ray nearest to the axis ends.
 
 The lidar's frame is x ahead, y left, z up. The JSON sidecar, written last, holds the pose and what
 the scan was made from.
@@ -40,8 +45,8 @@ from scenec.schemas.records import FileDigest, ScanRecord
 #: In each batch's folder.
 SCANS = "scans"
 _WHAT = "sidecar of a scan"
-#: Version of a scan's shape; and of one that holds both angles of each ray.
-SCAN_VERSION, RAYS_VERSION = "1.0", "1.1"
+#: Version of a scan's shape; of one that holds both angles of each ray; of one with an axis more.
+SCAN_VERSION, RAYS_VERSION, RETURNS_VERSION = "1.0", "1.1", "1.2"
 
 CONVENTIONS = {
     "frame": "x ahead, y left, z up, meters; lidar_to_world: 4x4, row-major, column vectors",
@@ -121,14 +126,17 @@ def write_scan(
             temporary.write_bytes(as_ply(arrays))
     record = replace(
         record,
-        version=SCAN_VERSION,
-        conventions=CONVENTIONS,
         npz=FileDigest(bytes=path.stat().st_size, sha256=sha256(path)),
         ply=ply,
     )
+    version, order = SCAN_VERSION, CONVENTIONS["order"]
     if np.ndim(arrays.get("elevation_deg", ())) == 2:
         order = "rows are beams, columns their rays in turn; both angles are of each ray"
-        record = replace(record, version=RAYS_VERSION, conventions=CONVENTIONS | {"order": order})
+        version = RAYS_VERSION
+    if np.ndim(arrays.get("range", ())) == 3:
+        order += "; the last axis is that of returns, nearest first"
+        version = RETURNS_VERSION
+    record = replace(record, version=version, conventions=CONVENTIONS | {"order": order})
     write_json(stem.with_suffix(".json"), encode(record))
 
 
@@ -157,9 +165,12 @@ def read_scan(path: Path) -> Scan:
 
 
 def as_ply(arrays: Mapping[str, NDArray]) -> bytes:
-    """The answers as a binary PLY: x, y, z, range, incidence, ids, beam and column."""
+    """The answers as a binary PLY: x, y, z, range, incidence, ids, beam and column.
+
+    Of lidars that tell them also intensity, and the return (from 1) and how many its beam has.
+    """
     there = np.isfinite(arrays["range"])
-    beam, column = np.nonzero(there)
+    beam, column = np.nonzero(there)[:2]
     names = [name for name in arrays if name.startswith("label.")]
     fields: list[tuple[str, str, NDArray]] = [
         *((axis, "float", arrays["points"][there][:, i]) for i, axis in enumerate("xyz")),
@@ -169,6 +180,12 @@ def as_ply(arrays: Mapping[str, NDArray]) -> bytes:
         ("beam", "uint", beam),
         ("column", "uint", column),
     ]
+    if "intensity" in arrays:
+        fields.insert(5, ("intensity", "float", arrays["intensity"][there]))
+    if there.ndim == 3:
+        number = there.cumsum(axis=2)
+        many = np.broadcast_to(number[..., -1:], there.shape)
+        fields += [("return", "uint", number[there]), ("returns", "uint", many[there])]
     types = {"float": "<f4", "uint": "<u4"}
     table = np.empty(int(there.sum()), [(name, types[kind]) for name, kind, _ in fields])
     for name, _, values in fields:

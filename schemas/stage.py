@@ -62,6 +62,8 @@ PRIMVAR_WEIGHT = "scenec_weight_{merge}"
 #: Vertex primvar in [-1, 1]: albedo of every material is base * (1 + variation * this).
 #: On a PointInstancer the same name is one value an instance.
 PRIMVAR_VARIATION = "scenec_variation"
+#: color3f primvar, linear: multiplies the base color; of vertices, or of faces' corners.
+PRIMVAR_COLOR = "scenec_color"
 #: Uniform (or constant) int primvar: label id of each face, per level; 0 is "no label".
 PRIMVAR_LABEL = "scenec_label_{level}"
 
@@ -85,7 +87,15 @@ ATTR_MAPS = {
     "normal": "scenec:surface:maps:normal",
     "emission": "scenec:surface:maps:emission",
     "height": "scenec:surface:maps:height",
+    "opacity": "scenec:surface:maps:opacity",
 }
+#: float, 0 where not authored: faces are cut out where the map of opacity, which lies by ``st``, is
+#: below this. token[2], "repeat" where not authored: how that map goes on along u and along v.
+ATTR_OPACITY_THRESHOLD = "scenec:surface:maps:opacityThreshold"
+ATTR_OPACITY_WRAP = "scenec:surface:maps:opacityWrap"
+WRAPS = ("repeat", "clamp", "mirror")
+#: Of opacity that a file means to be blended.
+OPACITY_THRESHOLD = 0.5
 #: token, "above" where not authored: along the world's z (u = x / size, v = y / size), along its
 #: three axes, mixed by the shading normal's fourth powers, or by the mesh's primvar ``st``.
 ATTR_MAP_PROJECTION = "scenec:surface:maps:projection"
@@ -177,6 +187,12 @@ ATTR_LIDAR_RATIO_NOISE = "scenec:lidar:noise:rangeRatio"
 ATTR_LIDAR_ANGLE_NOISE = "scenec:lidar:noise:angle"
 ATTR_LIDAR_DROPOUT = "scenec:lidar:noise:dropout"
 ATTR_LIDAR_KEY = "scenec:lidar:noise:key"
+#: double4 each, meters and degrees, not authored where there is no such thing: the fields of
+#: ``schemas.lidar``'s models in their order (how intensities are told, how wide beams are, which
+#: returns are detected).
+ATTR_LIDAR_INTENSITY = "scenec:lidar:intensity"
+ATTR_LIDAR_FOOTPRINT = "scenec:lidar:footprint"
+ATTR_LIDAR_DETECTION = "scenec:lidar:detection"
 
 #: An IMU is an Xform with these: x ahead, y left, z up; all in meters, seconds, radians and the
 #: stage's world, whose z is up, whatever the units of the stage. double: readings a second; double:

@@ -119,6 +119,7 @@ def _usd(path: Path, points: np.ndarray, polygons: np.ndarray) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     mesh = UsdGeom.Mesh.Define(stage, "/World/shelter")
+    mesh.CreateSubdivisionSchemeAttr("none")
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points.astype(np.float32)))
     counts = np.full(len(polygons), polygons.shape[1], np.int32)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))

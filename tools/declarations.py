@@ -2,8 +2,8 @@
 
 python -m tools.declarations
 
-``schemas/cfg.schema.json`` and ``docs/cfg.md`` are part of the repository, and tests hold them
-against the declarations; ``compiler/cfg/builder.pyi`` is not.
+``schemas/cfg.schema.json``, ``docs/cfg.md`` and the table of ``docs/presets.md`` are part of the
+repository, and tests hold them against the declarations; ``compiler/cfg/builder.pyi`` is not.
 """
 
 from __future__ import annotations
@@ -17,9 +17,13 @@ from tools import cfg_stub
 from scenec.compiler.kinds import schema
 from scenec.compiler.kinds.generate import bundle
 from scenec.compiler.kinds.table import CLASSES
+from scenec.schemas import presets
 from scenec.testing import cfg_reference
 
 TARGET = Path(__file__).resolve().parents[1] / "schemas" / "cfg.schema.json"
+PRESETS = TARGET.parents[1] / "docs" / "presets.md"
+#: Below it stands the table.
+PRESETS_MARK = "<!-- made by python -m tools.declarations -->"
 
 
 def text() -> str:
@@ -60,8 +64,14 @@ def _missing() -> list[str]:
     return found
 
 
+def with_presets(page: str) -> str:
+    """Returns the page of presets with their table."""
+    head, mark, _ = page.partition(PRESETS_MARK)
+    return f"{head}{mark}\n\n{presets.table()}"
+
+
 def main() -> None:
-    """Writes all three.
+    """Writes all.
 
     Raises:
         SystemExit: A class or a key is not described.
@@ -72,6 +82,7 @@ def main() -> None:
     for cached in (schema.load_bundle, schema.load_schemas):
         cached.cache_clear()
     cfg_reference.TARGET.write_text(cfg_reference.make(), encoding="utf-8")
+    PRESETS.write_text(with_presets(PRESETS.read_text(encoding="utf-8")), encoding="utf-8")
     cfg_stub.TARGET.write_text(cfg_stub.make(), encoding="utf-8")
 
 

@@ -2,8 +2,10 @@
 
 Stereo. A pair of focal length f (pixels) and baseline b sees depth Z at the disparity d = f b / Z.
 The disparity that is found has a normal error and is a multiple of a step, so depth errs by
-Z^2 / (f b) times that (Khoshelham and Elberink, Sensors 12 (2012) 1437). Where the other camera
-does not see the point there is no answer: the shadow at one side of whatever stands out.
+Z^2 / (f b) times that (Khoshelham and Elberink, Sensors 12 (2012) 1437); a bias of all disparities
+adds likewise. Where the other camera does not see the point there is no answer: the shadow at one
+side of whatever stands out; nor is there one within some pixels of a step in disparity, or by
+chance.
 
 Time of flight. A pixel adds up light that left in phase and comes back with the phase 4 pi f r / c;
 the range is told modulo c / (2 f) (Lange and Seitz, IEEE J. Quantum Electronics 37 (2001) 390). In
@@ -46,11 +48,13 @@ class _NoiseKey(NamedTuple):
 
 
 class _Pair(NamedTuple):
-    """A stereo camera: focal length times baseline [m px], and ``StereoDepth`` [px, px, m, m]."""
+    """A stereo camera: focal length times baseline [m px], and numbers of ``StereoDepth``."""
 
     focal_baseline: float
     noise: float
     step: float
+    bias: float
+    lost: float
     near: float
     far: float
 
@@ -62,12 +66,16 @@ class _Modulation(NamedTuple):
         weights: Of the spot along one axis, float64 [2 n + 1].
         turn: Phase per meter of range, radians.
         noise: Of the range, times the amplitude that comes back.
+        bias: Of all ranges, meters.
+        lost: Share of answers that are lost.
         near, far: Ranges that are told, meters.
     """
 
     weights: NDArray[np.float64]
     turn: float
     noise: float
+    bias: float
+    lost: float
     near: float
     far: float
 
@@ -80,7 +88,9 @@ def _stereo(first, last, depth, visible, pair, noise, out):  # type: ignore[no-u
         if not (depth[k] < math.inf and visible[k]):
             continue
         w = philox(noise.key, np.uint64(k), noise.sample, _MEASURED, _ZERO)
-        d = pair.focal_baseline / depth[k] + pair.noise * quantile(unit(w[0]))
+        if unit(w[1]) < pair.lost:
+            continue
+        d = pair.focal_baseline / depth[k] + pair.bias + pair.noise * quantile(unit(w[0]))
         if pair.step > 0.0:
             d = pair.step * math.floor(d / pair.step + 0.5)
         if d > 0.0 and pair.near <= pair.focal_baseline / d <= pair.far:
@@ -110,7 +120,9 @@ def _time_of_flight(first, last, reach, cosine, per_range, light, noise, out):  
             continue
         r = math.atan2(imaginary, real) / turn
         w = philox(noise.key, np.uint64(k), noise.sample, _MEASURED, _ZERO)
-        r += light.noise / amplitude * quantile(unit(w[0]))
+        if unit(w[1]) < light.lost:
+            continue
+        r += light.bias + light.noise / amplitude * quantile(unit(w[0]))
         whole = 2.0 * math.pi / turn
         r -= whole * math.floor(r / whole)
         if light.near <= r <= light.far:
@@ -139,10 +151,24 @@ def measure_stereo(
     """
     out = np.empty(depth.size)
     focal_baseline = float(camera.intrinsics[0, 0]) * model.baseline_m
-    pair = _Pair(focal_baseline, model.noise_px, model.step_px, *model.range_m)
+    errors = model.noise_px, model.step_px, model.bias_px, model.lost
+    pair = _Pair(focal_baseline, *errors, *model.range_m)
     noise = _NoiseKey(np.uint64(key), np.uint64(sample))
+    if model.edge_px > 0.0:
+        disparity = np.divide(focal_baseline, depth, out=np.zeros(depth.shape), where=depth > 0.0)
+        visible = visible & ~_near_steps(disparity, math.floor(model.edge_px))
     over_threads(_stereo, len(out), depth.ravel(), visible.ravel(), pair, noise, out)
     return out.reshape(depth.shape)
+
+
+def _near_steps(disparity: NDArray[np.float64], reach: int) -> NDArray[np.bool_]:
+    """Whether disparities differ by more than a pixel within a square around each, bool [h, w]."""
+    # Imported here: few cameras need it.
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    size = 2 * reach + 1
+    span = maximum_filter(disparity, size) - minimum_filter(disparity, size)
+    return np.asarray(span > 1.0)
 
 
 def measure_time_of_flight(
@@ -171,6 +197,8 @@ def measure_time_of_flight(
         2.0 * math.pi / model.ambiguity_m,
         # Of a surface at ``at_m`` that faces the camera the amplitude is 1 / at_m^2.
         model.noise_m / model.at_m**2,
+        model.bias_m,
+        model.lost,
         *model.range_m,
     )
     noise = _NoiseKey(np.uint64(key), np.uint64(sample))

@@ -8,7 +8,7 @@ from pathlib import Path
 from scenec.backends.check.finding import Finding
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import inside, sha256, tree
-from scenec.schemas.manifest import FRAMES, MANIFEST, TIMINGS, Manifest, gaps
+from scenec.schemas.manifest import FRAMES, MANIFEST, RECTIFIED, TIMINGS, Manifest, gaps
 from scenec.schemas.scans import SCANS
 from scenec.schemas.strays import cut_short
 
@@ -32,7 +32,7 @@ def check_files(out: Path, manifest: Manifest) -> Iterator[Finding]:
     batches = {batch.path for batch in manifest.batches}
     for path in tree(out):
         name = path.as_posix()
-        rendered = len(path.parts) > 2 and path.parts[1] in (FRAMES, SCANS)
+        rendered = len(path.parts) > 2 and path.parts[1] in (FRAMES, RECTIFIED, SCANS)
         frame = rendered and path.parts[0] in batches
         if name in manifest.files or name in _NOT_IN_MANIFEST or frame:
             continue

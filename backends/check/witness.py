@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster, Hits
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import distance_from_face, ray_frame, row_matrix
 from scenec.backends.run.executors import one_worker
 from scenec.backends.run.frames import opening_of
@@ -221,7 +222,7 @@ def _nearest(first, last, g, rays, reported, nearest):  # type: ignore[no-untype
         g: ``bvh.Geometry``.
         rays: (origins float64 [k, 3], directions float64 [k, 3]).
         reported: (row int32 [k], face int32 [k]).
-        nearest: (t, distance), float64 [k]; inf for a face that is not there.
+        nearest: (t, distance), float64 [k]; inf for a face that is not there, or is cut out there.
     """
     for k in range(first, last):
         row, face = reported[0][k], reported[1][k]
@@ -230,6 +231,8 @@ def _nearest(first, last, g, rays, reported, nearest):  # type: ignore[no-untype
         if 0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]:
             frame = ray_frame(rays[0][k], rays[1][k])
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-            nearest[0][k], nearest[1][k] = distance_from_face(
-                g.points, g.faces[g.row_face[row] + face], matrix, frame
-            )
+            at = g.row_face[row] + face
+            t, away = distance_from_face(g.points, g.faces[at], matrix, frame)
+            # What is cut out is not there; where its contour is near, rays of a ring meet it.
+            if away > 0.0 or face_is_opaque(g.cutouts, g, row, at, matrix, frame):
+                nearest[0][k], nearest[1][k] = t, away

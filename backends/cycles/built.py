@@ -13,6 +13,9 @@ from scenec.backends.picture.sky import combine
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Lamp, RenderScene, Sun
 
+#: Cut-outs that a ray passes one behind the other: the most that Blender's setting takes.
+MOST_CUTOUTS = 1024
+
 
 class Built:
     """Blender's scene for a RenderScene; leaves Blender's data as it was when it goes.
@@ -51,6 +54,8 @@ class Built:
             self.camera = bpy.data.objects.new("scenec_camera", bpy.data.cameras.new("scenec"))
             self.scene.collection.objects.link(self.camera)
             self.scene.camera = self.camera
+            if scene is not None and scene.has_cutouts:
+                self.scene.cycles.transparent_max_bounces = MOST_CUTOUTS
             if scene is not None:
                 self.frame = geometry.scene_frame(scene)
                 if planetary.surfaces_by_law(scene):

@@ -22,6 +22,7 @@ from scenec.schemas.threads import over_threads
 
 #: Names of the attributes that shaders read.
 ROW, FACE, VARIATION = "scenec_row", "scenec_face", "scenec_variation"
+COLOR = "scenec_color"
 #: Texture coordinates of the corners, and dP/du and dP/dv of the faces, of meshes that have them.
 UV, ALONG_U, ALONG_V = "scenec_uv", "scenec_along_u", "scenec_along_v"
 _MATRIX, _MESH = "scenec_matrix", "scenec_mesh"
@@ -29,7 +30,7 @@ _MATRIX, _MESH = "scenec_matrix", "scenec_mesh"
 #: distance, 1e-6, is then next to nothing in a scene of any size.
 _EXTENT = 2.0**15
 
-type LookKey = tuple[tuple[int, ...], tuple[float, ...]]
+type LookKey = tuple[tuple[int, ...], tuple[float, ...], bool]
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Frame:
 
 
 def look_key(mesh: Mesh) -> LookKey:
-    """Returns the key of a mesh's material: its layers, and the depths of their merges."""
-    return mesh.layers, mesh.height_blends
+    """The key of a mesh's material: layers, depths of their merges, whether it has colors."""
+    return mesh.layers, mesh.height_blends, mesh.color is not None
 
 
 def weight_name(merge: int) -> str:
@@ -161,9 +162,12 @@ def _make_mesh(bpy: Any, name: str, mesh: Mesh, scale: float) -> Any:
         _attribute(made, weight_name(merge), "FLOAT", "POINT", "value", weights)
     if mesh.variation is not None:
         _attribute(made, VARIATION, "FLOAT", "POINT", "value", mesh.variation)
+    turned = (corners[:, 1] != mesh.faces[:, 1])[:, None, None]
+    if mesh.color is not None:
+        color = np.where(turned, mesh.color[:, [0, 2, 1]], mesh.color)
+        _attribute(made, COLOR, "FLOAT_VECTOR", "CORNER", "vector", color)
     if mesh.uv is not None:
-        turned = corners[:, 1] != mesh.faces[:, 1]
-        uv = np.where(turned[:, None, None], mesh.uv[:, [0, 2, 1]], mesh.uv)
+        uv = np.where(turned, mesh.uv[:, [0, 2, 1]], mesh.uv)
         _attribute(made, UV, "FLOAT2", "CORNER", "vector", uv)
         for name_of, along in zip((ALONG_U, ALONG_V), face_tangents(mesh), strict=True):
             _attribute(made, name_of, "FLOAT_VECTOR", "FACE", "vector", along)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from scenec.backends.cycles.geometry import (
+    COLOR,
     FACE,
     ROW,
     VARIATION,
@@ -61,11 +62,13 @@ class Reach:
     Attributes:
         vertex, row: Whether any varies.
         smooth: Whether there are shading normals.
+        colored: Whether corners have colors.
     """
 
     vertex: bool = False
     row: bool = False
     smooth: bool = False
+    colored: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,16 +107,18 @@ def make_materials(
         lambda seed: picture_image(bpy, (cell_table(seed) * radians)[::-1])
     )
     for key, reach in _reaches(scene).items():
-        layers, depths = key
+        layers, depths, colored = key
         material = bpy.data.materials.new("scenec_look")
         material.node_tree.nodes.clear()
         # It would bend shading normals at grazing angles, which no other renderer does.
         material.cycles.use_bump_map_correction = False
         surfaces = tuple(scene.surfaces[i] for i in layers) or (DEFAULT_SURFACE,)
         graph = Graph(material.node_tree)
-        pictures = Pictures(graph, frame, image, table)
+        pictures = Pictures(graph, frame, image, table, partial(picture_image, bpy))
         laws = None if light is None else Laws(graph, light, partial(picture_image, bpy))
-        _Look(graph, pictures, reach, laws).write(surfaces, depths)
+        _Look(graph, pictures, dataclasses.replace(reach, colored=colored), laws).write(
+            surfaces, depths
+        )
         made[key] = material
     return made
 
@@ -163,11 +168,18 @@ class _Look:
                 total = self._mixed(total, self._close(layer), weight)
         else:
             total = self._close(_merged(layers, weights))
+        cutout = surfaces[0].cutout if len(surfaces) == 1 else None
+        opaque: Any = 1.0
+        if cutout is not None:
+            opaque = self._pictures.opaque(cutout)
+            nothing = graph.node("ShaderNodeBsdfTransparent")
+            total = self._mixed(nothing.outputs[0], total, opaque)
         graph.feed(graph.node("ShaderNodeOutputMaterial").inputs["Surface"], total)
         for name, attribute, of in ((ROW_PASS, ROW, "INSTANCER"), (FACE_PASS, FACE, "GEOMETRY")):
             out = graph.node("ShaderNodeOutputAOV")
             out.aov_name = name
-            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of))
+            # Cycles adds up what a ray passes and what it meets.
+            graph.feed(out.inputs["Color"], graph.attribute(attribute, kind=of) * opaque)
 
     def _close(self, layer: Layer) -> Any:
         """A layer's closures, added up; one at least, or rays would pass through."""
@@ -226,6 +238,8 @@ class _Look:
         wanted += ["height"] if heeded else []
         wanted += ["emission"] if surface.emits else []
         found = {} if maps is None else self._pictures.look_up(maps, wanted)
+        if self._reach.colored:
+            found["base_color"] = graph.attribute(COLOR) * found.get("base_color", 1.0)
         own = lobes.lobes_of(NODES, lobes.numbers_of(NODES, surface), found, self._variations())
         normal = found.get("normal", self._pictures.facing if self._reach.smooth else None)
         facing = graph.geometry("Normal") if normal is None else normal

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.backends.cycles.geometry import ALONG_U, ALONG_V, UV, Frame
 from scenec.backends.cycles.graph import NODES, Graph, Value
 from scenec.backends.stage.scene import Maps
-from scenec.backends.surface import pictures, projections
+from scenec.backends.surface import cutouts, pictures, projections
 from scenec.backends.surface.maps import map_source
 from scenec.schemas.cells import SIDE
 from scenec.schemas.maps import MAP_CHANNELS
@@ -27,12 +28,19 @@ class Pictures:
         frame: Of Blender's coordinates.
         image: Blender's image of a map, by the arguments of ``maps.load_map``.
         table: Blender's image of a table of cells, turns in radians, by its seed.
+        picture: Blender's image of an array [h, w, 1 or 3], row 0 at the top.
     """
 
     def __init__(
-        self, graph: Graph, frame: Frame, image: Callable[..., Any], table: Callable[[int], Any]
+        self,
+        graph: Graph,
+        frame: Frame,
+        image: Callable[..., Any],
+        table: Callable[[int], Any],
+        picture: Callable[[NDArray[np.float32]], Any],
     ) -> None:
         self._graph, self._frame, self._image, self._table = graph, frame, image, table
+        self._picture = picture
 
     @property
     def facing(self) -> Value:
@@ -71,6 +79,16 @@ class Pictures:
             return node.outputs[0]
 
         return graph.value(("along", name), make, True)
+
+    def opaque(self, maps: Maps) -> Value:
+        """1 where anything is left of a surface, 0 where it is cut out (``surface.cutouts``)."""
+        graph, values = self._graph, cutouts.field(maps)
+        uv = NODES.parts(graph.attribute(UV))[:2]
+        sides = zip(uv, maps.opacity_wrap, values.shape[::-1], strict=True)
+        u, v = (cutouts.folded(NODES, x, wrap, texels) for x, wrap, texels in sides)
+        # Blender's images are stored as they are given: row 0 at the top.
+        found = graph.picture(self._picture(values[::-1, :, None]), u, v, "REPEAT")
+        return graph.apply("GREATER_THAN", NODES.parts(found)[0], 0.0)
 
     def look_up(self, maps: Maps, wanted: Sequence[str]) -> dict[str, Any]:
         """Values of the kinds that are wanted and there; "normal" is the one that is seen."""

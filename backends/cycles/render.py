@@ -57,7 +57,7 @@ def set_up(scene: Any, device: str, bounces: int) -> None:
     cycles.use_animated_seed = False
     cycles.diffuse_bounces = cycles.glossy_bounces = bounces
     cycles.transmission_bounces = bounces
-    # Nothing is transparent but gobos, which shadow rays go through.
+    # Nothing is transparent but gobos, which shadow rays go through, and cut-outs (``Built``).
     cycles.transparent_max_bounces = bounces + 1
     # No Russian roulette before paths end anyway: it adds noise, saves little.
     cycles.min_light_bounces = bounces

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import build_forest
+from scenec.backends.exact.cutouts import Cutouts, cutouts_of
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.affine import inverses
 from scenec.schemas.errors import BackendError
@@ -56,6 +57,7 @@ class Geometry(NamedTuple):
         extent: Largest world coordinate of any row, meters.
         row_spheres: A sphere around each row: center and radius, float64 [r, 4]; radius < 0 for
             rows without surface.
+        cutouts: What is cut out of faces, or None. Boxes and spheres hold what is cut out, too.
     """
 
     points: NDArray[np.float32]
@@ -76,6 +78,7 @@ class Geometry(NamedTuple):
     moving_tree: int
     extent: float
     row_spheres: NDArray[np.float64]
+    cutouts: Cutouts | None
 
 
 @kernel
@@ -123,6 +126,7 @@ def build_geometry(scene: RenderScene) -> Geometry:
 
     Raises:
         BackendError: A point or matrix is not finite, or a face names a vertex that is not there.
+        StageError: A picture of what is cut out cannot be read.
     """
     counts = np.array([len(m.faces) for m in scene.meshes], np.int64)
     point_start = np.cumsum([0] + [len(m.points) for m in scene.meshes])
@@ -207,6 +211,7 @@ def build_geometry(scene: RenderScene) -> Geometry:
         moving_tree=-1,
         extent=float(placed.reach[placed.used & stands].max(initial=0.0)),
         row_spheres=placed.spheres,
+        cutouts=cutouts_of(scene),
     )
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.contract import NO_ROW, Rays
 from scenec.backends.exact.bvh import Geometry, build_geometry
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.moving import MovingRows
 from scenec.backends.exact.packets import trace_picture
@@ -26,8 +27,9 @@ def _test_all(first, last, g, beams, index, hits):  # type: ignore[no-untyped-de
         if 0 <= row < g.row_face.shape[0] and 0 <= face < g.row_faces[row]:
             frame = ray_frame(beams.origins[index[k]], beams.directions[index[k]])
             matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-            corners = g.faces[g.row_face[row] + face]
-            hits.t[k] = hit_parameter(g.points, corners, matrix, frame)
+            at = g.row_face[row] + face
+            if face_is_opaque(g.cutouts, g, row, at, matrix, frame):
+                hits.t[k] = hit_parameter(g.points, g.faces[at], matrix, frame)
 
 
 def _nothing(count: int) -> BestHits:
@@ -131,7 +133,7 @@ class ExactCaster:
             face: Its face, int32 [k]; likewise.
 
         Returns:
-            t, float64 [k]; +inf where the triangle is missed.
+            t, float64 [k]; +inf where the triangle is missed, or cut out.
         """
         found = BestHits(row, face, np.empty(len(index)))
         beams = Beams(rays.origins, rays.directions)

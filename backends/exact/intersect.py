@@ -114,7 +114,7 @@ def translated(point, matrix, frame):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _project(point, matrix, frame):  # type: ignore[no-untyped-def]
+def projected(point, matrix, frame):  # type: ignore[no-untyped-def]
     """One local point in the ray's sheared frame: (x, y) across the ray, z along axis kz."""
     px, py, pz = translated(point, matrix, frame)
     return px - frame[6] * pz, py - frame[7] * pz, pz
@@ -155,9 +155,9 @@ def hit_parameter(points, face, matrix, frame):  # type: ignore[no-untyped-def]
     Returns:
         t in units of the direction's length (planar depth for rays of ``camera_rays``), or +inf.
     """
-    a = _project(points[face[0]], matrix, frame)
-    b = _project(points[face[1]], matrix, frame)
-    c = _project(points[face[2]], matrix, frame)
+    a = projected(points[face[0]], matrix, frame)
+    b = projected(points[face[1]], matrix, frame)
+    c = projected(points[face[2]], matrix, frame)
     return parameter_of(a, b, c, frame[8])
 
 
@@ -166,6 +166,14 @@ def parameter_of(a, b, c, dz):  # type: ignore[no-untyped-def]
     """``hit_parameter`` of a triangle in the ray's sheared frame; ``dz`` is ``frame[8]``."""
     u, v, w = _edges(a, b, c)
     return _parameter(a, b, c, u, v, w, dz)
+
+
+@kernel
+def barycentric(a, b, c):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates of the hit with a triangle in the ray's sheared frame."""
+    u, v, w = _edges(a, b, c)
+    total = (u + v) + w
+    return u / total, v / total, w / total
 
 
 @kernel
@@ -194,9 +202,9 @@ def distance_from_face(points, face, matrix, frame):  # type: ignore[no-untyped-
         it is then, in meters in the sheared plane (a plane of constant coordinate kz, so up to
         sqrt(3) of the distance across the ray); a triangle that is hit has ``hit_parameter`` and 0.
     """
-    a = _project(points[face[0]], matrix, frame)
-    b = _project(points[face[1]], matrix, frame)
-    c = _project(points[face[2]], matrix, frame)
+    a = projected(points[face[0]], matrix, frame)
+    b = projected(points[face[1]], matrix, frame)
+    c = projected(points[face[2]], matrix, frame)
     u, v, w = _edges(a, b, c)
     t = _parameter(a, b, c, u, v, w, frame[8])
     if t < math.inf:

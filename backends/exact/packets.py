@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scenec.backends.contract import NO_ROW
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import ROUNDING, Geometry
+from scenec.backends.exact.cutouts import is_opaque
 from scenec.backends.exact.intersect import parameter_of, ray_frame, row_matrix, translated
 from scenec.backends.exact.trace import (
     TINY,
@@ -223,15 +224,17 @@ def _test_face(g, face, local, row, matrix, frame, p):  # type: ignore[no-untype
         while of_line:
             if of_line & 1:
                 sx, sy = p.shear_x[k], p.shear_y[k]
-                t = parameter_of(
+                at = (
                     (a[0] - sx * a[2], a[1] - sy * a[2], a[2]),
                     (b[0] - sx * b[2], b[1] - sy * b[2], b[2]),
                     (c[0] - sx * c[2], c[1] - sy * c[2], c[2]),
-                    p.along[k],
                 )
+                t = parameter_of(at[0], at[1], at[2], p.along[k])
                 if t <= p.t[k] and t < math.inf:
                     tied = row < p.row[k] or (row == p.row[k] and local < p.face[k])
-                    if t < p.t[k] or tied:
+                    if (t < p.t[k] or tied) and is_opaque(
+                        g.cutouts, row, local, at[0], at[1], at[2]
+                    ):
                         p.t[k], p.row[k], p.face[k] = t, row, local
                         better = True
             of_line >>= 1

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.backends.exact.masks import LANES
 from scenec.backends.exact.trace import Ray, _enter, in_row, largest
@@ -263,6 +264,13 @@ def frame_rows(first, last, g, members, boxes, view, complete):  # type: ignore[
 
 
 @inlined
+def _meets_face(g, row, face, matrix, frame):  # type: ignore[no-untyped-def]
+    """Whether a ray meets a triangle, given as an index into ``g.faces``, where it is not cut."""
+    met = hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf
+    return met and face_is_opaque(g.cutouts, g, row, face, matrix, frame)
+
+
+@inlined
 def meets(g, row, origin, direction, guess, stack):  # type: ignore[no-untyped-def]
     """A triangle of a row that a ray meets, as an index into ``g.faces``; -1: it meets none.
 
@@ -275,7 +283,7 @@ def meets(g, row, origin, direction, guess, stack):  # type: ignore[no-untyped-d
     """
     ray = Ray(origin, direction, ray_frame(origin, direction), largest(origin))
     matrix = row_matrix(g.to_world, row, ray.frame[0], ray.frame[1], ray.frame[2])
-    if hit_parameter(g.points, g.faces[guess], matrix, ray.frame) < math.inf:
+    if _meets_face(g, row, guess, matrix, ray.frame):
         return guess
     s, _ = in_row(g, row, ray)
     stack[0] = g.row_root[row]
@@ -294,7 +302,7 @@ def meets(g, row, origin, direction, guess, stack):  # type: ignore[no-untyped-d
                 top += 1
             for entry in range(first, first + count):
                 face = g.face_order[entry]
-                if hit_parameter(g.points, g.faces[face], matrix, ray.frame) < math.inf:
+                if _meets_face(g, row, face, matrix, ray.frame):
                     return face
     return np.int32(-1)
 
@@ -330,7 +338,7 @@ def _is_hit(g, row, face, view, x, y, direction):  # type: ignore[no-untyped-def
     set_direction(view, x, y, direction)
     frame = ray_frame(view.eye, direction)
     matrix = row_matrix(g.to_world, row, frame[0], frame[1], frame[2])
-    return hit_parameter(g.points, g.faces[face], matrix, frame) < math.inf
+    return _meets_face(g, row, face, matrix, frame)
 
 
 @inlined

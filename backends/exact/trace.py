@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.exact.build import STACK_SIZE
 from scenec.backends.exact.bvh import ROUNDING, Geometry
+from scenec.backends.exact.cutouts import face_is_opaque
 from scenec.backends.exact.intersect import hit_parameter, ray_frame, row_matrix
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
@@ -161,7 +162,8 @@ def _test_leaf(g, link, side, row, matrix, frame, hit):  # type: ignore[no-untyp
         found = hit_parameter(g.points, g.faces[face], matrix, frame)
         if found <= t and found < math.inf:
             local = np.int32(face - first)
-            if found < t or row < best_row or (row == best_row and local < best_face):
+            tied = row < best_row or (row == best_row and local < best_face)
+            if (found < t or tied) and face_is_opaque(g.cutouts, g, row, face, matrix, frame):
                 t = found
                 best_row = row
                 best_face = local

@@ -21,12 +21,12 @@ from scenec.backends.contract import (
 )
 from scenec.backends.mitsuba import geometry, variant
 from scenec.backends.mitsuba.aligned import aligned
-from scenec.backends.mitsuba.corners import split_corners
 from scenec.backends.mitsuba.instanced import InstancedScene
 from scenec.backends.noise_seeds import half_seed
 from scenec.backends.picture import denoise as oidn
 from scenec.backends.stage.posing import posable, pose
 from scenec.backends.stage.scene import Camera, Lighting, RenderScene
+from scenec.backends.surface.corners import split_corners
 from scenec.schemas.errors import BackendError
 
 #: Samples in flight at once; above it a half is rendered in several passes (16 bytes a sample).
@@ -118,7 +118,8 @@ class Mitsuba(Backend):
         # For a GPU, and for surfaces that give off light: ``paths`` does not look for them.
         self._integrator = mi.load_dict(
             {
-                "type": "path",
+                # The former does not look through what is cut out for light.
+                "type": "volpath" if self._cut else "path",
                 "max_depth": self._bounces + 2,
                 # No Russian roulette before paths end anyway: it adds noise, saves little.
                 "rr_depth": self._bounces + 3,
@@ -147,6 +148,20 @@ class Mitsuba(Backend):
         """Whether paths are gathered after a bounce: not on a GPU, where nobody has tried it."""
         return self.device == "cpu" and not self._glows
 
+    @property
+    def _cut(self) -> bool:
+        return self._loaded().has_cutouts
+
+    @property
+    def _meet(self) -> Any:
+        """Finds first hits of rays with the scene."""
+        if not self._cut:
+            return self._mi.Scene.ray_intersect_preliminary
+        # Of the variant, which is set by now.
+        from scenec.backends.mitsuba import cutouts
+
+        return cutouts.meet
+
     def _emitter(self) -> Any:
         return self._light if self._lamps is None else self._lamps
 
@@ -168,7 +183,7 @@ class Mitsuba(Backend):
         origins = np.ascontiguousarray((rays.origins - self._center).T, np.float32)
         directions = np.ascontiguousarray(rays.directions.T, np.float32)
         ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
-        hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
+        hit = self._meet(self._scene, ray, coherent=True)
         shape = dr.reinterpret_array(mi.UInt32, dr.select(hit.is_valid(), hit.shape, None))
         prim = mi.UInt32(hit.prim_index)
         dr.eval(shape, prim)
@@ -265,11 +280,14 @@ class Mitsuba(Backend):
             # Of the variant, as the sampler is.
             from scenec.backends.mitsuba import paths
 
-            light, valid = paths.sample(self._scene, self._emitter(), sampler, ray, self._bounces)
+            light, valid = paths.sample(
+                self._scene, self._emitter(), sampler, ray, self._bounces,
+                self._meet if self._cut else None,
+            )  # fmt: skip
         else:
             light, valid, _ = self._integrator.sample(self._scene, sampler, ray)
-        if self._glows:
-            valid = self._scene.ray_intersect_preliminary(ray, coherent=True).is_valid()
+        if self._glows or (self._cut and not self._gathers()):
+            valid = self._meet(self._scene, ray, coherent=True).is_valid()
         light &= valid
         # On float32 slivers a path's light can overflow or come out negative: it counts as black,
         # and is counted.
@@ -299,7 +317,8 @@ class Mitsuba(Backend):
             if self._kept is not None:
                 albedo, normal = self._kept.guides(ray)
             else:
-                si = self._scene.ray_intersect(ray)
+                hit = self._meet(self._scene, ray, coherent=True)
+                si = hit.compute_surface_interaction(ray)
                 met = si.is_valid()
                 albedo = dr.select(met, si.bsdf(ray).eval_diffuse_reflectance(si, met), 0.0)
                 normal = dr.select(met, si.sh_frame.n, 0.0)

@@ -7,16 +7,16 @@ where they are too many for that, ``instanced`` renders them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.stage.posing import moving
-from scenec.backends.stage.scene import DEFAULT_SURFACE, RenderScene, Surface
+from scenec.backends.stage.scene import DEFAULT_SURFACE, Mesh, RenderScene, Surface
+from scenec.backends.surface.corners import vertex_color, vertex_uv
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -65,6 +65,8 @@ class FlatMesh:
         texcoords: x and y, float32 [n, 2], where a surface has maps from above; the mesh's texture
             coordinates, where one has maps by those; else None.
         height_blends: Of the merges, or empty.
+        color: Factors of the base color at the vertices, float32 [n, 3], or None.
+        color_lane: Where these begin in ``lanes``.
         lanes: Where to look for what varies at a hit, ``instanced.Lanes``; None: at the vertices.
     """
 
@@ -77,6 +79,8 @@ class FlatMesh:
     texcoords: NDArray[np.float32] | None
     height_blends: tuple[float, ...] = ()
     lanes: Any = None
+    color: NDArray[np.float32] | None = None
+    color_lane: int = 0
 
 
 def scene_center(scene: RenderScene) -> NDArray[np.float64]:
@@ -160,12 +164,13 @@ def flatten(scene: RenderScene, group: Group, center: NDArray[np.float64]) -> Fl
     projections = {s.maps.projection for s in surfaces if s.maps is not None}
     texcoords = None
     if "uv" in projections:
-        texcoords = _place_uv(scene, group)
+        texcoords = _place_corners(scene, group, vertex_uv, 2)
     elif "above" in projections:
         texcoords = np.ascontiguousarray(points[:, :2])
     return FlatMesh(
-        points, faces, normals, variation, row_variation, weights, texcoords, group.height_blends
-    )
+        points, faces, normals, variation, row_variation, weights, texcoords, group.height_blends,
+        color=_place_corners(scene, group, vertex_color, 3) if _colored(scene, group) else None,
+    )  # fmt: skip
 
 
 def unplaced(scene: RenderScene, group: Group, lanes: Any) -> FlatMesh:
@@ -186,19 +191,28 @@ def unplaced(scene: RenderScene, group: Group, lanes: Any) -> FlatMesh:
         None,
         group.height_blends,
         lanes,
+        np.concatenate([vertex_color(m) for m in meshes]) if _colored(scene, group) else None,
+        2 + max(len(mesh.weights) for mesh in scene.meshes),
     )
 
 
-def _place_uv(scene: RenderScene, group: Group) -> NDArray[np.float32]:
-    """Texture coordinates of the parts' vertices, [n, 2]."""
-    columns = np.empty((2, int(group.first_vertex[-1])), np.float32)
+def _colored(scene: RenderScene, group: Group) -> bool:
+    meshes = np.unique(scene.rows.mesh[group.rows])
+    return any(scene.meshes[i].color is not None for i in meshes)
+
+
+def _place_corners(
+    scene: RenderScene, group: Group, of: Callable[[Mesh], NDArray[np.float32]], width: int
+) -> NDArray[np.float32]:
+    """Gathers values of split corners at the parts' vertices, [n, width]."""
+    columns = np.empty((width, int(group.first_vertex[-1])), np.float32)
     for mesh_index, parts in _parts_by_mesh(scene, group):
-        uv = vertex_uv(scene.meshes[mesh_index])
-        for axis in range(2):
+        values = of(scene.meshes[mesh_index])
+        for axis in range(width):
             over_threads(
                 _place_scalars,
                 len(parts),
-                np.ascontiguousarray(uv[:, axis]),
+                np.ascontiguousarray(values[:, axis]),
                 group.first_vertex[parts],
                 columns[axis],
             )

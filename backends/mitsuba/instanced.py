@@ -19,9 +19,9 @@ from scenec.backends.contract import NO_ROW, Rays, Visibility
 from scenec.backends.exact.caster import ExactCaster
 from scenec.backends.exact.trace import Beams, BestHits, trace_all
 from scenec.backends.mitsuba.aligned import aligned_columns
-from scenec.backends.mitsuba.corners import vertex_uv
 from scenec.backends.mitsuba.geometry import Group, cofactors, group_surfaces, unplaced
 from scenec.backends.stage.scene import RenderScene
+from scenec.backends.surface.corners import vertex_color, vertex_uv
 from scenec.schemas.kernels import kernel
 from scenec.schemas.threads import over_threads
 
@@ -38,7 +38,8 @@ class Lanes:
     """Holds the attributes of the surface at the shaded hits, for ``mix.channels_of``.
 
     Attributes:
-        channels: Variation of the vertices, that of the row, then the weight of each merge.
+        channels: Variation of the vertices, that of the row, the weight of each merge, then red,
+            green and blue.
     """
 
     channels: list[Any] = field(default_factory=list)
@@ -59,7 +60,7 @@ class _Tables(NamedTuple):
     Attributes:
         normals: Of shading, float32 [n, 3]; (0, 0, 0): the face's own.
         uv: float32 [n, 2].
-        values: Variation and weights, float32 [n, channels - 1].
+        values: Variation, weights, and colors where there are any, float32 [n, channels - 1].
         row_values: Variation of rows, float32 [r].
     """
 
@@ -338,7 +339,8 @@ def _tables(scene: RenderScene) -> _Tables:
     count = sum(len(mesh.points) for mesh in meshes)
     normals, uv = np.zeros((count, 3), np.float32), np.zeros((count, 2), np.float32)
     merges = max((len(mesh.weights) for mesh in meshes), default=0)
-    values = np.zeros((count, 1 + merges), np.float32)
+    colored = any(mesh.color is not None for mesh in meshes)
+    values = np.zeros((count, 1 + merges + 3 * colored), np.float32)
     first = 0
     for mesh in meshes:
         own = slice(first, first + len(mesh.points))
@@ -349,6 +351,8 @@ def _tables(scene: RenderScene) -> _Tables:
         if mesh.variation is not None:
             values[own, 0] = mesh.variation
         values[own, 1 : 1 + len(mesh.weights)] = mesh.weights.T
+        if colored:
+            values[own, 1 + merges :] = vertex_color(mesh)
     return _Tables(normals, uv, values, scene.rows.variation.astype(np.float32))
 
 

@@ -26,6 +26,7 @@ class Mix:
     Attributes:
         weights: For each merge, its channel, or the weight itself where it is the same everywhere.
         own, row: Channel of the vertices' and of the rows' variation; None where it is 0.
+        color: The first of three channels of the base color's factor; None where that is 1.
         attributes: Names of the mesh attributes; channel c is component c % 3 of number c // 3.
         lanes: In their place ``instanced.Lanes``, and which of its channels each is.
     """
@@ -33,6 +34,7 @@ class Mix:
     weights: tuple[int | float, ...]
     own: int | None
     row: int | None
+    color: int | None
     attributes: tuple[str, ...]
     lanes: tuple[Any, tuple[int, ...]] | None = None
 
@@ -58,6 +60,11 @@ def pack(flat: FlatMesh) -> tuple[Mix, dict[str, NDArray[np.float32]]]:
     own, row = flat.variation, flat.row_variation
     at_own = channel(own, 0) if own is not None and own.any() else None
     at_row = channel(row, 1) if row is not None and row.any() else None
+    at_color = None
+    if flat.color is not None:
+        at_color = len(channels)
+        for component, values in enumerate(flat.color.T):
+            channel(values, flat.color_lane + component)
     attributes = {}
     for first in range(0, len(channels) if flat.lanes is None else 0, _PACK):
         columns = channels[first : first + _PACK]
@@ -66,7 +73,7 @@ def pack(flat: FlatMesh) -> tuple[Mix, dict[str, NDArray[np.float32]]]:
             columns = [*columns, *[np.zeros_like(columns[0])] * (_PACK - len(columns))]
         attributes[f"vertex_mix_{first // _PACK}"] = np.stack(columns, axis=1)
     lanes = None if flat.lanes is None else (flat.lanes, tuple(lane_of))
-    return Mix(tuple(places), at_own, at_row, tuple(attributes), lanes), attributes
+    return Mix(tuple(places), at_own, at_row, at_color, tuple(attributes), lanes), attributes
 
 
 def channels_of(mi: Any, mix: Mix, si: Any, active: Any) -> list[Any]:
@@ -75,7 +82,9 @@ def channels_of(mi: Any, mix: Mix, si: Any, active: Any) -> list[Any]:
         lanes, which = mix.lanes
         return [lanes.at(mi, channel, si.prim_index, active) for channel in which]
     channels: list[Any] = []
-    count = 1 + max((c for c in (*mix.weights, mix.own, mix.row) if isinstance(c, int)), default=-1)
+    last = None if mix.color is None else mix.color + 2
+    places = (*mix.weights, mix.own, mix.row, last)
+    count = 1 + max((c for c in places if isinstance(c, int)), default=-1)
     for index, name in enumerate(mix.attributes):
         if count - _PACK * index == 1:
             channels.append(si.shape.eval_attribute_1(name, si, active))

@@ -64,7 +64,9 @@ def shade(light: Any, si: Any, bsdf: Any, numbers: tuple[Any, Any, Any], active:
     return PathStep(ds, direct, onward, weight, leaving)
 
 
-def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tuple[Any, Any]:
+def sample(
+    scene: Any, light: Any, sampler: Any, ray: Any, bounces: int, meet: Any = None
+) -> tuple[Any, Any]:
     """Light from surfaces along camera rays, and whether these meet any.
 
     Args:
@@ -73,11 +75,13 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
         sampler: Whose next numbers are those of the first hits; a sample a ray.
         ray: From the camera.
         bounces: As of ``contract.BOUNCES``.
+        meet: Finds first hits: ``cutouts.meet`` where anything is cut out; None: the scene does.
 
     Returns:
         ``mi.Color3f`` and ``mi.Bool``.
     """
-    hit = scene.ray_intersect_preliminary(ray, coherent=True)
+    find = meet or type(scene).ray_intersect_preliminary
+    hit = find(scene, ray, coherent=True)
     valid = hit.is_valid()
     count = dr.width(ray.d)
     total = dr.zeros(mi.Color3f, count)
@@ -97,7 +101,7 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
         if not most or not dr.width(left):
             break
         paths = tuple(dr.gather(type(values), values, left) for values in paths)
-        paths, going, radiance = _follow(scene, light, sampler, paths, most)
+        paths, going, radiance = _follow(scene, light, sampler, paths, most, meet)
         # Not by scatter_reduce, which adds nothing for what is no number.
         dr.scatter(total, dr.gather(mi.Color3f, total, paths[-1]) + radiance, paths[-1])
         dr.eval(paths, going, total)
@@ -105,12 +109,18 @@ def sample(scene: Any, light: Any, sampler: Any, ray: Any, bounces: int) -> tupl
 
 
 def _follow(
-    scene: Any, light: Any, sampler: Any, paths: tuple[Any, ...], most: int
+    scene: Any, light: Any, sampler: Any, paths: tuple[Any, ...], most: int, meet: Any
 ) -> tuple[tuple[Any, ...], Any, Any]:
     """Follows paths from their hits for so many bounces at most; which go on, and their light."""
     *state, order, lane = paths
     sampler.reversed_index = order
     count = dr.width(lane)
+    find = meet or type(scene).ray_intersect_preliminary
+
+    def hides(ray: Any, active: Any) -> Any:
+        if meet is None:
+            return scene.ray_test(ray, active)
+        return meet(scene, ray, coherent=False, active=active).is_valid()
 
     def step(active: Any, left: Any, radiance: Any, _: Any, *path: Any) -> tuple[Any, ...]:
         o, d, t, uv, face, shape, weight, key = path
@@ -124,14 +134,14 @@ def _follow(
         shaded = shade(light, si, si.bsdf(), numbers, active)
         direct = weight * shaded.light
         lit = active & dr.any(direct != 0.0)
-        lit &= ~scene.ray_test(si.spawn_ray_to(shaded.to_light.p), lit)
+        lit &= ~hides(si.spawn_ray_to(shaded.to_light.p), lit)
         # What is no number is kept, in shadow, too, to be counted by who takes the light.
         lit |= active & ~dr.all(dr.isfinite(direct))
         radiance = radiance + (direct & lit)
         weight = weight * shaded.weight
         active = active & dr.any(weight != 0.0)
         ray = si.spawn_ray(shaded.direction)
-        hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+        hit = find(scene, ray, coherent=False, active=active)
         met = active & hit.is_valid()
         radiance = radiance + (weight * shaded.leaving & active & ~met)
         left = left - 1

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from scenec.backends.mitsuba import mix
 from scenec.backends.mitsuba.arrays import ARRAYS
+from scenec.backends.mitsuba.cutouts import SurfaceMask
 from scenec.backends.mitsuba.geometry import FlatMesh
 from scenec.backends.mitsuba.pictures import Pictures
 from scenec.backends.stage.scene import Surface
@@ -126,6 +127,10 @@ def make_look(surfaces: Sequence[Surface], flat: FlatMesh, center: NDArray[np.fl
     packed, attributes = mix.pack(flat)
     made = mi.load_dict({"type": PLUGIN})
     made.prepare(packed, layers, flat.height_blends)
+    cutout = surfaces[0].cutout if len(surfaces) == 1 else None
+    # Rays of kept instances are the exact caster's, which has asked.
+    if cutout is not None and flat.lanes is None:
+        made.cut_out(SurfaceMask(cutout))
     glow = None
     if any(surface.emits for surface in surfaces):
         shining = []
@@ -148,6 +153,7 @@ class Stack(mi.BSDF):
         self.m_components = [flags | mi.BSDFFlags.SpatiallyVarying]
         self.m_flags = self.m_components[0]
         self.kept: tuple[Any, Any] | None = None
+        self.mask: SurfaceMask | None = None
 
     def prepare(self, packed: mix.Mix, layers: list[Layer], height_blends: Sequence[float]) -> None:
         self.mix, self.layers = packed, layers
@@ -155,6 +161,11 @@ class Stack(mi.BSDF):
         self.slopes = merges.all_slopes(ARRAYS, height_blends)
         self.glossy = any(layer.glossy for layer in layers)
         self.transmits = any(layer.transmits for layer in layers)
+
+    def cut_out(self, mask: SurfaceMask) -> None:
+        self.mask = mask
+        self.m_components = [*self.m_components, mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0] | self.m_components[1]
 
     # What a surface is at a point.
 
@@ -178,6 +189,10 @@ class Stack(mi.BSDF):
         pictured: dict[str, Any] = {}
         if layer.pictures is not None and layer.pictures.kinds:
             pictured = _where_needed(layer.pictures, share, si, active)
+        if self.mix.color is not None:
+            color = mi.Vector3f(*channels[self.mix.color : self.mix.color + 3])
+            shown = pictured.get("base_color")
+            pictured["base_color"] = color if shown is None else shown * color
         variations = [channels[i] for i in (self.mix.own, self.mix.row) if i is not None]
         own = lobes.lobes_of(ARRAYS, layer.numbers, pictured, variations)
         return LayerPoint(share, own, pictured.get("normal"), pictured.get("height", merges.FLAT))
@@ -328,6 +343,9 @@ class Stack(mi.BSDF):
             passed, chance = self._beyond(facing, found)
             light += passed & ~self._same_side(si, wo) & active
             density += chance
+        if self.mask is not None:
+            kept = self.mask.opaque(si.uv, active)
+            light, density = light & kept, density & kept
         return light, density
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -359,7 +377,18 @@ class Stack(mi.BSDF):
             density += chance
             bs.pdf = density
         sound = active & (density > 0.0) & stays
-        return bs, dr.select(sound, light / density, 0.0)
+        value = dr.select(sound, light / density, 0.0)
+        if self.mask is not None:
+            kept = self.mask.opaque(si.uv, active)
+            bs.wo, bs.pdf = dr.select(kept, bs.wo, -si.wi), dr.select(kept, bs.pdf, 1.0)
+            bs.sampled_type = dr.select(kept, bs.sampled_type, +mi.BSDFFlags.Null)
+            value = dr.select(kept, value, 1.0)
+        return bs, value
+
+    def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
+        if self.mask is None:
+            return mi.Color3f(0.0)
+        return mi.Color3f(dr.select(self.mask.opaque(si.uv, active), 0.0, 1.0))
 
     def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
         # Of gloss, too: it is what a denoiser goes by.

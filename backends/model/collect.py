@@ -15,6 +15,7 @@ from scenec.backends.model.bake import bake, box_uv
 from scenec.backends.model.colors import mean_color, surfaces_of, vertex_colors
 from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.scene import Mesh, Reading, RenderScene, Surface
+from scenec.backends.surface.corners import vertex_color
 from scenec.backends.surface.gobo import mean_passed
 from scenec.backends.surface.pictures import has_maps
 from scenec.schemas import stage as names
@@ -121,6 +122,8 @@ def full_model(scene: RenderScene, name: str, *, texels: int) -> Model:
                 colors = None
                 if len(mesh.layers) > 1:
                     colors = vertex_colors(scene, mesh).astype(np.float32)
+                elif mesh.color is not None:
+                    colors = vertex_color(mesh)
                 surface = surfaces_of(scene, mesh)[0]
                 parts.append(Part(mesh.path, mesh.points, mesh.faces, mesh.normals, colors,
                                   _object_uv(mesh, surface), mesh.labels,
@@ -274,7 +277,7 @@ def _object(
     if len(small.faces) < len(mesh.faces):
         less = [f"{mesh.path}: {len(small.faces):,} of {len(mesh.faces):,} triangles"]
     colors = None
-    if len(mesh.layers) > 1 or mesh.variation is not None:
+    if len(mesh.layers) > 1 or mesh.variation is not None or mesh.color is not None:
         colors = small.mean(vertex_colors(scene, mesh)[vertices]).astype(np.float32)
     surface = surfaces_of(scene, mesh)[0]
     red, green, blue = mean_color(surface).tolist()
@@ -364,6 +367,10 @@ def _object_uv(mesh: Mesh, surface: Surface) -> NDArray[np.float32] | None:
 def _losses(scene: RenderScene) -> list[str]:
     """Lists what a model cannot hold."""
     found = list(scene.losses)
+    if scene.has_cutouts:
+        found.append("opacity: what pictures cut out is solid")
+    if any(mesh.color is not None for mesh in scene.meshes):
+        found.append("colors of corners: a vertex has that of one of its faces")
     if scene.rows.motion is not None:
         found.append(
             f"motion: {len(scene.rows.motion.rows):,} meshes of moving objects stand where they "

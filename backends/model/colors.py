@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Mesh, RenderScene, Surface
 from scenec.backends.surface import merges
 from scenec.backends.surface.algebra import FLOAT64
+from scenec.backends.surface.corners import vertex_color
 from scenec.backends.surface.maps import map_mean
 from scenec.backends.surface.pictures import Point, has_maps, values_at
 
@@ -33,7 +34,7 @@ def vertex_colors(scene: RenderScene, mesh: Mesh) -> NDArray[np.float64]:
     for surface, share in zip(surfaces_of(scene, mesh), shares, strict=True):
         varied = np.asarray(1.0 + surface.variation * variation)[..., None]
         color += np.asarray(share)[..., None] * np.clip(mean_color(surface) * varied, 0.0, 1.0)
-    return color
+    return color * vertex_color(mesh)
 
 
 def colors_at(
@@ -82,6 +83,7 @@ def colors_at(
         heights,
     )
     mixed = np.zeros((3, len(position)))
+    factor = 1.0 if mesh.color is None else at(vertex_color(mesh))
     for color, share in zip(layers, merges.shares(weights), strict=True):
         mixed += share * color
-    return mixed.T
+    return mixed.T * factor

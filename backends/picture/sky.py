@@ -21,6 +21,7 @@ from scenec.schemas.exr import read_rgb
 from scenec.schemas.files import once_per_file
 from scenec.schemas.kernels import kernel
 from scenec.schemas.maps import decode
+from scenec.schemas.packages import as_file
 from scenec.schemas.threads import over_threads
 
 #: Suns narrower than this are drawn this wide (irradiance unchanged), in radians: float32
@@ -131,7 +132,11 @@ def load_picture(path: Path) -> NDArray[np.float32]:
     Raises:
         StageError: The file is missing or is not a picture of these kinds.
     """
-    picture = _load_exr(path) if path.suffix.lower() == ".exr" else _load_srgb(path)
+    try:
+        with as_file(path) as file:
+            picture = _load_exr(file) if file.suffix.lower() == ".exr" else _load_srgb(file)
+    except ValueError as error:
+        raise StageError(f"{path}: {error}") from error
     if not np.all(np.isfinite(picture)):
         raise StageError(f"{path}: a sky picture must be finite")
     # Photographed panoramas hold slightly negative values where a color left the gamut.

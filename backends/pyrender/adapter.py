@@ -30,6 +30,7 @@ from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
 from scenec.backends.pyrender.tiles import without_glow
 from scenec.backends.stage import posing
 from scenec.backends.stage.scene import Camera, RenderScene, Sun
+from scenec.backends.surface.corners import split_corners
 from scenec.schemas.errors import BackendError, CameraRefusedError
 from scenec.schemas.kernels import kernel
 
@@ -89,7 +90,7 @@ class Pyrender(Backend):
         Raises:
             BackendError: OpenGL is too old, or has no room for the scene.
         """
-        scene = posing.posable(scene)
+        scene = posing.posable(split_corners(scene) if scene.has_cutouts else scene)
         self._use(scene, geometry.prepare(scene))
         self._posed = 0
         self._tables = None

@@ -73,6 +73,9 @@ def _jobs(
     ranges = items.group_faces[items.group_mesh == index, 0]
     normals = vertex_normals(mesh)
     locked = border(len(mesh.points), drawn.faces, ranges[:, 0])
+    if scene.cutout_of(mesh) is not None:
+        # Fewer faces would show their masks elsewhere.
+        locked[:] = True
     for first, count in ranges.tolist():
         yield mesh.points, normals, locked, drawn.faces[first : first + count]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyrender
@@ -32,11 +32,14 @@ from scenec.backends.pyrender.lighting import (
 from scenec.backends.pyrender.points import ROW, ShadingPoints
 from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
-from scenec.backends.stage.scene import Gobo, Lamp, RenderScene, Sun
+from scenec.backends.stage.scene import Gobo, Lamp, Maps, Mesh, RenderScene, Sun
 from scenec.backends.surface import lamps
+from scenec.backends.surface.corners import vertex_uv
+from scenec.backends.surface.cutouts import field
 from scenec.backends.surface.gobo import load_gobo
 from scenec.backends.surface.lobes import MIN_ALPHA
 from scenec.schemas.errors import BackendError
+from scenec.schemas.stage import WRAPS
 
 SHADERS = Path(__file__).parent / "shaders"
 #: Texture units, by the numbers that the programs name them with.
@@ -57,9 +60,19 @@ _SHADOWS: dict[int, resources.Target] = {}
 class Part(pyrender.Primitive):
     """A pyrender primitive whose vertex indices are not rounded to float32 on their way."""
 
-    def __init__(self, points: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
-        super().__init__(positions=points)
-        self._indices = faces
+    def __init__(
+        self, mesh: Mesh, faces: NDArray[np.uint32], cutouts: bool, mask: MaskTexture | None
+    ) -> None:
+        uv = vertex_uv(mesh) if cutouts else None
+        super().__init__(positions=mesh.points, texcoord_0=uv)
+        self._indices, self.mask = faces, mask
+
+
+class MaskTexture(NamedTuple):
+    """Holds a surface's mask: the texture of ``surface.cutouts.field``, and how it wraps."""
+
+    texture: int
+    wrap: tuple[int, int]
 
 
 class Renderer(pyrender.Renderer):
@@ -105,7 +118,12 @@ class Renderer(pyrender.Renderer):
         self.largest = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE))
         self._program_cache = _PROGRAMS
         self._defines: dict[str, int] = {}
-        self._parts = [Part(scene.meshes[m.mesh].points, m.faces) for m in geometry.meshes]
+        self._cutouts = scene.has_cutouts
+        self._parts = []
+        for drawn in geometry.meshes:
+            mesh = scene.meshes[drawn.mesh]
+            mask = self._mask(scene.cutout_of(mesh))
+            self._parts.append(Part(mesh, drawn.faces, self._cutouts, mask))
         # What pyrender frees when it is deleted.
         self._meshes = {pyrender.Mesh(primitives=self._parts)}
         for part in self._parts:
@@ -114,6 +132,15 @@ class Renderer(pyrender.Renderer):
         # OpenGL draws nothing without one, even where there are no attributes.
         self._no_attributes = int(GL.glGenVertexArrays(1))
         self._points = int(GL.glGenTextures(1))
+
+    def _mask(self, maps: Maps | None) -> MaskTexture | None:
+        if maps is None:
+            return None
+        name = f"{maps.opacity} {maps.opacity_threshold} {maps.readings}"
+        if name not in self._pictures:
+            self._pictures[name] = resources.lookup_texture(field(maps))
+        across, up = map(WRAPS.index, maps.opacity_wrap)
+        return MaskTexture(self._pictures[name], (across, up))
 
     def delete(self) -> None:
         """Free everything that OpenGL holds for it."""
@@ -147,7 +174,7 @@ class Renderer(pyrender.Renderer):
         self._set_state()
         target.bind()
         GL.glClearBufferuiv(GL.GL_COLOR, 0, np.zeros(4, np.uint32))
-        self._draw("ids.frag", view, selection)
+        self._draw({"WITH_IDS": 1}, view, selection)
 
     def read_ids(self, name: str) -> NDArray[np.uint32]:
         """Returns the picture of ``draw_ids``, uint32 [h, w, 2], the view's first row first."""
@@ -170,10 +197,11 @@ class Renderer(pyrender.Renderer):
         if not shadow.of_lamp:
             # What lies between the sun and the map's box is drawn onto its near side.
             GL.glEnable(GL.GL_DEPTH_CLAMP)
-        self._draw("depth.frag", shadow.view, selection)
+        self._draw({}, shadow.view, selection)
 
-    def _draw(self, fragment_shader: str, view: View, selection: Selection) -> None:
-        program = self._program("ids.vert", fragment_shader, {})
+    def _draw(self, defines: dict[str, int], view: View, selection: Selection) -> None:
+        defines = defines | ({"WITH_CUTOUTS": 1} if self._cutouts else {})
+        program = self._program("ids.vert", "ids.frag", defines)
         GL.glEnable(GL.GL_DEPTH_TEST)
         GL.glDepthMask(GL.GL_TRUE)
         GL.glDepthFunc(GL.GL_GREATER)
@@ -184,11 +212,18 @@ class Renderer(pyrender.Renderer):
         program.set_uniform("clip", view.clip)
         first_slot = GL.glGetUniformLocation(program._program_id, "first_slot")
         first_face = GL.glGetUniformLocation(program._program_id, "first_face")
+        cutout = GL.glGetUniformLocation(program._program_id, "cutout")
         bound = -1
         for mesh, face, faces, slot, slots in selection.draws.tolist():
             if mesh != bound:
                 bound = mesh
                 self._parts[mesh]._bind()
+                if self._cutouts:
+                    mask = self._parts[mesh].mask
+                    wrap = (0, 0, 0) if mask is None else (1, *mask.wrap)
+                    GL.glUniform3i(cutout, *wrap)
+                    # Of the units, that of a picture which this pass does not look at.
+                    _bind("gobo", GL.GL_TEXTURE_2D, 0 if mask is None else mask.texture)
             GL.glUniform1i(first_slot, slot)
             if first_face >= 0:
                 GL.glUniform1i(first_face, face)

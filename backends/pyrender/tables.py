@@ -38,7 +38,8 @@ class Tables:
         normals: float32 [v, 3]; zero where a mesh has none.
         weights: Of the vertices, mesh by mesh and merge by merge; with "WITH_HEIGHTS" then depths
             of the mesh's merges, float32 [w].
-        meshes: Per drawn mesh (first vertex, first face, first weight, flags), then (first layer,
+        meshes: Per drawn mesh (first vertex, first face, first weight, 1 if it has normals + 2 *
+            the first row of its colors in ``uvs``, if it has any), then (first layer,
             number of layers, number of vertices, first face in ``uvs`` or 0), uint32 [2 m, 4].
         layers: Indices of surfaces, uint32 [l].
         surfaces: Per surface (base color, specular), (roughness, variation, metallic,
@@ -49,7 +50,8 @@ class Tables:
         laws: ``laws.law_table``.
         sizes: Of the maps of each surface, meters, float64 [s]; 0 without maps that have one.
         uvs: Texture coordinates of faces' corners, two rows each, of the meshes that have them;
-            first a face of those that have none, float32 [2 u, 3].
+            first a face of those that have none; then colors of corners, three rows each,
+            float32 [2 u + 3 c, 3].
         maps: Two layers a surface that has any: base color and roughness, then normal and metallic;
             a third one, emission and height, where there is a map of these; row 0 at the bottom,
             float16 [k, h, w, 4].
@@ -86,6 +88,8 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
     first_vertex = first_weight = first_layer = 0
     uvs = [np.zeros((2, 3), np.float32)]
     first_uv = 1
+    colors: list[NDArray[np.float32]] = []
+    colored: list[int] = []
     for index, drawn in enumerate(geometry.meshes):
         mesh = scene.meshes[drawn.mesh]
         n = len(mesh.points)
@@ -112,8 +116,11 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
             first_uv if mesh.uv is not None else 0,
         )
         if mesh.uv is not None:
-            uvs.append(_corner_uv(mesh, mesh.uv, drawn))
+            uvs.append(_corner_values(mesh, mesh.uv, drawn).reshape(-1, 3))
             first_uv += len(drawn.faces)
+        if mesh.color is not None:
+            colors.append(_corner_values(mesh, mesh.color, drawn).reshape(-1, 3))
+            colored.append(index)
         vertices.append(vertex)
         normals.append(mesh.normals if smooth else np.zeros((n, 3), np.float32))
         weights.append(own_weights)
@@ -121,6 +128,10 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
         first_vertex += n
         first_weight += len(own_weights)
         first_layer += len(own_layers)
+    first_color = 2 * first_uv
+    for index, own in zip(colored, colors, strict=True):
+        meshes[2 * index, 3] |= first_color << 1
+        first_color += len(own)
     rows, sizes, maps = _surface_rows(surfaces)
     return Tables(
         faces=np.concatenate([np.zeros((0, 3), np.uint32), *(m.faces for m in geometry.meshes)]),
@@ -133,26 +144,28 @@ def make_tables(scene: RenderScene, geometry: Geometry) -> Tables:
         all_surfaces=surfaces,
         laws=law_table(surfaces),
         sizes=sizes,
-        uvs=np.concatenate(uvs),
+        uvs=np.concatenate([*uvs, *colors]),
         maps=maps,
         features=features,
     )
 
 
-def _corner_uv(mesh: Mesh, uv: NDArray[np.float32], drawn: DrawnMesh) -> NDArray[np.float32]:
-    """Rows of ``Tables.uvs`` for the faces of a mesh as they are drawn.
+def _corner_values(
+    mesh: Mesh, values: NDArray[np.float32], drawn: DrawnMesh
+) -> NDArray[np.float32]:
+    """Spreads values of corners, [m, 3, k], to a mesh's faces as they are drawn.
 
     Coarser faces take for each vertex what one of its faces has there: across a seam of the
     coordinates they are wrong, by no more than faces of a few pixels show.
     """
     own = drawn.order >= 0
-    found = np.empty((len(drawn.faces), 3, 2), np.float32)
-    found[own] = uv[drawn.order[own]]
+    found = np.empty((len(drawn.faces), *values.shape[1:]), np.float32)
+    found[own] = values[drawn.order[own]]
     if not own.all():
-        of_vertex = np.zeros((len(mesh.points), 2), np.float32)
-        of_vertex[mesh.faces.ravel()] = uv.reshape(-1, 2)
+        of_vertex = np.zeros((len(mesh.points), values.shape[2]), np.float32)
+        of_vertex[mesh.faces.ravel()] = values.reshape(-1, values.shape[2])
         found[~own] = of_vertex[drawn.faces[~own]]
-    return found.reshape(-1, 3)
+    return found
 
 
 def place_maps(tables: Tables, origin: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -171,6 +184,8 @@ def _features(scene: RenderScene) -> tuple[str, ...]:
     """Lists features of the surfaces in use, so that programs do not compute what none has."""
     features = law_features(scene) | tile_features(scene)
     for mesh in scene.meshes:
+        if mesh.color is not None:
+            features.add("WITH_COLORS")
         surfaces = [scene.surfaces[i] for i in mesh.layers]
         mapped = [s.maps for s in surfaces if s.maps and any(_files(s.maps))]
         for maps in mapped:
@@ -218,7 +233,7 @@ def _surface_rows(
 
 
 def _files(maps: Maps) -> tuple[object, ...]:
-    return tuple(map_file(maps, kind) for kind in MAP_CHANNELS)
+    return tuple(map_file(maps, kind) for kind in MAP_CHANNELS if kind != "opacity")
 
 
 def _pictures(surface: Surface, maps: Maps) -> list[NDArray[np.float32]]:

@@ -39,7 +39,10 @@ FOLLOWED: dict[str, frozenset[str]] = {
     | {"inputs:normalize", "inputs:radius", "treatAsPoint"}
     | {"inputs:shaping:cone:angle", "inputs:shaping:cone:softness"},
     "Mesh": _SHAPE
-    | {"points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals", "orientation"},
+    | {"points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals", "orientation"}
+    | {"subdivisionScheme", "cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths"}
+    | {"creaseSharpnesses", "interpolateBoundary", "faceVaryingLinearInterpolation"}
+    | {"triangleSubdivisionRule"},
     "GeomSubset": frozenset(("indices", "elementType", "familyName")),
     "PointInstancer": frozenset(
         (
@@ -59,9 +62,9 @@ _UNSHADED = frozenset(("visibility", "purpose"))
 _OF_NO_EFFECT_ON_LIGHTS = frozenset(("purpose", "guideRadius", "light:materialSyncMode"))
 #: Faces are seen from both sides whatever is said.
 _SIDES = frozenset(("doubleSided",))
-#: By type of prim. A clipping range hides nothing: the contract knows no clipping planes. How a
-#: cage is subdivided says nothing of the cage, which has a line of its own; so have the opacity of
-#: ``displayColor``, and purposes and render variables of others.
+#: By type of prim. A clipping range hides nothing: the contract knows no clipping planes. The
+#: opacity of ``displayColor`` has a line of its own; so have purposes and render variables of
+#: others.
 WITHOUT_EFFECT: dict[str, frozenset[str]] = {
     "Camera": _UNSHADED | {"clippingRange", "stereoRole"},
     "RenderProduct": frozenset(("productName",)),
@@ -72,10 +75,7 @@ WITHOUT_EFFECT: dict[str, frozenset[str]] = {
     "SphereLight": _OF_NO_EFFECT_ON_LIGHTS,
     # A picture that a light shines through: ours, at its place.
     "LightFilter": _UNSHADED | {"xformOpOrder"},
-    "Mesh": _SIDES
-    | {"subdivisionScheme", "cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths"}
-    | {"creaseSharpnesses", "interpolateBoundary", "faceVaryingLinearInterpolation"}
-    | {"triangleSubdivisionRule", "velocities", "accelerations", "primvars:displayOpacity"},
+    "Mesh": _SIDES | {"velocities", "accelerations", "primvars:displayOpacity"},
     "PointInstancer": frozenset(("velocities", "accelerations", "angularVelocities")),
     **{kind: _SIDES | {"orientation", "primvars:displayOpacity"} for kind in LENGTHS},
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from scenec.backends.stage.rigid import lidar_poses
 from scenec.backends.stage.scene import Lidar
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.schemas.lidar import detection_of, footprint_of, intensity_of
 
 #: Rays of one scan: beyond, arrays would not fit.
 _MOST = 2**28
@@ -70,7 +72,19 @@ def _lidar(prim: Usd.Prim, frame: StageFrame) -> Lidar:
         angle_noise_deg=values.number(prim.GetAttribute(names.ATTR_LIDAR_ANGLE_NOISE), 0.0),
         dropout=values.number(prim.GetAttribute(names.ATTR_LIDAR_DROPOUT), 0.0),
         key=values.whole(prim.GetAttribute(names.ATTR_LIDAR_KEY), 0),
+        intensity=_model(prim, names.ATTR_LIDAR_INTENSITY, intensity_of),
+        footprint=_model(prim, names.ATTR_LIDAR_FOOTPRINT, footprint_of),
+        detection=_model(prim, names.ATTR_LIDAR_DETECTION, detection_of),
     )
+
+
+def _model[T](prim: Usd.Prim, name: str, make: Callable[[Sequence[float]], T]) -> T | None:
+    """Reads what a lidar may have, of four numbers."""
+    numbers = values.vector(prim.GetAttribute(name), 4)
+    try:
+        return None if numbers is None else make(numbers)
+    except ValueError as error:
+        raise StageError(f"{prim.GetPath()}: {name}: {error}, which cannot be") from error
 
 
 def _rays(prim: Usd.Prim) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -14,6 +14,14 @@ from scenec.backends.stage.implicit import dimensions, tessellate
 from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
 from scenec.backends.stage.scene import Maps, Mesh, Surface
 from scenec.backends.stage.sources import Sources
+from scenec.backends.stage.subdivided import (
+    FAR,
+    MeshPolygons,
+    at_corners,
+    on_limit,
+    read_polygons,
+    refined,
+)
 from scenec.backends.stage.surfaces import (
     bound_material,
     bound_surface,
@@ -21,11 +29,13 @@ from scenec.backends.stage.surfaces import (
     read_height_blends,
     read_layers,
     read_variation,
+    shows_display_color,
 )
-from scenec.backends.stage.unread import Unread
+from scenec.backends.stage.unread import Unread, all_equal
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.polygons import triangulate
+from scenec.schemas.subdivision import Refined
 
 
 class MeshTable:
@@ -112,42 +122,49 @@ class MeshTable:
     def _read(self, mesh: UsdGeom.Mesh, inherited: dict[str, int]) -> list[Mesh]:
         prim = mesh.GetPrim()
         time = self._time
-        points = values.array(mesh.GetPointsAttr(), np.float32, time, width=(3,))
-        counts = values.array(mesh.GetFaceVertexCountsAttr(), np.int32, time)
-        indices = values.array(mesh.GetFaceVertexIndicesAttr(), np.int32, time)
-        holes = values.array(mesh.GetHoleIndicesAttr(), np.int64, time)
-        _require_sound(prim, points, counts, indices, holes)
-        left_handed = values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded
-        cut = triangulate(points, indices, counts, holes)
+        read = read_polygons(mesh, time)
+        layers = read_layers(mesh, len(read.points), self._sources)
+        variation = read_variation(prim, len(read.points))
+        surface = None
+        if layers is None and variation is None:
+            surface = refined(mesh, read, time)
+            if surface is not None and not surface.is_close():
+                self.unread.add(FAR, prim)
+        drawn = read if surface is None else on_limit(surface)
+        cut = triangulate(drawn.points, drawn.indices, drawn.counts, drawn.holes)
         for fault in cut.faults:
             self.unread.add(fault, prim)
         corners, authored = cut.corners.astype(np.int32), cut.polygon.astype(np.int32)
-        if left_handed:
+        normals = _normals(mesh, len(read.points), time) if surface is None else drawn.normals
+        if surface is not None:
+            authored = surface.polygon[authored].astype(np.int32)
+        if values.word(mesh.GetOrientationAttr(), "", time) == UsdGeom.Tokens.leftHanded:
             corners = np.ascontiguousarray(corners[:, [0, 2, 1]])
-        faces = indices[corners]
-        labels = face_labels(mesh, self.labels, inherited, len(counts))
-        layers = read_layers(mesh, len(points), self._sources)
-        surfaces, weights = layers or ([], np.zeros((0, len(points)), np.float32))
+            if surface is not None and normals is not None:
+                normals = -normals
+        faces = drawn.indices[corners]
+        labels = face_labels(mesh, self.labels, inherited, len(read.counts))
+        surfaces, weights = layers or ([], np.zeros((0, len(drawn.points)), np.float32))
         if layers is not None:
-            indices_of_layers = tuple(self._index(surface) for surface in surfaces)
+            indices_of_layers = tuple(self._index(each) for each in surfaces)
         else:
-            indices_of_layers = (self._index(bound_surface(prim, self._sources)),)
+            # Its own once the mesh's colors are known.
+            indices_of_layers = ()
 
-        coordinates = _Coordinates(
-            mesh, corners, faces, authored, (len(points), len(indices), len(counts)), time
-        )
-        same = len(counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
+        coordinates = _Coordinates(mesh, corners, faces, authored, read, surface, time)
+        same = len(read.counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
         whole = Mesh(
             path=str(prim.GetPath()),
-            points=points,
+            points=drawn.points,
             faces=faces,
             authored_face=None if same else authored,
-            normals=_normals(mesh, len(points), self._time),
+            normals=normals,
             labels={level: ids[authored] for level, ids in labels.items()},
             layers=indices_of_layers,
             weights=weights,
-            variation=read_variation(prim, len(points)),
+            variation=variation,
             height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
+            color=coordinates.color(names.PRIMVAR_COLOR),
         )
         if layers is not None:
             return [replace(whole, uv=coordinates.of(surfaces))]
@@ -163,22 +180,48 @@ class MeshTable:
         """Splits a mesh whose subsets are bound to several materials."""
         subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
         count = int(authored.max(initial=-1)) + 1
-        surface = np.full(count, source.layers[0], np.int32)
+        # Surfaces that show displayColor as it varies over the mesh.
+        varied: set[int] = set()
+
+        def index(prim: Usd.Prim) -> int:
+            shows = shows_display_color(bound_material(prim))
+            if not shows or self._display_color(coordinates) is None:
+                return self._index(bound_surface(prim, self._sources))
+            number = self._index(bound_surface(prim, self._sources, (1.0, 1.0, 1.0)))
+            varied.add(number)
+            return number
+
+        whole = index(mesh.GetPrim())
+        surface = np.full(count, whole, np.int32)
         for subset in subsets:
             if values.word(subset.GetElementTypeAttr(), "") != UsdGeom.Tokens.face:
                 continue
             chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
-            bound = bound_surface(subset.GetPrim(), self._sources)
-            surface[chosen] = self._index(bound)
+            surface[chosen] = index(subset.GetPrim())
             self.unread.material(bound_material(subset.GetPrim()))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
         known = list(self.surfaces)
         uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
+        shown = self._display_color(coordinates) if varied else None
+        colored = {s: shown if s in varied else source.color for s in uv}
         if len(used) <= 1:
-            return [replace(source, layers=(s,), uv=uv[s]) for s in uv] or [source]
-        return [_part(source, authored, of_triangle == s, s, uv[s]) for s in uv]
+            parts = [replace(source, layers=(s,), uv=uv[s], color=colored[s]) for s in uv]
+            return parts or [replace(source, layers=(whole,))]
+        return [
+            _part(replace(source, color=colored[s]), authored, of_triangle == s, s, uv[s])
+            for s in uv
+        ]
+
+    def _display_color(self, coordinates: _Coordinates) -> NDArray[np.float32] | None:
+        """DisplayColor at corners where it varies; None where it does not, or does not fit."""
+        try:
+            return coordinates.color("displayColor")
+        except StageError:
+            what = "displayColor of another length than its shape needs is shown as its mean"
+            self.unread.add(what, coordinates.mesh.GetPrim())
+            return None
 
 
 def _part(
@@ -203,25 +246,8 @@ def _part(
         labels={level: ids[chosen] for level, ids in mesh.labels.items()},
         layers=(surface,),
         uv=None if uv is None else uv[chosen],
+        color=None if mesh.color is None else mesh.color[chosen],
     )
-
-
-def _require_sound(
-    prim: Usd.Prim, points: NDArray, counts: NDArray, indices: NDArray, holes: NDArray
-) -> None:
-    path = prim.GetPath()
-    if counts.size and counts.min() < 0:
-        raise StageError(f"{path}: a face has {counts.min()} vertices")
-    total = int(counts.sum(dtype=np.int64))
-    if total != indices.size:
-        raise StageError(
-            f"{path}: faceVertexCounts add up to {total}, but there are {indices.size} "
-            "faceVertexIndices"
-        )
-    if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
-        raise StageError(f"{path}: faceVertexIndices reach beyond the {len(points)} points")
-    if holes.size and (holes.min() < 0 or holes.max() >= len(counts)):
-        raise StageError(f"{path}: holeIndices reach beyond the {len(counts)} faces")
 
 
 def _normals(
@@ -251,7 +277,8 @@ class _Coordinates:
         corners: Which of ``faceVertexIndices`` each triangle's are, int32 [m, 3].
         faces: Vertices of each triangle, int32 [m, 3].
         authored: Polygon of each triangle, int32 [m].
-        sizes: Number of the mesh's (vertices, corners, polygons).
+        read: The mesh's polygons.
+        surface: What they were refined to.
         time: When.
     """
 
@@ -259,7 +286,8 @@ class _Coordinates:
     corners: NDArray[np.int32]
     faces: NDArray[np.int32]
     authored: NDArray[np.int32]
-    sizes: tuple[int, int, int]
+    read: MeshPolygons
+    surface: Refined | None
     time: Usd.TimeCode
 
     def of(self, surfaces: Sequence[Surface]) -> NDArray[np.float32] | None:
@@ -273,7 +301,7 @@ class _Coordinates:
         """
         for surface in surfaces:
             if surface.maps is not None and surface.maps.projection == "uv":
-                uv = self._read(surface, surface.maps.primvar)
+                uv = self._texture(surface, surface.maps.primvar)
                 if surface.maps.uv_transform == Maps(1.0).uv_transform:
                     return uv
                 a, b, c, d, e, f = surface.maps.uv_transform
@@ -282,7 +310,18 @@ class _Coordinates:
                 return turned.astype(np.float32)
         return None
 
-    def _read(self, surface: Surface, name: str) -> NDArray[np.float32]:
+    def color(self, name: str) -> NDArray[np.float32] | None:
+        """Colors of the corners, float32 [m, 3, 3]; None without any, or where all are the same.
+
+        Raises:
+            StageError: They are of another length than the mesh needs, or not finite.
+        """
+        primvar = UsdGeom.PrimvarsAPI(self.mesh.GetPrim()).FindPrimvarWithInheritance(name)
+        if not primvar or not primvar.HasValue() or all_equal(primvar):
+            return None
+        return self._spread(primvar, 3)
+
+    def _texture(self, surface: Surface, name: str) -> NDArray[np.float32]:
         prim = self.mesh.GetPrim()
         primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
         if not primvar or not primvar.HasValue():
@@ -294,20 +333,25 @@ class _Coordinates:
                 )
             # What UsdPrimvarReader_float2 gives where there is none.
             return np.zeros((len(self.faces), 3, 2), np.float32)
-        found = values.flattened(primvar, np.float32, self.time, width=(2,))
-        vertices, corners, polygons = self.sizes
+        return self._spread(primvar, 2)
+
+    def _spread(self, primvar: UsdGeom.Primvar, width: int) -> NDArray[np.float32]:
+        """A primvar's values at the corners of triangles, [m, 3, width]."""
+        found = values.flattened(primvar, np.float32, self.time, width=(width,))
         kind = primvar.GetInterpolation()
         tokens = UsdGeom.Tokens
-        needed, at = vertices, self.faces
+        needed, at = len(self.read.points), self.faces
         if kind == tokens.faceVarying:
-            needed, at = corners, self.corners
+            needed, at = len(self.read.indices), self.corners
         elif kind == tokens.uniform:
-            needed, at = polygons, np.repeat(self.authored[:, None], 3, axis=1)
+            needed, at = len(self.read.counts), np.repeat(self.authored[:, None], 3, axis=1)
         elif kind == tokens.constant:
             needed, at = 1, np.zeros_like(self.faces)
         if len(found) != needed or not np.isfinite(found).all():
             raise StageError(
-                f"{prim.GetPath()}: primvar {name} ({kind}) must hold {needed} finite pairs of "
-                f"numbers, has {len(found)}"
+                f"{self.mesh.GetPath()}: primvar {primvar.GetPrimvarName()} ({kind}) must hold "
+                f"{needed} finite {('pairs of numbers', 'colors')[width - 2]}, has {len(found)}"
             )
+        if self.surface is not None and kind not in (tokens.uniform, tokens.constant):
+            found, at = at_corners(self.surface, primvar, found, self.read, self.time), self.corners
         return np.ascontiguousarray(found[at])

@@ -22,6 +22,7 @@ from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
+from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.vehicle import Vehicle
 
@@ -34,7 +35,7 @@ class Reading:
     """Decodes a picture's numbers where they are not as ``Maps`` says: UsdUVTexture's inputs.
 
     Attributes:
-        channel: "r", "g" or "b": where a single number stands.
+        channel: "r", "g", "b" or "a": where a single number stands.
         srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
         scale, bias: value * scale + bias is what is meant; of each channel, [3].
     """
@@ -90,6 +91,9 @@ class Maps:
             picture factor times as large ("above" only); or None.
         lean: Mean sine of the angles by which normals of ``normal`` lean: its facets hide and shade
             each other (``surface.facets``); 0: they do not.
+        opacity: Raw, by texture coordinates alone: where it is below ``opacity_threshold`` nothing
+            is there (``surface.cutouts`` defines it).
+        opacity_wrap: How that picture goes on beyond its sides, along u and v (``stage.WRAPS``).
     """
 
     size_m: float
@@ -107,6 +111,9 @@ class Maps:
     cells: Cells | None = None
     far: tuple[float, float] | None = None
     lean: float = 0.0
+    opacity: Path | None = None
+    opacity_threshold: float = 0.0
+    opacity_wrap: tuple[str, str] = ("repeat", "repeat")
 
 
 @dataclass(frozen=True)
@@ -169,6 +176,12 @@ class Surface:
         return mapped or self.specular > 0.0 or self.metallic > 0.0
 
     @property
+    def cutout(self) -> Maps | None:
+        """The maps whose opacity cuts parts of it out, if any does."""
+        maps = self.maps
+        return maps if maps and maps.opacity and maps.opacity_threshold > 0.0 else None
+
+    @property
     def emits(self) -> bool:
         """Whether it gives off light."""
         return any(self.emission)
@@ -207,6 +220,8 @@ class Mesh:
         variation: Variation of albedo and roughness at the vertices, float32 [n], or None.
         uv: Texture coordinates at the corners of the triangles, v up, float32 [m, 3, 2], where a
             surface has maps that are projected by them; else None.
+        color: Factors of the base color at the corners of the triangles, linear, float32 [m, 3, 3],
+            linear between them; None: 1.
         height_blends: For each merge, the depth over which height maps decide (``scenec.backends.
             heights`` defines it), 0 where the weight alone does; empty: 0 for all.
     """
@@ -222,6 +237,7 @@ class Mesh:
     variation: NDArray[np.float32] | None = None
     uv: NDArray[np.float32] | None = None
     height_blends: tuple[float, ...] = ()
+    color: NDArray[np.float32] | None = None
 
     @property
     def used_points(self) -> NDArray[np.float64]:
@@ -378,6 +394,9 @@ class Lidar:
         range_noise_m, range_noise_ratio: Standard deviations of ranges, meters and as a share.
         angle_noise_deg: Of azimuth and of elevation.
         dropout, key: Share of answers lost; of the numbers drawn, below 2**64.
+        intensity: How it tells intensities, or None: not at all.
+        footprint: Width of its beams, or None: they have none.
+        detection: Which returns are detected, or None: all.
     """
 
     name: str
@@ -391,6 +410,9 @@ class Lidar:
     angle_noise_deg: float = 0.0
     dropout: float = 0.0
     key: int = 0
+    intensity: LidarIntensity | None = None
+    footprint: LidarFootprint | None = None
+    detection: LidarDetection | None = None
 
 
 @dataclass(frozen=True)
@@ -565,6 +587,15 @@ class RenderScene:
     georeference: Georeference | None = None
     #: A line for each thing in the stage that was not read, whatever the backend and the pass.
     losses: tuple[str, ...] = ()
+
+    def cutout_of(self, mesh: Mesh) -> Maps | None:
+        """Returns the maps whose opacity cuts parts of a mesh out: its only surface's, or None."""
+        return self.surfaces[mesh.layers[0]].cutout if len(mesh.layers) == 1 else None
+
+    @property
+    def has_cutouts(self) -> bool:
+        """Whether parts of any mesh are cut out."""
+        return any(self.cutout_of(mesh) is not None for mesh in self.meshes)
 
     def rows_at(self, sample: int) -> Rows:
         """The rows with the matrices of a sample; the very same object where nothing moves."""

@@ -123,7 +123,7 @@ class Sources:
         """The file that an asset attribute names; None where it names none, or is missing.
 
         Raises:
-            StageError: It is no asset, or stands inside a package (usdz).
+            StageError: It is no asset.
         """
         asset = values.asset(attribute, time)
         if asset is None:
@@ -131,13 +131,8 @@ class Sources:
         # Every mesh asks for the maps of its materials again.
         if asset.resolvedPath in self._pictures:
             return self._pictures[asset.resolvedPath]
-        if Ar.IsPackageRelativePath(asset.resolvedPath):
-            raise StageError(
-                f"{attribute.GetPath()}: {asset.path} stands inside a package: unpack that, a zip "
-                "archive, and render the stage in it"
-            )
         # Unresolved, it may be there by chance: relative to the working directory.
-        if not os.path.isfile(asset.resolvedPath):
+        if not os.path.isfile(_package(asset.resolvedPath)):
             self.miss(f"{attribute.GetPath()}: {asset.path} does not exist")
             return None
         file = self._pictures[asset.resolvedPath] = Path(asset.resolvedPath)
@@ -187,6 +182,7 @@ class Sources:
     def _compose(self, stage: Usd.Stage) -> None:
         """Notes each file and prim that composition looked for in vain, however many look."""
         prims_of: dict[str, list[str]] = {}
+        unread: set[str] = set()
         for error in stage.GetCompositionErrors():
             prim, text = str(error.rootSite.path), " ".join(str(error).split())
             if match := _SUBLAYER.search(text):
@@ -196,6 +192,9 @@ class Sources:
             elif match := _ASSET.search(text):
                 file, arc, layer, reason = match.groups()
                 line = f"its {arc} to {self._named(file)} {_state(file, reason)}"
+                if _is_materialx(file):
+                    line = f"its {arc} to {self._named(file)}, MaterialX, is not read"
+                    unread.add(line)
             elif match := _PRIM.search(text):
                 arc, file, path, layer = match.groups()
                 line = f"its {arc} to {self._named(file)} finds no prim {path} there"
@@ -204,7 +203,10 @@ class Sources:
             prims_of.setdefault(line, []).append(prim)
         for line, prims in prims_of.items():
             more = f" (and so of {len(prims) - 1} more)" if len(prims) > 1 else ""
-            self.miss(f"{prims[0]}: {line}{more}")
+            if line in unread:
+                self._warnings[f"{prims[0]}: {line}, displayColor is shown{more}"] = None
+            else:
+                self.miss(f"{prims[0]}: {line}{more}")
 
     def _open_clips(self, stage: Usd.Stage) -> None:
         """Opens the layers of value clips, which USD would do, or not, when a value is read."""
@@ -265,6 +267,13 @@ def _state(file: str, reason: str | None) -> str:
     if os.path.isfile(_package(file)):
         return f"cannot be read: {_located(reason or 'it is no USD')}"
     return "does not exist"
+
+
+def _is_materialx(file: str) -> bool:
+    """Tells whether a file is there that usd-core, without MaterialX's plug-in, cannot read."""
+    return file.partition(":SDF_FORMAT_ARGS:")[0].lower().endswith(".mtlx") and os.path.isfile(
+        _package(file.partition(":SDF_FORMAT_ARGS:")[0])
+    )
 
 
 def _located(reason: str) -> str:

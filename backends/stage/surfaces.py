@@ -12,7 +12,7 @@ from pxr import Usd, UsdGeom, UsdShade
 from scenec.backends.stage import values
 from scenec.backends.stage.scene import Cells, Maps, Reflectance, Surface
 from scenec.backends.stage.sources import Sources
-from scenec.backends.stage.textures import FIRST, constant, texture_maps
+from scenec.backends.stage.textures import FIRST, connected, constant, texture_maps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -28,6 +28,7 @@ _RANGES = {
     names.ATTR_MEAN_SLOPE: (0.0, True, 90.0, False),
     names.ATTR_DIFFUSE_TRANSMISSION: (0.0, True, 1.0, True),
     names.ATTR_MAP_LEAN: (0.0, True, 1.0, True),
+    names.ATTR_OPACITY_THRESHOLD: (0.0, True, 1.0, True),
 }
 
 
@@ -82,12 +83,35 @@ def bound_material(prim: Usd.Prim) -> UsdShade.Material:
     return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
 
 
-def bound_surface(prim: Usd.Prim, sources: Sources) -> Surface:
-    """The surface of the bound material; without one, a diffuse one of displayColor."""
+def bound_surface(
+    prim: Usd.Prim, sources: Sources, color: tuple[float, float, float] | None = None
+) -> Surface:
+    """The surface of the bound material; without one, a diffuse one of displayColor.
+
+    Args:
+        prim: A shape, or a subset of its faces.
+        sources: Of the stage.
+        color: In place of displayColor.
+    """
     material = bound_material(prim)
+    color = display_color(prim) if color is None else color
     if material:
-        return surface_of(material, sources, display_color(prim))
-    return Surface("", display_color(prim), 0.0, 1.0, 0.0)
+        return surface_of(material, sources, color)
+    return Surface("", color, 0.0, 1.0, 0.0)
+
+
+def shows_display_color(material: UsdShade.Material) -> bool:
+    """Tells whether a material, which may be invalid, shows displayColor."""
+    color = material.GetPrim().GetAttribute(names.ATTR_BASE_COLOR) if material else None
+    if color and color.HasValue():
+        return False
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    if not shader or values.word(shader.GetIdAttr(), "") != "UsdPreviewSurface":
+        return True
+    if _color_input(shader, "diffuseColor") is not None:
+        return False
+    node, _ = connected(shader, "diffuseColor")
+    return node is not None and values.word(node.GetIdAttr(), "") != "UsdUVTexture"
 
 
 def display_color(prim: Usd.Prim) -> tuple[float, float, float]:
@@ -182,8 +206,30 @@ def _maps(prim: Usd.Prim, sources: Sources) -> Maps | None:
         cells=_cells_of(prim, projection),
         far=_far_of(prim, projection),
         lean=_number(prim, names.ATTR_MAP_LEAN) if "normal" in files else 0.0,
+        opacity_threshold=_opacity_threshold(prim, projection) if "opacity" in files else 0.0,
+        opacity_wrap=_opacity_wrap(prim),
         **files,
     )
+
+
+def _opacity_threshold(prim: Usd.Prim, projection: str) -> float:
+    threshold = _number(prim, names.ATTR_OPACITY_THRESHOLD)
+    if threshold > 0.0 and projection != "uv":
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_MAPS['opacity']} lies by texture coordinates alone, "
+            f"not by the projection {projection}"
+        )
+    return threshold
+
+
+def _opacity_wrap(prim: Usd.Prim) -> tuple[str, str]:
+    found = values.words(prim.GetAttribute(names.ATTR_OPACITY_WRAP)) or ["repeat", "repeat"]
+    if len(found) != 2 or not set(found) <= set(names.WRAPS):
+        raise StageError(
+            f"{prim.GetPath()}: {names.ATTR_OPACITY_WRAP} is {found}, expected two of "
+            f"{', '.join(names.WRAPS)}"
+        )
+    return found[0], found[1]
 
 
 def _length(prim: Usd.Prim, name: str) -> float:

@@ -10,6 +10,7 @@ from pxr import Usd, UsdShade
 from scenec.backends.stage import values
 from scenec.backends.stage.scene import Maps, Reading
 from scenec.backends.stage.sources import Sources
+from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
 
 #: Of a value that changes, the first.
@@ -21,8 +22,10 @@ INPUTS = {
     "metallic": "metallic",
     "normal": "normal",
     "emission": "emissiveColor",
+    "opacity": "opacity",
 }
-_CHANNELS = {"r": "r", "g": "g", "b": "b", "rgb": "r"}
+_CHANNELS = {"r": "r", "g": "g", "b": "b", "rgb": "r", "a": "a"}
+_WRAPS = {"clamp": "clamp", "black": "clamp", "mirror": "mirror"}
 _IDENTITY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 #: Of links from node to node: a network that goes in circles ends.
 _DEEPEST = 8
@@ -39,7 +42,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
     """Maps of the textures that a UsdPreviewSurface reads, or None.
 
     A mesh has one set of texture coordinates here: textures at others than the first one's are left
-    out. They repeat, whatever their wrap modes.
+    out. They repeat, whatever their wrap modes; only one of opacity goes on as it says.
 
     Args:
         shader: The surface.
@@ -54,6 +57,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
     readings: list[tuple[str, Reading]] = []
     coordinates: _TextureUv | None = None
     flip_green = False
+    wrap = ("repeat", "repeat")
     for kind, name in INPUTS.items():
         if kind == "metallic" and specular:
             continue
@@ -64,6 +68,8 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
         file = sources.picture(constant(texture, "file"), FIRST)
         if file is None or output not in _CHANNELS or coordinates not in (None, own):
             continue
+        if output == "a" and kind != "opacity":
+            continue
         coordinates = own
         files[kind] = file
         if kind == "normal":
@@ -73,6 +79,8 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
             reading = _reading(texture, kind, _CHANNELS[output])
             if reading != Reading():
                 readings.append((kind, reading))
+        if kind == "opacity":
+            wrap = (_wrap(texture, "wrapS"), _wrap(texture, "wrapT"))
     if not files or coordinates is None:
         return None
     return Maps(
@@ -82,8 +90,20 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
         readings=tuple(readings),
         primvar=coordinates.primvar,
         uv_transform=coordinates.transform,
+        opacity_threshold=opacity_threshold(shader)[0] if "opacity" in files else 0.0,
+        opacity_wrap=wrap,
         **files,
     )
+
+
+def opacity_threshold(shader: UsdShade.Shader) -> tuple[float, bool]:
+    """The least opacity that is not cut out, and whether the surface says so itself."""
+    found = min(_numbers(shader, "opacityThreshold", (0.0,))[0], 1.0)
+    return (found, True) if found > 0.0 else (names.OPACITY_THRESHOLD, False)
+
+
+def _wrap(texture: UsdShade.Shader, name: str) -> str:
+    return _WRAPS.get(values.word(constant(texture, name), "", FIRST), "repeat")
 
 
 def _reading(texture: UsdShade.Shader, kind: str, channel: str) -> Reading:

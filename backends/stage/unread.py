@@ -20,7 +20,13 @@ from scenec.backends.stage.implicit import LENGTHS, kind_of
 from scenec.backends.stage.products import settings_of_products
 from scenec.backends.stage.rigid import flat, sheared, stretched
 from scenec.backends.stage.sources import Sources
-from scenec.backends.stage.textures import INPUTS, connected, constant, texture_maps
+from scenec.backends.stage.textures import (
+    INPUTS,
+    connected,
+    constant,
+    opacity_threshold,
+    texture_maps,
+)
 from scenec.schemas import stage as names
 from scenec.schemas.passes import is_pass
 
@@ -29,7 +35,11 @@ _CONSTANT = UsdGeom.Tokens.constant
 _UNKNOWN = Sdf.SpecTypeUnknown
 _SUBDIVIDED = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
 #: Attributes of meshes whose change deforms them.
-_DEFORMING = ("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals")
+_DEFORMING = (
+    *("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals"),
+    *("cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths", "creaseSharpnesses"),
+    *("interpolateBoundary", "faceVaryingLinearInterpolation", "triangleSubdivisionRule"),
+)
 
 #: Types of lights that are drawn.
 LIGHTS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
@@ -92,6 +102,11 @@ _WITHOUT_EFFECT = {
     "clearcoat": 0.0,
     "normal": Gf.Vec3f(0.0, 0.0, 1.0),
 }
+#: What is said of opacity that is no cut-out.
+BLENDED = (
+    "opacity of UsdPreviewSurface without opacityThreshold is no blend: what is below "
+    f"{names.OPACITY_THRESHOLD} is cut out"
+)
 #: Those that may be textures, by the kind of map that they become.
 _TEXTURED = {name: kind for kind, name in INPUTS.items()}
 #: Those that only say how one of the others is meant, or of no effect on traced light.
@@ -245,8 +260,8 @@ class Unread:
         self._attributes(prim, "Mesh" if mesh else kind_of(prim))
         if mesh:
             if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
-                self.add("a subdivision surface is shown as its cage", prim)
-            if _corner_normals(mesh):
+                self._cage(mesh)
+            elif _corner_normals(mesh):
                 self.add("normals of face corners are not followed, faces are shaded flat", prim)
             binding = UsdSkel.BindingAPI(prim)
             if binding.GetJointIndicesPrimvar().HasValue() or (
@@ -260,13 +275,28 @@ class Unread:
         if self._changes(*(primvar.GetAttr() for primvar in primvars)):
             self.add("primvars that change stay as they are at the first sample", prim)
         if not material and _shows_display_color(prim):
-            if not _all_equal(api.FindPrimvarWithInheritance("displayColor")):
+            if not mesh and not all_equal(api.FindPrimvarWithInheritance("displayColor")):
                 self.add("displayColor that varies over a shape is shown as its mean", prim)
             opacity = api.FindPrimvarWithInheritance("displayOpacity")
             if opacity and opacity.HasValue():
                 found = values.array(opacity.GetAttr(), np.float64, _FIRST)
                 if found.min(initial=1.0) < 1.0:
                     self.add("displayOpacity is not followed", prim)
+
+    def _cage(self, mesh: UsdGeom.Mesh) -> None:
+        prim = mesh.GetPrim()
+        if not mesh.GetSubdivisionSchemeAttr().HasAuthoredValue():
+            has_normals = UsdGeom.PrimvarsAPI(prim).HasPrimvar("normals")
+            if has_normals or mesh.GetNormalsAttr().HasAuthoredValue():
+                self.add(
+                    "normals of a mesh without a subdivisionScheme give way to those of "
+                    "USD's default, a Catmull-Clark surface",
+                    prim,
+                )
+        if prim.HasRelationship(names.REL_LAYERS) or prim.HasAttribute(
+            f"primvars:{names.PRIMVAR_VARIATION}"
+        ):
+            self.add("a subdivision surface with scenec's primvars is shown as its cage", prim)
 
     def material(self, material: UsdShade.Material) -> None:
         """Notes what of a bound material is not followed; of ours nothing is lost."""
@@ -373,7 +403,10 @@ class Unread:
                 continue
             if maps is not None and getattr(maps, _TEXTURED.get(name, ""), None) is not None:
                 modes = {values.word(constant(node, w), "", _FIRST) for w in ("wrapS", "wrapT")}
-                if modes & {"black", "clamp", "mirror"}:
+                if name == "opacity":
+                    if not opacity_threshold(shader)[1]:
+                        self.add(BLENDED, prim)
+                elif modes & {"black", "clamp", "mirror"}:
                     self.add("wrap modes of textures are not followed, they repeat", prim)
                 if name == "normal" and not _is_usual(node):
                     self.add("scale and bias of a texture of normals are not followed", prim)
@@ -423,7 +456,8 @@ def _corner_normals(mesh: UsdGeom.Mesh) -> bool:
     return bool(kind == UsdGeom.Tokens.faceVarying)
 
 
-def _all_equal(primvar: UsdGeom.Primvar) -> bool:
+def all_equal(primvar: UsdGeom.Primvar) -> bool:
+    """Whether a primvar of colors, which may be invalid, has no two that differ."""
     if not primvar or not primvar.HasValue() or primvar.GetInterpolation() == _CONSTANT:
         return True
     colors = values.array(primvar.GetAttr(), np.float64, _FIRST, width=(3,))

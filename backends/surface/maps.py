@@ -11,6 +11,7 @@ from scenec.backends.stage.scene import Maps, Mesh, Reading
 from scenec.schemas import maps
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import once_per_file
+from scenec.schemas.packages import file_around
 
 _PLAIN = Reading()
 
@@ -67,18 +68,18 @@ def load_map(
 
     Args:
         path: The picture.
-        kind: "base_color", "emission" (linear Rec.709), "roughness", "metallic", "height" (raw, in
-            [0, 1]) or "normal" (unit vectors, x along +u, y along +v).
+        kind: "base_color", "emission" (linear Rec.709), "roughness", "metallic", "height",
+            "opacity" (raw, in [0, 1]) or "normal" (unit vectors, x along +u, y along +v).
         flip_green: See ``stage.scene.Maps``.
         reading: How its numbers are meant.
 
     Raises:
         StageError: The file is missing, or no picture of the kinds that are taken.
     """
-    if not path.is_file():
+    if not file_around(path).is_file():
         raise StageError(f"{path}: the map is missing")
     try:
-        pixels = maps.read_pixels(path)
+        pixels = maps.read_pixels(path, alpha=reading.channel == "a")
         if reading == _PLAIN:
             values = maps.decode(pixels, kind, flip_green)
         else:

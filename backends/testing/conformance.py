@@ -399,6 +399,17 @@ class Conformance:
         """They lie where suns throw them, and those of what is out of view do."""
         self.shadow("sun_shadows", lights.SUN_SHADOWS, case)
 
+    @pytest.mark.parametrize("case", lights.CUTOUTS)
+    def test_cutouts(self, case: str) -> None:
+        """Parts that a picture of opacity cuts out hide nothing and throw no shadow."""
+        made, sample = self.case(
+            "cutouts", case, lights.CUTOUTS, lambda: lights.cutout_scene(self.folder())
+        )
+        # Where contours run, and edges of shadows, samples on a lattice do not tell means.
+        expected = reference.picture(made, sample, side=8)
+        self.hold("cutouts", case, made, sample, expected)
+        self.see("cutouts", case, made, sample)
+
     @pytest.mark.parametrize("case", lights.LAMP_SHADOWS)
     def test_lamp_shadows(self, case: str) -> None:
         """They lie where lamps throw them."""

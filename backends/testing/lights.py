@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from scenec.backends.contract import BOUNCES
 from scenec.backends.picture.sky import combine, lookup
-from scenec.backends.stage.scene import Dome, Gobo, Lamp, Lighting, RenderScene, Sun
+from scenec.backends.stage.scene import Dome, Gobo, Lamp, Lighting, Maps, RenderScene, Sun
 from scenec.backends.testing.scenes import (
     affine,
     at_samples,
@@ -21,6 +22,7 @@ from scenec.backends.testing.scenes import (
     look_at,
     mesh,
     plane,
+    rotation,
     scene,
     sun,
     surface,
@@ -217,6 +219,43 @@ def shadow_scene(lighting: Mapping[str, Lighting]) -> RenderScene:
     )
     view = look_at((0, 0, 10), (0, 0, 0), 48, 32, 25.0)
     return at_samples(made, list(lighting.values()), view)
+
+
+#: Ways to wrap a picture of opacity, along u and v.
+CUTOUTS = {
+    "repeated": ("repeat", "repeat"),
+    "clamped, mirrored": ("clamp", "mirror"),
+    "mirrored, clamped": ("mirror", "clamp"),
+}
+
+
+def cutout_scene(folder: Path) -> RenderScene:
+    """At each sample two cards, one above the other, over ground of their own: parts are cut out.
+
+    Args:
+        folder: Receives the picture of opacity.
+    """
+    file = folder / "opacity.png"
+    texels = np.random.default_rng(5).integers(0, 256, (5, 6))
+    Image.fromarray(texels.astype(np.uint8)).save(file)
+    square, faces = plane(1.0)
+    # Over more than the picture on each side of it, and no square.
+    uv = (square[faces][..., :2] * [1.4, 1.1] + [0.55, 0.4]).astype(np.float32)
+    # Dark: what they send each other is no light of the reference.
+    surfaces = [surface((0.01, 0.01, 0.01))]
+    meshes, rows, cameras, lighting = [mesh(*plane(5.0))], [], [], []
+    for number, wrap in enumerate(CUTOUTS.values()):
+        middle = np.array([100.0 * number + 3.3, -7.1, 2.4])
+        maps = Maps(1.0, projection="uv", opacity=file, opacity_threshold=0.5, opacity_wrap=wrap)
+        surfaces.append(dataclasses.replace(surface((0.02, 0.01, 0.005)), maps=maps))
+        meshes.append(dataclasses.replace(mesh(square, faces, (number + 1,)), uv=uv))
+        turn = rotation(np.random.default_rng(number))
+        rows.append((0, affine(1.0, middle)))
+        x, y, z = middle.tolist()
+        rows += [(number + 1, affine(turn, (x, y, z + height))) for height in (1.5, 2.5)]
+        cameras.append(look_at((x + 1.0, y - 4.0, z + 6.0), (x, y, z + 1.0), 64, 48, 40.0))
+        lighting.append(Lighting((sun(50.0, 70.0, diameter_deg=0.1),), ()))
+    return at_samples(scene(meshes, surfaces, rows=rows), lighting, cameras)
 
 
 def edge_scene() -> RenderScene:

@@ -128,6 +128,11 @@ def dull() -> dict[str, Look]:
         ),
         "variation": Look(varying, [surface((0.4, 0.2, 0.1), variation=0.3)], variation=-0.8),
         "clipped": Look(varying, [surface((0.4, 0.2, 0.9), variation=0.3)], variation=1.0),
+        "vertex colors": Look(
+            # The same at each vertex: a rasterizer may shade neighbors as one.
+            dataclasses.replace(mesh(points, faces), color=_vertex_colors(len(points))[faces]),
+            [surface((0.9, 0.6, 0.4))],
+        ),
         "back": Look(mesh(points, faces[:, ::-1]), [surface()]),
         "mirrored normals": Look(leaning, dark, sun=_high_sun(), linear=sheared),
         "normals wound down": Look(wound_down, dark, sun=_high_sun(), linear=sheared),
@@ -508,6 +513,10 @@ def write_picture(folder: Path, kind: str, seed: int = 11, flipped: bool = False
 
 def _picture(folder: Path, kind: str, seed: int = 11, flipped: bool = False) -> Path:
     return folder / f"{kind}_{seed}{'_flipped' if flipped else ''}.png"
+
+
+def _vertex_colors(count: int) -> NDArray[np.float32]:
+    return np.random.default_rng(4).uniform(0.2, 1.0, (count, 3)).astype(np.float32)
 
 
 def _two_merges(count: int) -> NDArray:

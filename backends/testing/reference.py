@@ -320,6 +320,9 @@ def _reflected(
     if mesh.variation is not None:
         vertex = _at(mesh, mesh.variation, points)
     row = scene.rows.variation[points.row].astype(np.float64)
+    if mesh.color is not None:
+        color = (points.share[..., None] * mesh.color.astype(np.float64)[points.face]).sum(axis=1)
+        pictured = pictured | {"base_color": pictured.get("base_color", 1.0) * color.T}
     numbers = lobes.numbers_of(FLOAT64, surface)
     found = lobes.lobes_of(FLOAT64, numbers, pictured, (vertex, row))
     color = found.color.T

@@ -10,8 +10,11 @@ from scenec.compiler.assets.gltf_file import GltfFile, natural
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
+from scenec.compiler.scene.material import Cutout
+from scenec.schemas.stage import OPACITY_THRESHOLD
 
 _REPEAT = 10497
+_WRAPS = {_REPEAT: "repeat", 33071: "clamp", 33648: "mirror"}
 #: Extensions of materials that are read; of the others only their names are told.
 _THROUGH = "KHR_materials_diffuse_transmission"
 _READ = ("KHR_materials_ior", "KHR_materials_specular", "KHR_materials_pbrSpecularGlossiness",
@@ -42,6 +45,7 @@ class GltfLooks:
         name = str(material.get("name", ""))
         notes: list[str] = []
         clamps: list[bool] = []
+        cutout = None
         pbr = material.get("pbrMetallicRoughness", {})
         extensions = material.get("extensions", {})
         slots: dict[str, looks.Slot] = {}
@@ -72,6 +76,20 @@ class GltfLooks:
             slot("normal", material["normalTexture"])
             if material["normalTexture"].get("scale", 1) != 1:
                 notes.append("the strength of its map of normals is taken as 1")
+        mode, alpha = material.get("alphaMode", "OPAQUE"), 3
+        picture, factors = pbr.get("baseColorTexture"), pbr.get("baseColorFactor", ())
+        if gloss is not None and not pbr:
+            picture, factors = gloss.get("diffuseTexture"), gloss.get("diffuseFactor", ())
+        if mode != "OPAQUE" and picture is None:
+            notes.append(looks.OPACITY)
+        elif mode == "MASK":
+            factor = float(factors[3]) if len(factors) > alpha else 1.0
+            cutout = self._cutout(picture, float(material.get("alphaCutoff", 0.5)))
+            slot("opacity", picture, alpha, factor)
+        elif mode != "OPAQUE":
+            cutout = self._cutout(picture, OPACITY_THRESHOLD)
+            slot("opacity", picture, alpha)
+            notes.append(looks.BLENDED)
         notes += self._left_out(material)
         specular = looks.reflectance(float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)))
         specular *= float(extensions.get("KHR_materials_specular", {}).get("specularFactor", 1.0))
@@ -82,14 +100,12 @@ class GltfLooks:
             notes.append("the light that it transmits has the color of what it reflects")
         return looks.FileLook(
             name, base, roughness, metallic, specular, slots, tuple(notes),
-            repeats=not any(clamps), diffuse_transmission=share,
+            repeats=not any(clamps), diffuse_transmission=share, cutout=cutout,
         )  # fmt: skip
 
     @staticmethod
     def _left_out(material: dict[str, Any]) -> list[str]:
         notes = []
-        if material.get("alphaMode", "OPAQUE") != "OPAQUE":
-            notes.append(looks.OPACITY)
         if any(material.get("emissiveFactor", ())) or "emissiveTexture" in material:
             notes.append("its emission is left out")
         if "occlusionTexture" in material:
@@ -101,6 +117,19 @@ class GltfLooks:
         ]
         return notes
 
+    def _sampler(self, info: Any) -> dict[str, Any]:
+        document = self._file.document
+        texture = document["textures"][natural(info["index"])]
+        return document["samplers"][natural(texture["sampler"])] if "sampler" in texture else {}
+
+    def _cutout(self, info: Any, threshold: float) -> Cutout | None:
+        """Returns how alpha cuts a surface; None where it cuts nothing."""
+        across, up = (
+            _WRAPS.get(self._sampler(info).get(key, _REPEAT), "repeat")
+            for key in ("wrapS", "wrapT")
+        )
+        return Cutout(min(threshold, 1.0), (across, up)) if threshold > 0.0 else None
+
     def _slot(self, info: Any, channel: int, scale: float, clamps: list[bool]) -> looks.Slot | None:
         document = self._file.document
         texture = document["textures"][natural(info["index"])]
@@ -108,7 +137,7 @@ class GltfLooks:
         index = texture.get("source", webp)
         if index is None:
             return None
-        sampler = document["samplers"][natural(texture["sampler"])] if "sampler" in texture else {}
+        sampler = self._sampler(info)
         clamps.append(any(sampler.get(k, _REPEAT) != _REPEAT for k in ("wrapS", "wrapT")))
         moved = info.get("extensions", {}).get("KHR_texture_transform", {})
         uv_set = natural(moved.get("texCoord", info.get("texCoord", 0)))

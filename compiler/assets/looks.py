@@ -15,7 +15,9 @@ import numpy as np
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, channel_of, pixels_of, plain
+from scenec.compiler.scene.material import Cutout
 from scenec.schemas.maps import MAP_CHANNELS
+from scenec.schemas.stage import OPACITY_THRESHOLD
 
 #: Rows of a map of texture coordinates: u' = a u + b v + c, v' = d u + e v + f.
 UvMap = tuple[float, float, float, float, float, float]
@@ -25,13 +27,13 @@ DIELECTRIC = 0.04
 Color = tuple[float, float, float]
 #: Notes that are warnings, since a user who does not see them trusts a wrong picture.
 OPACITY = "its opacity is not shown: it is drawn, and labeled, as if it were solid"
-VERTEX_COLORS = "the colors of its vertices are shown as their average"
+BLENDED = f"its opacity is no blend: what is below {OPACITY_THRESHOLD} is cut out"
 NO_VERTEX_COLORS = "the colors of its vertices are left out"
 NO_FACE_COLORS = "the colors of its faces are left out"
 NOT_FOLLOWED = "is not followed"
-_WARNINGS = (OPACITY, VERTEX_COLORS, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
+_WARNINGS = (OPACITY, BLENDED, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
 #: Of these, those that do not count where a cfg gives a material of its own.
-OF_COLORS = (VERTEX_COLORS, NO_VERTEX_COLORS, NO_FACE_COLORS)
+OF_COLORS = (NO_VERTEX_COLORS, NO_FACE_COLORS)
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class ModelMaterial:
         diffuse_transmission: Share of the dull part's light that leaves on the far side.
         pictures: By kind (``schemas.maps.MAP_CHANNELS``): beside the model, or inside of it.
         normal_convention: "opengl" or "directx".
+        cutout: What the picture of opacity leaves of it, or None.
     """
 
     name: str
@@ -58,6 +61,7 @@ class ModelMaterial:
     pictures: dict[str, Source] = field(default_factory=dict)
     normal_convention: str = "opengl"
     diffuse_transmission: float = 0.0
+    cutout: Cutout | None = None
 
 
 @dataclass(frozen=True)
@@ -66,8 +70,8 @@ class Slot:
 
     Attributes:
         label: What messages call it.
-        channel: Of roughness and metallic: which one, from 0.
-        scale, offset: Of roughness and metallic: value = channel * scale + offset.
+        channel: Of numbers: which one, from 0; 3 is alpha.
+        scale, offset: Of numbers: value = channel * scale + offset.
         uv_set: Name of the texture coordinates; "" is the first set.
         uv_map: Done to them before the picture is looked up.
     """
@@ -89,6 +93,7 @@ class FileLook:
         slots: Pictures by kind.
         notes: What of it is left out.
         repeats: Whether its pictures repeat outside of the unit square.
+        cutout: What its picture of opacity leaves of it, or None: that is solid.
     """
 
     name: str
@@ -101,6 +106,7 @@ class FileLook:
     repeats: bool = True
     normal_convention: str = "opengl"
     diffuse_transmission: float = 0.0
+    cutout: Cutout | None = None
 
     @property
     def title(self) -> str:
@@ -133,7 +139,7 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
     pictures: dict[str, Source] = {}
     shared = look.coordinates()
     for kind in MAP_CHANNELS:
-        if kind not in look.slots:
+        if kind not in look.slots or (kind == "opacity" and look.cutout is None):
             continue
         slot = look.slots[kind]
         if (slot.uv_set, slot.uv_map) != shared:
@@ -142,7 +148,7 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
                 "texture coordinates than the first picture"
             )
             continue
-        pixels = pixels_of(slot.source, slot.label)
+        pixels = pixels_of(slot.source, slot.label, alpha=slot.channel == 3)
         if MAP_CHANNELS[kind] == 3:
             pictures[kind] = plain(slot.source, pixels)
             continue
@@ -151,6 +157,8 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
         )
         if picture is not None:
             pictures[kind] = picture
+        elif kind == "opacity" and look.cutout and numbers[kind] < look.cutout.threshold:
+            notes.append(f"{look.title}: {OPACITY}")
     red, green, blue = (min(max(float(c), 0.0), 1.0) for c in look.base_color)
     if (red, green, blue) != tuple(map(float, look.base_color)):
         notes.append(f"{look.title}: its base color is clipped to [0, 1]")
@@ -163,6 +171,7 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
         pictures,
         look.normal_convention,
         numbers["diffuse transmission"],
+        look.cutout if "opacity" in pictures else None,
     )
     return material, notes
 

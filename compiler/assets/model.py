@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.joining import chosen_parts, join
 from scenec.compiler.assets.looks import (
-    VERTEX_COLORS,
     FileLook,
     ModelMaterial,
     finished_look,
@@ -54,6 +53,8 @@ class MeshModel:
         part_of_face: Index into ``parts``, int32 [m].
         parts: Names of the file's meshes, with those above them; each once.
         material_of_face: Index into ``materials``, int32 [m]; -1 for none.
+        colors: Factors of the base color at the faces' corners, linear, float32 [m, 3, 3]; None
+            where none varies: then they are in the materials.
         materials: Those in use, in the file's order; their names are unique.
         normals: Shading normals of the faces' corners, unit, float32 [m, 3, 3]; None where the
             file has none. A face without them has its geometric one.
@@ -75,6 +76,7 @@ class MeshModel:
     warnings: tuple[str, ...]
     degenerate: int
     welded: int
+    colors: NDArray[np.float32] | None = None
 
 
 def read_model(
@@ -223,7 +225,7 @@ def _finished_once(
 def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) -> MeshModel:
     joined = join(shells, unit_m, up)
     notes = [*parsed.warnings, *parsed.notes]
-    shells, looks = _with_averages(shells, parsed.looks, notes)
+    shells, looks = _with_even_colors(shells, parsed.looks)
     owner = np.concatenate([shell.owners() for shell in shells])[joined.sound]
     used = [i for i in range(len(looks)) if (owner == i).any()]
     uv = _texture_coordinates(shells, looks, used, notes)
@@ -255,35 +257,44 @@ def _finished(shells: list[Shell], parsed: ParsedModel, unit_m: float, up: str) 
         tuple(note for note in notes if note in parsed.warnings or is_warning(note)),
         int((~joined.sound).sum()),
         joined.welded,
+        _colors(shells, joined.sound),
     )
 
 
-def _with_averages(
-    shells: list[Shell], looks: tuple[FileLook, ...], notes: list[str]
+def _with_even_colors(
+    shells: list[Shell], looks: tuple[FileLook, ...]
 ) -> tuple[list[Shell], list[FileLook]]:
-    """Colors at corners become factors of materials: one for each part and material."""
+    """Colors at corners that are all the same become a factor of a part's material."""
     out, known = [], list(looks)
     for shell in shells:
         if shell.colors is None or not len(shell.faces):
             out.append(shell)
             continue
         owners = shell.owners().copy()
-        new = owners.copy()
+        new, colors = owners.copy(), np.array(shell.colors, np.float64)
         for owner in sorted({int(i) for i in owners}):
             of_owner = owners == owner
-            corners = np.asarray(shell.colors, np.float64)[of_owner]
-            average = corners.reshape(-1, 3).mean(axis=0).tolist()
+            corners = colors[of_owner]
+            even = (corners == corners[:1, :1]).all()
+            average = corners.reshape(-1, 3).mean(axis=0).tolist() if even else [1.0, 1.0, 1.0]
             if average == [1.0, 1.0, 1.0] and owner >= 0:
                 continue
             base = known[owner] if owner >= 0 else FileLook("", base_color=(1.0, 1.0, 1.0))
             red, green, blue = (c * a for c, a in zip(base.base_color, average, strict=True))
             new[of_owner] = len(known)
             known.append(replace(base, base_color=(red, green, blue)))
-            if not (corners == corners[:1, :1]).all():
-                name = shell.path or "the mesh"
-                notes.append(f"{name}: {VERTEX_COLORS}")
-        out.append(replace(shell, material=new))
+            if even:
+                colors[of_owner] = 1.0
+        own = colors if (colors != 1.0).any() else None
+        out.append(replace(shell, material=new, colors=own))
     return out, known
+
+
+def _colors(shells: list[Shell], sound: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    if all(shell.colors is None for shell in shells):
+        return None
+    blocks = [np.ones((len(s.faces), 3, 3)) if s.colors is None else s.colors for s in shells]
+    return np.ascontiguousarray(np.concatenate(blocks)[sound], np.float32)
 
 
 def _texture_coordinates(

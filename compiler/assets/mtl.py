@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ import numpy as np
 from scenec.compiler.assets import looks
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, pixels_of
+from scenec.compiler.scene.material import Cutout
+from scenec.schemas.stage import OPACITY_THRESHOLD
 
 #: Options of a picture, and how many words follow at most; "-o 1" and "-o 1 2 3" are both right.
 _OPTIONS = {
@@ -24,7 +27,7 @@ _OPTIONS = {
 }  # fmt: skip
 _MAPS = {
     "map_kd": "base_color", "map_pr": "roughness", "map_pm": "metallic", "norm": "normal",
-    "map_kn": "normal", "map_bump": "bump", "bump": "bump",
+    "map_kn": "normal", "map_bump": "bump", "bump": "bump", "map_d": "opacity",
 }  # fmt: skip
 _LEFT_OUT = {
     "map_ke": "emission", "disp": "displacement", "map_disp": "displacement",
@@ -80,10 +83,13 @@ def _look(
 
     notes = [f"its {what} is left out" for key, what in _LEFT_OUT.items() if key in lines]
     slots: dict[str, looks.Slot] = {}
+    clamps = False
     for key, kind in _MAPS.items():
         if key not in lines:
             continue
         slot = _slot(file, lines[key][1], notes, add_file)
+        if kind == "opacity":
+            clamps = "-clamp on" in lines[key][1]
         if kind == "bump":
             if not _holds_normals(slot):
                 notes.append(f"its bumps ({slot.label}) are left out: only maps of normals count")
@@ -105,11 +111,13 @@ def _look(
         # Below stand the many exporters that write 1 whatever the material.
         specular = looks.reflectance(ior)
     opacity, through = one("d") if lines.get("d", (0, ""))[1][:1] != "-" else None, one("tr")
-    if (
-        "map_d" in lines
-        or (opacity is not None and opacity < 1.0)
-        or (opacity is None and (through or 0.0) > 0.0)
-    ):
+    cutout = None
+    if "opacity" in slots:
+        # The format knows no threshold: a picture of opacity is a mask, gray or with an alpha.
+        slots["opacity"] = replace(slots["opacity"], channel=3 * _has_alpha(slots["opacity"]))
+        cutout = Cutout(OPACITY_THRESHOLD, ("clamp", "clamp") if clamps else ("repeat", "repeat"))
+        notes.append(looks.BLENDED)
+    elif (opacity is not None and opacity < 1.0) or (opacity is None and (through or 0.0) > 0.0):
         notes.append(looks.OPACITY)
     if max(_numbers(lines, "ke", 3) or [0.0]) > 0.0:
         notes.append("its emission is left out")
@@ -121,6 +129,7 @@ def _look(
         specular,
         slots,
         tuple(dict.fromkeys(notes)),
+        cutout=cutout,
     )
 
 
@@ -154,6 +163,12 @@ def _slot(file: Path, text: str, notes: list[str], add_file: Callable[[Path], No
     if (scale, offset) != ([1.0, 1.0], [0.0, 0.0]):
         uv_map = (scale[0], 0.0, offset[0], 0.0, scale[1], offset[1])
     return looks.Slot(path, name, 0, factor[1], factor[0], "", uv_map)
+
+
+def _has_alpha(slot: looks.Slot) -> bool:
+    """Whether a picture of opacity holds it as alpha that is not the same everywhere."""
+    alpha = pixels_of(slot.source, slot.label, alpha=True)
+    return bool(alpha.min() < alpha.max())
 
 
 def _holds_normals(slot: looks.Slot) -> bool:

@@ -5,13 +5,13 @@ What is read of each format:
 - OBJ: groups, objects, texture coordinates, normals, ``usemtl`` with its MTL files; Kd is linear,
   Ns is (1 - roughness)^2 * 1000, map_Kd replaces Kd, all as Blender writes and reads them.
 - glTF: pbrMetallicRoughness with its pictures, KHR_texture_transform, ior, specular.
-- PLY: texture coordinates of vertices with ``comment TextureFile``; vertex colors as one average.
+- PLY: texture coordinates of vertices with ``comment TextureFile``; vertex colors.
 - USD: UsdPreviewSurface and UsdUVTexture, by prim or GeomSubset.
 - STL and OFF: geometry only.
 - ``.blend``: see ``blend``.
 
-Opacity, emission, displacement, coats and the like have no place in the surface model: each that a
-file asks for is named in the notes.
+Pictures of opacity are masks. Other opacity, emission, displacement, coats and the like have no
+place in the surface model: each that a file asks for is named in the notes.
 """
 
 from __future__ import annotations

@@ -76,19 +76,19 @@ def embedded(data: bytes) -> ImageFile:
     return ImageFile(".tga", data)
 
 
-def pixels_of(source: Source, label: str) -> NDArray:
-    """Pixels of a picture as ``read_pixels`` gives them.
+def pixels_of(source: Source, label: str, alpha: bool = False) -> NDArray:
+    """Pixels of a picture, or its alpha, as ``read_pixels`` gives them.
 
     Raises:
         MeshFileError: It is none that can be read.
     """
     try:
         if isinstance(source, Path):
-            return read_pixels(source)
+            return read_pixels(source, alpha)
         with scratch_folder() as folder:
             path = Path(folder) / f"picture{source.suffix}"
             path.write_bytes(source.data)
-            return read_pixels(path)
+            return read_pixels(path, alpha)
     except _FAULTS as error:
         reason = " ".join(str(error).split())
         if "identify" in reason or not reason or "picture" not in reason:
@@ -120,7 +120,8 @@ def channel_of(
     if values.min() == values.max():
         return float(values.flat[0]), None
     average = float(values.mean())
-    first = channel == 0 or pixels.shape[2] == 1
+    # The picture's first channel is not its alpha.
+    first = channel == 0 or (channel < 3 and pixels.shape[2] == 1)
     if first and scale == 1.0 and offset == 0.0:
         return average, plain(source, pixels)
     codes = np.floor(values * largest + 0.5).astype(np.uint16 if largest > 255 else np.uint8)

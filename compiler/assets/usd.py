@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from scenec.compiler.geometry import affine
 from scenec.compiler.geometry.poses import compose
 from scenec.schemas.crate import crate_fault
 from scenec.schemas.native import commentary, native_reading
+from scenec.schemas.subdivision import SCHEMES, Cage, Refined, crease_edges, refine
 
 #: Purposes of geometry that stands in for other geometry, or helps to edit it.
 _NOT_RENDERED = (UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide)
@@ -113,6 +114,8 @@ class UsdPolygons:
         corner: Which of the prim's corners each is, int64 [sum of counts].
         to_world: float64 [4, 4], for columns.
         turned: Whether their corners run clockwise once they are in the world.
+        surface: What they were refined to, if the prim is a subdivision surface.
+        left_handed: Whether their corners run clockwise.
     """
 
     points: NDArray[np.float64]
@@ -122,10 +125,12 @@ class UsdPolygons:
     corner: NDArray[np.int64]
     to_world: NDArray[np.float64]
     turned: bool
+    surface: Refined | None
+    left_handed: bool
 
 
 def polygons_of(mesh: UsdGeom.Mesh) -> UsdPolygons:
-    """The polygons of a prim.
+    """The polygons of a prim; of a subdivision surface, those that it is refined to.
 
     Raises:
         MeshFileError: Its arrays do not go together.
@@ -136,20 +141,67 @@ def polygons_of(mesh: UsdGeom.Mesh) -> UsdPolygons:
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(TIME) or (), np.int64)
     if (counts < 0).any() or counts.sum() != len(corners):
         raise MeshFileError(f"{path}: faceVertexCounts and faceVertexIndices do not go together")
-    kept = np.ones(len(counts), bool)
     holes = np.array(mesh.GetHoleIndicesAttr().Get(TIME) or (), np.int64)
-    kept[holes[(holes >= 0) & (holes < len(counts))]] = False
-    of_kept = np.repeat(kept, counts)
     matrix = _local_to_world(mesh.GetPrim())
     left_handed = mesh.GetOrientationAttr().Get(TIME) == UsdGeom.Tokens.leftHanded
+    turned = bool(left_handed != affine.mirrors(matrix))
+    surface = _refined(mesh, Cage(points, counts, corners, holes=holes))
+    if surface is not None:
+        every = np.arange(len(surface.corners))
+        return UsdPolygons(
+            surface.values, surface.counts, surface.corners, surface.polygon, every,
+            matrix, turned, surface, left_handed,
+        )  # fmt: skip
+    kept = np.ones(len(counts), bool)
+    kept[holes[(holes >= 0) & (holes < len(counts))]] = False
+    of_kept = np.repeat(kept, counts)
     return UsdPolygons(
-        points,
-        counts[kept],
-        corners[of_kept],
-        np.flatnonzero(kept),
-        np.flatnonzero(of_kept),
-        matrix,
-        bool(left_handed != affine.mirrors(matrix)),
+        points, counts[kept], corners[of_kept], np.flatnonzero(kept), np.flatnonzero(of_kept),
+        matrix, turned, None, left_handed,
+    )  # fmt: skip
+
+
+def _refined(mesh: UsdGeom.Mesh, cage: Cage) -> Refined | None:
+    """Refines a subdivision surface; None of polygons.
+
+    Raises:
+        MeshFileError: Its vertices, creases or corners do not go together.
+    """
+    path, size = mesh.GetPrim().GetPath(), len(cage.values)
+    scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
+    if scheme not in SCHEMES:
+        return None
+    sharp, sharp_corners = (
+        np.array(attribute.Get(TIME) or (), np.float64)
+        for attribute in (mesh.GetCreaseSharpnessesAttr(), mesh.GetCornerSharpnessesAttr())
+    )
+    peaks, chains, lengths = (
+        np.array(attribute.Get(TIME) or (), np.int64)
+        for attribute in (
+            mesh.GetCornerIndicesAttr(), mesh.GetCreaseIndicesAttr(), mesh.GetCreaseLengthsAttr()
+        )
+    )  # fmt: skip
+    for indices in (cage.corners, peaks, chains):
+        bad = indices[(indices < 0) | (indices >= size)]
+        if len(bad):
+            raise MeshFileError(f"{path} uses vertex {int(bad[0])} (from 0) of {size}")
+    if len(peaks) != len(sharp_corners):
+        raise MeshFileError(f"{path}: cornerIndices and cornerSharpnesses do not go together")
+    try:
+        creases = crease_edges(chains, lengths, sharp)
+    except ValueError as error:
+        raise MeshFileError(f"{path}: {error}") from error
+    if not np.isfinite(cage.values).all():
+        return None
+    return refine(
+        replace(
+            cage,
+            scheme=scheme,
+            boundary=str(mesh.GetInterpolateBoundaryAttr().Get(TIME)),
+            creases=creases,
+            peaks=(peaks, sharp_corners),
+            smooth_triangles=mesh.GetTriangleSubdivisionRuleAttr().Get(TIME) == "smooth",
+        )
     )
 
 

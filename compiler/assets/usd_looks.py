@@ -13,12 +13,15 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, companion, embedded
 from scenec.compiler.assets.usd import TIME
 from scenec.compiler.geometry import affine
+from scenec.compiler.scene.material import Cutout
+from scenec.schemas.stage import OPACITY_THRESHOLD
 
 _KINDS = {
     "base_color": "diffuseColor", "roughness": "roughness", "metallic": "metallic",
-    "normal": "normal",
+    "normal": "normal", "opacity": "opacity",
 }  # fmt: skip
 _CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
+_WRAPS = {"clamp": "clamp", "black": "clamp", "mirror": "mirror"}
 
 
 class UsdLooks:
@@ -84,8 +87,14 @@ class UsdLooks:
         ):
             producer = _producer(shader.GetInput(key))
             textured = producer is not None and not _is_value(producer)
-            if textured or float(_value(shader, key, default)) != default:
+            if (textured and key not in slots) or float(_value(shader, key, default)) != default:
                 notes.append(what)
+        threshold, cutout = min(float(_value(shader, "opacityThreshold", 0.0)), 1.0), None
+        if "opacity" in slots:
+            if not threshold > 0.0:
+                threshold = OPACITY_THRESHOLD
+                notes.append(looks.BLENDED)
+            cutout = Cutout(threshold, values["wraps"])
         glow = _producer(shader.GetInput("emissiveColor"))
         if glow is not None and (not _is_value(glow) or any(glow.Get(TIME) or ())):
             notes.append("its emission is left out")
@@ -100,6 +109,7 @@ class UsdLooks:
             tuple(dict.fromkeys(notes)),
             not any(clamps),
             "directx" if values.get("normal") == "directx" else "opengl",
+            cutout=cutout,
         )
 
     def _slot(
@@ -126,7 +136,7 @@ class UsdLooks:
             notes.append(f"its {kind} picture in UDIM tiles is left out")
             return None
         channel = _CHANNELS.get(str(output.GetBaseName()), 0)
-        if channel == 3:
+        if channel == 3 and kind != "opacity":
             notes.append(f"its {kind}, which is the alpha of {asset.path}, is left out")
             return None
         scale = [float(x) for x in _value(texture, "scale", (1.0,) * 4)]
@@ -145,10 +155,11 @@ class UsdLooks:
                 values["normal"] = "directx"
         elif space == "sRGB":
             notes.append(f"its {kind} picture {asset.path} is taken as raw, not as sRGB")
-        clamps += [
-            _value(texture, key, "useMetadata") in ("clamp", "black", "mirror")
-            for key in ("wrapS", "wrapT")
-        ]
+        wraps = [_value(texture, key, "useMetadata") for key in ("wrapS", "wrapT")]
+        if kind == "opacity":
+            values["wraps"] = tuple(_WRAPS.get(wrap, "repeat") for wrap in wraps)
+        else:
+            clamps += [wrap in _WRAPS for wrap in wraps]
         uv_set, uv_map = _coordinates(texture, notes)
         source = self._picture(asset)
         return looks.Slot(

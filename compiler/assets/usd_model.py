@@ -18,6 +18,7 @@ from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
 from scenec.compiler.assets.usd_looks import UsdLooks
 from scenec.schemas.polygons import triangulate
+from scenec.schemas.subdivision import FaceVarying, hanging
 
 _PAIRS = (
     Sdf.ValueTypeNames.TexCoord2fArray, Sdf.ValueTypeNames.TexCoord2dArray,
@@ -31,7 +32,7 @@ def read_usd_model(file: Path, looks: bool) -> ParsedModel:
     """Reads a ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file and, with its looks, its pictures.
 
     A part's path is its prim's. Instances count as what they are instances of; subdivision surfaces
-    are taken as their cages; moving ones at their first time code.
+    are refined (``schemas.subdivision``); moving ones are taken at their first time code.
 
     Raises:
         MeshFileError: It is not sound, takes in other layers, or a picture is missing.
@@ -73,12 +74,15 @@ def _shells(mesh: UsdGeom.Mesh, looks: UsdLooks, faults: list[dict[str, int]]) -
         bad = faces[(faces < 0) | (faces >= len(polygons.points))]
         raise MeshFileError(f"{path} uses vertex {int(bad[0])} (from 0) of {len(polygons.points)}")
     reader = _Primvars(mesh, polygons, triangles, polygon, faces)
-    normals = None
-    scheme = mesh.GetSubdivisionSchemeAttr().Get()
-    if scheme == UsdGeom.Tokens.none:
+    surface, normals = polygons.surface, None
+    if surface is None:
         normals = reader.normals()
-    elif mesh.GetSubdivisionSchemeAttr().HasAuthoredValue():
-        looks.notes.append(f"{path}: its subdivision ({scheme}) is left out")
+    elif surface.normals is not None:
+        normals = surface.normals[surface.side[triangles]] * (-1.0 if polygons.left_handed else 1.0)
+    if surface is not None and not surface.is_close():
+        looks.notes.append(f"{path}: it has too many faces to be refined to its limit surface")
+    if surface is not None and mesh.GetNormalsAttr().HasAuthoredValue():
+        looks.notes.append(f"{path}: its normals give way to those of its subdivision surface")
     whole = Shell(
         path,
         polygons.points,
@@ -141,7 +145,7 @@ class _Primvars:
         polygon: NDArray[np.int64],
         faces: NDArray[np.int64],
     ):
-        self._mesh = mesh
+        self._mesh, self._surface, self._corners = mesh, polygons.surface, triangles
         self._api = UsdGeom.PrimvarsAPI(mesh.GetPrim())
         self._index = {
             "constant": np.zeros_like(faces),
@@ -157,8 +161,7 @@ class _Primvars:
         for primvar in self._api.FindPrimvarsWithInheritance():
             if primvar.GetTypeName() in _PAIRS and primvar.HasValue():
                 name = str(primvar.GetPrimvarName())
-                values = primvar.ComputeFlattened(usd.TIME)
-                found[name] = self._spread(name, values, primvar.GetInterpolation(), 2)
+                found[name] = self._spread_primvar(primvar, 2)
         first = sorted(found, key=lambda name: (name != "st", name))
         return {name: found[name] for name in first}
 
@@ -181,7 +184,7 @@ class _Primvars:
         values = primvar.ComputeFlattened(usd.TIME)
         if values is None or not len(values):
             return None
-        spread = self._spread("displayColor", values, primvar.GetInterpolation(), 3)
+        spread = self._spread_primvar(primvar, 3)
         return np.clip(np.nan_to_num(spread), 0.0, 1.0)
 
     def is_transparent(self) -> bool:
@@ -192,12 +195,35 @@ class _Primvars:
         values = np.array(primvar.Get(usd.TIME) or (), np.float64)
         return bool(values.min(initial=1.0) < 1.0)
 
+    def _spread_primvar(self, primvar: UsdGeom.Primvar, width: int) -> NDArray[np.float64]:
+        """Returns a primvar's values at the corners of triangles, [m, 3, width].
+
+        Raises:
+            MeshFileError: There are others than its interpolation demands.
+        """
+        name, kind = str(primvar.GetPrimvarName()), str(primvar.GetInterpolation())
+        values = primvar.ComputeFlattened(usd.TIME)
+        if self._surface is None or kind in ("constant", "uniform"):
+            return self._spread(name, values, kind, width)
+        own = np.array(self._mesh.GetFaceVertexIndicesAttr().Get(usd.TIME), np.int64)
+        linear = {"vertex": "none", "varying": "all"}.get(kind, "")
+        if kind == "faceVarying":
+            linear = str(self._mesh.GetFaceVaryingLinearInterpolationAttr().Get(usd.TIME))
+            own = hanging(primvar.GetIndices(usd.TIME), len(own))
+        array = np.array(values, np.float64).reshape(-1, width)
+        self._require(name, kind, array, own)
+        return self._surface.at_corners(FaceVarying(array, own, linear))[self._corners]
+
     def _spread(self, name: str, values: object, kind: str, width: int) -> NDArray[np.float64]:
         array = np.array(values, np.float64).reshape(-1, width)
-        index = self._index.get(str(kind))
+        return array[self._require(name, kind, array, self._index.get(kind))]
+
+    def _require(
+        self, name: str, kind: str, array: NDArray, index: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
         if index is None or (index.size and int(index.max()) >= len(array)):
             raise MeshFileError(
                 f"{self._mesh.GetPath()}: {len(array)} values of {name} ({kind}): expected "
                 f"{_WIDTHS.get(str(kind), 'one for each ' + str(kind))}"
             )
-        return array[index]
+        return index

@@ -30,11 +30,6 @@ class LensKind:
     def check(node: Node) -> Iterator[Finding]:
         """Finds that it is asked for a stereo pair's outputs, and that it is not one-to-one."""
         sensor = node.whole().at(*node.path[:-1])
-        if "partner" in sensor:
-            yield sensor.key_fault(
-                "a sensor with a lens is no half of a rectified pair: take one of both away",
-                "partner",
-            )
         outputs = sensor.at("outputs")
         for i, name in outputs.entries.items():
             if name in PARTNER:

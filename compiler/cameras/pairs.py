@@ -47,6 +47,8 @@ def _not_rectified(one: Sensor, other: Sensor) -> str | None:
         return "they stand in one place"
     if one.resolution != other.resolution:
         return f"their resolutions are {one.resolution} and {other.resolution}"
+    if one.lens is not None or other.lens is not None:
+        return "one of them has a lens"
     if _readout(one) != _readout(other):
         return "their shutters read out differently"
     for i, name in ((0, "fx"), (1, "fy"), (3, "cy"), (4, "skew")):

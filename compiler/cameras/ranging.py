@@ -15,6 +15,14 @@ from scenec.compiler.kinds import Context, Finding, Node, an, bounded, forms, ke
 from scenec.compiler.scene import rig
 from scenec.schemas.depth_camera import DepthCamera, StereoDepth, TimeOfFlightDepth
 from scenec.schemas.errors import SceneError
+from scenec.schemas.lidar import (
+    MOST_DEG,
+    MOST_RAYS,
+    MOST_RETURNS,
+    LidarDetection,
+    LidarFootprint,
+    LidarIntensity,
+)
 from scenec.schemas.spelling import shown
 
 _RANGE_M = list_of(bounded(forms.CONSTANT, at_least=0, at_most=1e9, unit="m"), "A bound.", count=2)
@@ -51,6 +59,15 @@ class Stereo:
     """Disparities are multiples of it; 0: any number."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.3, 50])
     """Nearest and farthest depth that is answered."""
+    bias_px: float = key(
+        forms.PER_BATCH, default=0, sparse=True, at_least=-100, at_most=100, unit="px"
+    )
+    """What all disparities are off by, as of a calibration; above 0, depths are short."""
+    edge_px: float = key(forms.PER_BATCH, default=0, sparse=True, at_least=0, at_most=64, unit="px")
+    """No answer within so many pixels, along rows and columns, of where disparity steps by more
+    than a pixel."""
+    lost: float = key(forms.FRACTION_PER_BATCH, default=0, sparse=True)
+    """Share of answers that are lost by chance: one less the fill rate."""
 
     def draw(self, context: Context) -> DepthCamera:
         """Returns what measures."""
@@ -81,6 +98,12 @@ class TimeOfFlight:
     """Standard deviation of the spot that a pixel gathers light from; at outlines ranges mix."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.1, 15])
     """Nearest and farthest range that is answered."""
+    bias_m: float = key(
+        forms.LENGTH_PER_BATCH, default=0, sparse=True, at_least=-1000, at_most=1000
+    )
+    """What all ranges are off by."""
+    lost: float = key(forms.FRACTION_PER_BATCH, default=0, sparse=True)
+    """Share of answers that are lost by chance: one less the fill rate."""
 
     def draw(self, context: Context) -> DepthCamera:
         """Returns what measures."""
@@ -106,6 +129,71 @@ class LidarNoiseKeys:
     direction that is told."""
     dropout: float = key(forms.FRACTION_PER_BATCH, default=0)
     """Share of answers that are lost."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarIntensityKeys:
+    """How a lidar tells intensities: the reflectance at the laser's wavelength, times the cosine of
+    the incidence, and with at_m by the square of the range.
+
+    Reflectance is a sum of the colors that cameras see; gloss counts as if it were dull.
+    """
+
+    EXAMPLE: ClassVar = {"bands": [1, 0, 0], "at_m": 10}
+
+    TITLE: ClassVar = "Lidar's intensity"
+    bands: tuple[float, float, float] = key(
+        list_of(bounded(forms.CONSTANT, at_least=-10, at_most=10), "Of one color.", count=3),
+        default=list(LidarIntensity.bands),
+    )
+    """Weights of red, green and blue in the reflectance; red is nearest to 850 to 1550 nm."""
+    at_m: float = key(
+        forms.LENGTH_PER_BATCH, default=LidarIntensity.at_m, at_least=0, at_most=1_000_000
+    )
+    """Range at which a white surface that faces the lidar has the intensity 1, which then falls
+    with the square of the range; 0: ranges are calibrated away."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarFootprintKeys:
+    """The width of a lidar's beams, which then may have several returns."""
+
+    EXAMPLE: ClassVar = {"divergence_deg": 0.18, "rays": 37, "separation_m": 0.6, "returns": 2}
+
+    TITLE: ClassVar = "Lidar's beam"
+    divergence_deg: float = key(forms.ANGLE_PER_BATCH, at_least=0, at_most=MOST_DEG)
+    """Full angle out to 1/e² of the power in the middle, of a Gaussian beam."""
+    rays: int = key(forms.COUNT, default=LidarFootprint.rays, at_least=1, at_most=MOST_RAYS)
+    """Exact rays that sample a beam, of equal energy; one alone goes along its axis."""
+    separation_m: float = key(
+        forms.LENGTH_PER_BATCH, default=LidarFootprint.separation_m, at_least=0, at_most=1000
+    )
+    """Ranges that differ by more make returns of their own: half the length of a pulse."""
+    returns: int = key(
+        forms.COUNT, default=LidarFootprint.returns, at_least=1, at_most=MOST_RETURNS
+    )
+    """Most returns that are told: the strongest, nearest first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarDetectionKeys:
+    """Which returns a lidar detects: those whose energy (reflectance times cosine over the square
+    of the range), noise added, reaches a threshold, as data sheets have ranges by reflectance.
+    """
+
+    EXAMPLE: ClassVar = {"range_m": 100, "reflectance": 0.1, "probability": 0.9, "noise": 0.1}
+
+    TITLE: ClassVar = "Lidar's detection"
+    range_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
+    """Range at which a surface of that reflectance, facing the lidar, has that probability."""
+    reflectance: float = key(
+        forms.PER_BATCH, default=LidarDetection.reflectance, above=0, at_most=1
+    )
+    """Reflectance of that surface."""
+    probability: float = key(forms.PER_BATCH, default=LidarDetection.probability, above=0, below=1)
+    """Probability that its return is detected."""
+    noise: float = key(forms.PER_BATCH, default=LidarDetection.noise, at_least=0, at_most=10)
+    """Standard deviation of the energy, as a share of the threshold; 0: a sharp one."""
 
 
 class ScanPattern(ABC):
@@ -164,6 +252,12 @@ class LidarKeys:
     """Nearest and farthest range that is answered."""
     noise: LidarNoiseKeys = key(an("lidar_noise", drawn=True), default={})
     """What is wrong with its answers."""
+    intensity: LidarIntensityKeys | None = key(an("lidar_intensity", drawn=True), sparse=True)
+    """How it tells intensities; left out, it tells none."""
+    footprint: LidarFootprintKeys | None = key(an("lidar_footprint", drawn=True), sparse=True)
+    """Width of its beams; left out, they have none, and one return each."""
+    detection: LidarDetectionKeys | None = key(an("lidar_detection", drawn=True), sparse=True)
+    """Which returns are strong enough; left out, all are."""
     trigger: Trigger = key(an("trigger", drawn=True), default={})
     """At which samples it scans."""
 
@@ -210,6 +304,9 @@ class LidarKeys:
             noise_key=context.key("noise/key"),
             trigger=astuple(self.trigger),
             rays=rays,
+            intensity=None if self.intensity is None else LidarIntensity(**vars(self.intensity)),
+            footprint=None if self.footprint is None else LidarFootprint(**vars(self.footprint)),
+            detection=None if self.detection is None else LidarDetection(**vars(self.detection)),
         )
 
 

@@ -5,18 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from scenec.compiler.cameras.mount import Mount, Trigger
 from scenec.compiler.geometry.lenses import sound_intrinsics
 from scenec.compiler.kinds import Context, Finding, Node, an, bounded, draw_kind, key, list_of
-from scenec.compiler.kinds.forms import ANGLE_PER_BATCH, COUNT, OUTPUT, PER_BATCH, TEXT
+from scenec.compiler.kinds.forms import (
+    ANGLE_PER_BATCH,
+    COUNT,
+    OUTPUT,
+    PER_BATCH,
+    TEXT,
+    one_of,
+)
 from scenec.schemas.codec import JsonObject
 from scenec.schemas.correspondence import PARTNER
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import SceneError
 from scenec.schemas.lens import EQUIRECTANGULAR
 from scenec.schemas.plugins import origin
+from scenec.schemas.presets import PRESETS
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.spelling import nearest, shown
 from scenec.schemas.vehicle import Vehicle
@@ -27,6 +35,21 @@ if TYPE_CHECKING:
     from scenec.compiler.cameras.lens import FocusKeys
     from scenec.compiler.cameras.vehicle import VehicleKeys
     from scenec.compiler.scene import rig
+
+
+#: Of a sensor without a lens that may look behind itself.
+_FIELD_OF_VIEW: Final = {
+    "if": {
+        "properties": {"lens": {
+            "properties": {"type": {"enum": ["kannala_brandt", "equirectangular"]}},
+            "required": ["type"]
+        }},
+        "required": ["lens"]
+    },
+    "else": {"properties": {"fov_deg": bounded(ANGLE_PER_BATCH, above=0, below=180).but(
+        description="Horizontal field of view, with square pixels and a centered principal point."
+    ).keywords}}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -74,27 +97,24 @@ class Intrinsics:
 class SensorKeys:
     """A camera.
 
-    It has either fov_deg or intrinsics; a panorama of the whole sphere needs neither.
+    It has either fov_deg or intrinsics; a panorama of the whole sphere needs neither. With a preset
+    it need say no more than how it differs from that.
     """
 
     EXAMPLE: ClassVar = {"resolution": [640, 480], "fov_deg": 65}
 
     KEYWORDS: ClassVar = {
-        "if": {
-            "properties": {"lens": {
-                "properties": {"type": {"enum": ["kannala_brandt", "equirectangular"]}},
-                "required": ["type"]
-            }},
-            "required": ["lens"]
-        },
-        "else": {"properties": {"fov_deg": bounded(ANGLE_PER_BATCH, above=0, below=180).but(
-            description="Horizontal field of view, with square pixels and a centered principal "
-            "point."
-        ).keywords}}
-    }  # fmt: skip
+        "if": {"required": ["preset"]},
+        "then": _FIELD_OF_VIEW,
+        "else": {"required": ["resolution"], **_FIELD_OF_VIEW},
+    }
 
+    preset: str | None = key(one_of(*PRESETS), sparse=True)
+    """A camera that people own (docs/presets.md): its keys, but for those that stand here; null
+    takes one away."""
     resolution: tuple[int, int] = key(
         list_of(bounded(COUNT, at_least=1, at_most=65_535), "Pixels along one axis.", count=2),
+        optional=True,
         unit="px",
     )
     """Width and height of the picture."""
@@ -128,8 +148,9 @@ class SensorKeys:
     vehicle: VehicleKeys | None = key(an("vehicle", drawn=True), sparse=True)
     """Whom the output traversable is for; left out, about a Mars Exploration Rover."""
     partner: str | None = key(TEXT, sparse=True)
-    """Another sensor of the rig, to whose picture disparity goes: a rectified pair, alike but for
-    its place along the picture's rows and its principal point's column."""
+    """Another sensor of the rig, to whose picture disparity goes. The output needs a rectified
+    pair, alike but for its place along the picture's rows and its principal point's column; scenec
+    export --rectify makes one of any two side by side."""
     outputs: tuple[str, ...] = key(list_of(OUTPUT, least=1, unique=True), optional=True)
     """This sensor's channels; left out, those of the cfg."""
 

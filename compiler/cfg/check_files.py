@@ -254,7 +254,7 @@ def _check_mesh(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
 
 def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
     from scenec.compiler.assets import model
-    from scenec.compiler.assets.looks import OF_COLORS
+    from scenec.compiler.assets.looks import OF_COLORS, OPACITY
 
     missing = _missing(file, owner, model.parsed_model(file))
     yield from missing
@@ -265,6 +265,8 @@ def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
         model.require_near_origin(file, made)
         plain = cfg.at(*owner.path[:-2])["material"] is not None
         lines = [line for line in made.warnings if not (plain and line.endswith(OF_COLORS))]
+        # Another material has no mask.
+        lines += [f"material {m.name!r}: {OPACITY}" for m in made.materials if plain and m.cutout]
         yield from _warnings(file, owner, lines)
 
 

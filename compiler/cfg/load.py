@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 
 from scenec.compiler.cfg.check_files import check_files
@@ -24,6 +24,7 @@ from scenec.compiler.kinds.table import loaded
 from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.errors import CfgError, Fault, PluginError
 from scenec.schemas.plugins import blaming, load_kind, named
+from scenec.schemas.presets import with_presets
 from scenec.schemas.spelling import shown
 
 
@@ -73,7 +74,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     """
     path = located(FilePath(path))
     source = read(path, settings, text)
-    document = source.document
+    document = replace(source.document, value=with_presets(source.document.value))
     duplicates = [
         Finding(at, f"the key {shown(at[-1])} stands twice in its object", position=position)
         for at, position in document.duplicates

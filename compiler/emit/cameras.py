@@ -25,6 +25,7 @@ from scenec.schemas.depth_camera import DepthCamera, as_numbers, kind_of
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.imu import Imu
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
+from scenec.schemas.lidar import as_numbers as of_lidar
 from scenec.schemas.passes import BUILT_IN
 
 RIGS = f"{names.ROOT}/Rigs"
@@ -222,6 +223,13 @@ def write_lidar(stage: Usd.Stage, path: str, lidar: Lidar) -> None:
     ):
         if value != usual:
             custom(prim, name, kind).Set(value)
+    for name, model in (
+        (names.ATTR_LIDAR_INTENSITY, lidar.intensity),
+        (names.ATTR_LIDAR_FOOTPRINT, lidar.footprint),
+        (names.ATTR_LIDAR_DETECTION, lidar.detection),
+    ):
+        if model is not None:
+            custom(prim, name, TYPES.Double4).Set(Gf.Vec4d(*of_lidar(model)))
     write_trigger(prim, lidar.trigger)
 
 

@@ -91,6 +91,10 @@ def _write_maps(prim: Usd.Prim, maps: MaterialMaps, files: dict[str, str]) -> No
         custom(prim, names.ATTR_MAP_FAR, TYPES.Float2).Set(
             Gf.Vec2f(maps.far.factor, maps.far.share)
         )
+    if maps.cutout is not None:
+        custom(prim, names.ATTR_OPACITY_THRESHOLD, TYPES.Float).Set(maps.cutout.threshold)
+        if maps.cutout.wrap != (names.WRAPS[0],) * 2:
+            custom(prim, names.ATTR_OPACITY_WRAP, TYPES.TokenArray).Set(list(maps.cutout.wrap))
     if "normal" in files:
         custom(prim, names.ATTR_NORMAL_CONVENTION, TYPES.Token).Set(maps.normal_convention)
         if maps.lean > 0.0:

@@ -53,6 +53,9 @@ def write_preview(look: UsdShade.Material, material: Material, files: dict[str, 
         roughness.Set(material.roughness)
     if "normal" in pictures.files:
         surface.CreateInput("normal", TYPES.Normal3f).ConnectToSource(pictures.output("normal"))
+    if material.maps is not None and material.maps.cutout is not None:
+        surface.CreateInput("opacity", TYPES.Float).ConnectToSource(pictures.output("opacity"))
+        surface.CreateInput("opacityThreshold", TYPES.Float).Set(material.maps.cutout.threshold)
     if max(material.emission) > 0.0:
         glow = surface.CreateInput("emissiveColor", TYPES.Color3f)
         if "emission" in pictures.files:
@@ -86,8 +89,11 @@ class _Pictures:
         file = self.files[kind]
         texture.CreateInput("file", TYPES.Asset).Set(Sdf.AssetPath(file))
         texture.CreateInput("st", TYPES.Float2).ConnectToSource(self._coordinates())
-        for side in ("wrapS", "wrapT"):
-            texture.CreateInput(side, TYPES.Token).Set("repeat")
+        assert self._material.maps is not None
+        cutout = self._material.maps.cutout if kind == "opacity" else None
+        wraps = ("repeat", "repeat") if cutout is None else cutout.wrap
+        for side, wrap in zip(("wrapS", "wrapT"), wraps, strict=True):
+            texture.CreateInput(side, TYPES.Token).Set(wrap)
         texture.CreateInput("sourceColorSpace", TYPES.Token).Set(
             "sRGB" if is_encoded(kind, file) else "raw"
         )
@@ -96,11 +102,10 @@ class _Pictures:
         if factor != _PLAIN:
             texture.CreateInput("scale", TYPES.Float4).Set(Gf.Vec4f(*factor, 1.0))
         if kind == "normal":
-            assert self._material.maps is not None
             up = -1.0 if self._material.maps.normal_convention == "directx" else 1.0
             texture.CreateInput("scale", TYPES.Float4).Set(Gf.Vec4f(2.0, 2.0 * up, 2.0, 1.0))
             texture.CreateInput("bias", TYPES.Float4).Set(Gf.Vec4f(-1.0, -up, -1.0, 0.0))
-        if kind in ("roughness", "metallic"):
+        if kind in ("roughness", "metallic", "opacity"):
             return texture.CreateOutput("r", TYPES.Float)
         return texture.CreateOutput("rgb", TYPES.Float3)
 

@@ -72,6 +72,8 @@ def _write_appearance(
             ST, TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying
         )
         primvar.Set(Vt.Vec2fArray.FromNumpy(prototype.uv.reshape(-1, 2)))
+    if prototype.colors is not None:
+        _write_colors(prim, prototype.faces, prototype.colors)
     if not any(part.material for part in prototype.parts):
         if material is not None:
             layers = [material, *(coating.material for coating in prototype.coatings)]
@@ -89,7 +91,22 @@ def _write_appearance(
     for part in prototype.parts:
         if part.material is not None:
             color[part.faces] = varied_color(materials[part.material], own[part.faces])
+    if prototype.colors is not None:
+        color *= prototype.colors.astype(np.float64).mean(axis=1)
     write_display_color(prim, color, UsdGeom.Tokens.uniform)
+
+
+def _write_colors(prim: Usd.Prim, faces: NDArray[np.int32], colors: NDArray[np.float32]) -> None:
+    """Factors of the base color: of vertices where their corners agree."""
+    of_vertex = np.ones((int(faces.max()) + 1, 3), np.float32)
+    of_vertex[faces.ravel()] = colors.reshape(-1, 3)
+    agree = bool((of_vertex[faces] == colors).all())
+    values = of_vertex if agree else colors.reshape(-1, 3)
+    interpolation = UsdGeom.Tokens.vertex if agree else UsdGeom.Tokens.faceVarying
+    primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
+        names.PRIMVAR_COLOR, TYPES.Color3fArray, interpolation
+    )
+    primvar.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values)))
 
 
 def _write_label_ids(

@@ -204,7 +204,8 @@ def _reduced(material: Material, footprint: Footprint, facts: dict[str, Any]) ->
     reports: dict[str, Any] = {}
     for kind, source in material.maps.files.items():
         high, wide = stored(source).shape[:2]
-        times = halvings(high, wide, footprint.counted)
+        # What is cut out is what its file says, to the texel.
+        times = 0 if kind == "opacity" else halvings(high, wide, footprint.counted)
         found = reduced(source, kind, times) if times else None
         files[kind] = source if found is None else found.picture
         reports[kind] = {

@@ -185,6 +185,7 @@ def _part_of(
         variation=finest.variation[used],
         radius=float(np.sqrt((wide * wide).sum(axis=1).max())) * (1.0 + 1e-6),
         uv=None if finest.uv is None else finest.uv[left],
+        colors=None if finest.colors is None else finest.colors[left],
         parts=tuple(
             replace(part, faces=new_face[part.faces[left[part.faces]]]) for part in finest.parts
         ),

@@ -87,6 +87,7 @@ def build_prototype(
         # Of the numbers' rounding, too.
         radius=radius * (1.0 + 1e-6),
         uv=model.uv if looks is not None else None,
+        colors=_colors(plan, source, model, rule_of_face) if looks is not None else None,
         parts=_parts(plan, source, model, rule_of_face, looks),
         rounding=rounding_of(model.points),
     )
@@ -100,6 +101,21 @@ def _rules_of_faces(model: MeshModel, rules: tuple[PartRule, ...]) -> NDArray[np
         named = [i for i, m in enumerate(model.materials) if m.name == rule.name]
         found[np.isin(model.part_of_face, parts) | np.isin(model.material_of_face, named)] = index
     return found
+
+
+def _colors(
+    plan: ScatterPlan | PlacedPlan,
+    source: ModelSource | PlacedPlan,
+    model: MeshModel,
+    rule_of_face: NDArray[np.int64],
+) -> NDArray[np.float32] | None:
+    """The file's colors, where its own materials are shown."""
+    if model.colors is None or plan.material is not None:
+        return None
+    given = np.array([rule.material is not None for rule in source.rules] + [False])
+    colors = model.colors.copy()
+    colors[given[rule_of_face]] = 1.0
+    return colors if (colors != 1.0).any() else None
 
 
 def _parts(
@@ -151,7 +167,9 @@ def as_material(source: ModelMaterial, variation: float, has_uv: bool) -> Materi
     """A file's material in the scene's terms; pictures need texture coordinates."""
     maps = None
     if source.pictures and has_uv:
-        maps = MaterialMaps(1.0, dict(source.pictures), source.normal_convention, "uv")
+        maps = MaterialMaps(
+            1.0, dict(source.pictures), source.normal_convention, "uv", cutout=source.cutout
+        )
     return Material(
         base_color=source.base_color,
         roughness=source.roughness,

@@ -44,6 +44,19 @@ class Far:
 
 
 @dataclass(frozen=True)
+class Cutout:
+    """Cuts parts of a surface out by a picture of opacity.
+
+    Attributes:
+        threshold: Nothing is there where opacity is below it, in (0, 1].
+        wrap: How the picture goes on beyond its sides, along u and v (``stage.WRAPS``).
+    """
+
+    threshold: float
+    wrap: tuple[str, str] = ("repeat", "repeat")
+
+
+@dataclass(frozen=True)
 class MaterialMaps:
     """Pictures that vary a surface.
 
@@ -57,6 +70,7 @@ class MaterialMaps:
         far: The colors' larger scale, or None.
         lean: Mean sine of the angles by which the picture's normals lean, where they are a relief's
             whose facets hide each other; else 0.
+        cutout: Where the picture of opacity cuts parts out, or None; projection "uv" alone.
     """
 
     size_m: float
@@ -66,6 +80,7 @@ class MaterialMaps:
     cells: TilingCells | None = None
     far: Far | None = None
     lean: float = 0.0
+    cutout: Cutout | None = None
 
 
 @dataclass(frozen=True)

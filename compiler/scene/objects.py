@@ -49,6 +49,7 @@ class Prototype:
             into one of radius 1/2, so that an instance's scale is its diameter; meshes of files
             are in meters.
         uv: Texture coordinates of the faces' corners, float32 [m, 3, 2], or None.
+        colors: Factors of the base color there, linear, float32 [m, 3, 3], or None.
         parts: What differs from the class; empty where nothing does.
         coatings: What lies over the class's material, the lowest first; only without parts.
         rounding: How far float32 moved its vertices at most, in its own unit.
@@ -62,6 +63,7 @@ class Prototype:
     error: float = 0.0
     radius: float = 0.5
     uv: NDArray[np.float32] | None = None
+    colors: NDArray[np.float32] | None = None
     parts: tuple[MeshPart, ...] = ()
     coatings: tuple[Coating, ...] = ()
     rounding: float = 0.0

@@ -12,6 +12,7 @@ from scenec.schemas.depth_camera import DepthCamera
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.imu import Imu
 from scenec.schemas.lens import Lens
+from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.vehicle import Vehicle
 
@@ -128,6 +129,9 @@ class Lidar:
         trigger: As in ``Sensor``.
         rays: Elevation and azimuth of each ray, degrees, [b, a, 2], in place of the three that say
             where beams go; None: they do.
+        intensity: How it tells intensities, or None: not at all.
+        footprint: Width of its beams, or None: they have none.
+        detection: Which returns are detected, or None: all.
     """
 
     name: str
@@ -140,6 +144,14 @@ class Lidar:
     noise_key: int
     trigger: tuple[int, int] = (1, 0)
     rays: NDArray[np.float64] | None = None
+    intensity: LidarIntensity | None = None
+    footprint: LidarFootprint | None = None
+    detection: LidarDetection | None = None
+
+    @property
+    def sees_color(self) -> bool:
+        """Whether what it measures hangs on the color of surfaces."""
+        return any(one is not None for one in (self.intensity, self.footprint, self.detection))
 
 
 @dataclass(frozen=True)

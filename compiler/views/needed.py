@@ -10,6 +10,7 @@ output                  needs, beside geometry, places and cameras
 ``instance``            instance ids: bases of classes, ids of instances
 ``amodal``              the same
 other packages' passes  the same as ``label`` and ``instance``
+lidars that feel color  the same as ``rgb``: intensity, width of beams, detection
 all others              nothing: ``normal`` is the geometric one
 ======================  ============================================================================
 
@@ -85,20 +86,28 @@ def needs_of(outputs: Iterable[str], keep: Keep = Keep.SEEN, levels: bool = True
 
 
 def with_color(rigs: tuple[Rig, ...], keep: Keep = Keep.SEEN) -> tuple[Rig, ...]:
-    """The rigs with those sensors only that show color: others do not see how fine pictures are.
+    """The rigs with what sees color only: others do not see how fine pictures are.
 
     Args:
         rigs: All of them; given back as they are where each sensor does.
         keep: With ``Keep.ALL`` every sensor may.
     """
-    colored = all("rgb" in s.outputs and not rig.lidars for rig in rigs for s in rig.sensors)
+    colored = all(
+        all("rgb" in sensor.outputs for sensor in rig.sensors)
+        and all(lidar.sees_color for lidar in rig.lidars)
+        for rig in rigs
+    )
     if keep is Keep.ALL or colored:
         return rigs
     seeing = (
-        replace(rig, sensors=tuple(s for s in rig.sensors if "rgb" in s.outputs), lidars=())
+        replace(
+            rig,
+            sensors=tuple(sensor for sensor in rig.sensors if "rgb" in sensor.outputs),
+            lidars=tuple(lidar for lidar in rig.lidars if lidar.sees_color),
+        )
         for rig in rigs
     )
-    return tuple(rig for rig in seeing if rig.sensors)
+    return tuple(rig for rig in seeing if rig.sensors or rig.lidars)
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,16 @@ from numpy.typing import NDArray
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
 from scenec.datasets.formats.encode import integer_option
-from scenec.datasets.formats.poses import distortion, inverse, numbers, product
+from scenec.datasets.formats.poses import (
+    distortion,
+    inverse,
+    numbers,
+    place_of_batch,
+    product,
+    require_no_skew,
+    tasks_by_batch,
+)
 from scenec.datasets.source import FrameRef, LoadedFrame
-from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT, directions, to_plane
 from scenec.schemas.quaternions import quaternion
@@ -70,8 +77,7 @@ class Colmap(Format):
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, batch by batch."""
-        ordered = {split: sorted(refs, key=lambda ref: ref.batch) for split, refs in splits.items()}
-        yield from super().tasks(ordered)
+        return tasks_by_batch(self, splits)
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
@@ -79,16 +85,12 @@ class Colmap(Format):
         """The picture, and its points."""
         (frame,) = frames
         name = f"{frame.ref.camera}/{frame.ref.sample:06d}.png"
-        path = f"{_place(task)}/images/{name}"
+        path = f"{place_of_batch(task)}/images/{name}"
         trajectory.copy_picture(frame, folder / path)
         pose = inverse(frame.camera_to_world)
         model, coefficients = distortion(frame, _LENSES) or ("PINHOLE", [])
         k = frame.intrinsics
-        if k[0, 1] != 0.0:
-            raise OutputError(
-                f"{frame.ref.name}: camera {frame.ref.camera} has skew {k[0, 1]:g}, which COLMAP "
-                "cannot hold; leave it out with --cameras"
-            )
+        require_no_skew(frame)
         parameters = [float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])]
         places, colors, pixels = self._surface_points(frame)
         np.savez(scratch / f"{task.number:08d}", points=places, colors=colors, pixels=pixels)
@@ -105,7 +107,7 @@ class Colmap(Format):
         written = []
         write = _write_text if self.option("model") == "text" else _write_binary
         suffix = ".txt" if self.option("model") == "text" else ".bin"
-        for place, group in itertools.groupby(done, lambda one: _place(one.task)):
+        for place, group in itertools.groupby(done, lambda one: place_of_batch(one.task)):
             pictures = [
                 (one.record, np.load(scratch / f"{one.task.number:08d}.npz"))
                 for one in group
@@ -150,10 +152,6 @@ class Colmap(Format):
         pose = frame.camera_to_world
         places = product(local, pose[:3, :3].T) + pose[:3, 3]
         return places, trajectory.color_pixels(frame)[rows, columns], pixels
-
-
-def _place(task: Task) -> str:
-    return f"{task.split}/{task.frames[0].batch_name}"
 
 
 def _numbered(pictures: Sequence[tuple[dict[str, Any], Any]]) -> tuple[list[Any], list[int]]:

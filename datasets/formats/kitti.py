@@ -157,16 +157,21 @@ class Kitti(Format):
                     sequence += bool(common)
 
     def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
-        """A line about pairs of frames with disparity that do not say where it goes to."""
+        """Lines about partners that are no pair, and pairs that do not say where disparity goes."""
         assumed: list[tuple[str, str]] = []
+        alone: dict[str, str] = {}
         for frames in splits.values():
             for _batch, _rig, cameras in trajectory.rigs(frames):
                 for names in pair_up(cameras):
                     of_both = [cameras[name] for name in names]
+                    if len(names) < 2 and (partner := partner_of(of_both[0])) in cameras:
+                        alone[names[0]] = str(partner)
                     if len(names) < 2 or any(partner_of(refs) for refs in of_both):
                         continue
                     if any(before_partners(refs) for refs in of_both):
                         assumed.append((names[0], names[1]))
+        for name, partner in alone.items():
+            yield f"{name} and its partner {partner} are no rectified pair; --rectify makes one"
         if assumed:
             left, right = assumed[0]
             more = len(set(assumed)) - 1

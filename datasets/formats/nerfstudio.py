@@ -22,7 +22,12 @@ import numpy as np
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Done, Format, Option, Task, Written
-from scenec.datasets.formats.poses import distortion
+from scenec.datasets.formats.poses import (
+    distortion,
+    place_of_batch,
+    require_no_skew,
+    tasks_by_batch,
+)
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, write_json
@@ -53,9 +58,7 @@ class Nerfstudio(Format):
 
     def tasks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
         """One a frame, batch by batch."""
-        yield from super().tasks(
-            {split: sorted(refs, key=lambda ref: ref.batch) for split, refs in splits.items()}
-        )
+        return tasks_by_batch(self, splits)
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
@@ -63,15 +66,11 @@ class Nerfstudio(Format):
         """The picture, its depth, and its entry."""
         (frame,) = frames
         name = f"{frame.ref.camera}/{frame.ref.sample:06d}"
-        place = folder / _place(task)
+        place = folder / place_of_batch(task)
         trajectory.copy_picture(frame, place / f"images/{name}.png")
         files = [f"images/{name}.png"]
         k = frame.intrinsics
-        if k[0, 1] != 0.0:
-            raise OutputError(
-                f"{frame.ref.name}: camera {frame.ref.camera} has skew {k[0, 1]:g}, which format "
-                "nerfstudio cannot hold; leave it out with --cameras"
-            )
+        require_no_skew(frame)
         model, coefficients = distortion(frame, _LENSES) or ("OPENCV", [])
         entry = {
             "file_path": files[0],
@@ -95,12 +94,12 @@ class Nerfstudio(Format):
             with atomic(place / files[1]) as temporary, temporary.open("wb") as file:
                 np.save(file, np.where(np.isfinite(depth), depth * 1000.0, 0.0).astype(np.float32))
             entry["depth_file_path"] = files[1]
-        return Written([f"{_place(task)}/{file}" for file in files], entry)
+        return Written([f"{place_of_batch(task)}/{file}" for file in files], entry)
 
     def finish(self, done: Iterable[Done], folder: Path, scratch: Path) -> list[str]:
         """Write the file of each batch."""
         written = []
-        for place, group in itertools.groupby(done, lambda one: _place(one.task)):
+        for place, group in itertools.groupby(done, lambda one: place_of_batch(one.task)):
             entries = [one.record for one in group if one.record is not None]
             if entries:
                 # nerfstudio takes one model for all where the file names one.
@@ -125,7 +124,3 @@ class Nerfstudio(Format):
             "millimeters along the view axis (nerfstudio's `depth_unit_scale_factor` of 0.001), 0 "
             "where nothing was hit."
         )
-
-
-def _place(task: Task) -> str:
-    return f"{task.split}/{task.frames[0].batch_name}"

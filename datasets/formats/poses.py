@@ -7,18 +7,23 @@ where the half pixel is taken off.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.source import LoadedFrame
+from scenec.datasets.formats.contract import Format, Task
+from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.errors import OutputError
 from scenec.schemas.quaternions import rotation_entries
 
 #: Relative poses of cameras on one rig may differ by this much from frame to frame (meters, and
 #: entries of the rotation): they are composed in float64, kilometers from the origin.
 RIGID = 1e-6
+#: x forward, y left, z up in the axes of a camera (x right, y down, z forward).
+LINK_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+#: What to do about a camera that a format has no place for.
+RECTIFY = "take it to a pinhole with --rectify, or leave it out with --cameras"
 
 
 def rotation_matrix(xyzw: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -71,7 +76,7 @@ def require_pinhole(frame: LoadedFrame) -> None:
     if lens is not None:
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has the lens {lens.model}, which this "
-            "format cannot hold; leave it out with --cameras"
+            f"format cannot hold; {RECTIFY}"
         )
 
 
@@ -97,13 +102,12 @@ def distortion(
                           for ours, names in models.items())  # fmt: skip
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has the lens {lens.model} of "
-            f"{len(lens.coefficients)} coefficients; this format holds {known}; leave it out with "
-            "--cameras"
+            f"{len(lens.coefficients)} coefficients; this format holds {known}; {RECTIFY}"
         )
     if frame.intrinsics[0, 1] != 0.0:
         raise OutputError(
             f"{frame.ref.name}: camera {frame.ref.camera} has a lens and a skew, of which this "
-            "format's readers leave the skew out; leave it out with --cameras"
+            f"format's readers leave the skew out; {RECTIFY}"
         )
     name, count = fitting[0]
     return name, list(lens.coefficients[:count])
@@ -115,13 +119,34 @@ def pinhole(frame: LoadedFrame) -> tuple[float, float, float, float]:
     Raises:
         OutputError: The camera has skew, which the formats that take four numbers cannot say.
     """
+    require_no_skew(frame)
     k = opencv_intrinsics(frame)
-    if k[0, 1] != 0.0:
-        raise OutputError(
-            f"{frame.ref.name}: camera {frame.ref.camera} has skew {k[0, 1]:g}, which this format "
-            "cannot hold; leave it out with --cameras"
-        )
     return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+
+
+def require_no_skew(frame: LoadedFrame) -> None:
+    """Refuse a camera with skew, which the formats that take four numbers cannot say.
+
+    Raises:
+        OutputError: It has one.
+    """
+    skew = frame.intrinsics[0, 1]
+    if skew != 0.0:
+        raise OutputError(
+            f"{frame.ref.name}: camera {frame.ref.camera} has skew {skew:g}, which this format "
+            f"cannot hold; {RECTIFY}"
+        )
+
+
+def tasks_by_batch(form: Format, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[Task]:
+    """One task a frame, batch by batch, for formats that have a model of each batch."""
+    ordered = {split: sorted(refs, key=lambda ref: ref.batch) for split, refs in splits.items()}
+    yield from Format.tasks(form, ordered)
+
+
+def place_of_batch(task: Task) -> str:
+    """Returns the folder of a task's batch: ``<split>/<batch>``."""
+    return f"{task.split}/{task.frames[0].batch_name}"
 
 
 def numbers(values: NDArray[np.floating], separator: str = " ") -> str:

@@ -11,15 +11,22 @@ there the principal points' mean is that of the cameras.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats.poses import opencv, product, relative
+from scenec.datasets.formats.stereo import first_record, pair_up, partner_of
+from scenec.datasets.formats.trajectory import rigs
+from scenec.datasets.source import FrameRef, record_of
+from scenec.schemas.errors import OutputError
 from scenec.schemas.lens import BROWN_CONRADY, directions, to_plane
-from scenec.schemas.records import FrameRecord
+from scenec.schemas.records import FrameRecord, Matrix3, Rectification
 from scenec.schemas.sidecars import lens_of
+
+_LEVEL: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Rectified(NamedTuple):
@@ -63,6 +70,70 @@ def rectified(left: FrameRecord, right: FrameRecord) -> tuple[Rectified, Rectifi
         p = np.array([[focal, 0, center[0], shift * focal], [0, focal, center[1], 0], [0, 0, 1, 0]])
         made.append(Rectified(turn, p))
     return made[0], made[1]
+
+
+def rectified_partners(
+    name: str, partner: str, members: Mapping[str, Sequence[FrameRef]]
+) -> dict[str, Rectified] | None:
+    """Returns how two cameras of a rig become a rectified pair, by name; None where they make none.
+
+    The left one is first. They are looked at where the first frames of both at one sample are.
+    """
+    theirs = {ref.sample: ref for ref in members[partner]}
+    for ref in members[name]:
+        one, two = (record_of(r) if r else None for r in (ref, theirs.get(ref.sample)))
+        if one is None or two is None:
+            continue
+        for names, records in (((name, partner), (one, two)), ((partner, name), (two, one))):
+            pair = rectified(*records)
+            if pair is not None:
+                return dict(zip(names, pair, strict=True))
+        return None
+    return None
+
+
+def pinholes(frames: Sequence[FrameRef]) -> dict[str, Rectification]:
+    """Returns the pinholes that cameras of a batch are taken to: those that are none, and pairs.
+
+    Partners that are no rectified pair become the one that ``rectified`` finds. Other cameras with
+    a lens or a skew keep their axes, and their K without the skew.
+
+    Raises:
+        OutputError: One of them has a rolling shutter.
+    """
+    found: dict[str, Rectification] = {}
+    for _, _, members in rigs(sorted(frames, key=lambda ref: (ref.camera, ref.sample))):
+        for pair in pair_up(members):
+            partner = partner_of(members[pair[0]])
+            if len(pair) == 1 and partner in members and pair[0] not in found:
+                made = rectified_partners(pair[0], str(partner), members) or {}
+                found.update((camera, _as_ours(one)) for camera, one in made.items())
+            for camera in pair:
+                record = first_record(members[camera])
+                if record is None:
+                    continue
+                if camera not in found and (record.lens or record.intrinsics[0][1] != 0.0):
+                    (fx, _, cx), second, third = record.intrinsics
+                    k = ((fx, 0.0, cx), second, third)
+                    found[camera] = Rectification(turn=_LEVEL, intrinsics=k, paired=len(pair) > 1)
+                if camera in found and record.shutter is not None and record.shutter.readout_s:
+                    raise OutputError(
+                        f"{members[camera][0].name}: camera {camera} has a rolling shutter: its "
+                        "rows have poses of their own, and a rectified picture has one; leave it "
+                        "out with --cameras"
+                    )
+    return found
+
+
+def _as_ours(camera: Rectified) -> Rectification:
+    k = camera.projection[:, :3].copy()
+    k[:2, 2] += 0.5
+    return Rectification(turn=_rows(camera.turn), intrinsics=_rows(k), paired=True)
+
+
+def _rows(matrix: NDArray[np.float64]) -> Matrix3:
+    a, b, c = ((float(x), float(y), float(z)) for x, y, z in matrix)
+    return a, b, c
 
 
 def _center(camera: FrameRecord, turn: NDArray[np.float64], focal: float) -> NDArray[np.float64]:

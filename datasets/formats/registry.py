@@ -25,6 +25,7 @@ _OURS = {
     "hdf5": "scenec.datasets.formats.hdf5:Hdf5",
     "kitti": "scenec.datasets.formats.kitti:Kitti",
     "nerfstudio": "scenec.datasets.formats.nerfstudio:Nerfstudio",
+    "nuscenes": "scenec.datasets.formats.nuscenes:Nuscenes",
     "oaisys": "scenec.datasets.formats.oaisys:Oaisys",
     "panoptic": "scenec.datasets.formats.panoptic:Panoptic",
     "parquet": "scenec.datasets.formats.parquet:Parquet",

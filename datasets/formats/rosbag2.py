@@ -19,7 +19,8 @@ topic                                   type                         what
 ``/<camera>/pose``                      ``geometry_msgs/PoseStamped``  of the camera in the world
 ``/<rig>_<imu>``                        ``sensor_msgs/Imu``          at the IMU's own rate
 ``/<rig>_<lidar>``                      ``sensor_msgs/PointCloud2``  x, y, z, ring, time (0); also
-                                                                     intensity if the scan has it
+                                                                     intensity, return if the scan
+                                                                     has them
 ``/<rig>/odom``, ``/<rig>/path``        ``nav_msgs/Odometry, Path``  where the rig truly is
 ``/tf``                                 ``tf2_msgs/TFMessage``       world to ``<rig>``
 ``/tf_static``                          ``tf2_msgs/TFMessage``       ``<rig>`` to what it carries

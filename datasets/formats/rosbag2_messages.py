@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.formats.poses import distortion, opencv_intrinsics, product
+from scenec.datasets.formats.poses import LINK_POSE, distortion, opencv_intrinsics, product
 from scenec.datasets.formats.rectify import Rectified
 from scenec.datasets.source import LoadedFrame
 from scenec.schemas.imu import Imu, RigState
@@ -23,8 +23,6 @@ _LENSES = {
     KANNALA_BRANDT: [("equidistant", 4)],
 }
 NANO = 1_000_000_000
-#: x forward, y left, z up in the axes of a camera (x right, y down, z forward).
-LINK_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 class Messages:
@@ -187,8 +185,8 @@ class Messages:
     def cloud(self, scan: Scan, frame_id: str, stamp: int) -> Any:
         """sensor_msgs/PointCloud2 of a scan's answers, with the beam of each as ring.
 
-        Intensity is there where the scan has one; time is after the stamp, seconds: 0, since a scan
-        is taken at one instant.
+        Intensity is there where the scan has one, the number of the return (from 1) where a beam
+        may have several; time is after the stamp, seconds: 0, since a scan is taken at one instant.
         """
         arrays = scan.arrays
         there = np.isfinite(arrays["range"])
@@ -198,6 +196,9 @@ class Messages:
             columns["intensity"] = arrays["intensity"][there]
         types = {**dict.fromkeys(columns, "<f4"), "ring": "<u2", "time": "<f4"}
         columns["ring"] = np.nonzero(there)[0]
+        if there.ndim == 3:
+            types["return"] = "<u2"
+            columns["return"] = there.cumsum(axis=2)[there]
         table = np.zeros(len(points), [*types.items()])
         for name, values in columns.items():
             table[name] = values

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
 from scenec.datasets.formats.contract import Format
-from scenec.datasets.formats.poses import inverse, product
-from scenec.datasets.formats.rectify import Rectified, rectified
-from scenec.datasets.formats.rosbag2_messages import LINK_POSE, NANO, Messages, RigMotionAt
+from scenec.datasets.formats.poses import LINK_POSE, inverse, product
+from scenec.datasets.formats.rectify import Rectified, rectified_partners
+from scenec.datasets.formats.rosbag2_messages import NANO, Messages, RigMotionAt
 from scenec.datasets.formats.rosbag2_names import (
     BODY,
     LAYOUTS,
@@ -90,20 +90,9 @@ class RigsOfBag:
 
     def _rectify(self, name: str, partner: str, members: Mapping[str, Sequence[FrameRef]]) -> bool:
         """Notes how two cameras become a rectified pair; whether they do."""
-        if name in self.rectified:
-            return True
-        theirs = {ref.sample: ref for ref in members[partner]}
-        for ref in members[name]:
-            one, two = (record_of(r) if r else None for r in (ref, theirs.get(ref.sample)))
-            if one is None or two is None:
-                continue
-            for names, records in (((name, partner), (one, two)), ((partner, name), (two, one))):
-                pair = rectified(*records)
-                if pair is not None:
-                    self.rectified.update(zip(names, pair, strict=True))
-                    return True
-            return False
-        return False
+        if name not in self.rectified:
+            self.rectified.update(rectified_partners(name, partner, members) or {})
+        return name in self.rectified
 
     def _place(self, rigs: Sequence[tuple[str, Mapping[str, Sequence[FrameRef]]]]) -> None:
         """Finds frames of rigs, and which cameras are fixed to them."""

@@ -43,17 +43,17 @@ def pair_up(cameras: Mapping[str, Sequence[FrameRef]]) -> list[tuple[str, ...]]:
 
 def partner_of(frames: Sequence[FrameRef]) -> str | None:
     """Returns the camera that disparity goes to, by the first readable sidecar."""
-    record = _first_record(frames)
+    record = first_record(frames)
     return None if record is None else record.partner or None
 
 
 def before_partners(frames: Sequence[FrameRef]) -> bool:
     """Tells whether a camera's frames have disparity and do not say to which camera."""
-    record = _first_record(frames)
+    record = first_record(frames)
     return record is not None and "disparity" in record.passes and record.partner is UNSET
 
 
-def _first_record(frames: Sequence[FrameRef]) -> FrameRecord | None:
+def first_record(frames: Sequence[FrameRef]) -> FrameRecord | None:
     """Finds the first record that can be read."""
     return next((one for one in map(record_of, frames) if one is not None), None)
 

@@ -23,6 +23,7 @@ from scenec.importers.usd.scene import Scene, name_of
 from scenec.schemas import maps
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import read_rgb, write_rgb
+from scenec.schemas.packages import as_file, packaged_name
 
 #: Irradiance of a clear sky that is added, as a share of the sun's: as of the cfg's defaults.
 _SKY_SHARE = 0.2
@@ -211,8 +212,9 @@ def _picture(domes: Sequence[Dome]) -> tuple[NDArray[np.float32], bool]:
 
 def _radiance(file: Path) -> NDArray[np.float32]:
     try:
-        if file.suffix.lower() == ".exr":
-            return np.maximum(read_rgb(file), np.float32(0.0))
+        if packaged_name(file).lower().endswith(".exr"):
+            with as_file(file) as own:
+                return np.maximum(read_rgb(own), np.float32(0.0))
         return maps.decode(maps.read_pixels(file), "emission")
     except ValueError as error:
         raise ScenecError(f"{file}: {error}") from error

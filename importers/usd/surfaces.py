@@ -108,7 +108,7 @@ class Materials:
         readings = dict(described.readings)
         for kind in maps.MAP_CHANNELS:
             file, reading = getattr(described, kind), readings.get(kind, _PLAIN)
-            if file is None or kind == "height":
+            if file is None or kind in ("height", "opacity"):
                 continue
             of_color = kind in maps.COLORS and reading == Reading(scale=reading.scale)
             most = 1.0 if kind == "base_color" else np.inf

@@ -190,6 +190,7 @@ def test_many_samples_of_everything_pass_the_independent_validator(tmp_path):
 def test_the_independent_validator_does_find_faults(tmp_path):
     stage = Usd.Stage.CreateNew(str(tmp_path / "broken.usda"))
     mesh = UsdGeom.Mesh.Define(stage, "/World")
+    mesh.CreateSubdivisionSchemeAttr("none")
     mesh.CreatePointsAttr([(0, 0, 0), (1, 0, 0)])
     mesh.CreateFaceVertexCountsAttr([3])
     mesh.CreateFaceVertexIndicesAttr([0, 1, 9])

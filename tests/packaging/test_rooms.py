@@ -80,7 +80,7 @@ FLOORS = {
         ("options",),
         ("explain", "shown", "steps"),
         ("outputs", "models"),
-        ("maps",),
+        ("maps", "rectify"),
         (
             "check",
             "evaluate",

@@ -158,10 +158,14 @@ def test_pip_finds_all_that_locked_packages_need_in_the_lock():
 
 
 def test_only_overridden_needs_of_the_packages_without_dependencies_are_not_locked():
-    table = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    overridden = {text.split(";")[0] for text in table["tool"]["uv"]["override-dependencies"]}
+    uv = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["uv"]
+    overridden = {text.split(";")[0] for text in uv["override-dependencies"]}
+    replaced = {one["name"]: set(one["requires-dist"]) for one in uv["dependency-metadata"]}
     held = versions()
     apart = versions(NODEPS)
+    for name, needs in replaced.items():
+        assert apart.pop(name)
+        assert needs <= held.keys()
     missing = {text.split(" needs ")[1] for text in unmet(dict.fromkeys(apart, ()), held)}
     assert {name.replace("_", "-") for name in missing} == overridden
 

@@ -9,9 +9,18 @@ uniform int first_slot;
 
 flat out int slot;
 
+#ifdef WITH_CUTOUTS
+layout(location = 1) in vec2 coordinates;
+
+out vec2 uv;
+#endif
+
 void main()
 {
     slot = first_slot + gl_InstanceID;
+#ifdef WITH_CUTOUTS
+    uv = coordinates;
+#endif
     vec4 p = vec4(position, 1.0);
     gl_Position = clip * vec4(
         dot(texelFetch(poses, 4 * slot), p),

@@ -20,9 +20,7 @@ layout(binding = 10) uniform sampler2DArray maps;
 layout(binding = 11) uniform sampler2DArrayShadow shadows;
 layout(binding = 16) uniform sampler2D depth;          // Of each sample.
 
-#ifdef WITH_UV
-layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates.
-#endif
+layout(binding = 14) uniform samplerBuffer uvs;        // Two texels a face: its corners' coordinates; three: colors.
 #ifdef WITH_REFLECTANCE
 layout(binding = 9) uniform sampler2D laws;          // See laws.py.
 #endif
@@ -80,6 +78,9 @@ struct Hit {
     vec3 share;     // Barycentric coordinates.
     uvec3 corner;   // Vertices.
     uint mesh;
+#ifdef WITH_COLORS
+    vec3 color;        // Of the corners.
+#endif
     float variation;   // Of the vertices,
     float row;         // and of the row.
     vec3 right;        // Edges on the face of what it stands for,
@@ -221,6 +222,12 @@ Hit find(uvec2 id, vec3 direction, vec2 extent)
     // 0 in the table: the mesh has no coordinates, and all its corners are at (0, 0).
     int first_uv = int(texelFetch(meshes, 2 * int(hit.mesh) + 1).w);
     find_uv(hit, first_uv == 0 ? 0 : first_uv + int(id.y), ab, ac);
+#endif
+#ifdef WITH_COLORS
+    int color = int(mesh.w >> 1u) + 3 * int(id.y);
+    hit.color = mesh.w < 2u ? vec3(1.0)
+        : hit.share.x * texelFetch(uvs, color).xyz + hit.share.y * texelFetch(uvs, color + 1).xyz
+            + hit.share.z * texelFetch(uvs, color + 2).xyz;
 #endif
     hit.variation = dot(hit.share, vec3(va.w, vb.w, vc.w));
     return hit;
@@ -586,6 +593,9 @@ Look look_of(int index, Hit hit)
         look.normal = seen(found.normal, hit.normal, look.normal, hit.view);
 #endif
     }
+#endif
+#ifdef WITH_COLORS
+    found.base_color *= hit.color;
 #endif
     float cosine = max(dot(look.normal, hit.view), 1e-5);
 #ifdef WITH_THROUGH

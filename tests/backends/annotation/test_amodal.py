@@ -19,6 +19,7 @@ from scenec.backends.exact import ExactCaster
 from scenec.backends.exact.silhouette import RAY_COST, Pinhole, set_direction
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera, RenderScene
+from scenec.backends.testing import lights
 from scenec.testing import scenes
 from scenec.testing.examples import examples
 
@@ -85,6 +86,19 @@ def hold_against_scenes_of_one(
         assert (table["amodal"] <= table["amodal_full"]).all()
         np.testing.assert_array_equal(masks.areas(), table["amodal"])
     return table
+
+
+def test_what_is_cut_out_is_of_no_silhouette(tmp_path):
+    made = lights.cutout_scene(tmp_path)
+    table = hold_against_scenes_of_one(made, made.cameras[0][0])
+    solid = dataclasses.replace(
+        made, surfaces=tuple(dataclasses.replace(each, maps=None) for each in made.surfaces)
+    )
+    whole = look(solid, made.cameras[0][0], 0, Instances(solid))[0]
+    cards = (table["id"] == 1) | (table["id"] == 2)
+    assert cards.sum() == 2
+    assert (table["amodal"][cards] < 0.9 * whole["amodal"][cards]).all()
+    assert (table["amodal"][cards] > 0).all()
 
 
 def _within(scene: RenderScene, number: int, camera: Camera, sample: int) -> bool:

@@ -330,6 +330,7 @@ def foreign(path: Path, light=None, samples: int = 1, camera=None) -> Path:
     """Someone else's stage: a gray plane, one camera, what ``light`` adds."""
     made = new_stage(path, "/World", samples=samples)
     plate = UsdGeom.Mesh.Define(made, "/World/Plate")
+    plate.CreateSubdivisionSchemeAttr("none")
     corners = [(-50, -50, 0), (50, -50, 0), (50, 50, 0), (-50, 50, 0)]
     plate.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*c) for c in corners]))
     plate.CreateFaceVertexCountsAttr([4])

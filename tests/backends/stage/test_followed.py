@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,15 @@ VALUES: dict[str, dict[str, Any]] = {
         "holeIndices": Vt.IntArray([1]),
         "normals": Vt.Vec3fArray([(0, 1, 1)] * 4),
         "orientation": "leftHanded",
+        "subdivisionScheme": "loop",
+        "cornerIndices": Vt.IntArray([4]),
+        "cornerSharpnesses": Vt.FloatArray([0.5]),
+        "creaseIndices": Vt.IntArray([0, 1, 1, 4, 3]),
+        "creaseLengths": Vt.IntArray([3, 2]),
+        "creaseSharpnesses": Vt.FloatArray([0.5, 2.0]),
+        "interpolateBoundary": "edgeOnly",
+        "faceVaryingLinearInterpolation": "all",
+        "triangleSubdivisionRule": "smooth",
     },
     "GeomSubset": {
         "indices": Vt.IntArray([1]),
@@ -136,7 +146,9 @@ def built(stage: Usd.Stage, kind: str, name: str) -> Usd.Prim:
             UsdShade.Material.Get(stage, "/Root/Looks/material")
         )
         return subset.GetPrim()
-    prim = _mesh(stage).GetPrim() if kind == "Mesh" else stage.DefinePrim("/Root/it", kind)
+    refining = kind == "Mesh" and name in CAGE
+    mesh = (_cage if refining else _mesh)(stage) if kind == "Mesh" else None
+    prim = mesh.GetPrim() if mesh else stage.DefinePrim("/Root/it", kind)
     UsdGeom.Xformable(prim).AddTranslateOp().Set((1, 2, 3))
     UsdGeom.Xformable(prim).AddRotateXOp().Set(30.0)
     if kind == "PointInstancer":
@@ -169,6 +181,38 @@ def _mesh(stage: Usd.Stage) -> UsdGeom.Mesh:
     mesh.CreateNormalsAttr([(0, 0, 1)] * 4)
     mesh.SetNormalsInterpolation("vertex")
     mesh.CreateSubdivisionSchemeAttr("none")
+    return mesh
+
+
+#: Attributes that matter where a surface is refined.
+CAGE = frozenset(
+    name for name in FOLLOWED["Mesh"] if re.match("corner|crease|.*(Scheme|Rule|Bound|Lin)", name)
+)
+
+
+def _cage(stage: Usd.Stage) -> UsdGeom.Mesh:
+    """A pyramid without its floor's half, with a crease, a corner and a texture."""
+    mesh = _mesh(stage)
+    mesh.CreatePointsAttr([(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (1, 1, 2)])
+    mesh.CreateFaceVertexCountsAttr([3, 3, 3, 3])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 4, 1, 2, 4, 2, 3, 4, 0, 2, 1])
+    mesh.GetNormalsAttr().Clear()
+    mesh.CreateSubdivisionSchemeAttr("catmullClark")
+    mesh.CreateCreaseIndicesAttr([0, 1, 2, 4, 3])
+    mesh.CreateCreaseLengthsAttr([2, 3])
+    mesh.CreateCreaseSharpnessesAttr([2.0, 2.0])
+    mesh.CreateCornerIndicesAttr([1])
+    mesh.CreateCornerSharpnessesAttr([2.0])
+    uv = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, "faceVarying")
+    uv.Set(Vt.Vec2fArray([(0, 0), (1, 0), (1, 1), (0, 1), (0.3, 0.3)]))
+    uv.SetIndices(Vt.IntArray([0, 1, 4, 1, 2, 4, 2, 3, 4, 0, 2, 1]))
+    shader = bind(stage, mesh.GetPrim())
+    texture = UsdShade.Shader.Define(stage, "/Root/texture")
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", TYPES.Asset).Set(Sdf.AssetPath("map.png"))
+    Image.new("RGB", (4, 2)).save(Path(stage.GetRootLayer().realPath).parent / "map.png")
+    color = shader.CreateInput("diffuseColor", TYPES.Color3f)
+    color.ConnectToSource(texture.CreateOutput("rgb", TYPES.Float3))
     return mesh
 
 

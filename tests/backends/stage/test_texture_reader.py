@@ -16,6 +16,7 @@ from scenec.compiler.emit.looks import look_path, write_look
 from scenec.compiler.scene.material import Material, MaterialMaps
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.schemas.packages import is_packaged
 from scenec.testing.foreign_stages import new_stage, polygons
 
 TYPES = Sdf.ValueTypeNames
@@ -172,12 +173,51 @@ def test_what_is_wrong_with_textures_is_said(tmp_path, change, message):
         opened(tmp_path, build)
 
 
-def test_textures_inside_a_package_are_told(tmp_path):
-    opened(tmp_path, lambda s: foreign(s, shape(s, "/Root/Mesh", "vertex", 6)))
-    package = str(tmp_path / "all.usdz")
+def test_textures_inside_packages_are_those_beside_a_stage(tmp_path):
+    """In a package, and in a package within one."""
+    beside = opened(tmp_path, lambda s: foreign(s, shape(s, "/Root/Mesh", "vertex", 6)))
+    package, outer = str(tmp_path / "all.usdz"), str(tmp_path / "outer.usdz")
     assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "stage.usda"), package)
-    with pytest.raises(StageError, match="stands inside a package"):
-        read_stage(Path(package))
+    stage = new_stage(tmp_path / "outer.usda")
+    stage.GetDefaultPrim().GetReferences().AddReference("./all.usdz")
+    stage.Save()
+    with Sdf.ZipFileWriter.CreateNew(outer) as writer:
+        writer.AddFile(str(tmp_path / "outer.usda"), "outer.usda")
+        writer.AddFile(package, "all.usdz")
+    before = set(tmp_path.rglob("*"))
+    found = [read_stage(Path(file)) for file in (package, outer)]
+    for scene in found:
+        for kind in ("base_color", "roughness", "metallic", "normal"):
+            (one,), (other,) = (
+                [getattr(s.surfaces[m.layers[0]].maps, kind) for m in each.meshes]
+                for each, s in ((beside, beside), (scene, scene))
+            )
+            assert is_packaged(other)
+            picture = maps.load_map(other, kind)
+            assert np.array_equal(picture, maps.load_map(one, kind))
+    assert set(tmp_path.rglob("*")) == before
+    assert str(found[1].surfaces[0].maps.normal).endswith("]]")
+    # A package that has become another one is read again, and a broken one told.
+    Path(package).write_bytes(Path(package).read_bytes()[:-100])
+    with pytest.raises(StageError, match="cannot be read out of its package"):
+        maps.load_map(found[0].surfaces[0].maps.base_color, "base_color")
+
+
+def test_a_material_of_materialx_leaves_a_line_and_the_shape(tmp_path):
+    (tmp_path / "look.mtlx").write_text('<materialx version="1.39"></materialx>')
+
+    def build(stage):
+        shape(stage, "/Root/Mesh", None)
+        looks = stage.DefinePrim("/Root/Looks")
+        looks.GetReferences().AddReference("./look.mtlx", "/MaterialX/Materials")
+
+    scene = opened(tmp_path, build)
+    assert len(scene.meshes) == 1
+    (line,) = scene.losses
+    assert line.startswith("/Root/Looks: its reference to look.mtlx, MaterialX, is not read")
+    (tmp_path / "look.mtlx").unlink()
+    with pytest.raises(StageError, match=r"look\.mtlx does not exist"):
+        opened(tmp_path, build)
 
 
 def test_nodes_that_go_in_circles_end(tmp_path):

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from pxr import Sdf
 
 from scenec.backends.mitsuba import Mitsuba
-from scenec.backends.picture.metering import _Points
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Maps, Surface
 from scenec.backends.surface import facets
 from scenec.backends.surface.algebra import FLOAT64
 from scenec.backends.surface.maps import map_values
+from scenec.backends.surface.points import SurfacePoints
 from scenec.backends.testing import looks
 from scenec.backends.testing.scenes import dome, mesh, plane, sun, with_lights
 from scenec.compiler.compile import compile_cfg
@@ -201,7 +201,7 @@ def test_exposure_meters_what_facets_reflect():
     sun = np.array([[-math.cos(light), 0.0, math.sin(light)]])
     rough = Surface("", (0.4,) * 3, 0.0, 1.0, 0.0, maps=Maps(1.0, lean=0.25))
     every = np.zeros(1, np.int64)
-    points = _Points(at, up, toward, np.zeros((1, 1)), *(np.zeros((1, 3)) for _ in range(3)))
+    points = SurfacePoints(at, up, toward, np.zeros((1, 1)), *(np.zeros((1, 3)) for _ in range(3)))
     points.laws.append((rough, every, np.ones((1, 1)), np.full((1, 3), 0.4)))
     expected = 0.4 / np.pi * math.sin(light) * factor(facets.deviation(rough), 10.0, 20.0, 180.0)
     np.testing.assert_allclose(points.shown(sun), np.full((1, 3), expected), rtol=1e-9)

@@ -222,7 +222,7 @@ def nodes(formula: Formula, monkeypatch: pytest.MonkeyPatch) -> NDArray:
             emission = graph.node("ShaderNodeEmission")
             graph.feed(emission.inputs["Color"], np.ones(3) * formula.of(NODES, *x)[k])
             graph.feed(graph.node("ShaderNodeOutputMaterial").inputs[0], emission.outputs[0])
-            made[(k,), ()] = material
+            made[(k,), (), False] = material
         return made
 
     monkeypatch.setattr(materials, "make_materials", make)

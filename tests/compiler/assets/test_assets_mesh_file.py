@@ -276,6 +276,7 @@ def test_quarter_turns_are_exact_and_others_those_of_the_math_library():
 def test_unit_and_axis_come_from_the_file_from_the_caller_or_are_asked_for(tmp_path):
     stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
     mesh = UsdGeom.Mesh.Define(stage, "/box")
+    mesh.CreateSubdivisionSchemeAttr("none")
     mesh.CreatePointsAttr(BOX.tolist())
     mesh.CreateFaceVertexCountsAttr([4] * 6)
     mesh.CreateFaceVertexIndicesAttr(BOX_QUADS.ravel().tolist())
@@ -313,6 +314,7 @@ def test_usd_transforms_are_those_of_usd(tmp_path):
     inner.AddRotateYXZOp().Set(Gf.Vec3f(3, 5, 7))
     inner.AddTransformOp().Set(Gf.Matrix4d(Gf.Rotation(Gf.Vec3d(1, 1, 0), 20), Gf.Vec3d(4, 5, 6)))
     mesh = UsdGeom.Mesh.Define(stage, "/a/b/box")
+    mesh.CreateSubdivisionSchemeAttr("none")
     mesh.AddRotateXOp(opSuffix="back", isInverseOp=False).Set(-15.0)
     mesh.AddScaleOp().Set(Gf.Vec3f(-1, 1, 1))
     mesh.CreatePointsAttr(BOX.tolist())
@@ -334,6 +336,7 @@ def test_usd_left_handed_holes_visibility_and_instances_count(tmp_path):
 
     def box(path: str, quads: np.ndarray) -> UsdGeom.Mesh:
         mesh = UsdGeom.Mesh.Define(stage, path)
+        mesh.CreateSubdivisionSchemeAttr("none")
         mesh.CreatePointsAttr(BOX.tolist())
         mesh.CreateFaceVertexCountsAttr([4] * 6)
         mesh.CreateFaceVertexIndicesAttr(quads.ravel().tolist())

@@ -109,14 +109,15 @@ def ply(path: Path, header: str, rows: list[str]) -> Path:
     return path
 
 
-def test_ply_colors_are_an_average_and_its_picture_lies_on_its_coordinates(tmp_path):
+def test_ply_colors_are_of_its_vertices_and_its_picture_lies_on_its_coordinates(tmp_path):
     rows = ["0 0 0 255 0 0", "1 0 0 255 0 188", "0 1 0 255 0 0"]
     file = ply(tmp_path / "a.ply", "x y z red green blue", rows)
     model = read_model(file, unit_m=1, up="z")
     (material,) = model.materials
-    blue = ((188 / 255 + 0.055) / 1.055) ** 2.4 / 3
-    assert material.base_color == pytest.approx((1, 0, blue), rel=1e-12)
-    assert any("average" in note for note in model.notes)
+    blue = ((188 / 255 + 0.055) / 1.055) ** 2.4
+    assert material.base_color == (1.0, 1.0, 1.0)
+    expected = np.array([[[1, 0, 0], [1, 0, blue], [1, 0, 0]]], np.float32)
+    np.testing.assert_allclose(model.colors, expected, rtol=1e-6)
     models.write_pictures(tmp_path)
     file = ply(tmp_path / "b.ply", "x y z s t", ["0 0 0 0 0", "1 0 0 .5 0", "0 1 0 0 .25"])
     text = file.read_text().replace("element v", "comment TextureFile tex/color.png\nelement v")

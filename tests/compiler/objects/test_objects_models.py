@@ -34,6 +34,7 @@ def write_table(path: Path) -> Path:
     colors = {"top": (0.6, 0.4, 0.2), "leg": (0.1, 0.1, 0.1)}
     for name, (low, high) in TABLE.items():
         mesh = UsdGeom.Mesh.Define(stage, f"/table/{name}")
+        mesh.CreateSubdivisionSchemeAttr("none")
         corners = [
             [(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]]
             for i in (0, 1) for j in (0, 1) for k in (0, 1)

@@ -1,4 +1,4 @@
-"""Meshes with one pair of texture coordinates a vertex, which is all that Mitsuba takes."""
+"""Splits vertices whose corners differ in texture coordinates or color: Mitsuba knows vertices."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scenec.backends.stage.scene import Mesh, RenderScene
 
 
 def split_corners(scene: RenderScene) -> RenderScene:
-    """The same scene; where a mesh's corners differ in texture coordinates, vertices are doubled.
+    """The same scene; where a mesh's corners differ in what they hold, vertices are doubled.
 
     Faces, their order and where they lie stay as they are.
     """
-    if all(mesh.uv is None for mesh in scene.meshes):
+    if all(mesh.uv is None and mesh.color is None for mesh in scene.meshes):
         return scene
     return dataclasses.replace(scene, meshes=tuple(_split(mesh) for mesh in scene.meshes))
 
@@ -28,14 +28,24 @@ def vertex_uv(mesh: Mesh) -> NDArray[np.float32]:
     return found
 
 
+def vertex_color(mesh: Mesh) -> NDArray[np.float32]:
+    """Colors of a split mesh's vertices, [n, 3]; ones where it has none."""
+    found = np.ones((len(mesh.points), 3), np.float32)
+    if mesh.color is not None:
+        found[mesh.faces.ravel()] = mesh.color.reshape(-1, 3)
+    return found
+
+
 def _split(mesh: Mesh) -> Mesh:
-    if mesh.uv is None or not len(mesh.faces):
+    held = [values.reshape(len(mesh.faces) * 3, -1) for values in (mesh.uv, mesh.color)
+            if values is not None]  # fmt: skip
+    if not held or not len(mesh.faces):
         return mesh
     vertex = mesh.faces.ravel().astype(np.int64)
     # Of -0 and 0 one is taken.
-    uv = mesh.uv.reshape(-1, 2) + np.float32(0.0)
-    order = np.lexsort((uv[:, 1], uv[:, 0], vertex))
-    changes = (np.diff(vertex[order]) != 0) | np.any(np.diff(uv[order], axis=0) != 0.0, axis=1)
+    at = np.concatenate(held, axis=1) + np.float32(0.0)
+    order = np.lexsort((*at.T[::-1], vertex))
+    changes = (np.diff(vertex[order]) != 0) | np.any(np.diff(at[order], axis=0) != 0.0, axis=1)
     number = np.concatenate([[0], np.cumsum(changes)])
     first = order[np.concatenate([[True], changes])]
     of_corner = np.empty(len(vertex), np.int32)

@@ -1,6 +1,0 @@
-#version 420 core
-// Depth alone.
-
-void main()
-{
-}
