@@ -39,7 +39,7 @@ def view(out: Path | str, options: ViewOptions) -> ViewReport:
     """Writes one page to look at all frames, in any browser, offline.
 
     Args:
-        out: Output folder with frames, or a USD file.
+        out: Output folder with frames, a whole sweep of such, or a USD file.
         options: As fields of ``ViewOptions``.
 
     Raises:

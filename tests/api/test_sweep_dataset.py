@@ -139,6 +139,12 @@ def test_a_range_of_batches_goes_through_the_points(swept):
         Source(swept, batches=[4])
 
 
+@pytest.mark.parametrize("form", ["gltf", "map", "tapvid"])
+def test_formats_of_stages_take_one_point(swept, tmp_path, form):
+    with pytest.raises(OutputError, match="is a sweep.* takes the output of one point"):
+        export(swept, form, tmp_path / form)
+
+
 def test_other_settings_make_another_dataset(swept, tmp_path):
     out = tmp_path / "sweep"
     shutil.copytree(swept, out)
