@@ -206,15 +206,15 @@ class Spread[**P, T: CallOptions]:
 
         before = list(inspect.signature(function).parameters.values())[:-1]
         after = inspect.signature(record).parameters.values()
-        signature = inspect.signature(function).replace(
-            parameters=[*(p.replace(kind=p.POSITIONAL_ONLY) for p in before), *after]
-        )
+        signature = inspect.signature(function).replace(parameters=[*before, *after])
 
         @wraps(function)
         def call(*args: Any, **options: Any) -> Any:
-            if len(args) != len(before):
+            named = [p.name for p in before[len(args) :] if p.name in options]
+            if len(args) + len(named) != len(before):
                 # Python would speak of the record, which nobody gave.
                 signature.bind(*args, **options)
+            args = (*args, *map(options.pop, named))
             for parameter, value in zip(before, args, strict=True):
                 require(parameter.name, value, str(parameter.annotation))
             made = record(**options)

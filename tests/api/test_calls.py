@@ -142,9 +142,27 @@ def test_a_value_of_another_type_is_refused_by_its_name(name, argument, wrong):
     call = getattr(scenec, name)
     parameters = inspect.signature(call).parameters.values()
     given = {p.name: "no_such" for p in parameters if p.default is p.empty} | {argument: wrong}
-    positional = [given.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY]
     with pytest.raises(ScenecError, match=rf"^{argument}: .*expected"):
-        call(*positional, **given)
+        call(**given)
+
+
+@pytest.mark.parametrize("call", [scenec.export, scenec.evaluate, scenec.compile])
+def test_arguments_are_given_by_place_or_by_name(call, tmp_path):
+    first, second = list(inspect.signature(call).parameters)[:2]
+    values = {first: tmp_path / "none.json", second: "tum"}
+    faults = []
+    for args, given in (
+        (tuple(values.values()), {}),
+        ((values[first],), {second: values[second]}),
+        ((), values),
+    ):
+        with pytest.raises(ScenecError) as caught:
+            call(*args, **given)
+        faults.append(str(caught.value))
+    assert len(set(faults)) == 1
+    for args, given in (((), {second: "tum"}), (("a", "b", "c"), {}), (("a", "b"), {first: "a"})):
+        with pytest.raises(TypeError):
+            call(*args, **given)
 
 
 @pytest.mark.parametrize("kind", [scenec.OutputFolder, scenec.StageView.of])
@@ -213,7 +231,7 @@ def test_arguments_that_are_missing_are_named():
     with pytest.raises(TypeError, match="'out'"):
         scenec.compile("cfg.json")  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="'out'"):
-        scenec.render(out="OUT")  # type: ignore[call-arg]
+        scenec.render(spp=4)  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="unexpected keyword argument 'sed'"):
         scenec.compile("cfg.json", "OUT", sed=1)  # type: ignore[call-arg]
 

@@ -7,8 +7,8 @@ import json
 import cv2
 import h5py
 import numpy as np
-import pykitti
 import pytest
+from pykitti.odometry import odometry
 
 import scenec
 from scenec.datasets.source import Source
@@ -114,7 +114,7 @@ def test_the_picture_is_opencv_s_undistorted_one_and_lies_on_the_pinhole_s(out, 
 
 def test_a_point_has_one_row_in_both_pictures_of_a_pair(out, kitti):
     """By the calibration of the files; columns differ by the disparity that is written."""
-    read = pykitti.odometry(str(kitti), "00")
+    read = odometry(str(kitti), "00")
     calib, depth = read.calib, cv2.imread(str(kitti / "sequences/00/depth_2/000000.png"), -1)
     disparity = cv2.imread(str(kitti / "sequences/00/disp_2/000000.png"), -1) / 256.0
     v, u = np.nonzero((depth > 0) & (disparity > 0))
