@@ -141,7 +141,7 @@ def test_a_range_of_batches_goes_through_the_points(swept):
 
 @pytest.mark.parametrize("form", ["gltf", "map", "tapvid"])
 def test_formats_of_stages_take_one_point(swept, tmp_path, form):
-    with pytest.raises(OutputError, match="is a sweep.* takes the output of one point"):
+    with pytest.raises(OutputError, match=r"is a sweep.* takes the output of one point"):
         export(swept, form, tmp_path / form)
 
 
