@@ -25,10 +25,11 @@ from scenec.backends.check.scene import check_scene
 from scenec.backends.check.stage import NOT_WHOLE, check_stage
 from scenec.backends.registry import require_name
 from scenec.backends.stage.read import read_stage
-from scenec.schemas.codec import Facts, read_record
+from scenec.schemas.codec import Facts
 from scenec.schemas.errors import OutputError, ScenecError, StageError
 from scenec.schemas.manifest import MANIFEST, find_batches, read_manifest
 from scenec.schemas.passes import ANNOTATION_NAMES
+from scenec.schemas.sweep import is_sweep, read_sweep
 
 if TYPE_CHECKING:
     from scenec.datasets.verify import Comparison, Flaw
@@ -37,21 +38,6 @@ if TYPE_CHECKING:
 _WHOLE = ("files", "assets", *(f"UsdValidation:{name}" for name in NOT_WHOLE))
 #: What makes a folder a dataset, see ``scenec.datasets.export``.
 EXPORT = "export.json"
-
-
-#: What makes a folder a sweep, see ``api.sweep``.
-SWEEP = "sweep.json"
-
-
-@dataclass(frozen=True)
-class _ListedPoint:
-    folder: str
-    state: str
-
-
-@dataclass(frozen=True)
-class _SweepList:
-    points: tuple[_ListedPoint, ...]
 
 
 @dataclass(frozen=True)
@@ -122,7 +108,7 @@ def check(out: Path | str, options: CheckOptions) -> CheckReport:
     out = Path(out)
     if options.against is not None or (out / EXPORT).is_file():
         return _check_dataset(out, options)
-    if (out / SWEEP).is_file() and not (out / MANIFEST).is_file():
+    if is_sweep(out):
         return _check_sweep(out, options)
     for name in options.backends:
         require_name(name)
@@ -150,7 +136,7 @@ def _check_sweep(out: Path, options: CheckOptions) -> CheckReport:
     """Checks each point of a sweep; what is found is named by the point's folder."""
     if options.backends or options.exact:
         raise ScenecError(f"{out}: is a sweep; give --backends and --exact one of its points")
-    listed = read_record(out / SWEEP, _SweepList, OutputError, "sweep's list")
+    listed = read_sweep(out)
     findings: list[Finding] = []
     for point in listed.points:
         folder = out / point.folder

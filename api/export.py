@@ -23,6 +23,7 @@ from scenec.datasets.tracks import TAPVID
 from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError
 from scenec.schemas.imu import RigState
+from scenec.schemas.sweep import is_sweep
 
 
 @Spread(ExportOptions).two
@@ -30,7 +31,7 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
     """Exports frames to a dataset: COCO, HDF5, TUM, …; or stages to glTF, USDZ, maps, point tracks.
 
     Args:
-        out: Output folder with frames, or a USD file that was rendered.
+        out: Output folder with frames, a whole sweep of such, or a USD file that was rendered.
         format: Its name, see ``scenec export --list``.
         options: As fields of ``ExportOptions``.
 
@@ -38,6 +39,8 @@ def export(out: Path | str, format: str, options: ExportOptions) -> ExportReport
         FrameError: A frame is missing, foreign or damaged.
         OutputError: What is asked for makes no sense, or there is another dataset.
     """
+    if format in (MAP, TAPVID, *MODEL_FORMATS) and is_sweep(Path(out)):
+        raise OutputError(f"{out}: is a sweep; format {format} takes the output of one point")
     if format == MAP:
         return export_maps(Path(out), options)
     if format == TAPVID:

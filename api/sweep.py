@@ -8,7 +8,6 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,28 +29,15 @@ from scenec.api.steps import (
 from scenec.compiler.cfg.load import Spec
 from scenec.compiler.sweep import CompilePoint, SweepPoint, points, read_all
 from scenec.compiler.views.needed import Keep
-from scenec.schemas.codec import Facts, Natural, decode
+from scenec.schemas.codec import Facts, decode
 from scenec.schemas.csv_cells import csv_writer, guarded_line
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import atomic, check_writable, read_json, write_json
 from scenec.schemas.manifest import MANIFEST
+from scenec.schemas.sweep import SweepList
 from scenec.schemas.units import Executor, run_all
 
 TABLE = "sweep"
-
-
-@dataclass(frozen=True)
-class _Point:
-    folder: str
-    seed: Natural
-    cfg_sha256: str
-    state: str
-
-
-@dataclass(frozen=True)
-class _PointList:
-    name: str
-    points: tuple[_Point, ...]
 
 
 @Spread(SweepOptions).two
@@ -179,7 +165,7 @@ def _require_sweep_table(out: Path) -> None:
     rows: list[dict[str, Any]] = []
     with suppress(FileNotFoundError):
         found = read_json(listed, OutputError, "sweep's list")
-        decode(found, _PointList, OutputError, f"{listed}: is no sweep's list")
+        decode(found, SweepList, OutputError, f"{listed}: is no sweep's list")
         rows = found["points"]
     try:
         there = table.read_text(encoding="utf-8")

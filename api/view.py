@@ -11,12 +11,13 @@ from scenec.api.listener import Listener
 from scenec.api.options import ViewOptions
 from scenec.api.site import site_of
 from scenec.backends.run.executors import make_executor
+from scenec.datasets.outputs import find_outputs
 from scenec.datasets.view.ground import Ground
 from scenec.datasets.view.page import ViewReport, write_view
 from scenec.datasets.view.space import three
 from scenec.schemas.budget import usable_cores
 from scenec.schemas.errors import OutputError, ScenecError
-from scenec.schemas.manifest import Batch, find_batches
+from scenec.schemas.manifest import Batch
 
 #: Cells along the longer side of a batch's ground; the page keeps fewer where many batches are.
 _CELLS = 512
@@ -38,7 +39,7 @@ def view(out: Path | str, options: ViewOptions) -> ViewReport:
     """Writes one page to look at all frames, in any browser, offline.
 
     Args:
-        out: Output folder with frames, or a USD file.
+        out: Output folder with frames, a whole sweep of such, or a USD file.
         options: As fields of ``ViewOptions``.
 
     Raises:
@@ -71,7 +72,7 @@ def write_page(out: Path, options: ViewOptions, watched: str = "") -> ViewReport
     page, listener, ground = page_of(out, options), options.listener, None
     if not options.no_ground:
         rooms = rooms_of(out, options.budget_mb, listener)
-        each = _SITE_CELLS / max(1, len(find_batches(out)))
+        each = _SITE_CELLS / max(1, len(find_outputs(out).find()))
         cells = int(min(_SITE_MOST, max(_SITE_LEAST, each**0.5)))
         ground = partial(ground_of, rooms=rooms, cells=cells, listener=listener)
     workers = options.workers or usable_cores()
@@ -95,7 +96,7 @@ def rooms_of(out: Path, budget_mb: float, listener: Listener) -> dict[int, int]:
     if three() is None:
         listener.say("no 3D view: three.js comes with trimesh (pip install 'scenec[meshes]')")
         return {}
-    batches = [batch.index for batch in find_batches(out)]
+    batches = [batch.index for batch in find_outputs(out).find()]
     room = min(_SPACE_BYTES, _SPACE_PART * 1e6 * budget_mb) - _LIBRARY_BYTES
     shown = batches[: max(0, int(room / _LEAST_SPACE_BYTES))]
     if len(shown) < len(batches):

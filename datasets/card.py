@@ -139,6 +139,9 @@ def _splits(summary: dict[str, Any]) -> str:
         for name, frames in summary["splits"].items()
     ]
     text = tables.table(["split", "frames", "batches", "which"], rows, "lrr")
+    ranges = any(isinstance(value, str) for value in summary["asked"]["splits"].values())
+    if "sweep" in summary["source"] and ranges:
+        return text + "\nPoints with the same seed may have the same terrain, in any split.\n"
     return text + "\nNo terrain is in two splits.\n" if len(rows) > 1 else text
 
 
@@ -184,6 +187,9 @@ def _making(summary: dict[str, Any], statistics: dict[str, Any]) -> str:
     rows: list[tuple[str, object]] = []
     if "stage" in source:
         rows.append(("stage", tables.code(source["stage"])))
+    elif "sweep" in source:
+        points = len(source["sweep"])
+        rows.append(("sweep", f"{tables.code(source['name'])}, {points:,} points (`points.csv`)"))
     else:
         digest = source.get("cfg", {}).get("sha256", "unknown")
         libraries = ", ".join(f"{name} {v}" for name, v in source.get("libraries", {}).items())
@@ -253,11 +259,12 @@ def _licenses(summary: dict[str, Any]) -> str:
 def _again(summary: dict[str, Any], statistics: dict[str, Any], cfg: str | None) -> str:
     source, asked = summary["source"], summary["asked"]
     lines = []
+    swept = "sweep" in source
     compiled = "stage" not in source
-    if compiled:
+    if compiled and not swept:
         lines.append(f"scenec compile cfg.json --seed {source['seed']} -o OUT")
     out = "OUT" if compiled else source["stage"]
-    for how in statistics["made"].get("rendering", []):
+    for how in () if swept else statistics["made"].get("rendering", []):
         words = ["scenec", "render", out, "--backend", str(how["backend"])]
         if "rgb" in (how["passes"] or ()):
             words += ["--spp", str(how["samples_per_pixel"])]
@@ -286,7 +293,12 @@ def _again(summary: dict[str, Any], statistics: dict[str, Any], cfg: str | None)
         f"With scenec {source.get('scenec', summary['scenec'])} and the libraries above, in a "
         "folder of its own, where DATASET is this one:\n\n" + _fenced("\n".join(lines), "sh")
     )
-    if cfg is not None:
+    if swept:
+        text += (
+            "\nOUT is the sweep: `scenec sweep` with the settings and seeds of `points.csv`, and "
+            "the renderer named above.\n"
+        )
+    elif cfg is not None:
         inputs = source.get("cfg", {}).get("inputs")
         text += "\nSave this cfg as `cfg.json`"
         text += (

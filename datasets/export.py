@@ -5,6 +5,7 @@ A dataset is a folder. Beside what its format has there are, in each::
     export.json       what was exported of what, how: filters, splits, counts, faults, digests
     frames.csv        one line a frame: split, place, time, digests of its annotation and picture
     statistics.json   classes, sizes, distances ... (``scenec.datasets.statistics``)
+    points.csv        of a sweep: one line a batch, with the settings of its point
     SHA256SUMS        of every file but itself (``sha256sum -c SHA256SUMS``)
     README.md         the dataset card
 
@@ -15,9 +16,10 @@ export that was cut short has done is not done again.
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,10 +57,13 @@ from scenec.schemas.update import finish_update, reading, replace_files
 __all__ = ["FAULTS", "Choice", "ExportReport", "export"]
 
 INDEX = "frames.csv"
+POINTS = "points.csv"
 STATISTICS = "statistics.json"
 CARD = "README.md"
 
 
+#: Each lock is an open file, and systems allow some 1000.
+_LOCKED = 500
 #: More of them are counted, not listed.
 _LISTED_FAULTS = 1000
 #: More of them are said in one line.
@@ -156,7 +161,7 @@ def _export(
             f"exporting the frames of {plan.source.backend}; there are those of "
             f"{', '.join(others)} too (--backend)"
         )
-    with reading(out), _begun(plan) as partial:
+    with _reading(plan, say), _begun(plan) as partial:
         _missing(plan, report, say)
         for line in plan.remarks():
             say(f"warning: {line}")
@@ -270,6 +275,18 @@ def _begun(plan: Plan) -> Iterator[Path]:
         yield partial
 
 
+@contextmanager
+def _reading(plan: Plan, say: Say) -> Iterator[None]:
+    """Keeps compilations away from what is read: an output, or all points of a sweep."""
+    folders = plan.source.outputs.folders
+    if len(folders) > _LOCKED:
+        say(f"warning: of {len(folders)} points: do not compile any of them before this ends")
+    with ExitStack() as stack:
+        for folder in folders if len(folders) <= _LOCKED else ():
+            stack.enter_context(reading(folder))
+        yield
+
+
 def _missing(plan: Plan, report: ExportReport, say: Say) -> None:
     missing = plan.source.missing
     if missing and plan.choice.faults == "stop":
@@ -329,7 +346,7 @@ def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
     write_json(data / STATISTICS, found)
     write_json(data / EXPORT, summary)
     write_card(data / CARD, summary, found, plan.format().usage(), plan.cfg())
-    ours = (INDEX, STATISTICS, EXPORT, CARD)
+    ours = (INDEX, STATISTICS, EXPORT, CARD, *_write_points(plan, data))
     note(plan.format_name, sums, {name: sha256(data / name) for name in ours})
     write_sums(data, sums)
     tidy(data, {*sums, SUMS})
@@ -347,6 +364,27 @@ def _finish(plan: Plan, partial: Path, report: ExportReport, say: Say) -> None:
     else:
         replace_files(data, plan.folder)
     shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write_points(plan: Plan, data: Path) -> tuple[str, ...]:
+    """Writes ``points.csv`` of a sweep: a line a batch, with the settings of its point."""
+    points = plan.source.outputs.points
+    if not points:
+        return ()
+    batches = {ref.batch: ref for ref in plan.source.frames if ref.batch in plan.split_of}
+    names = list(dict.fromkeys(name for point in points for name in point.settings))
+    with (data / POINTS).open("w", encoding="utf-8", newline="") as file:
+        lines = csv_writer(file)
+        lines.writerow(guarded_line(["batch", "split", *names]))
+        for number, ref in sorted(batches.items()):
+            cells = [_cell(ref.settings.get(name)) for name in names]
+            lines.writerow(guarded_line([ref.batch_name, plan.split_of[number], *cells]))
+    return (POINTS,)
+
+
+def _cell(value: object) -> str:
+    """Text as it is, of all else the JSON."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def _add_up(report: ExportReport, task: Task, entry: TaskRecord) -> None:
@@ -368,10 +406,8 @@ def _note(counts: dict[str, int], more: dict[str, int]) -> None:
 
 def _georeferences(plan: Plan) -> dict[str, Any]:
     """Returns where on a body each batch lies, by its number; nothing where none says so."""
-    manifest = plan.source.manifest
-    batches = () if manifest is None else manifest.batches
-    found = {str(b.index): encode(b.georeference) for b in batches
-             if b.georeference and b.index in plan.split_of}  # fmt: skip
+    known = plan.source.outputs.georeferences().items()
+    found = {str(batch): encode(place) for batch, place in known if batch in plan.split_of}
     return {"georeferences": found} if found else {}
 
 

@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from scenec.datasets.pictures import is_from_sensor, kinds
 from scenec.datasets.remap import Remap
 from scenec.datasets.source import FrameRef, Source, one_of_each
 from scenec.datasets.splits import assign
-from scenec.schemas.codec import UNSET, Facts, JsonObject, encode
+from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import sha256
 from scenec.schemas.frames import BESIDE
@@ -162,7 +162,15 @@ class Plan:
             "task": task.number,
             "split": task.split,
             "place": list(task.place),
-            "frames": [[ref.index, ref.name, self.frame_key(ref)] for ref in task.frames],
+            "frames": [
+                [
+                    ref.index,
+                    ref.name,
+                    self.frame_key(ref),
+                    *([ref.settings] if ref.settings else ()),
+                ]
+                for ref in task.frames
+            ],
         }
         sources = self._sources(task)
         values |= {"sources": sources} if sources else {}
@@ -192,18 +200,12 @@ class Plan:
         return state.hexdigest()
 
     def origin(self) -> Facts:
-        """Returns the origin of the frames, as the manifest has it."""
-        manifest = self.source.manifest
-        if manifest is None:
-            return {"stage": self.out.name}
-        shown = replace(manifest, format=UNSET, keep=UNSET, failed=UNSET, batches=(), files={})
-        origin: dict[str, Any] = encode(shown) | {"batches": len(manifest.batches)}
-        del origin["files"]
-        return origin
+        """Returns the origin of the frames, as the manifests have it."""
+        return self.source.outputs.origin()
 
     def cfg(self) -> str | None:
         """The cfg's text; None where there is none, or another than the manifest's."""
-        manifest = self.source.manifest
+        manifest = self.source.outputs.manifest
         entry = None if manifest is None else manifest.files.get(CFG)
         path = self.out / CFG
         try:
@@ -218,7 +220,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     """Look at what there is, and hold the choice against it.
 
     Args:
-        out: Output folder of ``compile`` and ``render``, or a USD file that was rendered.
+        out: Output folder of ``compile`` and ``render``, a sweep, or a USD file that was rendered.
         name: Of the format.
         folder: The dataset's; None takes ``<out>/datasets/<format>``.
         choice: What, and how.
@@ -253,12 +255,12 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
             )
     _check_options(kind, choice.options)
     there = sorted({ref.batch for ref in source.frames})
-    split_of = assign(there, choice.splits, choice.split_seed)
+    split_of = assign(there, choice.splits, choice.split_seed, source.outputs.twins())
     names = tuple(choice.splits) or tuple(dict.fromkeys(split_of.values()))
     cameras = one_of_each(source.frames).values()
     beside = {kind for record in cameras for kind in kinds(record)}
     info = Info(
-        name=_dataset_name(source),
+        name=source.outputs.name,
         labels=labels,
         level=level,
         passes=passes,
@@ -269,6 +271,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         beside=tuple(kind for kind in BESIDE if kind in beside),
         anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),
         imaging=any(map(is_from_sensor, cameras)),
+        points=tuple(point.settings for point in source.outputs.points),
         rigs=Rigs(choice.rigs, {name: path.absolute() for name, path in source.stages.items()}),
     )
     if folder is None:
@@ -293,12 +296,6 @@ def _check_options(kind: type[Format], options: Mapping[str, str]) -> None:
                 f"format {kind.name}, option {key}: {value!r} is none of {', '.join(choices)}"
                 f"{nearest(str(value), choices)}"
             )
-
-
-def _dataset_name(source: Source) -> str:
-    if source.manifest is not None:
-        return source.manifest.name or source.out.name
-    return source.out.stem
 
 
 def _sky(source: Source, remap: Remap) -> dict[str, int]:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from scenec.datasets import pictures
 from scenec.datasets.contact_sheet import TERRAIN, SheetFrame, contact_sheet
 from scenec.datasets.motion_colors import OCCLUSIONS, UNITS
-from scenec.datasets.source import FrameRef, LoadedFrame, Source, record_of
+from scenec.datasets.source import FrameRef, LoadedFrame, Source
+from scenec.schemas.codec import JSON
 from scenec.schemas.depth_camera import MEASURED
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import atomic, check_output
-from scenec.schemas.manifest import stage_digest
+
+#: Of a line of a row's title, so that it stays within the first picture.
+_TITLE_LETTERS = 44
 
 
 @dataclass(frozen=True)
@@ -24,18 +30,20 @@ class Sheet:
         folder: Folder of the frames shown.
         left_out: A line each of frames that are none of the output's (strays, foreign ones) and so
             not shown; the sheet's heading counts them.
+        frames: Names of the frames shown.
     """
 
     path: Path
     folder: Path
     left_out: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
 
 
 def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: int = 4) -> Sheet:
-    """Writes the contact sheet of an output's first frames.
+    """Writes the contact sheet of an output's first frames; of a sweep, of its points' first ones.
 
     Args:
-        out: Output folder of compile and render, or a USD file that was rendered.
+        out: Output folder of compile and render, a sweep, or a USD file that was rendered.
         output: The PNG to write.
         backend: Whose frames; None takes the first there is.
         count: How many at most.
@@ -48,9 +56,9 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
     source = Source(out, backend)
     left_out = [fault.message for fault in source.strays]
     frames: list[LoadedFrame] = []
-    for ref in source.frames:
+    for ref in _across_points(source.frames):
         try:
-            if _is_foreign(source, ref):
+            if source.is_foreign(ref):
                 # Without reading all of them: after a new compile all may be.
                 raise ForeignFrameError(
                     f"{ref.stem}.json: foreign: was rendered from another stage; render it again"
@@ -62,6 +70,7 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
             break
     if not frames:
         raise FrameError(f"{out}: all frames are of another stage, such as {left_out[-1]}")
+    frames.sort(key=lambda frame: frame.ref.index)
     first = frames[0].sidecar
     heading = f"{out.resolve().name}: {first.backend}"
     if first.spp:
@@ -71,23 +80,32 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
     picture = contact_sheet([_sheet_frame(frame) for frame in frames], source.labels(), heading)
     with atomic(output) as temporary:
         picture.save(temporary, format="PNG")
-    return Sheet(output, frames[0].ref.stem.parent, tuple(left_out))
+    shown = tuple(frame.ref.name for frame in frames)
+    return Sheet(output, frames[0].ref.stem.parent, tuple(left_out), shown)
 
 
-def _is_foreign(source: Source, ref: FrameRef) -> bool:
-    """Whether a sidecar names another stage than the manifest has."""
-    if source.manifest is None:
-        return False
-    digest = stage_digest(source.manifest, ref.batch_name)
-    record = record_of(ref)
-    return record is not None and record.stage_digest != digest
+def _across_points(frames: Sequence[FrameRef]) -> list[FrameRef]:
+    """The first frame of each point of a sweep, then the second ones; of others, as they come."""
+    seen: Counter[JSON] = Counter()
+    rounds: list[tuple[int, FrameRef]] = []
+    for ref in frames:
+        point = ref.settings.get("point")
+        rounds.append((seen[point], ref))
+        seen[point] += 1
+    return [ref for _, ref in sorted(rounds, key=lambda one: one[0])]
+
+
+def _title(frame: LoadedFrame) -> list[str]:
+    """Lines beside a row; in a sweep, the name of the point's folder, which says what differs."""
+    folder = textwrap.wrap(str(frame.ref.settings.get("folder", "")), _TITLE_LETTERS)
+    return [*folder, f"{frame.sidecar.camera}, sample {frame.sidecar.sample}"]
 
 
 def _sheet_frame(frame: LoadedFrame) -> SheetFrame:
     passes = frame.passes
     clean = "clean" in pictures.kinds(frame.sidecar)
     return SheetFrame(
-        title=f"{frame.sidecar.camera}, sample {frame.sidecar.sample}",
+        title="\n".join(_title(frame)),
         picture=pictures.picture(frame) if pictures.has_picture(frame) else None,
         labels={
             name.removeprefix("label."): array

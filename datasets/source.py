@@ -10,7 +10,7 @@ output, named and passed over.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.datasets.outputs import find_outputs
 from scenec.schemas import rle
 from scenec.schemas.amodal import Amodal, amodal_path, read_amodal
-from scenec.schemas.codec import Facts, encode
+from scenec.schemas.codec import JSON, Facts, encode
 from scenec.schemas.consistency import frame_faults, table_faults
 from scenec.schemas.errors import ForeignFrameError, FrameError
 from scenec.schemas.files import sha256
@@ -33,15 +34,7 @@ from scenec.schemas.instances import (
     read_frame_table,
 )
 from scenec.schemas.lens import Lens
-from scenec.schemas.manifest import (
-    FRAMES,
-    RECTIFIED,
-    STAGE_SUFFIXES,
-    Batch,
-    find_batches,
-    read_manifest,
-    stage_digest,
-)
+from scenec.schemas.manifest import FRAMES, RECTIFIED, Batch
 from scenec.schemas.passes import ANNOTATION, ANNOTATION_NAMES
 from scenec.schemas.records import FileDigest, FrameRecord
 from scenec.schemas.sidecars import lens_of, read_sidecar
@@ -61,6 +54,7 @@ class FrameRef:
         camera: Name of the camera.
         sample: Time code.
         stem: Its path without a suffix.
+        settings: Of its point, in a sweep (``outputs.DatasetPoint.settings``); of others none.
     """
 
     index: int
@@ -70,6 +64,7 @@ class FrameRef:
     camera: str
     sample: int
     stem: Path
+    settings: Mapping[str, JSON] = field(default_factory=dict, compare=False)
 
     @property
     def name(self) -> str:
@@ -149,6 +144,11 @@ class LoadedFrame:
         return {name: encode(one) for name, one in held.items() if one is not None}
 
     @property
+    def point(self) -> Facts:
+        """``settings`` with those of its point, of frames of a sweep."""
+        return {"settings": dict(self.ref.settings)} if self.ref.settings else {}
+
+    @property
     def rolls(self) -> bool:
         """Whether rows of the picture have poses of their own (the frame's is the middle's)."""
         shutter, middle = self.sidecar.shutter, self.sidecar.camera_to_world
@@ -216,10 +216,11 @@ def pictures_first(backends: Iterable[str]) -> tuple[str, ...]:
 
 
 class Source:
-    """The frames of one backend in an output folder (or beside a USD file).
+    """The frames of one backend in an output folder or a sweep (or beside a USD file).
 
     Args:
-        out: Output folder of ``compile`` and ``render``, or a USD file that was rendered.
+        out: Output folder of ``compile`` and ``render``, a sweep (``outputs.SweptOutputs``), or a
+            USD file that was rendered.
         backend: Whose frames; None takes the only one there is, and of several the first by name.
         batches: Only these.
         cameras: Only these.
@@ -233,7 +234,7 @@ class Source:
         frames: In order of batch, camera and sample.
         missing: Faults of frames that should be there.
         strays: Faults of frames at samples that their camera has none at.
-        manifest: Of the output; None beside a USD file.
+        outputs: Where the batches are: an output folder, a USD file, all points of a sweep.
 
     Raises:
         FrameError: There are no frames, or none of this backend or camera.
@@ -253,9 +254,8 @@ class Source:
     ) -> None:
         self.out = Path(out)
         self._rectified = frozenset(rectified)
-        is_stage = self.out.suffix.lower() in STAGE_SUFFIXES and not self.out.is_dir()
-        self.manifest = None if is_stage else read_manifest(self.out)
-        self._batches = find_batches(self.out, batches)
+        self.outputs = find_outputs(self.out)
+        self._batches = self.outputs.find(batches)
         self.backends = self._rendered()
         self.backend = self._choose(backend)
         seen = self._folders(self._batches)
@@ -265,23 +265,28 @@ class Source:
                     f"{self.out}: no frames of camera {camera!r}{nearest(camera, seen)}"
                 )
         self._cameras = list(cameras) if cameras else seen
-        self._every = find_batches(self.out) if batches is not None else self._batches
+        self._every = self.outputs.find() if batches is not None else self._batches
         self._samples = None if samples is None else set(samples)
         self.missing: tuple[FrameFault, ...] = ()
         self.strays: tuple[FrameFault, ...] = ()
+        self._digests = self.outputs.digests(self._batches)
         self.frames = self._list()
         if not self.frames:
             raise FrameError(
-                f"{self.out}: no frames of {self.backend} in the range asked for; render first: "
-                f"scenec render {self.out} --backend {self.backend}"
+                f"{self.out}: no frames of {self.backend} in the range asked for; "
+                f"{self.outputs.mend} --backend {self.backend}"
             )
-        self._digests = self._stage_digests()
         self._labels: dict[str, dict[int, str]] | None = None
 
     @property
     def stages(self) -> dict[str, Path]:
         """Root layers of the batches' stages, by the batch's name."""
         return {batch.name: batch.stage for batch in self._batches}
+
+    def is_foreign(self, ref: FrameRef) -> bool:
+        """Whether a frame's sidecar names another stage than the manifest has."""
+        digest, record = self._digests.get(ref.batch_name), record_of(ref)
+        return digest is not None and record is not None and record.stage_digest != digest
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -350,7 +355,7 @@ class Source:
     def __getstate__(self) -> dict[str, Any]:
         # A worker is told which frames to take: it need not be sent the list of all of them.
         _ = self._first
-        return {**self.__dict__, "frames": (), "missing": (), "strays": (), "manifest": None}
+        return {**self.__dict__, "frames": (), "missing": (), "strays": (), "outputs": None}
 
     @cached_property
     def _first(self) -> Frame:
@@ -371,7 +376,7 @@ class Source:
     def _choose(self, wanted: str | None) -> str:
         there = self.backends
         if not there:
-            raise FrameError(f"{self.out}: no frames; render first: scenec render {self.out}")
+            raise FrameError(f"{self.out}: no frames; {self.outputs.mend}")
         wanted = ANNOTATION if wanted in ANNOTATION_NAMES else wanted
         if wanted is not None and wanted not in there:
             raise FrameError(f"{self.out}: no frames of {wanted}{nearest(wanted, there)}")
@@ -380,10 +385,15 @@ class Source:
     def _list(self) -> tuple[FrameRef, ...]:
         refs: list[FrameRef] = []
         places = self._places()
-        missing: list[FrameFault] = []
+        missing = [
+            FrameFault(point.name, "missing", f"{point.out}: no such point: {point.entry.state}")
+            for point in self.outputs.points
+            if point.manifest is None and self._every is self._batches
+        ]
         strays: list[FrameFault] = []
-        lengths = self._lengths()
+        lengths = self.outputs.lengths()
         for batch in self._batches:
+            settings = self.outputs.settings(batch)
             for camera in self._cameras:
                 there = self._numbers(batch, camera)
                 known = lengths.get(batch.index) or (max(there) + 1 if there else 0)
@@ -402,7 +412,14 @@ class Source:
                     stem = frame_stem(batch.folder, self.backend, camera, sample, kind)
                     number = places.get((batch.index, camera), 0) + sample
                     ref = FrameRef(
-                        number, batch.index, batch.name, self.backend, camera, sample, stem
+                        number,
+                        batch.index,
+                        batch.name,
+                        self.backend,
+                        camera,
+                        sample,
+                        stem,
+                        settings,
                     )
                     if sample in there and sample not in fires:
                         told = f"{stem}.json: {_astray(sample, known, every, first)}"
@@ -419,7 +436,7 @@ class Source:
 
     def _places(self) -> dict[tuple[int, str], int]:
         """Returns the number of the first frame of each batch and camera, for any selection."""
-        lengths, names = self._lengths(), self._folders(self._every)
+        lengths, names = self.outputs.lengths(), self._folders(self._every)
         places: dict[tuple[int, str], int] = {}
         total = 0
         for batch in self._every:
@@ -429,11 +446,6 @@ class Source:
                 total += length or 1 + max(self._numbers(batch, camera), default=-1)
         return places
 
-    def _lengths(self) -> dict[int, int]:
-        """Returns the samples of each batch, by the manifest."""
-        batches = () if self.manifest is None else self.manifest.batches
-        return {entry.index: entry.samples for entry in batches}
-
     def _folders(self, batches: Iterable[Batch]) -> list[str]:
         """Lists cameras of which any of some batches has frames."""
         folders = [batch.folder / FRAMES / self.backend for batch in batches]
@@ -441,8 +453,7 @@ class Source:
 
     def _trigger(self, batch: Batch, camera: str, there: set[int]) -> tuple[int, int]:
         """Returns the camera's trigger, as a sidecar of the stage says; (1, 0) if none can."""
-        manifest = self.manifest
-        digest = None if manifest is None else stage_digest(manifest, batch.name)
+        digest = self._digests.get(batch.name)
         for sample in sorted(there):
             stem = frame_stem(batch.folder, self.backend, camera, sample)
             try:
@@ -460,11 +471,6 @@ class Source:
             return set()
         # An EXR or a picture without its sidecar is a frame that was never finished.
         return {int(p.stem) for p in folder.glob("*.json") if p.stem.isascii() and p.stem.isdigit()}
-
-    def _stage_digests(self) -> dict[str, str]:
-        if self.manifest is None:
-            return {}
-        return {batch.name: stage_digest(self.manifest, batch.name) for batch in self._batches}
 
     def _refuse_foreign(self, ref: FrameRef, frame: Frame) -> None:
         digest = frame.sidecar.stage_digest

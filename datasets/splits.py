@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from scenec.schemas.errors import OutputError
 
@@ -59,7 +60,10 @@ def _value(text: str, part: str) -> float | range:
 
 
 def assign(
-    batches: Sequence[int], splits: Mapping[str, float | range], seed: int | str = 0
+    batches: Sequence[int],
+    splits: Mapping[str, float | range],
+    seed: int | str = 0,
+    twins: Mapping[int, int] = MappingProxyType({}),
 ) -> dict[int, str]:
     """The split of each batch.
 
@@ -71,6 +75,7 @@ def assign(
         batches: Numbers; all frames of a batch go where it goes.
         splits: As ``parse_splits`` returns them; empty puts all into ``ALL``.
         seed: Of the order; another one gives another assignment.
+        twins: Batch -> another with the same terrain: shares put both in one split.
 
     Returns:
         Batch -> name. With ranges, batches that are in none are left out.
@@ -83,22 +88,25 @@ def assign(
     ranges = {name: value for name, value in splits.items() if isinstance(value, range)}
     if ranges:
         return _by_range(batches, ranges)
-    if len(batches) < len(splits):
+    terrains = {twins.get(batch, batch) for batch in batches}
+    if len(terrains) < len(splits):
+        ranged = "" if len(terrains) == len(batches) else ", or give ranges of batches"
         raise OutputError(
-            f"{len(splits)} splits need at least as many batches, and there are {len(batches)}: a "
-            "terrain is never in two splits; compile more batches, or ask for fewer splits"
+            f"{len(splits)} splits need at least as many batches, and there are {len(terrains)}"
+            f"{' with terrains of their own' if ranged else ''}: a terrain is never in two splits; "
+            f"compile more batches, or ask for fewer splits{ranged}"
         )
     order = sorted(
-        batches, key=lambda batch: (hashlib.sha256(f"{seed}/{batch}".encode()).digest(), batch)
+        terrains, key=lambda batch: (hashlib.sha256(f"{seed}/{batch}".encode()).digest(), batch)
     )
     shares = {name: float(value) for name, value in splits.items() if isinstance(value, float)}
-    sizes = _sizes(len(batches), shares)
+    sizes = _sizes(len(terrains), shares)
     result: dict[int, str] = {}
     start = 0
     for name, size in sizes.items():
         result.update(dict.fromkeys(order[start : start + size], name))
         start += size
-    return {batch: result[batch] for batch in sorted(result)}
+    return {batch: result[twins.get(batch, batch)] for batch in sorted(batches)}
 
 
 def _sizes(count: int, shares: Mapping[str, float]) -> dict[str, int]:

@@ -24,7 +24,7 @@ from scenec.datasets import pictures
 from scenec.datasets.filters import make_filters
 from scenec.datasets.formats.encode import instance_label
 from scenec.datasets.remap import Remap, parse_remap, read_remap
-from scenec.datasets.source import FrameRef, LoadedFrame, Source
+from scenec.datasets.source import LoadedFrame, Source
 from scenec.datasets.splits import assign, parse_splits
 from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.spelling import nearest
@@ -172,7 +172,7 @@ class FrameDataset:
         self._needed = (*self.passes, "instance") if needs_instances else self.passes
         self.frames = self._source.frames
         if (split := options.get("split")) is not None:
-            found = _assigned(self.frames, split, options)
+            found = _assigned(self._source, split, options)
             self.frames = tuple(ref for ref in self.frames if found.get(ref.batch) == split)
 
     def __len__(self) -> int:
@@ -299,7 +299,7 @@ def _as_tensors(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _assigned(frames: Sequence[FrameRef], split: str, options: Options) -> dict[int, str]:
+def _assigned(source: Source, split: str, options: Options) -> dict[int, str]:
     """The split of each batch.
 
     Raises:
@@ -313,7 +313,8 @@ def _assigned(frames: Sequence[FrameRef], split: str, options: Options) -> dict[
             f"split {split!r} is none of splits{nearest(split, chosen)}; give "
             "splits='train=0.8,val=0.2' or the like"
         )
-    return assign(sorted({ref.batch for ref in frames}), chosen, options.get("split_seed", 0))
+    batches = sorted({ref.batch for ref in source.frames})
+    return assign(batches, chosen, options.get("split_seed", 0), source.outputs.twins())
 
 
 def _as_remap(remap: Remap | Mapping[str, Any] | Path | str | None) -> Remap:

@@ -29,6 +29,7 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import sha256, tree
 from scenec.schemas.manifest import MANIFEST, STAGE_SUFFIXES
 from scenec.schemas.native import native_reading
+from scenec.schemas.sweep import is_sweep
 from scenec.schemas.units import Say
 from scenec.schemas.update import finish_update
 
@@ -308,7 +309,7 @@ def _frames(
             for line in _index(folder)
         }
     stage = folder.suffix.lower() in STAGE_SUFFIXES and folder.is_file()
-    if not stage and not (folder / MANIFEST).is_file():
+    if not stage and not (folder / MANIFEST).is_file() and not is_sweep(folder):
         raise OutputError(
             f"{folder}: is neither a dataset of scenec (no {EXPORT}) nor an output folder (no "
             f"{MANIFEST})"

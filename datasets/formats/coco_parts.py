@@ -90,6 +90,7 @@ def image_entry(frame: LoadedFrame, number: int, file_name: str) -> JsonObject:
         "intrinsics": frame.intrinsics.tolist(),
         **frame.optics,
         "camera_to_world": frame.camera_to_world.tolist(),
+        **frame.point,
     }
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from scenec.datasets.source import FrameRef, LoadedFrame
-from scenec.schemas.codec import JsonObject
+from scenec.schemas.codec import JSON, JsonObject
 from scenec.schemas.imu import RigState
 
 
@@ -92,6 +92,7 @@ class Info:
         beside: Pictures that any camera has beside its picture (``schemas.frames.BESIDE``).
         anywhere: Passes that any camera has.
         imaging: Whether any camera's pictures are a sensor's.
+        points: Columns of each point of a sweep (``outputs.DatasetPoint.settings``).
         rigs: Of each batch.
     """
 
@@ -106,6 +107,7 @@ class Info:
     beside: tuple[str, ...] = ()
     anywhere: tuple[str, ...] = ()
     imaging: bool = False
+    points: tuple[Mapping[str, JSON], ...] = ()
     rigs: Rigs = field(default_factory=Rigs)
 
 

@@ -40,7 +40,7 @@ from scenec.datasets.formats.encode import (
 from scenec.datasets.formats.poses import require_pinhole
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.datasets.splits import ALL
-from scenec.schemas.codec import JsonObject
+from scenec.schemas.codec import JSON, JsonObject
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.frames import BESIDE
@@ -56,6 +56,21 @@ _Feature = JsonObject
 
 def _value(dtype: str) -> _Feature:
     return {"dtype": dtype, "_type": "Value"}
+
+
+def point_types(points: Iterable[Mapping[str, JSON]]) -> dict[str, str]:
+    """Returns the type of each column of a sweep's settings; ``string`` where nothing else fits."""
+    kinds: dict[str, set[type]] = {}
+    for point in points:
+        for name, value in point.items():
+            kinds.setdefault(name, set()).add(type(value))
+    return {
+        name: "bool" if found == {bool}
+        else "int64" if found == {int}
+        else "float64" if found <= {int, float}
+        else "string"
+        for name, found in kinds.items()
+    }  # fmt: skip
 
 
 def _list(feature: _Feature, length: int = -1) -> _Feature:
@@ -154,6 +169,9 @@ class Parquet(Format):
             "intrinsics": _list(_list(_value("float64"), 3), 3),
             "camera_to_world": _list(_list(_value("float64"), 4), 4),
         }
+        described |= {
+            f"settings.{name}": _value(kind) for name, kind in point_types(self.info.points).items()
+        }
         if self.info.imaging:
             described["imaging"] = _value("string")
         if "instance" in self.info.passes:
@@ -204,6 +222,11 @@ class Parquet(Format):
             "intrinsics": frame.intrinsics.tolist(),
             "camera_to_world": frame.camera_to_world.tolist(),
         }
+        types = point_types(self.info.points)
+        for name, value in frame.ref.settings.items():
+            # Values that have no type in common stand as JSON.
+            typed = types[name] != "string" or isinstance(value, str)
+            row[f"settings.{name}"] = value if typed else json.dumps(value, ensure_ascii=False)
         for name, array in frame.passes.items():
             if name == "rgb":
                 row["image"] = _file(picture_png(frame), f"{frame.ref.key}.png")

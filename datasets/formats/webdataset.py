@@ -229,6 +229,7 @@ class WebDataset(Format):
             **({"partner": partner} if partner else {}),
             "exposure_ev": float(frame.sidecar.exposure_ev),
             **({"imaging": imaging} if imaging else {}),
+            **frame.point,
             "instances": lines,
         }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from scenec.datasets.colors import NO_LABEL, label_colors
-from scenec.datasets.source import Source, pictures_first, record_of
+from scenec.datasets.outputs import find_outputs
+from scenec.datasets.source import FrameRef, Source, pictures_first, record_of
 from scenec.datasets.view.fields import HALF_ERROR
 from scenec.datasets.view.fitting import fit, too_small
 from scenec.datasets.view.ground import Ground, ground_text, objects_text, site_text
@@ -19,9 +20,10 @@ from scenec.datasets.view.jobs import Fault, Pool, SourceNames, Task
 from scenec.datasets.view.layers import NORMAL_ERROR_DEG, WIDEST, Fineness
 from scenec.datasets.view.record import EDGES, Record, Tally, plain_json, short
 from scenec.datasets.view.space import space_text, three
+from scenec.schemas.codec import JSON
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import atomic, check_output
-from scenec.schemas.manifest import FRAMES, Batch, find_batches
+from scenec.schemas.manifest import FRAMES, Batch
 from scenec.schemas.units import Executor, Progress, Say
 from scenec.schemas.versions import version_of
 
@@ -137,7 +139,7 @@ def _ground(
 def _names(out: Path, backends: Sequence[str] | None) -> SourceNames:
     names = {
         path.name
-        for batch in find_batches(out)
+        for batch in find_outputs(out).find()
         if (batch.folder / FRAMES).is_dir()
         for path in (batch.folder / FRAMES).iterdir()
         if path.is_dir() and any(path.glob("*/*.json"))
@@ -164,6 +166,24 @@ def _sizes(sources: Sequence[Source]) -> tuple[int, int]:
     return longest, most
 
 
+def _shown_name(ref: FrameRef) -> str:
+    """A batch's name; in a sweep with its point's folder, which says what differs."""
+    folder = ref.settings.get("folder")
+    own = ref.batch_name.removeprefix(f"{ref.settings.get('point')}_")
+    return f"{folder}/{own}" if folder else ref.batch_name
+
+
+def _differing(settings: Sequence[Mapping[str, JSON]]) -> list[list[Any]]:
+    """What differs between points of a sweep: name, and the text of its value in each batch."""
+    names = list(dict.fromkeys(name for one in settings for name in one))
+    rows: dict[str, list[str]] = {
+        name: [json.dumps(one.get(name), ensure_ascii=False).strip('"') for one in settings]
+        for name in names
+        if name not in ("point", "folder")
+    }
+    return [[name, texts] for name, texts in rows.items() if len(set(texts)) > 1]
+
+
 class _Book:
     """One attempt at the page, at one fineness."""
 
@@ -188,6 +208,7 @@ class _Book:
         self._cameras = sorted({task.ref.camera for task in tasks})
         self._backends = [source.backend for source in sources]
         self._batches = sorted({(task.ref.batch, task.ref.batch_name) for task in tasks})
+        self._places = {task.ref.batch: task.ref for task in tasks}
         self._tallies: dict[tuple[int, int, int], Tally] = {}
         self._rows: list[dict[str, Any]] = []
         self._labels: dict[str, dict[int, str]] = {}
@@ -270,7 +291,7 @@ class _Book:
         self, file: BinaryIO, pool: Pool, ground: Callable[[Batch], Ground | None] | None
     ) -> None:
         """Batches from above: objects, and the ground where there is somebody who knows it."""
-        batches = {b.index: b for b in find_batches(self._out)}
+        batches = {b.index: b for b in find_outputs(self._out).find()}
         chosen = [batches[index] for index, _ in self._batches]
         room = 0.5 * self._budget * _GROUND_PART / len(chosen)
         for place, batch in enumerate(chosen):
@@ -316,7 +337,8 @@ class _Book:
             "watched": self._watched,
             "cameras": self._cameras,
             "backends": self._backends,
-            "batches": [name for _, name in self._batches],
+            "batches": [_shown_name(self._places[index]) for index, _ in self._batches],
+            "settings": _differing([self._places[index].settings for index, _ in self._batches]),
             "levels": self._levels(),
             "passes": [json.loads(text) for text in kinds],
             "steps": steps,

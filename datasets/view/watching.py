@@ -9,8 +9,10 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from scenec.datasets.outputs import find_outputs
 from scenec.schemas.files import atomic, stamp
-from scenec.schemas.manifest import FRAMES, MANIFEST, find_batches
+from scenec.schemas.manifest import FRAMES, MANIFEST
+from scenec.schemas.sweep import SWEEP
 
 
 def state_of(out: Path) -> str:
@@ -18,8 +20,10 @@ def state_of(out: Path) -> str:
 
     Sidecars come last of a frame's files, so half a frame is no change.
     """
-    files = [out / MANIFEST] if out.is_dir() else []
-    for batch in find_batches(out):
+    outputs = find_outputs(out)
+    files = [out / SWEEP] if outputs.points else []
+    files += [folder / MANIFEST for folder in outputs.folders if folder.is_dir()]
+    for batch in outputs.find():
         files += [batch.stage, *sorted((batch.folder / FRAMES).glob("*/*/*.json"))]
     found = hashlib.sha256()
     for file in files:

@@ -58,6 +58,7 @@ FLOORS = {
         ("testing",),
     ),
     "datasets": (
+        ("outputs",),
         ("bins", "card_tables", "colors", "idset", "outlines", "source", "splits", "sums"),
         ("filters", "motion_colors", "pictures", "remap", "statistics"),
         ("contact_sheet", "formats", "view", "terminal"),

@@ -108,12 +108,16 @@ function shareOf(frame, highlight) {
   return (frame.pixels[highlight.level]?.[highlight.id] ?? 0) / (w * h);
 }
 
+/** Whether a batch is of a point with the chosen settings, in a sweep. */
+const ofSettings = (batch) => index.settings.every(([name, values]) =>
+  [undefined, "", values[batch]].includes(state.filter[`set ${name}`]));
+
 /** Which frames pass the filters, sorted. */
 function refilter() {
   const { backend, batch, camera, only } = state.filter;
   const wanted = (f) =>
     (backend === "" || f.backend === +backend) && (batch === "" || f.batch === +batch) &&
-    (camera === "" || f.camera === +camera) &&
+    (camera === "" || f.camera === +camera) && ofSettings(f.batch) &&
     (only === "" || (only === "faults" ? Boolean(f.fault) : shareOf(f, state.highlight) > 0));
   const key = sortKeys[state.sort][1];
   const found = frames.filter(wanted).map((f) => [key(f), f.number]);

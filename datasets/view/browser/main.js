@@ -34,6 +34,8 @@ function filterBar() {
   $("filters").replaceChildren(
     index.backends.length > 1 ? choice("backend", "Backend", named("all backends", index.backends)) : "",
     index.batches.length > 1 ? choice("batch", "Batch", named("all batches", index.batches)) : "",
+    ...index.settings.map(([name, values]) => choice(`set ${name}`, name,
+      [["", `any ${name}`], ...[...new Set(values)].map((value) => [value, `${name} ${value}`])])),
     index.cameras.length > 1 ? choice("camera", "Camera", named("all cameras", index.cameras)) : "",
     only.length > 1 ? choice("only", "Content", only) : "", sort,
     make("button.quiet", { "aria-label": "Descending", "aria-pressed": String(state.descending), title: "Turn the order",

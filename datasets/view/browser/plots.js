@@ -8,7 +8,7 @@ function tallied() {
   // Annotation is the same whoever rendered: a view is counted once.
   const seen = new Set();
   for (const [a, b, c, tally] of index.tallies) {
-    if ((backend !== "" && a !== +backend) || (batch !== "" && b !== +batch) || (camera !== "" && c !== +camera)) continue;
+    if ((backend !== "" && a !== +backend) || (batch !== "" && b !== +batch) || (camera !== "" && c !== +camera) || !ofSettings(b)) continue;
     if (seen.has(`${b}/${c}`)) continue;
     seen.add(`${b}/${c}`);
     for (const [level, pairs] of Object.entries(tally.pixels)) add((sum.pixels[level] ??= new Map()), pairs);
