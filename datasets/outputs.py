@@ -145,7 +145,7 @@ class SweptOutputs(Outputs):
             if manifest := point.manifest:
                 numbers = [one.index for one in manifest.batches]
                 numbers += [one.index for one in manifest.failed or ()]
-                stride = max(stride, *(number + 1 for number in numbers))
+                stride = max([stride, *(number + 1 for number in numbers)])
         self._point: dict[int, DatasetPoint] = {}
         self._own: dict[int, Batch] = {}
         self._entry: dict[int, BatchEntry] = {}
