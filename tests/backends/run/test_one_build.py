@@ -66,9 +66,9 @@ def test_a_renderer_and_the_exact_caster_build_a_pairs_scene_once(
     built: list[RenderScene] = []
     real = session.ExactCaster
 
-    def counting(scene: RenderScene, **options: bool) -> Any:
+    def counting(scene: RenderScene, trees: bool = True) -> Any:
         built.append(scene)
-        return real(scene, **options)
+        return real(scene, trees)
 
     monkeypatch.setattr(session, "ExactCaster", counting)
     scene = read_stage(pair / "batch_0000" / "stage.usda")
