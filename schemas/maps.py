@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ MAP_CHANNELS = {
 #: Kinds that hold colors: sRGB but for floating pictures, which are linear.
 COLORS = ("base_color", "emission")
 _LARGEST = 16384
+#: Pixels of a picture that is no map, at most: twice the usual limit of Pillow, as it has it.
+MOST_PIXELS = 2 * (1024**3 // 4 // 3)
 
 
 def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
@@ -73,6 +76,23 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
             raise ValueError(f"pixels of the kind {image.mode} are not taken; use PNG or OpenEXR")
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise ValueError(f"not a readable picture: {error}") from error
+
+
+def require_size(image: Any) -> None:
+    """Refuses an opened picture of more than ``MOST_PIXELS``, before any is decoded.
+
+    Pillow's own limit is its process's, and other packages lift it.
+
+    Args:
+        image: Of Pillow.
+
+    Raises:
+        DecompressionBombError: Pillow's.
+    """
+    from PIL import Image
+
+    if image.width * image.height > MOST_PIXELS:
+        raise Image.DecompressionBombError(f"{image.width} x {image.height} pixels")
 
 
 def require_all_bits(path: Path) -> None:

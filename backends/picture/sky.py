@@ -20,7 +20,7 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.exr import read_rgb
 from scenec.schemas.files import once_per_file
 from scenec.schemas.kernels import kernel
-from scenec.schemas.maps import decode
+from scenec.schemas.maps import decode, require_size
 from scenec.schemas.packages import as_file
 from scenec.schemas.threads import over_threads
 
@@ -159,6 +159,7 @@ def _load_srgb(path: Path) -> NDArray[np.float32]:
 
     try:
         with Image.open(path) as image:
+            require_size(image)
             return decode(np.asarray(image.convert("RGB")), "emission")
     except FileNotFoundError as error:
         raise StageError(f"{path}: the sky's texture is missing") from error

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scenec.backends.stage.scene import Sun
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import once_per_file
+from scenec.schemas.maps import require_size
 
 
 @once_per_file(most=8)
@@ -23,6 +24,7 @@ def load_gobo(file: Path) -> NDArray[np.float32]:
 
     try:
         with Image.open(file) as image:
+            require_size(image)
             codes = np.asarray(image)
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise StageError(f"{file}: cannot read the light filter's picture: {error}") from error

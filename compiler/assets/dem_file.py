@@ -20,7 +20,7 @@ from scenec.compiler.assets.raster_window import RasterWindow
 from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
-from scenec.schemas.maps import require_all_bits
+from scenec.schemas.maps import MOST_PIXELS, require_all_bits, require_size
 
 #: What marks holes in files that do not declare it; floating files take what is beyond any number.
 _VOIDS = frozenset(
@@ -309,12 +309,12 @@ def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             require_all_bits(file)
             with Image.open(file) as image:
+                require_size(image)
                 return _gray(file, image)
     except Image.DecompressionBombError as error:
-        most = f"{2 * (Image.MAX_IMAGE_PIXELS or 0):,}"
         raise SceneError(
-            f"{file.name}: too large a picture: at most {most} pixels are taken: store heights as "
-            ".npy or GeoTIFF"
+            f"{file.name}: too large a picture: at most {MOST_PIXELS:,} pixels are taken: store "
+            "heights as .npy or GeoTIFF"
         ) from error
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise SceneError(f"{file.name}: not a readable picture: {error}") from error

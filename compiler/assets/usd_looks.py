@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from scenec.compiler.assets.pictures import Source, companion, embedded
 from scenec.compiler.assets.usd import TIME
 from scenec.compiler.geometry import affine
 from scenec.compiler.scene.material import Cutout
+from scenec.schemas.packages import is_packaged, packaged_bytes, packaged_name
 from scenec.schemas.stage import OPACITY_THRESHOLD
 
 _KINDS = {
@@ -167,15 +167,13 @@ class UsdLooks:
         )
 
     def _picture(self, asset: Sdf.AssetPath) -> Source:
-        package, inner = Sdf.Layer.SplitIdentifier(asset.path)[0], asset.resolvedPath
-        if inner.endswith("]") and "[" in inner:
-            # Inside of a package.
-            member = inner[inner.rindex("[") + 1 : -1]
+        package, inner = Sdf.Layer.SplitIdentifier(asset.path)[0], Path(asset.resolvedPath)
+        if is_packaged(inner):
             try:
-                with zipfile.ZipFile(self._file) as archive:
-                    return embedded(archive.read(member))
-            except (zipfile.BadZipFile, KeyError, OSError, NotImplementedError) as error:
-                raise MeshFileError(f"the picture {member} in it cannot be read") from error
+                return embedded(packaged_bytes(inner))
+            except ValueError as error:
+                name = packaged_name(inner)
+                raise MeshFileError(f"the picture {name} in it cannot be read") from error
         path = companion(self._file, package, "picture")
         if path not in self.companions:
             self.companions.append(path)

@@ -20,6 +20,7 @@ from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
     from scenec.compiler.assets.dem_file import Zeros
+    from scenec.compiler.assets.model import MeshModel
     from scenec.compiler.assets.raster_window import RasterWindow
     from scenec.compiler.assets.shells import ParsedModel
 
@@ -263,11 +264,30 @@ def _check_model(file: Path, owner: Node, cfg: Node) -> Iterator[Finding]:
             file, owner["unit_m"], owner["up"], owner["part"], model.origin_of(owner["origin"])
         )
         model.require_near_origin(file, made)
-        plain = cfg.at(*owner.path[:-2])["material"] is not None
+        objects = cfg.at(*owner.path[:-2])
+        plain = objects["material"] is not None
         lines = [line for line in made.warnings if not (plain and line.endswith(OF_COLORS))]
-        # Another material has no mask.
-        lines += [f"material {m.name!r}: {OPACITY}" for m in made.materials if plain and m.cutout]
+        lines += [f"material {name!r}: {OPACITY}" for name in _unmasked(made, objects)]
         yield from _warnings(file, owner, lines)
+
+
+def _unmasked(made: MeshModel, objects: Node) -> Iterator[str]:
+    """Yields materials with a mask that give way, on some faces, to one of the cfg's, without."""
+    from scenec.compiler.assets.parts import is_of
+
+    parts = objects.at("parts")
+    anew = [name for name in parts.entries if parts.at(name)["material"] is not None]
+    of_part = [any(is_of(path, name) for name in anew) for path in made.parts]
+    for index, material in enumerate(made.materials):
+        if material.cutout is None:
+            continue
+        on = set(made.part_of_face[made.material_of_face == index].tolist())
+        if (
+            objects["material"] is not None
+            or any(is_of(material.name, name) for name in anew)
+            or any(of_part[part] for part in on)
+        ):
+            yield material.name
 
 
 def _missing(file: Path, owner: Node, parsed: ParsedModel) -> list[Finding]:

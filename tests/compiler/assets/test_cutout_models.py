@@ -14,7 +14,9 @@ from scenec.backends.camera.rays import camera_rays
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
+from scenec.compiler.assets.looks import OPACITY
 from scenec.compiler.assets.model import read_model
+from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.testing.overhangs import glb
 from scenec.testing.small import write_cfg
@@ -130,8 +132,14 @@ def usd(file: Path) -> None:
 
 def compiled(folder: Path, file: Path) -> RenderScene:
     """The card alone before a camera."""
+    compile_cfg(write_cfg(folder, card(file)), seed=1, out=folder / "out")
+    return read_stage(folder / "out" / "batch_0000" / "stage.usda")
+
+
+def card(file: Path, **keys: Any) -> dict[str, Any]:
+    """A cfg of the card alone before a camera, with more keys of the class."""
     model = {"file": file.name} | ({"unit_m": 1, "up": "y"} if file.suffix == ".obj" else {})
-    cfg = {
+    return {
         "version": 1,
         "name": "leaf",
         "samples": 1,
@@ -150,6 +158,7 @@ def compiled(folder: Path, file: Path) -> RenderScene:
                 "models": [model],
                 "labels": {"class": "leaf"},
                 "poses": [{"x_m": 0, "y_m": 0}],
+                **keys,
             }
         },
         "rigs": {
@@ -163,8 +172,6 @@ def compiled(folder: Path, file: Path) -> RenderScene:
             }
         },
     }
-    compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out")
-    return read_stage(folder / "out" / "batch_0000" / "stage.usda")
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -177,6 +184,23 @@ def test_a_leaf_has_the_area_of_its_mask_and_not_of_its_card(tmp_path, name):
     # Each pixel that the contour passes is in or out: far fewer are wrong on balance.
     assert np.count_nonzero(row == number) == pytest.approx(np.pi * radius**2, abs=radius)
     assert made.losses == ()
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({}, False),
+        ({"material": "m"}, True),
+        ({"parts": {"leaf": {"material": "m"}}}, True),
+        ({"parts": {"look": {"material": "m"}}}, True),
+        ({"parts": {"leaf": {"labels": {"class": "ground"}}}}, False),
+    ],
+)
+def test_a_material_in_the_place_of_a_mask_is_told(tmp_path, keys, told):
+    """Also that of a part, named by itself or by its material: it draws the card as solid."""
+    warnings = load(write_cfg(tmp_path, card(leaf(tmp_path, "leaf.usda"), **keys))).warnings
+    said = [line.message for line in warnings if line.message.endswith(OPACITY)]
+    assert said == (["leaf.usda: material 'look': " + OPACITY] if told else [])
 
 
 def test_what_cuts_is_read_as_formats_say_it(tmp_path):
