@@ -20,5 +20,5 @@ def run(options: argparse.Namespace) -> int:
         print_json(table.content())
     say(f"{len(table.points)} points in {table.out}/, listed in {table.out / TABLE}.csv")
     if table.made:
-        say_next(("explain" if options.compile_only else "view", table.made[0]))
+        say_next(("explain", table.made[0]) if options.compile_only else ("view", table.out))
     return 0 if len(table.made) == len(table.points) else 1
