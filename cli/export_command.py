@@ -73,7 +73,7 @@ def _print_tracks(report: ModelsReport) -> None:
     )
     places = sum(one["tracks"] * one["frames"] for one in cameras)
     say(
-        f"{tracks:,} points of {len(cameras):,} camera(s) at {places:,} places, {visible:,} visible, "
+        f"{tracks:,} points of {len(cameras):,} camera(s), {places:,} places, {visible:,} seen, "
         f"{undecided:,} of these within rounding alone"
     )
     say(f"point tracks: {report.folder}/")
