@@ -18,6 +18,7 @@ from scenec.backends.stage import values
 from scenec.backends.stage.followed import NEUTRAL, is_followed
 from scenec.backends.stage.implicit import LENGTHS, kind_of
 from scenec.backends.stage.materialx import LOSSES
+from scenec.backends.stage.omniverse import applied_schemas, model_of
 from scenec.backends.stage.products import settings_of_products
 from scenec.backends.stage.rigid import flat, sheared, stretched
 from scenec.backends.stage.sources import Sources
@@ -237,14 +238,16 @@ class Unread:
         words: dict[str, None] = {}
         for attribute in prim.GetAuthoredAttributes():
             name = attribute.GetName()
+            if name.startswith("omni:rtx:"):
+                self.add("a camera's settings of Omniverse's renderer are not followed", prim)
             if name == "projection" or name.startswith("scenec:") or not _LENS.search(name):
                 continue
             value = values.value_of(attribute, _FIRST)
             switch = name.lower().endswith(("type", "model")) or isinstance(value, bool)
             if switch and value and str(value).lower() not in _PINHOLES:
                 words[f"{name} = {value}" if isinstance(value, str) else name] = None
-        schemas = [name for name in prim.GetAppliedSchemas() if _LENS.search(name)]
-        for word in words or schemas:
+        schemas = [name for name in applied_schemas(prim) if _LENS.search(name)]
+        for word in () if model_of(prim)[0] else words or schemas:
             self.add(
                 f"{word}: a lens of another renderer is not followed, a pinhole is drawn", prim
             )
