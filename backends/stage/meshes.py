@@ -63,7 +63,7 @@ class MeshTable:
             StageError: Its arrays contradict each other, or hold NaN; or a length cannot be.
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        bound = bound_material(prim)
+        bound = bound_material(prim, self._sources)
         key: tuple[object, ...] = (
             source.GetPath(),
             tuple(sorted(inherited.items())),
@@ -184,7 +184,7 @@ class MeshTable:
         varied: set[int] = set()
 
         def index(prim: Usd.Prim) -> int:
-            shows = shows_display_color(bound_material(prim))
+            shows = shows_display_color(bound_material(prim, self._sources))
             if not shows or self._display_color(coordinates) is None:
                 return self._index(bound_surface(prim, self._sources))
             number = self._index(bound_surface(prim, self._sources, (1.0, 1.0, 1.0)))
@@ -199,7 +199,7 @@ class MeshTable:
             chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             surface[chosen] = index(subset.GetPrim())
-            self.unread.material(bound_material(subset.GetPrim()))
+            self.unread.material(bound_material(subset.GetPrim(), self._sources))
         of_triangle = surface[authored]
         used = np.unique(of_triangle)
         known = list(self.surfaces)

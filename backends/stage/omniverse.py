@@ -218,10 +218,10 @@ def _pinhole(
     coefficients = tuple(numbers[key] for key in order)
     lens = Lens(BROWN_CONRADY, coefficients) if any(coefficients) else None
     s1, s2, s3, s4 = (numbers[f"s{i}"] for i in (1, 2, 3, 4))
-    columns = np.arange(size[0]) + 0.5
+    columns = np.arange(size[0], dtype=np.float64) + 0.5
     worst, lost = 0.0, 0
     for row in range(size[1]) if any((s1, s2, s3, s4)) else (0, size[1] - 1):
-        x, y = to_plane(k, columns, np.full_like(columns, row + 0.5))
+        x, y = to_plane(k, columns, np.full(size[0], row + 0.5, np.float64))
         rays, known = directions(lens, x, y)
         lost += int((~known).sum())
         square = (rays[known, :2] * rays[known, :2]).sum(axis=1)

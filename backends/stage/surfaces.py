@@ -78,9 +78,13 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
     return found
 
 
-def bound_material(prim: Usd.Prim) -> UsdShade.Material:
-    """Returns the material bound for full renderings, or for all purposes; invalid without one."""
-    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+def bound_material(prim: Usd.Prim, sources: Sources) -> UsdShade.Material:
+    """Returns the material bound for full renderings, or for all purposes; invalid without one.
+
+    One of MDL's OmniPBR is returned as the UsdPreviewSurface that it is translated to.
+    """
+    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+    return sources.translated(bound) if bound else bound
 
 
 def bound_surface(
@@ -93,7 +97,7 @@ def bound_surface(
         sources: Of the stage.
         color: In place of displayColor.
     """
-    material = bound_material(prim)
+    material = bound_material(prim, sources)
     color = display_color(prim) if color is None else color
     if material:
         return surface_of(material, sources, color)

@@ -17,7 +17,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
 from scenec.backends.stage import values
 from scenec.backends.stage.followed import NEUTRAL, is_followed
 from scenec.backends.stage.implicit import LENGTHS, kind_of
-from scenec.backends.stage.materialx import LOSSES
 from scenec.backends.stage.omniverse import applied_schemas, model_of
 from scenec.backends.stage.products import settings_of_products
 from scenec.backends.stage.rigid import flat, sheared, stretched
@@ -30,6 +29,7 @@ from scenec.backends.stage.textures import (
     texture_maps,
 )
 from scenec.schemas import stage as names
+from scenec.schemas.omnipbr import mdl_shader
 from scenec.schemas.passes import is_pass
 
 _FIRST = Usd.TimeCode.EarliestTime()
@@ -310,7 +310,7 @@ class Unread:
         self._materials.add(str(prim.GetPath()))
         if prim.GetAttribute(names.ATTR_BASE_COLOR).HasValue():
             return
-        for line in (prim.GetCustomDataByKey(LOSSES) or "").splitlines():
+        for line in (prim.GetCustomDataByKey(names.LOSSES) or "").splitlines():
             self.add(line, prim)
         shader, _, _ = material.ComputeSurfaceSource()
         if shader and values.word(shader.GetIdAttr(), "") == "UsdPreviewSurface":
@@ -318,6 +318,8 @@ class Unread:
         elif shader:
             told = values.word(shader.GetIdAttr(), "") or "a shader of its own"
             self.add(f"the surface {told} is not read, displayColor is shown", prim)
+        elif mdl := mdl_shader(material):
+            self.add(f"the MDL material {mdl[1]} is not read, displayColor is shown", prim)
         elif any(output.HasConnectedSource() for output in material.GetSurfaceOutputs()):
             self.add("a surface for other renderers is not read, displayColor is shown", prim)
         for kind, outputs, (source, _, _) in (
