@@ -26,6 +26,8 @@ from scenec.backends.stage.surfaces import (
     bound_material,
     bound_surface,
     display_color,
+    display_opacity_threshold,
+    is_absent,
     read_height_blends,
     read_layers,
     read_variation,
@@ -36,6 +38,9 @@ from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 from scenec.schemas.polygons import triangulate
 from scenec.schemas.subdivision import Refined
+
+#: In place of a surface, of faces that are not there.
+_ABSENT = -1
 
 
 class MeshTable:
@@ -77,7 +82,9 @@ class MeshTable:
             self.unread.shape(prim, bound)
             self.unread.material(bound)
             if not prim.IsA(UsdGeom.Mesh):
-                return self._known.setdefault(key, [self._implicit(prim, inherited)])
+                there = not is_absent(bound) and not _is_clear(prim, bound)
+                found = [self._implicit(prim, inherited)] if there else []
+                return self._known.setdefault(key, found)
             parts = self._read(UsdGeom.Mesh(prim), inherited)
             self._known[key] = list(range(len(self.meshes), len(self.meshes) + len(parts)))
             self.meshes.extend(parts)
@@ -182,9 +189,19 @@ class MeshTable:
         count = int(authored.max(initial=-1)) + 1
         # Surfaces that show displayColor as it varies over the mesh.
         varied: set[int] = set()
+        # Of those whose opacity is displayOpacity, the least that is shown.
+        least: dict[int, float] = {}
 
         def index(prim: Usd.Prim) -> int:
-            shows = shows_display_color(bound_material(prim, self._sources))
+            bound = bound_material(prim, self._sources)
+            number = _ABSENT if is_absent(bound) else colored(prim, bound)
+            threshold = display_opacity_threshold(bound)
+            if threshold is not None:
+                least[number] = threshold
+            return number
+
+        def colored(prim: Usd.Prim, bound: UsdShade.Material) -> int:
+            shows = shows_display_color(bound)
             if not shows or self._display_color(coordinates) is None:
                 return self._index(bound_surface(prim, self._sources))
             number = self._index(bound_surface(prim, self._sources, (1.0, 1.0, 1.0)))
@@ -201,16 +218,21 @@ class MeshTable:
             surface[chosen] = index(subset.GetPrim())
             self.unread.material(bound_material(subset.GetPrim(), self._sources))
         of_triangle = surface[authored]
-        used = np.unique(of_triangle)
+        opacity = coordinates.opacity() if least else None
+        if opacity is not None:
+            for number, threshold in least.items():
+                of_triangle[(of_triangle == number) & (opacity < threshold)] = _ABSENT
+        whole_mesh = bool((of_triangle != _ABSENT).all())
+        used = np.unique(of_triangle[of_triangle != _ABSENT])
         known = list(self.surfaces)
         uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
         shown = self._display_color(coordinates) if varied else None
-        colored = {s: shown if s in varied else source.color for s in uv}
-        if len(used) <= 1:
-            parts = [replace(source, layers=(s,), uv=uv[s], color=colored[s]) for s in uv]
+        colors = {s: shown if s in varied else source.color for s in uv}
+        if len(used) <= 1 and whole_mesh and whole != _ABSENT:
+            parts = [replace(source, layers=(s,), uv=uv[s], color=colors[s]) for s in uv]
             return parts or [replace(source, layers=(whole,))]
         return [
-            _part(replace(source, color=colored[s]), authored, of_triangle == s, s, uv[s])
+            _part(replace(source, color=colors[s]), authored, of_triangle == s, s, uv[s])
             for s in uv
         ]
 
@@ -222,6 +244,16 @@ class MeshTable:
             what = "displayColor of another length than its shape needs is shown as its mean"
             self.unread.add(what, coordinates.mesh.GetPrim())
             return None
+
+
+def _is_clear(prim: Usd.Prim, bound: UsdShade.Material) -> bool:
+    """Whether the mean displayOpacity of an implicit shape is below what is shown."""
+    threshold = display_opacity_threshold(bound)
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity")
+    if threshold is None or not primvar or not primvar.HasValue():
+        return False
+    found = values.array(primvar.GetAttr(), np.float64, Usd.TimeCode.EarliestTime())
+    return len(found) > 0 and float(found.mean()) < threshold
 
 
 def _part(
@@ -321,6 +353,18 @@ class _Coordinates:
             return None
         return self._spread(primvar, 3)
 
+    def opacity(self) -> NDArray[np.float64] | None:
+        """Returns the mean displayOpacity of each triangle, [m]; None without any.
+
+        Raises:
+            StageError: It is of another length than the mesh needs, or not finite.
+        """
+        api = UsdGeom.PrimvarsAPI(self.mesh.GetPrim())
+        primvar = api.FindPrimvarWithInheritance("displayOpacity")
+        if not primvar or not primvar.HasValue():
+            return None
+        return self._spread(primvar, 1)[..., 0].astype(np.float64).mean(axis=1)
+
     def _texture(self, surface: Surface, name: str) -> NDArray[np.float32]:
         prim = self.mesh.GetPrim()
         primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
@@ -337,7 +381,8 @@ class _Coordinates:
 
     def _spread(self, primvar: UsdGeom.Primvar, width: int) -> NDArray[np.float32]:
         """A primvar's values at the corners of triangles, [m, 3, width]."""
-        found = values.flattened(primvar, np.float32, self.time, width=(width,))
+        each = () if width == 1 else (width,)
+        found = values.flattened(primvar, np.float32, self.time, width=each).reshape(-1, width)
         kind = primvar.GetInterpolation()
         tokens = UsdGeom.Tokens
         needed, at = len(self.read.points), self.faces
@@ -348,9 +393,10 @@ class _Coordinates:
         elif kind == tokens.constant:
             needed, at = 1, np.zeros_like(self.faces)
         if len(found) != needed or not np.isfinite(found).all():
+            what = ("numbers", "pairs of numbers", "colors")[width - 1]
             raise StageError(
                 f"{self.mesh.GetPath()}: primvar {primvar.GetPrimvarName()} ({kind}) must hold "
-                f"{needed} finite {('pairs of numbers', 'colors')[width - 2]}, has {len(found)}"
+                f"{needed} finite {what}, has {len(found)}"
             )
         if self.surface is not None and kind not in (tokens.uniform, tokens.constant):
             found, at = at_corners(self.surface, primvar, found, self.read, self.time), self.corners

@@ -99,7 +99,6 @@ _LENS = re.compile("projection|lens|distort|fisheye|panoram", re.IGNORECASE)
 _PINHOLES = ("pinhole", "perspective", "none", "")
 #: Inputs of UsdPreviewSurface that are not followed, and the value at which they do nothing.
 _WITHOUT_EFFECT = {
-    "opacity": 1.0,
     "displacement": 0.0,
     "clearcoat": 0.0,
     "normal": Gf.Vec3f(0.0, 0.0, 1.0),
@@ -109,8 +108,15 @@ BLENDED = (
     "opacity of UsdPreviewSurface without opacityThreshold is no blend: what is below "
     f"{names.OPACITY_THRESHOLD} is cut out"
 )
+#: What is said of opacity that is given by shape.
+FADED = (
+    "displayOpacity is no blend: triangles of which the mean is below "
+    f"{names.OPACITY_THRESHOLD} are left out"
+)
 #: Those that may be textures, by the kind of map that they become.
 _TEXTURED = {name: kind for kind, name in INPUTS.items()}
+#: Those that may be primvars.
+_DISPLAYED = {"diffuseColor": "displayColor", "opacity": "displayOpacity"}
 #: Those that only say how one of the others is meant, or of no effect on traced light.
 _ASIDE = frozenset(
     ("useSpecularWorkflow", "opacityThreshold", "opacityMode", "clearcoatRoughness", "occlusion")
@@ -285,7 +291,7 @@ class Unread:
             if opacity and opacity.HasValue():
                 found = values.array(opacity.GetAttr(), np.float64, _FIRST)
                 if found.min(initial=1.0) < 1.0:
-                    self.add("displayOpacity is not followed", prim)
+                    self.add(FADED, prim)
 
     def _cage(self, mesh: UsdGeom.Mesh) -> None:
         prim = mesh.GetPrim()
@@ -404,6 +410,8 @@ class Unread:
             node, _ = connected(shader, name)
             if node is None:
                 value = values.value_of(constant(shader, name), _FIRST)
+                if name == "opacity" and value != 1.0 and not opacity_threshold(shader)[1]:
+                    self.add(BLENDED, prim)
                 if name in _WITHOUT_EFFECT and value not in (None, _WITHOUT_EFFECT[name]):
                     self.add(f"{name} of UsdPreviewSurface is not followed", prim)
                 if self._changes(*found.GetValueProducingAttributes()):
@@ -418,10 +426,10 @@ class Unread:
                     self.add("wrap modes of textures are not followed, they repeat", prim)
                 if name == "normal" and not _is_usual(node):
                     self.add("scale and bias of a texture of normals are not followed", prim)
-            elif not (
-                name == "diffuseColor"
-                and values.word(constant(node, "varname"), "", _FIRST) == "displayColor"
-            ):
+            elif values.word(constant(node, "varname"), "", _FIRST) == _DISPLAYED.get(name):
+                if name == "opacity" and not opacity_threshold(shader)[1]:
+                    self.add(FADED, prim)
+            else:
                 source = values.word(node.GetIdAttr(), "") or "a node"
                 self.add(f"{name} of UsdPreviewSurface from {source} is not read", prim)
 
