@@ -9,7 +9,14 @@ import pytest
 from blocks import ROOT, blocks, run_all, sections
 
 TUTORIAL, RECIPES = "docs/tutorial.md", "docs/recipes.md"
-OTHERS = ("docs/writing.md", "docs/python.md", "docs/concepts.md", "docs/commands.md")
+OTHERS = (
+    "docs/light.md",
+    "docs/objects.md",
+    "docs/writing.md",
+    "docs/python.md",
+    "docs/concepts.md",
+    "docs/commands.md",
+)
 PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
