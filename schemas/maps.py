@@ -46,7 +46,7 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
     """
     if isinstance(path, Path) and is_packaged(path):
         with as_file(path) as file:
-            return read_pixels(file)
+            return read_pixels(file, alpha)
     if isinstance(path, Path) and path.suffix.lower() == ".exr":
         # Imported here: few pictures are.
         from scenec.schemas.exr import read_rgb

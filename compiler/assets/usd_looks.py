@@ -132,7 +132,9 @@ class UsdLooks:
         texture = UsdShade.Shader(output.GetPrim())
         shader = str(texture.GetIdAttr().Get()) if texture else ""
         if shader != "UsdUVTexture":
-            if kind == "base_color" and shader.startswith("UsdPrimvarReader"):
+            if kind == "base_color" and shows_display_color(texture):
+                values["diffuseColor"] = (1.0, 1.0, 1.0)
+            elif kind == "base_color" and shader.startswith("UsdPrimvarReader"):
                 notes.append(looks.NO_VERTEX_COLORS)
             else:
                 notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
@@ -186,6 +188,23 @@ class UsdLooks:
         if path not in self.companions:
             self.companions.append(path)
         return path
+
+
+def shows_display_color(node: UsdShade.Shader) -> bool:
+    """Tells whether a node reads displayColor."""
+    kind = str(node.GetIdAttr().Get()) if node else ""
+    return kind.startswith("UsdPrimvarReader") and _value(node, "varname") == "displayColor"
+
+
+def has_display_color(material: UsdShade.Material | None) -> bool:
+    """Tells whether a material's color is displayColor; so it is without a material."""
+    if material is None:
+        return True
+    shader = material.ComputeSurfaceSource()[0]
+    producer = _producer(shader.GetInput("diffuseColor")) if shader else None
+    if producer is None or _is_value(producer):
+        return False
+    return shows_display_color(UsdShade.Shader(producer.GetPrim()))
 
 
 def _producer(source: UsdShade.Input | None) -> Any:

@@ -16,7 +16,7 @@ from scenec.compiler.assets import usd
 from scenec.compiler.assets.looks import OPACITY
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
-from scenec.compiler.assets.usd_looks import UsdLooks
+from scenec.compiler.assets.usd_looks import UsdLooks, has_display_color
 from scenec.schemas.polygons import triangulate
 from scenec.schemas.subdivision import FaceVarying, hanging
 
@@ -177,9 +177,10 @@ class _Primvars:
         return self._spread("normals", values, interpolation, 3)
 
     def color(self) -> NDArray[np.float64] | None:
-        """displayColor, which stands in for a material; USD's colors are linear."""
+        """displayColor, where that is the material's; USD's colors are linear."""
         primvar = self._mesh.GetDisplayColorPrimvar()
-        if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
+        bound = _bound(self._mesh.GetPrim())
+        if not has_display_color(bound) or not primvar or not primvar.HasValue():
             return None
         values = primvar.ComputeFlattened(usd.TIME)
         if values is None or not len(values):
