@@ -286,7 +286,7 @@ def _ftheta(
             f"{TOLERANCE_PX} are taken"
         )
     k[0, 0], k[1, 1] = across * c[0], up * c[0]
-    note = f"its polynomial is drawn as a kannala_brandt, off by up to {error:.2g} pixels"
+    note = f"an f-theta lens is drawn as a kannala_brandt, off by up to {error:.2g} pixels"
     return Calibration(k, lens, error, (note,))
 
 
