@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom
 
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import composed
-from scenec.backends.stage.implicit import kind_of
+from scenec.backends.stage.implicit import is_shape
 from scenec.backends.stage.labels import prim_labels
 from scenec.backends.stage.meshes import MeshTable
 from scenec.backends.stage.placing import instance_mask, instance_matrices
@@ -204,12 +204,10 @@ class Expander:
 
     def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
         shown = self._is_rendered(prim)
-        if place.shown is not None:
-            shown = shown & place.shown
-        if not shown.any():
+        if not (shown if place.shown is None else shown & place.shown).any():
             return
         if not shown.all():
-            place = replace(place, shown=shown)
+            place = _shown(place, shown)
         self._meshes.unread.prim(prim, in_prototype=bool(self._open))
         place = self._with_id(prim, self._moved(prim, place))
         if prim.IsA(UsdGeom.PointInstancer):
@@ -224,22 +222,32 @@ class Expander:
             self._open.pop()
             self._note(prim, parts[-1])
             return
-        if prim.IsA(UsdGeom.Mesh) or kind_of(prim):
-            found = self._meshes.add(prim, place.labels)
+        if is_shape(prim):
+            poses = self._meshes.add(prim, place.labels)
             part = 0 if place.instance_id is None else self._part(place.relative)
-            matrix = self._hide_at_samples(place.matrix[..., None, :, :], place.shown)
-            parts.append(
-                Expanded.of(
-                    np.array(found, np.int32),
-                    np.repeat(matrix, len(found), axis=-3),
-                    np.full(len(found), place.instance_id or 0, np.int64),
-                    np.zeros(len(found), np.float32),
-                    np.full(len(found), part, np.int32),
-                )
-            )
+            rows = []
+            if len(poses) > 1 and place.instance_id is not None:
+                # Says where the instance is at all samples; its poses come and go.
+                rows.append(self._shape([self._meshes.frame()], place, part))
+                part = _NO_PART
+            for pose in poses:
+                at = place if pose.shown is None else _shown(place, pose.shown)
+                rows.append(self._shape(pose.meshes, at, part))
+            parts.append(Expanded.joined(rows))
             self._note(prim, parts[-1])
         for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
             self._walk(child, place, parts)
+
+    def _shape(self, meshes: list[int], place: _Place, part: int) -> Expanded:
+        count = len(meshes)
+        matrix = self._hide_at_samples(place.matrix[..., None, :, :], place.shown)
+        return Expanded.of(
+            np.array(meshes, np.int32),
+            np.repeat(matrix, count, axis=-3),
+            np.full(count, place.instance_id or 0, np.int64),
+            np.zeros(count, np.float32),
+            np.full(count, part, np.int32),
+        )
 
     def _note(self, prim: Usd.Prim, rows: Expanded) -> None:
         if not self._open:
@@ -454,6 +462,11 @@ class Expander:
         self._next_id = max(self._next_id, base + local)
         known = self._ranges.setdefault(path, [base, base])
         known[1] = max(known[1], base + local)
+
+
+def _shown(place: _Place, shown: NDArray[np.bool_]) -> _Place:
+    """The place, where it is shown at these samples only."""
+    return replace(place, shown=shown if place.shown is None else shown & place.shown)
 
 
 def _placed(world: NDArray[np.float64], content: NDArray[np.float64]) -> NDArray[np.float64]:
