@@ -12,8 +12,9 @@ from pxr import Usd
 
 from scenec.backends.stage import values
 from scenec.backends.stage.cameras import read_cameras
+from scenec.backends.stage.expanded import Expanded
 from scenec.backends.stage.frame import StageFrame
-from scenec.backends.stage.instancers import Expanded, Expander
+from scenec.backends.stage.instancers import Expander
 from scenec.backends.stage.labels import LabelTable, labeled_instances, prim_labels, read_table
 from scenec.backends.stage.lidars import read_lidars
 from scenec.backends.stage.lights import read_haze, read_lighting, read_sky_label_maps
