@@ -28,8 +28,8 @@ def test_a_picture_and_its_alpha_have_all_their_bits(tmp_path, name, channels, l
         assert found.dtype == kind
         assert np.array_equal(found, codes[..., :3])
     alpha = read_pixels(tmp_path / name, alpha=True)
-    assert np.array_equal(alpha / np.iinfo(alpha.dtype).max,
-                          (codes[..., 3:] if channels == 4 else np.full((5, 7, 1), largest)) / largest)  # fmt: skip
+    expected = codes[..., 3:] if channels == 4 else np.full((5, 7, 1), largest)
+    assert np.array_equal(alpha / np.iinfo(alpha.dtype).max, expected / largest)
 
 
 def test_a_shallow_slope_is_in_normals_of_16_bits_and_not_in_those_of_8(tmp_path):
