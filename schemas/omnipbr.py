@@ -157,11 +157,15 @@ class _Translation:
 
     def _value(self, name: str) -> Any:
         """An input's value, or the one that it is connected to; None without one."""
+        attribute = self._attribute(name)
+        return None if attribute is None else attribute.Get(_FIRST)
+
+    def _attribute(self, name: str) -> Usd.Attribute | None:
         self._used.add(name)
         found = self._source.GetInput(name)
         for attribute in UsdShade.Utils.GetValueProducingAttributes(found) if found else ():
             if UsdShade.Utils.GetType(attribute.GetName()) == UsdShade.AttributeType.Input:
-                return attribute.Get(_FIRST)
+                return attribute
             self._noted.append(f"{name} of {self._name} from a node is not read")
         return None
 
@@ -196,6 +200,10 @@ class _Translation:
         node.CreateIdAttr("UsdUVTexture")
         file = node.CreateInput("file", _TYPES.Asset)
         found = asset.resolvedPath if self._resolved or "[" in asset.resolvedPath else ""
+        if self._resolved and "<UDIM>" in asset.path:
+            # USD resolves no tiles, and the translation stands in another layer.
+            spec = self._attribute(name).GetPropertyStack(_FIRST)[0]  # type: ignore[union-attr]
+            found = spec.layer.ComputeAbsolutePath(asset.path)
         file.Set(Sdf.AssetPath(found or asset.path))
         space = self._source.GetInput(name).GetAttr().GetColorSpace()
         if ours != "diffuseColor":

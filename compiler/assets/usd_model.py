@@ -109,6 +109,7 @@ def _split(
     """A mesh by its subsets of faces; where several have a face, the first names it."""
     count = int(polygon.max()) + 1 if len(polygon) else 0
     owners, part = shell.owners().copy(), np.full(len(shell.faces), -1, np.int64)
+    colors = shell.colors
     subsets = [
         subset
         for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh.GetPrim()))
@@ -121,8 +122,11 @@ def _split(
         of_subset = chosen[polygon]
         part[of_subset & (part < 0)] = i
         if subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
-            owners[of_subset] = looks.number(_bound(subset.GetPrim()))
-    shell = replace(shell, material=owners)
+            bound = _bound(subset.GetPrim())
+            owners[of_subset] = looks.number(bound)
+            if colors is not None and not has_display_color(bound):
+                colors = np.where(of_subset[:, None, None], 1.0, colors)
+    shell = replace(shell, material=owners, colors=colors)
     if (part < 0).all():
         return [shell]
     paths = [*(str(subset.GetPath()) for subset in subsets), shell.path]

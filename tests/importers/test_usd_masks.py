@@ -1,4 +1,4 @@
-"""Masks and colors of vertices in what an import compiles: the same as in the stage."""
+"""Masks, colors of vertices and lenses in what an import compiles: the same as in the stage."""
 
 from __future__ import annotations
 
@@ -100,3 +100,21 @@ def test_ground_of_varied_colors_has_their_mean_and_says_so(tmp_path):
     mean = (2 * np.array(COLORS[0]) + COLORS[1] + 2 * np.array(COLORS[2]) + COLORS[3]) / 6
     np.testing.assert_allclose(made.cfg["materials"]["ground"]["base_color"], mean, rtol=1e-5)
     assert "the mean of its vertices' colors" in notes(made, APPROXIMATED).values()
+
+
+def test_a_lens_of_omniverse_s_is_carried_with_its_border(tmp_path):
+    file = written(tmp_path, "r")
+    stage = Usd.Stage.Open(str(file))
+    eye = stage.GetPrimAtPath("/World/eye")
+    eye.CreateAttribute("cameraProjectionType", TYPES.Token).Set("fisheyeOpenCV")
+    for name, value in {
+        "fthetaWidth": 160.0, "fthetaHeight": 120.0, "fthetaCx": 81.0, "fthetaCy": 58.5,
+        "openCVFx": 70.0, "openCVFy": 69.0, "fthetaPolyA": -0.02, "fthetaMaxFov": 120.0,
+    }.items():  # fmt: skip
+        eye.CreateAttribute(name, TYPES.Float).Set(value)
+    stage.Save()
+    theirs, ours, _ = both(file, samples=1)
+    a, b = (scene.cameras[0][0] for scene in (theirs, ours))
+    np.testing.assert_allclose(b.intrinsics, a.intrinsics, rtol=1e-8)
+    np.testing.assert_allclose(b.lens.coefficients, a.lens.coefficients, rtol=1e-8)
+    assert b.lens.max_angle == pytest.approx(a.lens.max_angle, rel=1e-8)
