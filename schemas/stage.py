@@ -55,8 +55,8 @@ GEOREFERENCE = {
     "error_m": ("scenec:georeference:error", "Double"),
 }
 
-#: On a DistantLight that was computed for a place and a time: fields of ``schemas.records.SolarTime``,
-#: over samples, but for the body: the attribute, and its type. None is left out.
+#: On a DistantLight that was computed for a place and a time: fields of
+#: ``schemas.records.SolarTime``: the attribute, and its type. None is left out.
 SOLAR_TIME = {
     "body": ("scenec:solarTime:body", "Token"),
     "time_utc": ("scenec:solarTime:utc", "String"),
