@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,17 +133,17 @@ def _solar_times(prim: Usd.Prim, times: list[Usd.TimeCode]) -> list[SolarTime | 
     }
     if not {"body", "time_utc", "solar_time_h", "mean_solar_time_h"} <= found.keys():
         return [None] * len(times)
-    return [
-        SolarTime(
-            **{
-                field: values.number(attribute, 0.0, time)
-                if kind == "Double"
-                else values.word(attribute, "", time)
-                for field, (attribute, kind) in found.items()
-            }
-        )
-        for time in times
-    ]
+
+    def read(time: Usd.TimeCode) -> SolarTime:
+        fields: dict[str, Any] = {
+            field: values.number(attribute, 0.0, time)
+            if kind == "Double"
+            else values.word(attribute, "", time)
+            for field, (attribute, kind) in found.items()
+        }
+        return SolarTime(**fields)
+
+    return [read(time) for time in times]
 
 
 def _gobos(
