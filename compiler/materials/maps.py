@@ -12,6 +12,7 @@ from scenec.compiler.kinds.finding import Path as Place
 from scenec.schemas.codec import JsonObject
 from scenec.schemas.maps import MAP_CHANNELS
 from scenec.schemas.spelling import shown
+from scenec.schemas.stage import OPACITY_THRESHOLD
 
 if TYPE_CHECKING:
     # A cfg is checked without what paints.
@@ -113,8 +114,8 @@ class MapsKeys:
     opacity: Path | None = key(file("map"), optional=True)
     """Opacity, raw: where it is below opacity_threshold nothing is there, for annotation and all
     renderers. With the projection uv."""
-    opacity_threshold: float = key(forms.FRACTION_PER_BATCH, default=0.5)
-    """Least opacity of what is there."""
+    opacity_threshold: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
+    """Least opacity of what is there; left out, 0.5."""
     cells: JsonObject | None = key(an("material_cells"), optional=True)
     """Keeps pictures that are projected from above from repeating. {} takes the usual size; left
     out, they repeat."""
@@ -166,6 +167,8 @@ class MapsKeys:
         cells = None
         if self.cells is not None:
             cells = TilingCells(self.cells["size_m"] or size_m, context.key("cells") >> 33)
+        threshold = self.opacity_threshold
+        threshold = OPACITY_THRESHOLD if threshold is None else threshold
         maps = MaterialMaps(
             size_m=size_m,
             files={kind: given[kind] for kind in MAP_CHANNELS if kind in given},
@@ -173,7 +176,7 @@ class MapsKeys:
             projection=self.projection or ("triplanar" if worn else "above"),
             cells=cells,
             far=None if self.far is None else Far(**self.far),
-            cutout=None if self.opacity is None else Cutout(self.opacity_threshold),
+            cutout=None if self.opacity is None else Cutout(threshold),
         )
         sources = MapSources(
             gloss=given.get("gloss"),
